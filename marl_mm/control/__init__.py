@@ -1,0 +1,1 @@
+"""The whole-body controller: tasks, limits, priorities, hierarchy."""

@@ -1,0 +1,49 @@
+"""Who comes first: the paper's two priority tables and what lies between them.
+
+Cumulative coding: a task of strict level L has psi = 0 above row L and 1 from it down,
+so that interpolated columns never decrease. Table 1, Eq. 4 of the paper.
+"""
+
+import numpy as np
+
+TASKS = (
+    "base velocity",
+    "base orientation",
+    "manipulator position",
+    "manipulator orientation",
+    "arm posture",
+)
+"""Columns of a priority matrix (Table 1)."""
+
+STABILITY_LEVELS = (1, 1, 2, 3, 4)
+"""Psi1, better move stability: alpha = 1 (Table 1)."""
+
+REACHING_LEVELS = (3, 3, 1, 2, 4)
+"""Psi2, better reaching: alpha = 0 (Table 1)."""
+
+LEVELS = 4
+
+HANDLED = 1e-5
+"""A task is handled at a level when its psi rises by more than this."""
+
+
+def cumulative(levels: tuple[int, ...]) -> np.ndarray:
+    """Priority matrix of strict levels, shape (4, 5)."""
+    rows = np.arange(1, LEVELS + 1)[:, None]
+    return (rows >= np.array(levels)[None, :]).astype(float)
+
+
+STABILITY = cumulative(STABILITY_LEVELS)
+REACHING = cumulative(REACHING_LEVELS)
+
+
+def priority_matrix(alpha: float) -> np.ndarray:
+    """Psi(alpha) = alpha Psi1 + (1 - alpha) Psi2 (Eq. 4), shape (4, 5)."""
+    return alpha * STABILITY + (1 - alpha) * REACHING
+
+
+def handled_tasks(psi: np.ndarray, level: int) -> list[int]:
+    """Tasks whose psi rises at a level, highest psi first; ties in Table 1's order."""
+    above = psi[level - 1] if level else np.zeros(psi.shape[1])
+    risen = [k for k in range(psi.shape[1]) if abs(psi[level, k] - above[k]) > HANDLED]
+    return sorted(risen, key=lambda k: -psi[level, k])

@@ -1,0 +1,1 @@
+"""The controller's five tasks: each says which acceleration it wants."""

@@ -1,0 +1,26 @@
+"""Bring the end-effector to its target: e = target - position, world frame.
+
+The velocity wanted is proportional to e and limited in norm; the Jacobian is the linear
+half of the frame's, without the lateral column.
+"""
+
+import numpy as np
+
+from marl_mm.control.config import Gains
+from marl_mm.control.tasks.task import Reference, Task
+from marl_mm.robot.model import ACTUATED, ModelTerms
+
+
+def manipulator_position(terms: ModelTerms, reference: Reference, gains: Gains) -> Task:
+    """Task with three rows [m/s^2]."""
+    error = reference.hand_position_w - terms.position_w
+    distance = np.linalg.norm(error)
+    rate = gains.hand_rate
+    if rate * distance > gains.hand_speed:
+        rate = gains.hand_speed / distance
+    feedback = gains.hand_speed_rate * (rate * error - terms.velocity_w[:3])
+    return Task(
+        "manipulator position",
+        terms.jacobian[:3, ACTUATED],
+        feedback - terms.bias_acceleration[:3],
+    )

@@ -1,0 +1,136 @@
+"""The reach tasks as data: every number of an episode, with its unit and source."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Any
+
+from marl_mm.control.config import ControllerConfig
+from marl_mm.errors import UsageError
+from marl_mm.robot.description import RobotConfig
+from marl_mm.sim.bullet import SimulationConfig
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class ReachConfig:
+    """One task: bring the end-effector to a goal in front of or behind the robot."""
+
+    goal_x_forward: Interval = (1.0, 1.5)
+    """Goals ahead, world [m] (paper, Sec. 5.1)."""
+
+    goal_x_backward: Interval = (-0.8, -0.5)
+    """Goals behind, world [m] (paper, Sec. 5.1); each direction has equal chance."""
+
+    goal_y: Interval = (-0.2, 0.2)
+    """[m] (paper, Sec. 5.1)"""
+
+    goal_z: Interval = (0.55, 0.8)
+    """[m] (paper, Sec. 5.1)"""
+
+    max_steps: int = 25
+    """Steps until truncation (paper, Tables 2, 3); PD collection uses 50."""
+
+    ticks_per_step: int = 240
+    """Controller ticks per policy step: 1 Hz over 240 Hz (paper, Fig. 2)."""
+
+    success_distance: float = 0.05
+    """End-effector to goal at the end of a step [m]; reaching it terminates."""
+
+    action_scale: float = 0.1
+    """Largest displacement of the end-effector's target per axis and step [m]."""
+
+    initial_alpha: float = 1.0
+    """Control mode in the first observation, before any alpha was set."""
+
+    random_start_steps: int = 0
+    """Random steps before the episode, unseen by the policy."""
+
+    goal_reward: float = 10.0
+    """Reward for reaching the goal, instead of minus the distance (Eq. 6)."""
+
+    hand_error_weight: float = 5.0
+    """Cost of d_mm [1/m] (Eq. 7)."""
+
+    base_error_weight: float = 5.0
+    """Cost of d_mp [1/m] (Eq. 8)."""
+
+    jerk_weight: float = 0.0
+    """Cost of the base's rms jerk [s^3/m]; 0 is the paper's reward."""
+
+    cruise: float = 0.03
+    """Most the base plan advances per step [m]. A plan that kept up with the hand would
+    make all tasks compatible and alpha meaningless."""
+
+    stand_off: float = 0.647
+    """The base plan heads for this far behind the hand's target along x [m]: the
+    end-effector's distance ahead of the base in the initial posture."""
+
+    heading_gain: float = 1.0
+    """Heading reference per lateral offset, steering back to y = 0 [rad/m]."""
+
+    heading_limit: float = 0.3
+    """Largest heading reference [rad]."""
+
+    zmp_every: int = 8
+    """Ticks between evaluations of the zero-moment point."""
+
+    robot: RobotConfig = field(default_factory=RobotConfig)
+
+    simulation: SimulationConfig = field(default_factory=SimulationConfig)
+
+    controller: ControllerConfig = field(default_factory=ControllerConfig)
+
+    def __post_init__(self) -> None:
+        for name in ("max_steps", "ticks_per_step", "zmp_every"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"{name} is {getattr(self, name)}, expected >= 1")
+
+
+TASKS: dict[str, ReachConfig] = {
+    "Reach-v0": ReachConfig(),
+    "SmoothReach-v0": ReachConfig(jerk_weight=0.2),
+    "PreciseReach-v0": ReachConfig(success_distance=0.02, random_start_steps=8),
+}
+"""The registered tasks: the paper's reward, with a cost of jerk, with a finer goal."""
+
+
+def reach_config(
+    task: str = "Reach-v0", overrides: Mapping[str, Any] | None = None
+) -> ReachConfig:
+    """A registered task's config, with some fields replaced.
+
+    Args:
+        task: One of ``TASKS``.
+        overrides: Fields to replace, nested as the config is, for example
+            ``{"max_steps": 50, "controller": {"form": "rhp"}}``.
+
+    Raises:
+        UsageError: If the task or a field does not exist.
+    """
+    if task not in TASKS:
+        raise UsageError(f"unknown task {task!r}, expected one of {', '.join(TASKS)}")
+    config: ReachConfig = _replaced(TASKS[task], overrides or {}, "")
+    return config
+
+
+def _replaced(config: Any, overrides: Mapping[str, Any], path: str) -> Any:
+    if is_dataclass(config):
+        known = [item.name for item in fields(config)]
+    else:
+        known = list(config._fields)
+    changes = {}
+    for name, value in overrides.items():
+        if name not in known:
+            raise UsageError(
+                f"unknown field {path + name!r}, expected one of {', '.join(known)}"
+            )
+        current = getattr(config, name)
+        if isinstance(value, Mapping):
+            value = _replaced(current, value, f"{path}{name}.")
+        elif isinstance(current, tuple) and isinstance(value, list):
+            value = tuple(value)  # JSON has no tuples
+        changes[name] = value
+    if is_dataclass(config) and not isinstance(config, type):
+        return replace(config, **changes)
+    return config._replace(**changes)

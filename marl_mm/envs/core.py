@@ -1,0 +1,267 @@
+"""One reach episode: the shared core of the Gymnasium and the PettingZoo environment.
+
+A step is one second: the action becomes a target for the hand and a plan for the base,
+which the whole-body controller follows for 240 ticks.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from marl_mm.control.tasks.task import Reference
+from marl_mm.control.wbc import WholeBodyController
+from marl_mm.envs.config import ReachConfig
+from marl_mm.envs.terms import goal_distance, reach_reward, reached
+from marl_mm.errors import InvalidActionError, UsageError
+from marl_mm.layout import ACTION_HIGH, ACTION_LOW, ALPHA, DELTA
+from marl_mm.robot.limits import robot_limits
+from marl_mm.robot.model import RobotModel, RobotState, support_margin
+from marl_mm.sim.bullet import RATE, BulletWorld
+
+_STILL = 0.005
+"""A plan shorter than this has no direction of travel [m]."""
+
+
+class BasePlan(NamedTuple):
+    """A slow, straight cruise of the base during one step."""
+
+    start_w: np.ndarray
+    """Shape (2,) [m]."""
+
+    end_w: np.ndarray
+    """Shape (2,) [m]; always on y = 0."""
+
+    heading: float
+    """[rad]"""
+
+    def at(self, share: float) -> np.ndarray:
+        """Point of the plan along x after a share of the step, shape (2,) [m]."""
+        x = self.start_w[0] + share * (self.end_w[0] - self.start_w[0])
+        return np.array([x, 0.0])
+
+    @property
+    def length(self) -> float:
+        """Signed length along x [m]."""
+        return float(self.end_w[0] - self.start_w[0])
+
+
+class Motion(NamedTuple):
+    """What happened during one step's ticks."""
+
+    base_acceleration: np.ndarray
+    """Commanded, shape (ticks,) [m/s^2]."""
+
+    zmp_margin: float
+    """Least distance of the zero-moment point to the support polygon's edge [m]."""
+
+    qp_failures: int
+    """Levels of the hierarchy that found no solution."""
+
+
+class Step(NamedTuple):
+    """What a step returns."""
+
+    state: np.ndarray
+    """Joint state, shape (10,)."""
+
+    reward: float
+    terminated: bool
+    truncated: bool
+    info: dict[str, Any]
+
+
+class ReachCore:
+    """The robot, its controller and the task.
+
+    Args:
+        config: The task.
+        visual: Load meshes for rendering.
+        gui: Open PyBullet's window.
+    """
+
+    def __init__(
+        self, config: ReachConfig, visual: bool = False, gui: bool = False
+    ) -> None:
+        self.config = config
+        self.world = BulletWorld(config.robot, config.simulation, visual, gui)
+        self.model = RobotModel(config.robot)
+        limits = robot_limits(config.robot)
+        self.controller = WholeBodyController(limits, config.controller)
+        self._base_speed, self._base_yaw_rate = limits.speed[:2]
+        self._posture = np.array(config.robot.initial_joints)
+        self._low, self._high = np.array(ACTION_LOW), np.array(ACTION_HIGH)
+        self._steps = -1
+
+    def sample_goal(self, rng: np.random.Generator) -> np.ndarray:
+        """A goal ahead or behind with equal chance, world frame, shape (3,) [m]."""
+        config = self.config
+        ahead = rng.random() < 0.5
+        x = config.goal_x_forward if ahead else config.goal_x_backward
+        return np.array(
+            [rng.uniform(*axis) for axis in (x, config.goal_y, config.goal_z)]
+        )
+
+    def reset(
+        self, rng: np.random.Generator, goal_w: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Begin an episode and return the joint state, shape (10,).
+
+        Args:
+            rng: Draws the goal and the random start.
+            goal_w: Where to go instead of a drawn goal, shape (3,) [m].
+        """
+        drawn = self.sample_goal(rng)
+        self._goal_w = drawn if goal_w is None else _checked_goal(goal_w)
+        self.world.reset(self._goal_w)
+        self._state = self.world.read()
+        start = self.model.evaluate(self._state)
+        self._hand_rotation_w = np.ascontiguousarray(start.rotation_w).copy()
+        self._hand_w = self.world.grasp_position_w()
+        self._alpha = self.config.initial_alpha
+        self._commanded = np.zeros(2)
+        self._steps = 0
+        for _ in range(self.config.random_start_steps):
+            action = rng.uniform(self._low, self._high)
+            target_w = self._hand_w + self.config.action_scale * action[DELTA]
+            self._alpha = float(action[ALPHA])
+            self._drive(target_w, self._plan_base(target_w), None)
+        return self._joint_state()
+
+    def step(
+        self, action: np.ndarray, watch: Callable[[int], None] | None = None
+    ) -> Step:
+        """Act for one second.
+
+        Args:
+            action: Shape (4,): three displacements in [-1, 1], alpha in [0, 1]; values
+                outside are clipped.
+            watch: Called after each tick with its number, for rendering.
+
+        Raises:
+            InvalidActionError: If the action has another shape or is not finite.
+            UsageError: If no episode is running.
+        """
+        if self._steps < 0:
+            raise UsageError("step() was called before reset()")
+        action = self._checked_action(action)
+        target_w = self._hand_w + self.config.action_scale * action[DELTA]
+        self._alpha = float(action[ALPHA])
+        plan = self._plan_base(target_w)
+        motion = self._drive(target_w, plan, watch)
+        self._steps += 1
+        return self._outcome(target_w, plan, motion)
+
+    def close(self) -> None:
+        """Disconnect from the simulator."""
+        self.world.close()
+
+    def _checked_action(self, action: np.ndarray) -> np.ndarray:
+        values = np.asarray(action, dtype=np.float64)
+        if values.shape != self._low.shape:
+            raise InvalidActionError(
+                f"action has shape {values.shape}, expected (4,): three displacements "
+                "in [-1, 1] and alpha in [0, 1]"
+            )
+        if not np.isfinite(values).all():
+            raise InvalidActionError(
+                f"action is {values.tolist()}, expected finite numbers: check the "
+                "policy's input for NaN"
+            )
+        return np.clip(values, self._low, self._high)
+
+    def _plan_base(self, target_w: np.ndarray) -> BasePlan:
+        """A plan from the measured base towards its place behind the hand's target."""
+        config, base_w = self.config, self._state.q[:2]
+        way = target_w[0] - config.stand_off - base_w[0]
+        advance = float(np.clip(way, -config.cruise, config.cruise))
+        direction = np.sign(advance) if abs(advance) > _STILL else 0.0
+        turn = np.clip(
+            config.heading_gain * base_w[1], -config.heading_limit, config.heading_limit
+        )
+        end_w = np.array([base_w[0] + advance, 0.0])
+        return BasePlan(base_w.copy(), end_w, float(-direction * turn))
+
+    def _drive(
+        self, target_w: np.ndarray, plan: BasePlan, watch: Callable[[int], None] | None
+    ) -> Motion:
+        """Follow target and plan for a step's ticks."""
+        ticks, every = self.config.ticks_per_step, self.config.zmp_every
+        speed = plan.length * RATE / ticks
+        accelerations = np.empty(ticks)
+        margin, failures = np.inf, 0
+        state = self._state
+        for k in range(ticks):
+            share = (k + 1) / ticks
+            reference = Reference(
+                target_w,
+                self._hand_rotation_w,
+                plan.at(share),
+                plan.heading,
+                speed,
+                self._posture,
+            )
+            terms = self.model.evaluate(state)
+            command = self.controller.tick(state, terms, reference, self._alpha)
+            accelerations[k] = self._move_base(command.acceleration)
+            self.world.command(*self._commanded.tolist(), command.torque)
+            self.world.step()
+            if k % every == 0:
+                zmp_b = self.model.zmp_b(state, command.acceleration)
+                margin = min(margin, support_margin(zmp_b))
+            failures += command.failures
+            state = self.world.read()
+            if watch is not None:
+                watch(k)
+        self._state = state
+        self._hand_w = self.world.grasp_position_w()
+        return Motion(accelerations, float(margin), failures)
+
+    def _move_base(self, acceleration: np.ndarray) -> float:
+        """Integrate the base's part of u; returns what the limits left of it."""
+        before = self._commanded[0]
+        forward = before + acceleration[0] / RATE
+        yaw_rate = self._commanded[1] + acceleration[1] / RATE
+        self._commanded[0] = min(max(forward, -self._base_speed), self._base_speed)
+        self._commanded[1] = min(
+            max(yaw_rate, -self._base_yaw_rate), self._base_yaw_rate
+        )
+        return float((self._commanded[0] - before) * RATE)
+
+    def _joint_state(self) -> np.ndarray:
+        state: RobotState = self._state
+        base = [state.q[0], state.q[1], state.yaw]
+        return np.array([*self._hand_w, *base, self._alpha, *self._goal_w])
+
+    def _outcome(self, target_w: np.ndarray, plan: BasePlan, motion: Motion) -> Step:
+        config = self.config
+        distance = goal_distance(self._hand_w, self._goal_w)
+        d_mm = float(np.linalg.norm(target_w - self._hand_w))
+        d_mp = float(np.linalg.norm(plan.end_w - self._state.q[:2]))
+        jerk = np.diff(motion.base_acceleration) * RATE
+        jerk_rms = float(np.sqrt(np.mean(jerk * jerk))) if len(jerk) else 0.0
+        success = bool(reached(distance, config))
+        reward = reach_reward(
+            distance, np.float64(d_mm), np.float64(d_mp), np.float64(jerk_rms), config
+        )
+        info = {
+            "d_mm": d_mm,
+            "d_mp": d_mp,
+            "distance": float(distance),
+            "is_success": success,
+            "base_jerk_rms": jerk_rms,
+            "base_acceleration_rms": float(
+                np.sqrt(np.mean(motion.base_acceleration**2))
+            ),
+            "zmp_margin": motion.zmp_margin,
+            "qp_failures": motion.qp_failures,
+        }
+        truncated = self._steps >= config.max_steps and not success
+        return Step(self._joint_state(), float(reward), success, truncated, info)
+
+
+def _checked_goal(goal_w: np.ndarray) -> np.ndarray:
+    goal = np.asarray(goal_w, dtype=np.float64)
+    if goal.shape != (3,) or not np.isfinite(goal).all():
+        raise UsageError(f"goal is {goal.tolist()}, expected three finite numbers [m]")
+    return goal

@@ -1,0 +1,142 @@
+"""The reach tasks as a PettingZoo parallel environment: two agents share the robot.
+
+``end_effector`` moves the hand's target and sees the goal; ``balance`` sets alpha and
+does not see it. They share one reward.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import seeding
+from pettingzoo import ParallelEnv
+
+from marl_mm.envs.config import reach_config
+from marl_mm.envs.core import ReachCore
+from marl_mm.envs.spaces import (
+    agent_action_spaces,
+    agent_observation_spaces,
+    state_space,
+)
+from marl_mm.errors import InvalidActionError
+from marl_mm.layout import ACTION, AGENTS
+from marl_mm.sim.bullet import Camera
+
+AgentDict = dict[str, np.ndarray]
+
+
+def split_state(state: np.ndarray) -> AgentDict:
+    """Each agent's observation of a joint state, shape (..., 10)."""
+    return {agent.name: state[..., list(agent.observation)] for agent in AGENTS}
+
+
+def join_actions(actions: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The joint action, shape (4,), of the agents' actions.
+
+    Raises:
+        InvalidActionError: If an agent is missing or its action has another shape.
+    """
+    joint = np.zeros(len(ACTION))
+    for agent in AGENTS:
+        if agent.name not in actions:
+            raise InvalidActionError(
+                f"no action for agent {agent.name!r}, got {sorted(actions)}"
+            )
+        action = np.asarray(actions[agent.name], dtype=np.float64)
+        if action.shape != (len(agent.action),):
+            raise InvalidActionError(
+                f"action of agent {agent.name!r} has shape {action.shape}, expected "
+                f"({len(agent.action)},)"
+            )
+        joint[list(agent.action)] = action
+    return joint
+
+
+class ReachParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
+    """Parallel environment, ``marl_mm.envs.parallel_env("Reach-v0")``.
+
+    Args:
+        task: A registered task's name.
+        overrides: Fields of its ``ReachConfig`` to replace.
+        render_mode: ``"rgb_array"``, ``"human"`` (PyBullet's window) or None.
+    """
+
+    def __init__(
+        self,
+        task: str = "Reach-v0",
+        overrides: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        self.metadata = {
+            "name": f"marl_mm/{task}",
+            "render_modes": ["rgb_array", "human"],
+            "is_parallelizable": True,
+        }
+        self.render_mode = render_mode
+        self.config = reach_config(task, overrides)
+        self.core = ReachCore(
+            self.config, visual=render_mode is not None, gui=render_mode == "human"
+        )
+        self.possible_agents = [agent.name for agent in AGENTS]
+        self.agents: list[str] = []
+        self.observation_spaces = agent_observation_spaces()
+        self.action_spaces = agent_action_spaces()
+        self.state_space = state_space()
+        self._rng, _ = seeding.np_random()
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        """What an agent observes; the same object at each call."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Box:
+        """What an agent sets; the same object at each call."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[AgentDict, dict[str, dict[str, Any]]]:
+        """Begin an episode; ``options={"goal": (x, y, z)}`` sets the goal [m]."""
+        if seed is not None:
+            self._rng, _ = seeding.np_random(seed)
+        self._joint = self.core.reset(self._rng, (options or {}).get("goal"))
+        self.agents = list(self.possible_agents)
+        return split_state(self._joint), {agent: {} for agent in self.agents}
+
+    def step(
+        self, actions: dict[str, np.ndarray]
+    ) -> tuple[
+        AgentDict,
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """Act for one second; rewards, ends and infos are the same for both agents."""
+        if not self.agents:
+            return {}, {}, {}, {}, {}
+        outcome = self.core.step(join_actions(actions))
+        self._joint, agents = outcome.state, self.agents
+        if outcome.terminated or outcome.truncated:
+            self.agents = []
+        return (
+            split_state(self._joint),
+            dict.fromkeys(agents, outcome.reward),
+            dict.fromkeys(agents, outcome.terminated),
+            dict.fromkeys(agents, outcome.truncated),
+            {agent: dict(outcome.info) for agent in agents},
+        )
+
+    def state(self) -> np.ndarray:
+        """The joint state, shape (10,)."""
+        return self._joint.copy()
+
+    def render(self) -> np.ndarray | None:
+        """A picture, shape (height, width, 3), in mode ``"rgb_array"``."""
+        if self.render_mode != "rgb_array":
+            return None
+        return self.core.world.render(Camera())
+
+    def close(self) -> None:
+        """Disconnect from the simulator."""
+        self.core.close()

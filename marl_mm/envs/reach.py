@@ -1,0 +1,119 @@
+"""The reach tasks as a Gymnasium goal environment: one agent sets the joint action."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from marl_mm.envs.config import reach_config
+from marl_mm.envs.core import ReachCore
+from marl_mm.envs.spaces import action_space, goal_observation_space
+from marl_mm.envs.terms import goal_distance, reach_reward, reached
+from marl_mm.errors import UsageError
+from marl_mm.layout import GOAL, HAND, OBSERVATION
+from marl_mm.sim.bullet import Camera
+
+GoalObservation = dict[str, np.ndarray]
+Infos = Mapping[str, Any] | Sequence[Mapping[str, Any]]
+
+
+def goal_observation(state: np.ndarray) -> GoalObservation:
+    """The joint state, shape (10,), as a goal dictionary."""
+    return {
+        "observation": state[OBSERVATION].copy(),
+        "achieved_goal": state[HAND].copy(),
+        "desired_goal": state[GOAL].copy(),
+    }
+
+
+class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
+    """Goal environment, ``gymnasium.make("marl_mm/Reach-v0")``.
+
+    Args:
+        task: A registered task's name.
+        overrides: Fields of its ``ReachConfig`` to replace, JSON-serialisable.
+        render_mode: ``"rgb_array"``, ``"human"`` (PyBullet's window) or None.
+    """
+
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 1}  # noqa: RUF012
+
+    def __init__(
+        self,
+        task: str = "Reach-v0",
+        overrides: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise UsageError(
+                f"render_mode is {render_mode!r}, expected one of "
+                f"{self.metadata['render_modes']} or None"
+            )
+        self.render_mode = render_mode
+        self.config = reach_config(task, overrides)
+        self.core = ReachCore(
+            self.config, visual=render_mode is not None, gui=render_mode == "human"
+        )
+        self.observation_space = goal_observation_space()
+        self.action_space = action_space()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[GoalObservation, dict[str, Any]]:
+        """Begin an episode; ``options={"goal": (x, y, z)}`` sets the goal [m]."""
+        super().reset(seed=seed)
+        state = self.core.reset(self.np_random, (options or {}).get("goal"))
+        return goal_observation(state), {}
+
+    def step(
+        self, action: np.ndarray
+    ) -> tuple[GoalObservation, float, bool, bool, dict[str, Any]]:
+        """Act for one second; see ``ReachCore.step``."""
+        state, reward, terminated, truncated, info = self.core.step(action)
+        return goal_observation(state), reward, terminated, truncated, info
+
+    def compute_reward(
+        self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Infos
+    ) -> np.ndarray:
+        """The reward a step would have had with other goals, shapes (..., 3) to (...).
+
+        Args:
+            achieved_goal: End-effector after the step [m].
+            desired_goal: Goal to judge it by [m].
+            info: The step's info, or one per row of the goals.
+        """
+        return reach_reward(
+            goal_distance(achieved_goal, desired_goal),
+            _gathered(info, "d_mm"),
+            _gathered(info, "d_mp"),
+            _gathered(info, "base_jerk_rms"),
+            self.config,
+        )
+
+    def compute_terminated(
+        self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Infos
+    ) -> np.ndarray:
+        """Whether a step would have ended the episode with other goals."""
+        return reached(goal_distance(achieved_goal, desired_goal), self.config)
+
+    def compute_truncated(
+        self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Infos
+    ) -> np.ndarray:
+        """Goals never truncate an episode; the step count does."""
+        return np.zeros(np.shape(achieved_goal)[:-1], bool)
+
+    def render(self) -> np.ndarray | None:  # type: ignore[override]
+        """A picture, shape (height, width, 3), in mode ``"rgb_array"``."""
+        if self.render_mode != "rgb_array":
+            return None
+        return self.core.world.render(Camera())
+
+    def close(self) -> None:
+        """Disconnect from the simulator."""
+        self.core.close()
+
+
+def _gathered(info: Infos, key: str) -> np.ndarray:
+    if isinstance(info, Mapping):
+        return np.asarray(info[key])
+    return np.array([single[key] for single in info])

@@ -1,0 +1,42 @@
+"""Reward and success as pure functions, vectorised over leading axes.
+
+The same functions serve the environments and relabelling in hindsight: distance and
+success depend on the goal, the other terms come from ``info``.
+"""
+
+import numpy as np
+
+from marl_mm.envs.config import ReachConfig
+
+
+def goal_distance(achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
+    """Distance of end-effector and goal, shapes (..., 3) to (...) [m]."""
+    distance: np.ndarray = np.linalg.norm(np.subtract(achieved, desired), axis=-1)
+    return distance
+
+
+def reached(distance: np.ndarray, config: ReachConfig) -> np.ndarray:
+    """Whether the goal counts as reached."""
+    return np.less(distance, config.success_distance)
+
+
+def reach_reward(
+    distance: np.ndarray,
+    d_mm: np.ndarray,
+    d_mp: np.ndarray,
+    base_jerk_rms: np.ndarray,
+    config: ReachConfig,
+) -> np.ndarray:
+    """Eq. 6-9 of the paper and the cost of jerk.
+
+    Args:
+        distance: End-effector to goal [m].
+        d_mm: End-effector to its target [m].
+        d_mp: Base to its plan [m].
+        base_jerk_rms: Over the step [m/s^3].
+        config: Weights.
+    """
+    goal = np.where(reached(distance, config), config.goal_reward, -distance)
+    hand = config.hand_error_weight * d_mm
+    base = config.base_error_weight * d_mp
+    return np.asarray(goal - hand - base - config.jerk_weight * base_jerk_rms)

@@ -1,0 +1,41 @@
+"""Everything marl_mm raises on purpose.
+
+A message says what was wrong, what was got, what was expected, and what to do. The
+command line prints it as one line and exits with the class's ``exit_code``.
+"""
+
+
+class MarlMmError(Exception):
+    """Base of all errors; by itself, something failed that was asked for correctly."""
+
+    exit_code = 1
+
+
+class UsageError(MarlMmError, ValueError):
+    """What the caller asked for makes no sense: a bad value, name or path."""
+
+    exit_code = 2
+
+
+class OutputExistsError(UsageError):
+    """The output is there already and ``--overwrite`` was not given."""
+
+
+class UnknownDatasetError(UsageError):
+    """No dataset has this id or path."""
+
+
+class DatasetError(MarlMmError):
+    """A dataset's files are damaged or not in the expected layout."""
+
+
+class CheckpointError(MarlMmError):
+    """A checkpoint is damaged or belongs to something else."""
+
+
+class InvalidActionError(MarlMmError, ValueError):
+    """An action of the wrong shape, or with a NaN or an infinity in it."""
+
+
+class NonFiniteStateError(MarlMmError):
+    """The simulation or the controller produced a NaN or an infinity."""

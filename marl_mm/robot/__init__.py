@@ -1,0 +1,1 @@
+"""The robot: its description, its limits and its rigid-body model."""

@@ -1,0 +1,58 @@
+"""What the robot may do: the data sheets' limits in one record."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from marl_mm.robot.description import RobotConfig, urdf_xml
+
+ARM_ACCELERATION = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
+"""[rad/s^2] (Franka Emika control parameters; a URDF has no place for them)."""
+
+BASE_SPEED = 1.0
+"""[m/s] (MiR data sheet)."""
+
+BASE_ACCELERATION = 2.0
+"""[m/s^2] (MiR navigation parameters)."""
+
+BASE_YAW_RATE = 1.5
+"""[rad/s] (MiR navigation parameters)."""
+
+BASE_YAW_ACCELERATION = 2.5
+"""[rad/s^2] (MiR navigation parameters)."""
+
+
+class RobotLimits(NamedTuple):
+    """Limits in the order of the controller's variables: base (2), then arm (7)."""
+
+    speed: np.ndarray
+    """Absolute velocity, shape (9,): [m/s], [rad/s], seven times [rad/s]."""
+
+    acceleration: np.ndarray
+    """Absolute acceleration, shape (9,): [m/s^2], [rad/s^2], seven times [rad/s^2]."""
+
+    lower: np.ndarray
+    """Lowest arm joint positions, shape (7,) [rad]."""
+
+    upper: np.ndarray
+    """Highest arm joint positions, shape (7,) [rad]."""
+
+    torque: np.ndarray
+    """Absolute arm joint torque, shape (7,) [N m]."""
+
+
+def robot_limits(config: RobotConfig) -> RobotLimits:
+    """Limits from the URDF, completed by the data sheets' accelerations."""
+    model = pin.buildModelFromXML(urdf_xml(config))
+    arm = [model.joints[model.getJointId(f"panda_joint{i}")] for i in range(1, 8)]
+    q, v = [joint.idx_q for joint in arm], [joint.idx_v for joint in arm]
+    return RobotLimits(
+        speed=np.array([BASE_SPEED, BASE_YAW_RATE, *model.velocityLimit[v]]),
+        acceleration=np.array(
+            [BASE_ACCELERATION, BASE_YAW_ACCELERATION, *ARM_ACCELERATION]
+        ),
+        lower=model.lowerPositionLimit[q].copy(),
+        upper=model.upperPositionLimit[q].copy(),
+        torque=model.effortLimit[v].copy(),
+    )

@@ -1,0 +1,145 @@
+"""The rigid-body model the controller sees: a planar base that carries the arm.
+
+Configuration q, shape (11,): x, y [m], cos(yaw), sin(yaw), arm joints [rad]. Velocity
+v, shape (10,): forward and lateral speed in the base frame [m/s], yaw rate [rad/s], arm
+joints [rad/s]. Wheels and fingers are locked; a differential drive never moves
+sideways, so the controller leaves the lateral column out.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from marl_mm.robot.description import (
+    CASTER_X,
+    CASTER_Y,
+    WHEEL_SEPARATION,
+    RobotConfig,
+    urdf_xml,
+)
+from marl_mm.robot.names import FINGER_JOINTS, GRASP_FRAME, WHEEL_JOINTS
+
+GRAVITY = 9.81
+"""[m/s^2]"""
+
+ACTUATED = np.array([0, 2, 3, 4, 5, 6, 7, 8, 9])
+"""Entries of v the controller moves: all but the lateral one, shape (9,)."""
+
+_WORLD = pin.LOCAL_WORLD_ALIGNED
+
+
+class RobotState(NamedTuple):
+    """Where the robot is and how it moves."""
+
+    q: np.ndarray
+    """Configuration, shape (11,)."""
+
+    v: np.ndarray
+    """Velocity, shape (10,)."""
+
+    @property
+    def yaw(self) -> float:
+        """Heading of the base in the world [rad]."""
+        return float(np.arctan2(self.q[3], self.q[2]))
+
+
+class ModelTerms(NamedTuple):
+    """What the controller needs of the model at one state; frame axes are world's."""
+
+    position_w: np.ndarray
+    """End-effector, shape (3,) [m]."""
+
+    rotation_w: np.ndarray
+    """End-effector's axes as columns, shape (3, 3)."""
+
+    velocity_w: np.ndarray
+    """End-effector, shape (6,): linear [m/s], angular [rad/s]."""
+
+    jacobian: np.ndarray
+    """End-effector, shape (6, 10): linear rows, then angular."""
+
+    bias_acceleration: np.ndarray
+    """Jacobian's rate times v, shape (6,) [m/s^2], [rad/s^2]."""
+
+    mass_matrix: np.ndarray
+    """Shape (10, 10), upper and lower triangle filled."""
+
+    nonlinear: np.ndarray
+    """Coriolis, centrifugal and gravity forces, shape (10,) [N], [N m]."""
+
+
+class RobotModel:
+    """Pinocchio's planar model of the robot, evaluated once per controller tick."""
+
+    def __init__(self, config: RobotConfig) -> None:
+        full = pin.buildModelFromXML(urdf_xml(config), pin.JointModelPlanar())
+        home = pin.neutral(full)
+        for finger in FINGER_JOINTS:
+            home[full.joints[full.getJointId(finger)].idx_q] = config.initial_finger
+        locked = [full.getJointId(name) for name in WHEEL_JOINTS + FINGER_JOINTS]
+        self._model = pin.buildReducedModel(full, locked, home)
+        self._data = self._model.createData()
+        self._frame = self._model.getFrameId(GRASP_FRAME)
+        self._no_acceleration = np.zeros(self._model.nv)
+        self._mass = pin.computeTotalMass(self._model)
+
+    def evaluate(self, state: RobotState) -> ModelTerms:
+        """Kinematics and dynamics at ``state``.
+
+        The arrays may share memory with the model: they hold until the next call.
+        """
+        model, data, frame = self._model, self._data, self._frame
+        q, v = state
+        pin.forwardKinematics(model, data, q, v, self._no_acceleration)
+        pin.computeJointJacobians(model, data)
+        placement = pin.updateFramePlacement(model, data, frame)
+        acceleration = pin.getFrameClassicalAcceleration(model, data, frame, _WORLD)
+        return ModelTerms(
+            position_w=placement.translation,
+            rotation_w=placement.rotation,
+            velocity_w=pin.getFrameVelocity(model, data, frame, _WORLD).vector,
+            jacobian=pin.getFrameJacobian(model, data, frame, _WORLD),
+            bias_acceleration=acceleration.vector,
+            mass_matrix=pin.crba(model, data, q),
+            nonlinear=pin.nonLinearEffects(model, data, q, v),
+        )
+
+    def zmp_b(self, state: RobotState, acceleration: np.ndarray) -> np.ndarray:
+        """Zero-moment point on the ground in the base frame, shape (2,) [m].
+
+        Args:
+            state: Where the robot is.
+            acceleration: The controller's variables, shape (9,).
+        """
+        full = np.zeros(self._model.nv)
+        full[ACTUATED] = acceleration
+        data, q = self._data, state.q
+        pin.computeCentroidalMomentumTimeVariation(self._model, data, q, state.v, full)
+        com, force, moment = data.com[0], data.dhg.linear, data.dhg.angular
+        vertical = self._mass * GRAVITY + force[2]
+        x = com[0] - (com[2] * force[0] + moment[1]) / vertical - q[0]
+        y = com[1] - (com[2] * force[1] - moment[0]) / vertical - q[1]
+        return np.array([q[2] * x + q[3] * y, -q[3] * x + q[2] * y])
+
+
+SUPPORT_B = np.array(
+    [
+        (CASTER_X[0], CASTER_Y),
+        (0.0, WHEEL_SEPARATION / 2),
+        (CASTER_X[1], CASTER_Y),
+        (CASTER_X[1], -CASTER_Y),
+        (0.0, -WHEEL_SEPARATION / 2),
+        (CASTER_X[0], -CASTER_Y),
+    ]
+)
+"""Corners of the support polygon in the base frame, counter-clockwise, (6, 2) [m]."""
+
+_EDGE = np.roll(SUPPORT_B, -1, axis=0) - SUPPORT_B
+_INWARD = np.stack([-_EDGE[:, 1], _EDGE[:, 0]], axis=1)
+_INWARD /= np.linalg.norm(_INWARD, axis=1, keepdims=True)
+
+
+def support_margin(point_b: np.ndarray) -> float:
+    """Distance of a ground point to the support polygon's edge, inside positive [m]."""
+    return float(((point_b - SUPPORT_B) * _INWARD).sum(axis=1).min())

@@ -1,0 +1,341 @@
+"""The robot in PyBullet: read its state, command wheels and arm, step, render."""
+
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+
+from marl_mm.errors import NonFiniteStateError
+from marl_mm.robot.description import WHEEL_RADIUS, WHEEL_SEPARATION, RobotConfig
+from marl_mm.robot.description import urdf_xml as robot_urdf
+from marl_mm.robot.model import GRAVITY, RobotState
+from marl_mm.robot.names import ARM_JOINTS, FINGER_JOINTS, GRASP_JOINT, WHEEL_JOINTS
+
+RATE = 240
+"""Simulation steps and controller ticks per second (paper, Sec. 4.1)."""
+
+
+@contextmanager
+def _silenced_stderr() -> Iterator[None]:
+    """PyBullet greets on stderr when it is imported; ours is for progress and errors."""
+    sys.stderr.flush()
+    saved, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 2)
+    try:
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
+        os.close(null)
+
+
+with _silenced_stderr():
+    import pybullet
+    import pybullet_data
+
+
+@dataclass(frozen=True)
+class SimulationConfig:
+    """How PyBullet simulates."""
+
+    solver_iterations: int = 20
+    """Of the contact solver; 10, 20 and 50 agree to 0.1 mm, fewer are faster."""
+
+    wheel_force: float = 40.0
+    """Largest torque of a wheel's velocity motor [N m]."""
+
+    wheel_friction: float = 1.0
+    """Lateral friction coefficient of the drive wheels."""
+
+    finger_force: float = 20.0
+    """Largest force of a finger's position motor [N]."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A fixed camera that looks at the robot's work space."""
+
+    width: int = 480
+    """[pixels]; a multiple of 16 suits video codecs."""
+
+    height: int = 320
+    """[pixels]"""
+
+    target_w: tuple[float, float, float] = (0.35, 0.0, 0.35)
+    """The point looked at [m]."""
+
+    distance: float = 2.5
+    """From the target [m]."""
+
+    yaw: float = 35.0
+    """[deg]"""
+
+    pitch: float = -25.0
+    """[deg]"""
+
+
+class BulletWorld:
+    """One robot on a plane, in a physics client of its own.
+
+    Every reset builds the world anew: after contact, resetting the joints is not enough
+    for the same bytes.
+
+    Args:
+        robot: Mass properties and start posture.
+        config: Solver and motors.
+        visual: Load the meshes, so that ``render`` and the GUI show the arm.
+        gui: Open PyBullet's window.
+    """
+
+    def __init__(
+        self,
+        robot: RobotConfig,
+        config: SimulationConfig,
+        visual: bool = False,
+        gui: bool = False,
+    ) -> None:
+        self._robot_config = robot
+        self._config = config
+        self._visual = visual or gui
+        # The URDF names meshes relative to pybullet_data; ours lies in a temporary file.
+        meshes = f"{pybullet_data.getDataPath()}/franka_panda"
+        self._urdf = robot_urdf(robot).replace('"franka_panda', f'"{meshes}')
+        self._client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
+        self._com_b = robot.base_com_b
+
+    def reset(self, goal_w: np.ndarray | None = None) -> None:
+        """A new world: the robot at the origin, heading +x, in its start posture.
+
+        Args:
+            goal_w: Where to draw the goal, shape (3,) [m]; drawn only with visuals.
+        """
+        client, config = self._client, self._config
+        pybullet.resetSimulation(physicsClientId=client)
+        pybullet.setGravity(0, 0, -GRAVITY, physicsClientId=client)
+        pybullet.setTimeStep(1 / RATE, physicsClientId=client)
+        pybullet.setPhysicsEngineParameter(
+            numSolverIterations=config.solver_iterations, physicsClientId=client
+        )
+        self._load_ground()
+        self._load_robot()
+        if goal_w is not None and self._visual:
+            self._draw_goal(goal_w)
+
+    def read(self) -> RobotState:
+        """The robot's planar state, from the simulator's free-floating base.
+
+        Raises:
+            NonFiniteStateError: If the simulation has diverged.
+        """
+        client, robot = self._client, self._robot
+        joints = pybullet.getJointStates(robot, self._arm, physicsClientId=client)
+        position, quaternion = pybullet.getBasePositionAndOrientation(
+            robot, physicsClientId=client
+        )
+        linear, angular = pybullet.getBaseVelocity(robot, physicsClientId=client)
+        # Bullet reports the centre of mass; take its offset from the base frame out.
+        x, y, z, w = quaternion
+        cx, cy, cz = self._com_b
+        r00, r01, r02 = (
+            1 - 2 * (y * y + z * z),
+            2 * (x * y - w * z),
+            2 * (x * z + w * y),
+        )
+        r10, r11, r12 = (
+            2 * (x * y + w * z),
+            1 - 2 * (x * x + z * z),
+            2 * (y * z - w * x),
+        )
+        r20, r21, r22 = (
+            2 * (x * z - w * y),
+            2 * (y * z + w * x),
+            1 - 2 * (x * x + y * y),
+        )
+        dx = r00 * cx + r01 * cy + r02 * cz
+        dy = r10 * cx + r11 * cy + r12 * cz
+        dz = r20 * cx + r21 * cy + r22 * cz
+        wx, wy, wz = angular
+        vx = linear[0] - (wy * dz - wz * dy)
+        vy = linear[1] - (wz * dx - wx * dz)
+        norm = sqrt(r00 * r00 + r10 * r10)
+        c, s = r00 / norm, r10 / norm
+        arm = [joint[0] for joint in joints]
+        rates = [joint[1] for joint in joints]
+        q = np.array([position[0] - dx, position[1] - dy, c, s, *arm])
+        v = np.array([c * vx + s * vy, -s * vx + c * vy, wz, *rates])
+        if not (np.isfinite(q).all() and np.isfinite(v).all()):
+            raise NonFiniteStateError(
+                f"the simulation diverged: q = {q.tolist()}, v = {v.tolist()}"
+            )
+        return RobotState(q, v)
+
+    def command(self, forward: float, yaw_rate: float, torque: np.ndarray) -> None:
+        """Set the motors for the next step.
+
+        Args:
+            forward: Base speed [m/s].
+            yaw_rate: Base turning rate [rad/s].
+            torque: Of the arm joints, shape (7,) [N m].
+        """
+        turn = yaw_rate * WHEEL_SEPARATION / 2
+        pybullet.setJointMotorControlArray(
+            self._robot,
+            self._wheels,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocities=[
+                (forward - turn) / WHEEL_RADIUS,
+                (forward + turn) / WHEEL_RADIUS,
+            ],
+            forces=self._wheel_forces,
+            physicsClientId=self._client,
+        )
+        pybullet.setJointMotorControlArray(
+            self._robot,
+            self._arm,
+            pybullet.TORQUE_CONTROL,
+            forces=torque.tolist(),
+            physicsClientId=self._client,
+        )
+
+    def step(self) -> None:
+        """Advance by 1/240 s."""
+        pybullet.stepSimulation(physicsClientId=self._client)
+
+    def grasp_position_w(self) -> np.ndarray:
+        """Where the end-effector is in the simulation, shape (3,) [m]."""
+        state = pybullet.getLinkState(
+            self._robot,
+            self._grasp,
+            computeForwardKinematics=True,
+            physicsClientId=self._client,
+        )
+        return np.array(state[4])
+
+    def render(self, camera: Camera) -> np.ndarray:
+        """A picture by PyBullet's CPU renderer, shape (height, width, 3), uint8."""
+        client = self._client
+        view = pybullet.computeViewMatrixFromYawPitchRoll(
+            camera.target_w, camera.distance, camera.yaw, camera.pitch, 0, 2
+        )
+        projection = pybullet.computeProjectionMatrixFOV(
+            45, camera.width / camera.height, 0.1, 10
+        )
+        _, _, pixels, _, _ = pybullet.getCameraImage(
+            camera.width,
+            camera.height,
+            view,
+            projection,
+            shadow=1,
+            lightDirection=(1, -1.5, 3),
+            renderer=pybullet.ER_TINY_RENDERER,
+            physicsClientId=client,
+        )
+        image = np.asarray(pixels, dtype=np.uint8)
+        return image.reshape(camera.height, camera.width, 4)[..., :3]
+
+    def close(self) -> None:
+        """Disconnect; closing twice is harmless."""
+        if self._client >= 0:
+            pybullet.disconnect(physicsClientId=self._client)
+            self._client = -1
+
+    def _load_ground(self) -> None:
+        client = self._client
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_PLANE, physicsClientId=client
+        )
+        visual = -1
+        if self._visual:
+            visual = pybullet.createVisualShape(
+                pybullet.GEOM_BOX,
+                halfExtents=[6, 6, 0.01],
+                visualFramePosition=[0, 0, -0.01],
+                rgbaColor=[0.78, 0.80, 0.82, 1],
+                physicsClientId=client,
+            )
+        pybullet.createMultiBody(0, shape, visual, physicsClientId=client)
+
+    def _load_robot(self) -> None:
+        client, config = self._client, self._config
+        flags = pybullet.URDF_USE_INERTIA_FROM_FILE
+        if not self._visual:
+            flags |= pybullet.URDF_IGNORE_VISUAL_SHAPES
+        with tempfile.NamedTemporaryFile("w", suffix=".urdf") as file:
+            file.write(self._urdf)
+            file.flush()
+            # loadURDF places the link frame, unlike resetBasePositionAndOrientation.
+            robot = pybullet.loadURDF(file.name, flags=flags, physicsClientId=client)
+        self._robot = robot
+        count = pybullet.getNumJoints(robot, physicsClientId=client)
+        index = {
+            pybullet.getJointInfo(robot, i, physicsClientId=client)[1].decode(): i
+            for i in range(count)
+        }
+        self._arm = [index[name] for name in ARM_JOINTS]
+        self._wheels = [index[name] for name in WHEEL_JOINTS]
+        self._fingers = [index[name] for name in FINGER_JOINTS]
+        self._grasp = index[GRASP_JOINT]
+        self._wheel_forces = [config.wheel_force] * 2
+        self._remove_hidden_friction(count)
+        self._set_posture()
+
+    def _remove_hidden_friction(self, count: int) -> None:
+        """Bullet's default damping and friction have no counterpart in the model."""
+        for link in range(-1, count):
+            pybullet.changeDynamics(
+                self._robot,
+                link,
+                linearDamping=0,
+                angularDamping=0,
+                jointDamping=0,
+                lateralFriction=self._config.wheel_friction * (link in self._wheels),
+                spinningFriction=0,
+                rollingFriction=0,
+                physicsClientId=self._client,
+            )
+
+    def _set_posture(self) -> None:
+        client, robot = self._client, self._robot
+        posture = self._robot_config
+        joints = zip(self._arm, posture.initial_joints, strict=True)
+        for index, angle in joints:
+            pybullet.resetJointState(robot, index, angle, 0, physicsClientId=client)
+        for index in self._fingers:
+            pybullet.resetJointState(
+                robot, index, posture.initial_finger, 0, physicsClientId=client
+            )
+        # Bullet starts every joint with a velocity motor: off, so that torques act.
+        pybullet.setJointMotorControlArray(
+            robot,
+            self._arm,
+            pybullet.VELOCITY_CONTROL,
+            forces=[0.0] * len(self._arm),
+            physicsClientId=client,
+        )
+        pybullet.setJointMotorControlArray(
+            robot,
+            self._fingers,
+            pybullet.POSITION_CONTROL,
+            targetPositions=[posture.initial_finger] * 2,
+            forces=[self._config.finger_force] * 2,
+            physicsClientId=client,
+        )
+
+    def _draw_goal(self, goal_w: np.ndarray) -> None:
+        shape = pybullet.createVisualShape(
+            pybullet.GEOM_SPHERE,
+            radius=0.03,
+            rgbaColor=[0.90, 0.25, 0.15, 1],
+            physicsClientId=self._client,
+        )
+        pybullet.createMultiBody(
+            0,
+            baseVisualShapeIndex=shape,
+            basePosition=goal_w.tolist(),
+            physicsClientId=self._client,
+        )
