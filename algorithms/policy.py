@@ -1,0 +1,73 @@
+"""Learned policies: a checkpoint's actors behind the interface of every policy."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from marl_mm.algorithms.checkpoint import checkpoint_config, read_checkpoint
+from marl_mm.algorithms.mabc import AgentActor, restore_agents
+from marl_mm.errors import UsageError
+from marl_mm.layout import ACTION, STATE
+
+
+class LearnedPolicy:
+    """Decentralised actors, each on its own observation.
+
+    Args:
+        name: How tables call it.
+        agents: The actors, by agent.
+    """
+
+    def __init__(self, name: str, agents: Mapping[str, AgentActor]) -> None:
+        self.name = name
+        self._agents = dict(agents)
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Nothing to remember between episodes."""
+
+    def act(self, observation: np.ndarray | Mapping[str, np.ndarray]) -> np.ndarray:
+        """Joint action, shape (4,), float32.
+
+        Args:
+            observation: Joint state, shape (10,), or the goal environment's dictionary.
+
+        Raises:
+            UsageError: If the state has another shape.
+        """
+        state = joint_state(observation)
+        action = np.empty(len(ACTION), np.float32)
+        for agent in self._agents.values():
+            layout = agent.layout
+            action[list(layout.action)] = agent.act(state[list(layout.observation)])
+        return action
+
+    def act_agents(
+        self, observations: Mapping[str, np.ndarray]
+    ) -> dict[str, np.ndarray]:
+        """Each agent's action at its own observation, as PettingZoo wants them."""
+        return {name: self._agents[name].act(o) for name, o in observations.items()}
+
+
+def joint_state(observation: np.ndarray | Mapping[str, np.ndarray]) -> np.ndarray:
+    """The joint state, shape (10,), of either form of observation."""
+    if isinstance(observation, Mapping):
+        parts = [observation["observation"], observation["desired_goal"]]
+        return np.concatenate(parts)
+    state = np.asarray(observation)
+    if state.shape != (len(STATE),):
+        raise UsageError(f"state has shape {state.shape}, expected ({len(STATE)},)")
+    return state
+
+
+def load_policy(path: str | Path) -> LearnedPolicy:
+    """The policy of a run folder or a checkpoint file.
+
+    Raises:
+        UsageError: If there is no such file.
+        CheckpointError: If it is damaged.
+    """
+    checkpoint = read_checkpoint(Path(path))
+    config = checkpoint_config(checkpoint)
+    agents = restore_agents(config, checkpoint["state"])
+    return LearnedPolicy(checkpoint["algorithm"], agents)

@@ -1,0 +1,1 @@
+"""Scripted policies and the loop that turns policies into datasets."""

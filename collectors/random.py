@@ -1,0 +1,34 @@
+"""The random collector: actions drawn uniformly from the action space."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from marl_mm.layout import ACTION_HIGH, ACTION_LOW
+
+
+@dataclass(frozen=True)
+class RandomConfig:
+    """Nothing to set."""
+
+    @property
+    def name(self) -> str:
+        """Of the collector."""
+        return "random"
+
+
+class RandomPolicy:
+    """Acts without looking."""
+
+    name = "random"
+
+    def __init__(self, config: RandomConfig) -> None:
+        self.config = config
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Take the episode's stream of random numbers."""
+        self._rng = rng
+
+    def act(self, state: np.ndarray) -> np.ndarray:
+        """Uniform in the action space."""
+        return self._rng.uniform(ACTION_LOW, ACTION_HIGH).astype(np.float32)

@@ -1,0 +1,104 @@
+"""A dataset in memory: its episodes and flat views of their transitions."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from marl_mm.datasets.location import Location, locate
+from marl_mm.datasets.storage import read_episodes, read_metadata
+from marl_mm.episode import Episode
+from marl_mm.layout import AGENTS
+
+
+@dataclass(frozen=True)
+class Transitions:
+    """Steps of all episodes, one after the other; n of them."""
+
+    observation: np.ndarray
+    """Shape (n, d)."""
+
+    action: np.ndarray
+    """Shape (n, k), float32."""
+
+    reward: np.ndarray
+    """Shape (n,)."""
+
+    next_observation: np.ndarray
+    """Shape (n, d)."""
+
+    terminated: np.ndarray
+    """Shape (n,), bool."""
+
+    truncated: np.ndarray
+    """Shape (n,), bool."""
+
+    episode: np.ndarray
+    """Number of each step's episode in the dataset, shape (n,)."""
+
+    def __len__(self) -> int:
+        return len(self.reward)
+
+    def part(
+        self, observation: tuple[int, ...], action: tuple[int, ...]
+    ) -> "Transitions":
+        """Some entries of observation and action, everything else shared."""
+        return Transitions(
+            self.observation[:, list(observation)],
+            self.action[:, list(action)],
+            self.reward,
+            self.next_observation[:, list(observation)],
+            self.terminated,
+            self.truncated,
+            self.episode,
+        )
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Episodes with their metadata."""
+
+    location: Location
+    metadata: dict[str, Any]
+    episodes: list[Episode]
+
+    @cached_property
+    def _joint(self) -> Transitions:
+        episodes = self.episodes
+        lengths = [len(episode) for episode in episodes]
+        return Transitions(
+            np.concatenate([episode.states[:-1] for episode in episodes]),
+            np.concatenate([episode.actions for episode in episodes]),
+            np.concatenate([episode.rewards for episode in episodes]),
+            np.concatenate([episode.states[1:] for episode in episodes]),
+            np.concatenate([episode.terminated for episode in episodes]),
+            np.concatenate([episode.truncated for episode in episodes]),
+            np.repeat(np.arange(len(episodes)), lengths),
+        )
+
+    def joint(self) -> Transitions:
+        """Joint state (10) and joint action (4)."""
+        return self._joint
+
+    def agents(self) -> dict[str, Transitions]:
+        """Each agent's own observation and action, in the order of the agents."""
+        return {
+            agent.name: self._joint.part(agent.observation, agent.action)
+            for agent in AGENTS
+        }
+
+
+def load_dataset(name: str) -> Dataset:
+    """Read a dataset by id or path.
+
+    Args:
+        name: An id such as ``marl_mm/reach/pd-v0``, or a path.
+
+    Raises:
+        UnknownDatasetError: If there is none; the message lists the known ids.
+        DatasetError: If its files are damaged.
+    """
+    location = locate(name)
+    metadata = read_metadata(location)
+    return Dataset(location, metadata, read_episodes(location))

@@ -1,0 +1,5 @@
+"""Evaluation: fixed goals, rows per episode, success with its interval."""
+
+from marl_mm.eval.evaluate import evaluate
+
+__all__ = ["evaluate"]

@@ -1,0 +1,143 @@
+"""Episodes of a policy, in order, in this process or in several.
+
+The result depends on the plans alone: every episode starts from a rebuilt world and
+draws from its own seed, and results come back in the order of the plans.
+"""
+
+import signal
+from collections import deque
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from itertools import islice
+from multiprocessing import get_context
+
+import numpy as np
+from gymnasium.utils import seeding
+
+from marl_mm.envs.config import ReachConfig
+from marl_mm.envs.core import ReachCore, Step
+from marl_mm.episode import INFO, Episode
+from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.policy import Policy
+
+_AHEAD = 4
+"""Episodes handed out per worker beyond the one awaited."""
+
+
+@dataclass(frozen=True)
+class EpisodePlan:
+    """One episode to run."""
+
+    index: int
+    """Its number in the collection or evaluation."""
+
+    seed: int
+    """Of the environment and, through a stream of its own, of the policy."""
+
+    goal_w: tuple[float, float, float] | None = None
+    """Where to go instead of a goal drawn from the seed [m]."""
+
+
+def episode_seed(seed: int, index: int) -> int:
+    """Seed of one episode, from the seed of the whole and its number."""
+    return int(np.random.SeedSequence(seed, spawn_key=(index,)).generate_state(1)[0])
+
+
+def run_episode(core: ReachCore, policy: Policy, plan: EpisodePlan) -> Episode:
+    """Run one episode to its end."""
+    rng, _ = seeding.np_random(plan.seed)
+    goal_w = None if plan.goal_w is None else np.array(plan.goal_w)
+    states = [core.reset(rng, goal_w)]
+    policy.begin(np.random.default_rng([plan.seed, 1]))
+    actions: list[np.ndarray] = []
+    steps: list[Step] = []
+    while not steps or not (steps[-1].terminated or steps[-1].truncated):
+        actions.append(policy.act(states[-1]))
+        steps.append(core.step(actions[-1]))
+        states.append(steps[-1].state)
+    return Episode(
+        states=np.stack(states),
+        actions=np.stack(actions).astype(np.float32),
+        rewards=np.array([step.reward for step in steps]),
+        terminated=np.array([step.terminated for step in steps]),
+        truncated=np.array([step.truncated for step in steps]),
+        info={key: np.array([step.info[key] for step in steps]) for key in INFO},
+        seed=plan.seed,
+        index=plan.index,
+        source=policy.name,
+    )
+
+
+def run_episodes(
+    config: ReachConfig, policy: Policy, plans: Iterable[EpisodePlan], workers: int = 1
+) -> Iterator[Episode]:
+    """Run episodes and yield them in the order of ``plans``, which may be endless.
+
+    Args:
+        config: The task.
+        policy: Who acts; it is copied into each worker.
+        plans: What to run.
+        workers: Processes; 1 runs in this one.
+
+    Raises:
+        UsageError: If ``workers`` is not positive.
+        MarlMmError: If a worker process dies.
+    """
+    if workers < 1:
+        raise UsageError(f"workers is {workers}, expected >= 1")
+    if workers == 1:
+        yield from _run_here(config, policy, plans)
+    else:
+        yield from _run_in_pool(config, policy, plans, workers)
+
+
+def _run_here(
+    config: ReachConfig, policy: Policy, plans: Iterable[EpisodePlan]
+) -> Iterator[Episode]:
+    core = ReachCore(config)
+    try:
+        for plan in plans:
+            yield run_episode(core, policy, plan)
+    finally:
+        core.close()
+
+
+def _run_in_pool(
+    config: ReachConfig, policy: Policy, plans: Iterable[EpisodePlan], workers: int
+) -> Iterator[Episode]:
+    pool = ProcessPoolExecutor(
+        workers, get_context("spawn"), _start_worker, (config, policy)
+    )
+    remaining = iter(plans)
+    pending: deque[Future[Episode]] = deque()
+    try:
+        for plan in islice(remaining, workers * _AHEAD):
+            pending.append(pool.submit(_run_in_worker, plan))
+        while pending:
+            episode = pending.popleft().result()
+            for plan in islice(remaining, 1):
+                pending.append(pool.submit(_run_in_worker, plan))
+            yield episode
+    except BrokenProcessPool as error:
+        raise MarlMmError(
+            "a worker process died; the machine may be out of memory: use fewer --workers"
+        ) from error
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+_worker: tuple[ReachCore, Policy] | None = None
+"""A worker process's own environment and policy."""
+
+
+def _start_worker(config: ReachConfig, policy: Policy) -> None:
+    global _worker
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    _worker = ReachCore(config), policy
+
+
+def _run_in_worker(plan: EpisodePlan) -> Episode:
+    assert _worker is not None
+    return run_episode(*_worker, plan)

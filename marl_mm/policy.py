@@ -1,0 +1,19 @@
+"""What every policy is, scripted or learned: joint state in, joint action out."""
+
+from typing import Protocol
+
+import numpy as np
+
+
+class Policy(Protocol):
+    """A policy for both agents together."""
+
+    @property
+    def name(self) -> str:
+        """How tables and datasets call it."""
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """A new episode starts; ``rng`` is the only source of randomness in it."""
+
+    def act(self, state: np.ndarray) -> np.ndarray:
+        """Joint action, shape (4,), float32, at a joint state, shape (10,)."""

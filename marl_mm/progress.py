@@ -1,0 +1,44 @@
+"""Progress with ETA on stderr, so that stdout holds nothing but results."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+Advance = Callable[[int, str], None]
+"""Called with the work done since the last call and a short note."""
+
+
+@contextmanager
+def progress_bar(label: str, total: int) -> Iterator[Advance]:
+    """A bar for ``total`` units of work; on a pipe, one line when it is done."""
+    bar = Progress(
+        TextColumn(f"{label:<16}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("elapsed"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+        console=Console(stderr=True),
+    )
+    with bar:
+        task = bar.add_task(label, total=total, note="")
+
+        def advance(done: int, note: str) -> None:
+            bar.update(task, advance=done, note=note)
+
+        yield advance
+
+
+def silent(done: int, note: str) -> None:
+    """Progress for callers who do not want any."""
