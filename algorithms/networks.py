@@ -1,6 +1,7 @@
-"""Networks that carry their own input statistics, so that no checkpoint can lose them."""
+"""Networks that carry their own input statistics: no checkpoint can lose them."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from torch import nn
@@ -43,7 +44,7 @@ class Actor(nn.Module):
         super().__init__()
         widths = [normalizer.mean.shape[0], *hidden]
         layers: list[nn.Module] = [normalizer]
-        for width, following in zip(widths[:-1], widths[1:], strict=True):
+        for width, following in pairwise(widths):
             layers += [nn.Linear(width, following), nn.ReLU()]
         layers += [nn.Linear(widths[-1], actions), nn.Tanh()]
         self.layers = nn.Sequential(*layers)

@@ -96,8 +96,8 @@ def collect(
                 return Collection(kept, episode.index + 1, complete=True)
             if rejected >= _HOPELESS:
                 raise MarlMmError(
-                    f"{collector.policy.name} reached no goal in {rejected} episodes in "
-                    f"a row of at most {task.max_steps} steps: allow more with "
+                    f"{collector.policy.name} reached no goal in {rejected} episodes "
+                    f"in a row of at most {task.max_steps} steps: allow more with "
                     "--max-steps, or change its gains or alpha"
                 )
     except KeyboardInterrupt:

@@ -39,7 +39,8 @@ class PdConfig:
             raise UsageError(f"alpha is {self.alpha}, expected a number in [0, 1]")
         if self.alpha_rule not in ("constant", "direction", "room"):
             raise UsageError(
-                f"alpha rule is {self.alpha_rule!r}, expected constant, direction or room"
+                f"alpha rule is {self.alpha_rule!r}, "
+                "expected constant, direction or room"
             )
 
     @property

@@ -1,7 +1,7 @@
 """Where a dataset is: an id below the datasets' root, or a path.
 
-A text like ``marl_mm/reach/pd-v0`` is an id; one that starts with ``.``, ``/`` or ``~``,
-or does not look like an id, is a path.
+A text like ``marl_mm/reach/pd-v0`` is an id; one that starts with ``.``, ``/`` or
+``~``, or does not look like an id, is a path.
 """
 
 import os

@@ -19,11 +19,11 @@ from minari.data_collector import EpisodeBuffer
 from minari.dataset.minari_storage import MinariStorage
 
 from marl_mm.datasets.location import Location, datasets_root, known_ids
-from marl_mm.envs.spaces import action_space, goal_observation_space
 from marl_mm.episode import INFO, Episode
 from marl_mm.errors import DatasetError, UnknownDatasetError
 from marl_mm.files import new_folder, refuse_existing
 from marl_mm.layout import ACTION, AGENTS, GOAL, HAND, OBSERVATION, STATE
+from marl_mm.spaces import action_space, goal_observation_space
 
 SCHEMA = 1
 """Version of our metadata."""

@@ -23,7 +23,7 @@ _DIRECTIONS = ("all", "forward", "backward")
 
 def table_rows(evaluations: Sequence[Evaluation]) -> list[tuple[str, ...]]:
     """One row per policy and direction, formatted."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for evaluation in evaluations:
         for direction in _DIRECTIONS:
             summary = evaluation.summary.get(direction)

@@ -1,6 +1,6 @@
 """Videos and film strips of an episode, from PyBullet's CPU renderer."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from marl_mm.envs.config import ReachConfig
 from marl_mm.envs.core import ReachCore
-from marl_mm.envs.rollout import EpisodePlan
+from marl_mm.envs.rollout import EpisodePlan, run_episode
+from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
 from marl_mm.files import new_file
 from marl_mm.policy import Policy
@@ -28,7 +29,7 @@ def check_format(path: Path) -> None:
     """
     if path.suffix not in FORMATS:
         raise UsageError(
-            f"video {path} ends in {path.suffix!r}, expected one of {', '.join(FORMATS)}"
+            f"video {path} ends in {path.suffix!r}, expected {' or '.join(FORMATS)}"
         )
 
 
@@ -40,34 +41,36 @@ def film_episode(
     fps: int,
     gui: bool = False,
     advance: Advance = silent,
-) -> tuple[list[np.ndarray], bool]:
+) -> tuple[Episode, list[np.ndarray]]:
     """Run an episode and render it.
 
+    Args:
+        config: The task.
+        policy: Who acts.
+        plan: The episode.
+        camera: Where to look from.
+        fps: Frames per simulated second; 0 renders nothing, for watching the window.
+        gui: Open PyBullet's window.
+        advance: Told the finished steps.
+
     Returns:
-        Frames, each (height, width, 3) uint8, and whether the goal was reached.
+        The episode, and frames of shape (height, width, 3), uint8.
     """
     core = ReachCore(config, visual=True, gui=gui)
     frames: list[np.ndarray] = []
-    every = max(1, RATE // fps)
+    every = max(1, RATE // fps) if fps else 0
 
     def watch(tick: int) -> None:
-        if tick % every == 0:
+        if every and tick % every == 0:
             frames.append(core.world.render(camera))
+        if tick == config.ticks_per_step - 1:
+            advance(1, "")
 
     try:
-        rng = np.random.default_rng(plan.seed)
-        goal = None if plan.goal_w is None else np.array(plan.goal_w)
-        state = core.reset(rng, goal)
-        policy.begin(np.random.default_rng([plan.seed, 1]))
-        frames.append(core.world.render(camera))
-        for _ in range(config.max_steps):
-            step = core.step(policy.act(state), watch)
-            state = step.state
-            advance(1, f"{step.info['distance']:.2f} m to the goal")
-            if step.terminated or step.truncated:
-                break
-        frames.append(core.world.render(camera))
-        return frames, step.terminated
+        episode = run_episode(core, policy, plan, watch)
+        if every:
+            frames.append(core.world.render(camera))
+        return episode, frames
     finally:
         core.close()
 
@@ -91,19 +94,24 @@ def write_video(path: Path, frames: Sequence[np.ndarray], fps: int) -> None:
         writer.close()
 
 
-def film_strip(path: Path, rows: Sequence[tuple[str, Sequence[np.ndarray]]]) -> None:
-    """Pictures side by side, one labelled row each, the step number in the corner."""
-    columns = max(len(frames) for _, frames in rows)
-    figure = Figure(figsize=(2.6 * columns, 1.9 * len(rows)), layout="constrained")
+def film_strip(
+    path: Path, rows: Sequence[tuple[str, Sequence[tuple[str, np.ndarray]]]]
+) -> None:
+    """Pictures side by side, one row per episode.
+
+    Args:
+        path: Of the PNG.
+        rows: Each a label and its pictures, each with a note for its corner.
+    """
+    columns = max(len(pictures) for _, pictures in rows)
+    figure = Figure(figsize=(2.6 * columns, 2.0 * len(rows)), layout="constrained")
     axes: Any = figure.subplots(len(rows), columns, squeeze=False)
-    for line, (label, frames) in zip(axes, rows, strict=True):
+    for line, (label, pictures) in zip(axes, rows, strict=True):
         for axis in line:
             axis.set_axis_off()
-        for axis, frame in zip(line, frames, strict=False):
-            axis.imshow(frame)
+        for axis, (note, picture) in zip(line, pictures, strict=False):
+            axis.imshow(picture)
+            axis.text(8, picture.shape[0] - 12, note, fontsize=8)
         line[0].set_title(label, loc="left", fontsize=9)
     with new_file(path) as temporary:
         figure.savefig(temporary, dpi=110)
-
-
-Render = Callable[[], np.ndarray]

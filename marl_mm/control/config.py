@@ -4,7 +4,7 @@ Defaults are those that held in closed loop over 2,000 episodes of a prototype w
 same mathematics: 8 goals, 11 alphas, 24 variations, without one failed level.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 from marl_mm.errors import UsageError
@@ -98,11 +98,11 @@ class ControllerConfig:
     solver: Solver = "active-set"
     """"active-set" is compiled; "proxqp" is the readable reference, 20 times slower."""
 
-    gains: Gains = Gains()
+    gains: Gains = field(default_factory=Gains)
 
-    hierarchy: HierarchyConfig = HierarchyConfig()
+    hierarchy: HierarchyConfig = field(default_factory=HierarchyConfig)
 
-    limits: LimitConfig = LimitConfig()
+    limits: LimitConfig = field(default_factory=LimitConfig)
 
     def __post_init__(self) -> None:
         for name, value, choices in (

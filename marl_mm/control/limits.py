@@ -44,7 +44,7 @@ def bounds(
     """All limits at a state."""
     matrix = np.zeros((ROWS, VARIABLES))
     lower, upper = np.zeros(ROWS), np.zeros(ROWS)
-    matrix[TORQUE_ROWS] = terms.mass_matrix[np.ix_(range(3, 10), ACTUATED)]
+    matrix[TORQUE_ROWS] = terms.mass_matrix[3:, ACTUATED]
     lower[TORQUE_ROWS] = -robot.torque - terms.nonlinear[3:]
     upper[TORQUE_ROWS] = robot.torque - terms.nonlinear[3:]
     matrix[BOX_ROWS] = np.eye(VARIABLES)

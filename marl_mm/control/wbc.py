@@ -5,7 +5,7 @@ Variables u, shape (9,): base forward [m/s^2], base yaw [rad/s^2], seven arm joi
 first: 1 a stable base, 0 an accurate hand (Eq. 4).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -57,8 +57,11 @@ class WholeBodyController:
         self._robot = robot
         # The compiled form has one signature: every number a float.
         self._gains = Gains(*map(float, config.gains))
-        *numbers, iterations = config.hierarchy
-        self._hierarchy = HierarchyConfig(*map(float, numbers), int(iterations))
+        numbers: dict[str, Any] = {
+            name: float(value) for name, value in config.hierarchy._asdict().items()
+        }
+        numbers["iterations"] = int(config.hierarchy.iterations)
+        self._hierarchy = HierarchyConfig(**numbers)
         self._limits = LimitConfig(*map(float, config.limits))
         self._alpha = -1.0
 

@@ -204,7 +204,8 @@ class ReachCore:
             terms = self.model.evaluate(state)
             command = self.controller.tick(state, terms, reference, self._alpha)
             accelerations[k] = self._move_base(command.acceleration)
-            self.world.command(*self._commanded.tolist(), command.torque)
+            forward, yaw_rate = self._commanded.tolist()
+            self.world.command(forward, yaw_rate, command.torque)
             self.world.step()
             if k % every == 0:
                 zmp_b = self.model.zmp_b(state, command.acceleration)
@@ -242,7 +243,7 @@ class ReachCore:
         jerk_rms = float(np.sqrt(np.mean(jerk * jerk))) if len(jerk) else 0.0
         success = bool(reached(distance, config))
         reward = reach_reward(
-            distance, np.float64(d_mm), np.float64(d_mp), np.float64(jerk_rms), config
+            distance, np.asarray(d_mm), np.asarray(d_mp), np.asarray(jerk_rms), config
         )
         info = {
             "d_mm": d_mm,

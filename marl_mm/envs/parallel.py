@@ -14,14 +14,14 @@ from pettingzoo import ParallelEnv
 
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.core import ReachCore
-from marl_mm.envs.spaces import (
+from marl_mm.errors import InvalidActionError
+from marl_mm.layout import ACTION, AGENTS
+from marl_mm.sim.bullet import Camera
+from marl_mm.spaces import (
     agent_action_spaces,
     agent_observation_spaces,
     state_space,
 )
-from marl_mm.errors import InvalidActionError
-from marl_mm.layout import ACTION, AGENTS
-from marl_mm.sim.bullet import Camera
 
 AgentDict = dict[str, np.ndarray]
 

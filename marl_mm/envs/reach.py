@@ -1,18 +1,19 @@
 """The reach tasks as a Gymnasium goal environment: one agent sets the joint action."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
+from gymnasium import spaces
 
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.core import ReachCore
-from marl_mm.envs.spaces import action_space, goal_observation_space
 from marl_mm.envs.terms import goal_distance, reach_reward, reached
 from marl_mm.errors import UsageError
 from marl_mm.layout import GOAL, HAND, OBSERVATION
 from marl_mm.sim.bullet import Camera
+from marl_mm.spaces import action_space, goal_observation_space
 
 GoalObservation = dict[str, np.ndarray]
 Infos = Mapping[str, Any] | Sequence[Mapping[str, Any]]
@@ -54,7 +55,9 @@ class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
         self.core = ReachCore(
             self.config, visual=render_mode is not None, gui=render_mode == "human"
         )
-        self.observation_space = goal_observation_space()
+        self.observation_space = cast(
+            spaces.Space[GoalObservation], goal_observation_space()
+        )
         self.action_space = action_space()
 
     def reset(
@@ -102,7 +105,7 @@ class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
         """Goals never truncate an episode; the step count does."""
         return np.zeros(np.shape(achieved_goal)[:-1], bool)
 
-    def render(self) -> np.ndarray | None:  # type: ignore[override]
+    def render(self) -> np.ndarray | None:
         """A picture, shape (height, width, 3), in mode ``"rgb_array"``."""
         if self.render_mode != "rgb_array":
             return None

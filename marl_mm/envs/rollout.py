@@ -6,7 +6,7 @@ draws from its own seed, and results come back in the order of the plans.
 
 import signal
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -45,8 +45,13 @@ def episode_seed(seed: int, index: int) -> int:
     return int(np.random.SeedSequence(seed, spawn_key=(index,)).generate_state(1)[0])
 
 
-def run_episode(core: ReachCore, policy: Policy, plan: EpisodePlan) -> Episode:
-    """Run one episode to its end."""
+def run_episode(
+    core: ReachCore,
+    policy: Policy,
+    plan: EpisodePlan,
+    watch: Callable[[int], None] | None = None,
+) -> Episode:
+    """Run one episode to its end; ``watch`` is called after each controller tick."""
     rng, _ = seeding.np_random(plan.seed)
     goal_w = None if plan.goal_w is None else np.array(plan.goal_w)
     states = [core.reset(rng, goal_w)]
@@ -55,7 +60,7 @@ def run_episode(core: ReachCore, policy: Policy, plan: EpisodePlan) -> Episode:
     steps: list[Step] = []
     while not steps or not (steps[-1].terminated or steps[-1].truncated):
         actions.append(policy.act(states[-1]))
-        steps.append(core.step(actions[-1]))
+        steps.append(core.step(actions[-1], watch))
         states.append(steps[-1].state)
     return Episode(
         states=np.stack(states),
@@ -122,7 +127,7 @@ def _run_in_pool(
             yield episode
     except BrokenProcessPool as error:
         raise MarlMmError(
-            "a worker process died; the machine may be out of memory: use fewer --workers"
+            "a worker process died; if memory ran out, use fewer --workers"
         ) from error
     finally:
         pool.shutdown(wait=True, cancel_futures=True)

@@ -17,7 +17,8 @@ def goal_distance(achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
 
 def reached(distance: np.ndarray, config: ReachConfig) -> np.ndarray:
     """Whether the goal counts as reached."""
-    return np.less(distance, config.success_distance)
+    below: np.ndarray = np.less(distance, config.success_distance)
+    return below
 
 
 def reach_reward(

@@ -22,7 +22,7 @@ RATE = 240
 
 @contextmanager
 def _silenced_stderr() -> Iterator[None]:
-    """PyBullet greets on stderr when it is imported; ours is for progress and errors."""
+    """PyBullet greets on stderr when imported; ours is for progress and errors."""
     sys.stderr.flush()
     saved, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, 2)
@@ -66,16 +66,16 @@ class Camera:
     height: int = 320
     """[pixels]"""
 
-    target_w: tuple[float, float, float] = (0.35, 0.0, 0.35)
+    target_w: tuple[float, float, float] = (0.25, 0.0, 0.42)
     """The point looked at [m]."""
 
-    distance: float = 2.5
+    distance: float = 2.2
     """From the target [m]."""
 
-    yaw: float = 35.0
+    yaw: float = 25.0
     """[deg]"""
 
-    pitch: float = -25.0
+    pitch: float = -18.0
     """[deg]"""
 
 
@@ -102,7 +102,7 @@ class BulletWorld:
         self._robot_config = robot
         self._config = config
         self._visual = visual or gui
-        # The URDF names meshes relative to pybullet_data; ours lies in a temporary file.
+        # Mesh names are relative to pybullet_data, but our file lies elsewhere.
         meshes = f"{pybullet_data.getDataPath()}/franka_panda"
         self._urdf = robot_urdf(robot).replace('"franka_panda', f'"{meshes}')
         self._client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
@@ -249,16 +249,26 @@ class BulletWorld:
         shape = pybullet.createCollisionShape(
             pybullet.GEOM_PLANE, physicsClientId=client
         )
-        visual = -1
-        if self._visual:
-            visual = pybullet.createVisualShape(
-                pybullet.GEOM_BOX,
-                halfExtents=[6, 6, 0.01],
-                visualFramePosition=[0, 0, -0.01],
-                rgbaColor=[0.78, 0.80, 0.82, 1],
-                physicsClientId=client,
-            )
-        pybullet.createMultiBody(0, shape, visual, physicsClientId=client)
+        ground = pybullet.createMultiBody(0, shape, physicsClientId=client)
+        if not self._visual:
+            return
+        data = pybullet_data.getDataPath()
+        visual = pybullet.createVisualShape(
+            pybullet.GEOM_MESH, fileName=f"{data}/plane.obj", physicsClientId=client
+        )
+        ground = pybullet.createMultiBody(
+            0, baseVisualShapeIndex=visual, physicsClientId=client
+        )
+        checker = pybullet.loadTexture(
+            f"{data}/checker_blue.png", physicsClientId=client
+        )
+        pybullet.changeVisualShape(
+            ground,
+            -1,
+            textureUniqueId=checker,
+            rgbaColor=[1, 1, 1, 1],
+            physicsClientId=client,
+        )
 
     def _load_robot(self) -> None:
         client, config = self._client, self._config

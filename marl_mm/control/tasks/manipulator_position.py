@@ -14,7 +14,7 @@ from marl_mm.robot.model import ACTUATED, ModelTerms
 def manipulator_position(terms: ModelTerms, reference: Reference, gains: Gains) -> Task:
     """Task with three rows [m/s^2]."""
     error = reference.hand_position_w - terms.position_w
-    distance = np.linalg.norm(error)
+    distance = float(np.linalg.norm(error))
     rate = gains.hand_rate
     if rate * distance > gains.hand_speed:
         rate = gains.hand_speed / distance

@@ -1,0 +1,73 @@
+"""The command line: finds a command, runs it, and turns errors into one line."""
+
+import importlib
+import sys
+from collections.abc import Sequence
+
+from marl_mm.errors import MarlMmError
+
+COMMANDS = {
+    "quickstart": "collect, train and evaluate in a few minutes, with a report",
+    "collect": "collect a dataset with a scripted policy: pd, random",
+    "datasets": "list datasets, show what is in one",
+    "train": "train a policy from a dataset: mabc",
+    "eval": "evaluate runs and scripted policies on fixed goals",
+    "play": "film an episode, or watch it in a window",
+    "bench": "measure the controller against the simulator",
+}
+"""Each command is a module of ``marl_mm.commands``, imported when it is called."""
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run ``marl-mm`` and return its exit code: 0, 1 failure, 2 usage, 130 Ctrl-C."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or words[0] in ("-h", "--help"):
+        _print(_usage())
+        return 0 if words else 2
+    if words[0] == "--version":
+        from marl_mm import __version__
+
+        _print(f"marl-mm {__version__}")
+        return 0
+    name = words[0]
+    if name not in COMMANDS:
+        _complain(f"unknown command {name!r}, expected one of {', '.join(COMMANDS)}")
+        return 2
+    try:
+        module = importlib.import_module(f"marl_mm.commands.{name}")
+        module.main(words[1:])
+    except MarlMmError as error:
+        _complain(str(error))
+        return error.exit_code
+    except KeyboardInterrupt as error:
+        _complain(str(error) or "interrupted")
+        return INTERRUPTED
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader has gone; say nothing more
+    return 0
+
+
+def _usage() -> str:
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {text}" for name, text in COMMANDS.items()]
+    return (
+        "usage: marl-mm COMMAND [OPTIONS]\n\n"
+        "Multi-agent offline reinforcement learning on a mobile manipulator.\n\n"
+        + "\n".join(lines)
+        + "\n\nmarl-mm COMMAND --help tells a command's options, units and defaults."
+    )
+
+
+def _print(text: str) -> None:
+    sys.stdout.write(text + "\n")
+
+
+def _complain(text: str) -> None:
+    sys.stderr.write(f"marl-mm: {text}\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

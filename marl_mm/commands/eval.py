@@ -1,0 +1,94 @@
+"""marl-mm eval: policies side by side on the same goals."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import tyro
+from rich.console import Console
+
+from marl_mm.collectors.pd import PdConfig
+from marl_mm.commands.options import (
+    available_cores,
+    check_positive,
+    check_seed,
+    named_policy,
+)
+from marl_mm.eval.evaluate import evaluate
+from marl_mm.eval.tables import evaluation_table
+from marl_mm.files import refuse_existing, write_json
+from marl_mm.progress import progress_bar
+
+
+@dataclass(frozen=True)
+class Eval:
+    """Evaluate runs and scripted policies on fixed goals."""
+
+    policies: tyro.conf.Positional[tuple[str, ...]]
+    """Run folders, checkpoint files, "pd" or "random"."""
+
+    episodes: int = 100
+    """Goals, half ahead and half behind."""
+
+    seed: int = 0
+    """Of the goals and of random policies."""
+
+    task: str = "Reach-v0"
+    """Reach-v0, SmoothReach-v0 or PreciseReach-v0."""
+
+    max_steps: int | None = None
+    """Steps per episode; default 25, the paper's."""
+
+    workers: int = field(default_factory=available_cores)
+    """Processes; the result does not depend on it."""
+
+    out: Path | None = None
+    """Also write everything, with one row per episode, to this JSON file."""
+
+    overwrite: bool = False
+    """Replace OUT if it exists."""
+
+    json: bool = False
+    """Print everything, with one row per episode, as JSON."""
+
+    pd: PdConfig = field(default_factory=PdConfig)
+    """Gains and alpha of the policy "pd"."""
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the command line of ``marl-mm eval``."""
+    options = tyro.cli(Eval, prog="marl-mm eval", args=arguments)
+    check_positive(episodes=options.episodes, workers=options.workers)
+    check_seed(options.seed)
+    overrides = {}
+    if options.max_steps is not None:
+        check_positive(max_steps=options.max_steps)
+        overrides["max_steps"] = options.max_steps
+    if options.out is not None:
+        refuse_existing(options.out, options.overwrite)
+    policies = [named_policy(name, options.pd) for name in options.policies]
+    evaluations = []
+    for name, policy in zip(options.policies, policies, strict=True):
+        with progress_bar(f"eval {Path(name).name}", options.episodes) as advance:
+            evaluations.append(
+                evaluate(
+                    policy,
+                    options.episodes,
+                    options.seed,
+                    options.task,
+                    overrides,
+                    options.workers,
+                    advance,
+                )
+            )
+    values = [
+        {"name": name, **evaluation.to_json()}
+        for name, evaluation in zip(options.policies, evaluations, strict=True)
+    ]
+    if options.out is not None:
+        write_json(options.out, values)
+    if options.json:
+        print(json.dumps(values, indent=2))
+    else:
+        Console().print(evaluation_table(evaluations))

@@ -1,0 +1,65 @@
+"""What several commands share: defaults, and policies by name."""
+
+import os
+from pathlib import Path
+
+from marl_mm.collectors.pd import PdConfig, PdPolicy
+from marl_mm.collectors.random import RandomConfig, RandomPolicy
+from marl_mm.errors import UsageError
+from marl_mm.policy import Policy
+
+SCRIPTED = ("pd", "random")
+"""Policies that need no run folder."""
+
+
+def available_cores() -> int:
+    """Cores this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def named_policy(name: str, pd: PdConfig) -> Policy:
+    """A scripted policy by name, or the policy of a run folder.
+
+    Args:
+        name: ``pd``, ``random`` or a path.
+        pd: Gains and alpha of ``pd``.
+
+    Raises:
+        UsageError: If it is neither.
+        CheckpointError: If the run's checkpoint is damaged.
+    """
+    if name == "pd":
+        return PdPolicy(pd)
+    if name == "random":
+        return RandomPolicy(RandomConfig())
+    if not Path(name).exists():
+        raise UsageError(
+            f"no policy {name!r}: expected {', '.join(SCRIPTED)}, a run folder or a "
+            "checkpoint file"
+        )
+    from marl_mm.algorithms.policy import load_policy  # torch takes a second to import
+
+    return load_policy(name)
+
+
+def check_positive(**values: float) -> None:
+    """Raise for the first value that is not positive.
+
+    Raises:
+        UsageError: Naming the option.
+    """
+    for name, value in values.items():
+        if value < 1:
+            option = name.replace("_", "-")
+            raise UsageError(f"--{option} is {value}, expected >= 1")
+
+
+def check_seed(*seeds: int) -> None:
+    """Raise for a seed that is negative.
+
+    Raises:
+        UsageError: Naming it.
+    """
+    for seed in seeds:
+        if seed < 0:
+            raise UsageError(f"the seed is {seed}, expected >= 0")

@@ -1,0 +1,229 @@
+"""marl-mm quickstart: the whole chain once, small in size and real in every part.
+
+A PD agent collects a dataset, MABC learns from the dataset's file, and both are
+evaluated beside a random agent on the same goals.
+"""
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import tyro
+from rich.console import Console
+
+from marl_mm.algorithms.mabc import MabcConfig
+from marl_mm.algorithms.policy import load_policy
+from marl_mm.collectors.pd import PdConfig, PdPolicy
+from marl_mm.collectors.random import RandomConfig, RandomPolicy
+from marl_mm.commands.collect import collect_dataset
+from marl_mm.commands.options import available_cores, check_positive, check_seed
+from marl_mm.commands.train import TrainMabc, train_run
+from marl_mm.datasets.card import card
+from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.location import locate
+from marl_mm.envs.config import reach_config
+from marl_mm.envs.rollout import run_episodes
+from marl_mm.eval.evaluate import Evaluation, evaluate
+from marl_mm.eval.figures import alpha_over_time
+from marl_mm.eval.goals import goal_set
+from marl_mm.eval.tables import evaluation_markdown, evaluation_table, markdown_table
+from marl_mm.eval.video import film_episode, film_strip, write_video
+from marl_mm.files import new_file, refuse_existing, write_json
+from marl_mm.policy import Policy
+from marl_mm.progress import progress_bar
+from marl_mm.sim.bullet import Camera
+
+TEACHER = PdConfig(alpha_rule="room")
+"""The PD agent whose episodes are collected: alpha falls as the hand runs out of room,
+which the balance agent can see."""
+
+FPS = 8
+"""Of the film."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much of everything."""
+
+    steps: int
+    updates: int
+    episodes: int
+
+
+FULL = Size(steps=1_500, updates=6_000, episodes=100)
+SMALL = Size(steps=400, updates=2_000, episodes=20)
+
+
+@dataclass(frozen=True)
+class Quickstart:
+    """Collect with PD, train MABC, evaluate both and random: a table and a report."""
+
+    out: Path = Path("runs/quickstart")
+    """Run folder for everything that is made."""
+
+    seed: int = 0
+    """Of dataset, training and goals."""
+
+    workers: int = field(default_factory=available_cores)
+    """Processes; the results do not depend on it."""
+
+    small: bool = False
+    """A quarter of the data and a fifth of the goals: a smoke test of the chain."""
+
+    overwrite: bool = False
+    """Replace OUT if it exists."""
+
+    json: bool = False
+    """Print the evaluations as JSON instead of the table."""
+
+
+Stages = dict[str, float]
+"""Wall time of each stage [s]."""
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the command line of ``marl-mm quickstart``."""
+    options = tyro.cli(Quickstart, prog="marl-mm quickstart", args=arguments)
+    check_positive(workers=options.workers)
+    check_seed(options.seed)
+    refuse_existing(options.out, options.overwrite)
+    size = SMALL if options.small else FULL
+    out, stages = options.out, Stages()
+    with _timed(stages, "collect (pd)"):
+        _collect(options, size)
+    with _timed(stages, "train and evaluate (mabc)"):
+        learned = _train(options, size)
+    with _timed(stages, "evaluate (pd, random)"):
+        scripted = [
+            _evaluate(policy, options, size)
+            for policy in (PdPolicy(TEACHER), RandomPolicy(RandomConfig()))
+        ]
+    evaluations = [learned, *scripted]
+    with _timed(stages, "figures and film"):
+        _picture(options)
+    values = {
+        "stages_s": stages,
+        "dataset": card(load_dataset(str(out / "dataset"))),
+        "evaluations": [evaluation.to_json() for evaluation in evaluations],
+    }
+    write_json(out / "quickstart.json", values)
+    with new_file(out / "report.md") as temporary:
+        temporary.write_text(_report(options, values, evaluations))
+    if options.json:
+        print(json.dumps(values, indent=2))
+    else:
+        Console().print(evaluation_table(evaluations))
+        print(f"{sum(stages.values()):.0f} s; read {out / 'report.md'}")
+
+
+@contextmanager
+def _timed(stages: Stages, name: str) -> Iterator[None]:
+    begin = perf_counter()
+    yield
+    stages[name] = perf_counter() - begin
+
+
+def _collect(options: Quickstart, size: Size) -> None:
+    collection = collect_dataset(
+        locate(str((options.out / "dataset").resolve())),
+        TEACHER,
+        "Reach-v0",
+        size.steps,
+        options.seed,
+        options.workers,
+        overwrite=options.overwrite,
+    )
+    if not collection.complete:
+        raise KeyboardInterrupt(
+            f"stopped; {options.out / 'dataset'} holds the episodes until then"
+        )
+
+
+def _train(options: Quickstart, size: Size) -> Evaluation:
+    training = TrainMabc(
+        dataset=str(options.out / "dataset"),
+        curve_every=size.updates // 3,
+        eval_episodes=size.episodes,
+        eval_seed=options.seed,
+        workers=options.workers,
+        overwrite=options.overwrite,
+        config=MabcConfig(updates=size.updates),
+    )
+    dataset = load_dataset(str((options.out / "dataset").resolve()))
+    return train_run(dataset, training, options.seed, options.out / "mabc")
+
+
+def _evaluate(policy: Policy, options: Quickstart, size: Size) -> Evaluation:
+    with progress_bar(f"eval {policy.name}", size.episodes) as advance:
+        return evaluate(
+            policy,
+            size.episodes,
+            options.seed,
+            workers=options.workers,
+            advance=advance,
+        )
+
+
+def _picture(options: Quickstart) -> None:
+    """Alpha over time of pupil and teacher, a film and a film strip of the pupil."""
+    out, config = options.out, reach_config()
+    pupil, teacher = load_policy(out / "mabc"), PdPolicy(TEACHER)
+    plans = goal_set(config, 2, options.seed)
+    alpha_over_time(
+        {
+            policy.name: list(run_episodes(config, policy, plans))
+            for policy in (pupil, teacher)
+        },
+        out / "alpha.png",
+    )
+    strips, film = [], []
+    for plan, direction in zip(plans, ("forward", "backward"), strict=True):
+        with progress_bar(f"film {direction}", config.max_steps) as advance:
+            episode, frames = film_episode(
+                config, pupil, plan, Camera(), FPS, advance=advance
+            )
+            advance(config.max_steps - len(episode), "")
+        film += frames
+        ends = [round(share * (len(frames) - 1)) for share in (0, 0.25, 0.5, 0.75, 1)]
+        label = f"{direction}: {len(episode)} steps"
+        strips.append((label, [(f"step {i // FPS}", frames[i]) for i in ends]))
+    write_video(out / "mabc.mp4", film, FPS)
+    film_strip(out / "mabc.png", strips)
+
+
+def _report(
+    options: Quickstart, values: dict[str, Any], evaluations: Sequence[Evaluation]
+) -> str:
+    dataset = values["dataset"]
+    stages = [(name, f"{seconds:.1f}") for name, seconds in values["stages_s"].items()]
+    return f"""# Quickstart
+
+Made by `marl-mm quickstart --seed {options.seed}{" --small" * options.small}`.
+A PD agent collected {dataset["steps"]} steps in {dataset["episodes"]} episodes
+(`dataset/`, Minari HDF5). MABC trained two decentralised actors on that file (`mabc/`).
+All policies were then evaluated on the same goals, half ahead and half behind.
+
+{evaluation_markdown(evaluations)}
+Success: end-effector within 5 cm of the goal in at most 25 steps of 1 s, with Wilson's
+interval.
+Steps: mean over successes. d_mm, d_mp: distance of hand and base from their targets.
+
+![film strip](mabc.png)
+
+Film: [mabc.mp4](mabc.mp4)
+
+## Learning curve
+
+![learning curve](mabc/learning_curve.png)
+
+## Alpha over time
+
+![alpha](alpha.png)
+
+## Wall time
+
+{markdown_table(("stage", "seconds"), stages)}"""

@@ -1,0 +1,164 @@
+"""marl-mm train: a policy from a dataset file, with its learning curve."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from marl_mm.algorithms.checkpoint import FILE
+from marl_mm.algorithms.mabc import Mabc, MabcConfig
+from marl_mm.algorithms.policy import LearnedPolicy, load_policy
+from marl_mm.algorithms.train import read_metrics, resume, train
+from marl_mm.commands.options import available_cores, check_positive, check_seed
+from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.errors import UsageError
+from marl_mm.eval.evaluate import Evaluation, evaluate
+from marl_mm.eval.figures import learning_curve
+from marl_mm.files import refuse_existing, write_json
+from marl_mm.progress import progress_bar
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """What every algorithm needs."""
+
+    dataset: str
+    """Id, such as marl_mm/reach/pd-v0, or path."""
+
+    out: Path = Path("runs/mabc")
+    """Folder of the runs; seed s goes to OUT/s."""
+
+    seeds: tuple[int, ...] = (0,)
+    """One run each: initial weights and batches."""
+
+    task: str = "Reach-v0"
+    """To evaluate on: Reach-v0, SmoothReach-v0 or PreciseReach-v0."""
+
+    curve_every: int = 2_000
+    """Updates between points of the learning curve."""
+
+    curve_episodes: int = 20
+    """Goals per point of the learning curve."""
+
+    eval_episodes: int = 100
+    """Goals of the evaluation after training, kept in eval.json."""
+
+    eval_seed: int = 0
+    """Of the goals."""
+
+    workers: int = field(default_factory=available_cores)
+    """Processes that evaluate."""
+
+    resume: bool = False
+    """Go on where a run was stopped."""
+
+    overwrite: bool = False
+    """Start anew where a run exists."""
+
+    json: bool = False
+    """Print the final evaluations as JSON."""
+
+
+@dataclass(frozen=True)
+class TrainMabc(TrainOptions):
+    """Behaviour cloning with two decentralised actors (paper, Sec. 4.4)."""
+
+    config: Annotated[MabcConfig, tyro.conf.arg(name="")] = field(
+        default_factory=MabcConfig
+    )
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the command line of ``marl-mm train``."""
+    options = tyro.extras.subcommand_cli_from_dict(
+        {"mabc": TrainMabc},
+        prog="marl-mm train",
+        description="Train a policy from a dataset file.",
+        args=arguments,
+    )
+    dataset = load_dataset(options.dataset)
+    results = []
+    for seed in options.seeds:
+        run = options.out / str(seed)
+        evaluation = train_run(dataset, options, seed, run)
+        results.append({"run": str(run), **evaluation.to_json()})
+        if not options.json:
+            everything = evaluation.summary["all"]
+            low, high = (100 * bound for bound in everything["interval"])
+            print(
+                f"{run}: {100 * evaluation.success_rate:.1f} % of "
+                f"{everything['episodes']} goals reached, "
+                f"95 % interval [{low:.1f}, {high:.1f}]"
+            )
+    if options.json:
+        print(json.dumps(results, indent=2))
+
+
+def train_run(dataset: Dataset, options: TrainMabc, seed: int, run: Path) -> Evaluation:
+    """Train one seed, evaluate it, and leave a run folder.
+
+    Raises:
+        UsageError: If an option makes no sense, or the run exists.
+    """
+    check_positive(
+        curve_every=options.curve_every,
+        curve_episodes=options.curve_episodes,
+        eval_episodes=options.eval_episodes,
+        workers=options.workers,
+    )
+    check_seed(seed, options.eval_seed)
+    algorithm = Mabc(options.config, dataset.agents(), seed)
+    if options.resume:
+        if not (run / FILE).exists():
+            raise UsageError(f"no checkpoint in {run} to resume from")
+        resume(algorithm, run)
+    else:
+        refuse_existing(run, options.overwrite)
+        _start_run(run, options, seed, dataset)
+
+    def point(policy: LearnedPolicy) -> dict[str, float]:
+        measured = evaluate(
+            policy, options.curve_episodes, options.eval_seed + 1, options.task
+        )
+        summary = measured.summary
+        return {
+            f"success/{name}": part["success_rate"] for name, part in summary.items()
+        }
+
+    total = options.config.updates
+    with progress_bar(f"train {algorithm.name}", total) as advance:
+        train(algorithm, run, point, options.curve_every, advance)
+    learning_curve(read_metrics(run), run / "learning_curve.png")
+    with progress_bar(f"eval {algorithm.name}", options.eval_episodes) as advance:
+        evaluation = evaluate(
+            load_policy(run),
+            options.eval_episodes,
+            options.eval_seed,
+            options.task,
+            workers=options.workers,
+            advance=advance,
+        )
+    write_json(run / "eval.json", evaluation.to_json())
+    return evaluation
+
+
+def _start_run(run: Path, options: TrainMabc, seed: int, dataset: Dataset) -> None:
+    """An empty run folder with its config; remains of an older run go."""
+    run.mkdir(parents=True, exist_ok=True)
+    for name in (FILE, "metrics.jsonl", "eval.json", "learning_curve.png"):
+        (run / name).unlink(missing_ok=True)
+    config: dict[str, Any] = {
+        "algorithm": Mabc.name,
+        "seed": seed,
+        "dataset": {
+            "id": dataset.location.id,
+            "path": str(dataset.location.folder.resolve()),
+        },
+        "packages": dataset.metadata["marl_mm"]["packages"],
+        "task": options.task,
+        **asdict(options.config),
+    }
+    write_json(run / "config.json", config)
