@@ -6,7 +6,6 @@ n = 9 the cost of Python and numpy calls exceeds that of the arithmetic twenty t
 """
 
 import numpy as np
-from numba import njit
 
 from marl_mm.control.active_set import (
     cholesky,
@@ -15,6 +14,7 @@ from marl_mm.control.active_set import (
     solve_upper,
 )
 from marl_mm.control.config import Gains, HierarchyConfig, LimitConfig
+from marl_mm.control.jit import jit
 from marl_mm.control.priorities import HANDLED
 from marl_mm.control.tasks.task import Reference
 from marl_mm.robot.limits import RobotLimits
@@ -32,12 +32,12 @@ LEVELS, QPS, FAILURES = range(3)
 """Entries of the counters."""
 
 
-@njit(cache=True)
+@jit
 def _clip(value: float, low: float, high: float) -> float:
     return min(max(value, low), high)
 
 
-@njit(cache=True)
+@jit
 def assemble_tasks(
     state: RobotState,
     terms: ModelTerms,
@@ -93,7 +93,7 @@ def assemble_tasks(
         target[8 + j] = rate * rate * error - 2 * rate * v[3 + j]
 
 
-@njit(cache=True)
+@jit
 def _rotation_error(rotation_w: np.ndarray, target_w: np.ndarray) -> np.ndarray:
     relative = np.zeros((3, 3))
     for i in range(3):
@@ -119,7 +119,7 @@ def _rotation_error(rotation_w: np.ndarray, target_w: np.ndarray) -> np.ndarray:
     return vector
 
 
-@njit(cache=True)
+@jit
 def assemble_limits(
     state: RobotState,
     terms: ModelTerms,
@@ -171,7 +171,7 @@ def assemble_limits(
     upper[16] = most
 
 
-@njit(cache=True)
+@jit
 def solve_hierarchy(
     jacobian: np.ndarray,
     target: np.ndarray,
@@ -275,7 +275,7 @@ def solve_hierarchy(
             _reduce(projector, projected, share, count, basis, config.projector_damping)
 
 
-@njit(cache=True)
+@jit
 def _handled_rows(
     psi: np.ndarray,
     level: int,
@@ -300,7 +300,7 @@ def _handled_rows(
     return count
 
 
-@njit(cache=True)
+@jit
 def _solve_limited(
     factor: np.ndarray,
     gradient: np.ndarray,
@@ -328,7 +328,7 @@ def _solve_limited(
     return True
 
 
-@njit(cache=True)
+@jit
 def _reduce(
     projector: np.ndarray,
     projected: np.ndarray,
@@ -368,7 +368,7 @@ def _reduce(
         found += 1
 
 
-@njit(cache=True)
+@jit
 def tick(
     state: RobotState,
     terms: ModelTerms,

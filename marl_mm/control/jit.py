@@ -1,0 +1,57 @@
+"""Compiled functions whose disk cache notices a change in any of their sources.
+
+Numba's cache watches only the file that a function stands in. A function that calls
+into another file would go on with that file's old code, and silently: so the cache
+folder is named after the contents of all sources that take part.
+"""
+
+import hashlib
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+import numba
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+_SOURCES = (
+    "control/*.py",
+    "control/tasks/task.py",
+    "robot/model.py",
+    "robot/limits.py",
+)
+"""Below the package: everything that compiled code is made of."""
+
+
+def jit(function: Callable[P, R]) -> Callable[P, R]:
+    """``numba.njit`` with a cache on disk, keyed by all sources."""
+    previous = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = previous or str(_cache_folder())
+    try:
+        compiled: Callable[P, R] = numba.njit(cache=True)(function)
+        return compiled
+    finally:
+        numba.config.CACHE_DIR = previous
+
+
+@cache
+def _cache_folder() -> Path:
+    """The first place that can be written to, with the sources' fingerprint."""
+    package = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256(numba.__version__.encode())
+    for pattern in _SOURCES:
+        for path in sorted(package.glob(pattern)):
+            digest.update(path.read_bytes())
+    name = f"numba-{digest.hexdigest()[:16]}"
+    for parent in (package / "__pycache__", Path.home() / ".cache" / "marl_mm"):
+        folder = parent / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                return folder
+        except OSError:
+            continue
+    return Path(tempfile.mkdtemp(prefix="marl_mm-"))

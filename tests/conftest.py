@@ -1,0 +1,94 @@
+"""What several test files share: the robot, random states, small datasets."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from marl_mm.control.tasks.task import Reference
+from marl_mm.envs.config import ReachConfig, reach_config
+from marl_mm.envs.core import ReachCore
+from marl_mm.episode import INFO, Episode
+from marl_mm.robot.description import RobotConfig
+from marl_mm.robot.limits import RobotLimits, robot_limits
+from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
+
+Situation = tuple[RobotState, ModelTerms, Reference]
+
+
+@pytest.fixture(scope="session")
+def limits() -> RobotLimits:
+    return robot_limits(RobotConfig())
+
+
+@pytest.fixture(scope="session")
+def situation(limits: RobotLimits) -> Callable[[np.random.Generator], Situation]:
+    """Draws a state near the initial posture with targets that ask for a lot."""
+    robot = RobotConfig()
+    model = RobotModel(robot)
+    posture = np.array(robot.initial_joints)
+
+    def draw(rng: np.random.Generator, spread: float = 0.4) -> Situation:
+        yaw = rng.uniform(-np.pi, np.pi)
+        joints = posture + rng.normal(0, spread, 7)
+        joints = np.clip(joints, limits.lower + 0.05, limits.upper - 0.05)
+        q = np.array([*rng.uniform(-1, 1, 2), np.cos(yaw), np.sin(yaw), *joints])
+        base = [rng.uniform(-0.3, 0.3), 0.0, rng.uniform(-0.3, 0.3)]
+        v = np.array([*base, *rng.normal(0, spread / 2, 7)])
+        state = RobotState(q, v)
+        terms = ModelTerms(*(array.copy(order="K") for array in model.evaluate(state)))
+        reference = Reference(
+            terms.position_w + rng.uniform(-0.15, 0.15, 3),
+            np.ascontiguousarray(terms.rotation_w),
+            q[:2] + rng.uniform(-0.05, 0.05, 2),
+            yaw + rng.uniform(-0.2, 0.2),
+            rng.uniform(-0.05, 0.05),
+            posture,
+        )
+        return state, terms, reference
+
+    return draw
+
+
+@pytest.fixture
+def core() -> Iterator[ReachCore]:
+    core = ReachCore(ReachConfig())
+    yield core
+    core.close()
+
+
+@pytest.fixture(scope="session")
+def short_task() -> ReachConfig:
+    """Reach with steps of a tenth of a second, for tests about everything else."""
+    return reach_config("Reach-v0", {"ticks_per_step": 24, "max_steps": 4})
+
+
+def make_episode(index: int, steps: int = 3, success: bool = True) -> Episode:
+    rng = np.random.default_rng(index)
+    ends = np.arange(steps) == steps - 1
+    goal_x = 1.2 if index % 2 else -0.6
+    states = rng.normal(size=(steps + 1, 10))
+    states[:, 7:] = goal_x, 0.1, 0.6
+    return Episode(
+        states=states,
+        actions=rng.uniform(0, 1, (steps, 4)).astype(np.float32),
+        rewards=rng.normal(size=steps),
+        terminated=ends & success,
+        truncated=ends & (not success),
+        info={key: rng.normal(size=steps) for key in INFO},
+        seed=100 + index,
+        index=index,
+        source="pd",
+    )
+
+
+@pytest.fixture
+def episodes() -> list[Episode]:
+    return [make_episode(i, steps=3 + i % 3, success=i != 2) for i in range(6)]
+
+
+@pytest.fixture
+def datasets_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "datasets"))
+    return tmp_path / "datasets"

@@ -1,0 +1,104 @@
+"""Limits as rows: never empty, and equal to hand-computed cases."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from marl_mm.control.config import LimitConfig
+from marl_mm.control.limits import (
+    BOX_ROWS,
+    KEEP_OUT_ROW,
+    TORQUE_ROWS,
+    acceleration_box,
+    bounds,
+    keep_out_bound,
+)
+from marl_mm.control.tasks.task import Reference
+from marl_mm.robot.description import RobotConfig
+from marl_mm.robot.limits import RobotLimits, robot_limits
+from marl_mm.robot.model import ACTUATED, ModelTerms, RobotState
+
+Draw = Callable[[np.random.Generator], tuple[RobotState, ModelTerms, Reference]]
+CONFIG = LimitConfig()
+ROBOT = robot_limits(RobotConfig())
+
+
+def at(arm: np.ndarray, velocity: np.ndarray) -> RobotState:
+    v = np.zeros(10)
+    v[ACTUATED] = velocity
+    return RobotState(np.array([0, 0, 1, 0, *arm]), v)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    joints=st.lists(st.floats(-4, 4), min_size=7, max_size=7),
+    velocity=st.lists(st.floats(-30, 30), min_size=9, max_size=9),
+)
+def test_box_is_never_empty(joints: list[float], velocity: list[float]) -> None:
+    state = at(np.array(joints), np.array(velocity))
+    lower, upper = acceleration_box(state, ROBOT, CONFIG)
+    assert (upper - lower >= 1.9e-3).all()
+    assert (lower >= -ROBOT.acceleration - 2e-3).all()
+    assert (upper <= ROBOT.acceleration + 2e-3).all()
+
+
+def test_box_in_the_middle_is_the_acceleration_limit() -> None:
+    middle = (ROBOT.lower + ROBOT.upper) / 2
+    lower, upper = acceleration_box(at(middle, np.zeros(9)), ROBOT, CONFIG)
+    np.testing.assert_allclose(upper, ROBOT.acceleration)
+    np.testing.assert_allclose(lower, -ROBOT.acceleration)
+
+
+def test_at_full_speed_only_braking_is_left() -> None:
+    middle = (ROBOT.lower + ROBOT.upper) / 2
+    _, upper = acceleration_box(at(middle, ROBOT.speed), ROBOT, CONFIG)
+    np.testing.assert_allclose(upper, 0, atol=1e-9)
+
+
+def test_beyond_a_joint_limit_the_box_pushes_back() -> None:
+    lower, upper = acceleration_box(at(ROBOT.upper, np.zeros(9)), ROBOT, CONFIG)
+    assert (upper[2:] <= 1e-9).all()
+    moving = np.array([0.0, 0.0, *np.full(7, 0.5)])
+    _, upper = acceleration_box(at(ROBOT.upper, moving), ROBOT, CONFIG)
+    assert (upper[2:] < -7).all()
+
+
+def test_torque_rows_bound_the_torque(situation: Draw, limits: RobotLimits) -> None:
+    """C u <= d_bar exactly where M u + h reaches the torque limit."""
+    state, terms, _ = situation(np.random.default_rng(0))
+    rows = bounds(state, terms, limits, CONFIG)
+    u = np.random.default_rng(1).normal(size=9)
+    full = np.zeros(10)
+    full[ACTUATED] = u
+    torque = (terms.mass_matrix @ full + terms.nonlinear)[3:]
+    slack = rows.upper[TORQUE_ROWS] - rows.matrix[TORQUE_ROWS] @ u
+    np.testing.assert_allclose(slack, limits.torque - torque, atol=1e-9)
+
+
+def test_box_rows_select_the_variables(situation: Draw, limits: RobotLimits) -> None:
+    state, terms, _ = situation(np.random.default_rng(2))
+    rows = bounds(state, terms, limits, CONFIG)
+    np.testing.assert_array_equal(rows.matrix[BOX_ROWS], np.eye(9))
+
+
+def test_keep_out_barrier_by_hand(situation: Draw, limits: RobotLimits) -> None:
+    """At rest 0.02 m inside the plane: x'' >= 8^2 * 0.02."""
+    state, terms, _ = situation(np.random.default_rng(3))
+    state = RobotState(np.array([0, 0, 1.0, 0, *state.q[4:]]), np.zeros(10))
+    terms = terms._replace(
+        position_w=np.array([CONFIG.keep_out - 0.02, 0.1, 0.6]),
+        bias_acceleration=np.zeros(6),
+    )
+    assert keep_out_bound(state, terms, CONFIG) == pytest.approx(64 * 0.02)
+
+
+def test_keep_out_moves_the_arm_not_the_base(
+    situation: Draw, limits: RobotLimits
+) -> None:
+    state, terms, _ = situation(np.random.default_rng(4))
+    rows = bounds(state, terms, limits, CONFIG)
+    assert (rows.matrix[KEEP_OUT_ROW, :2] == 0).all()
+    assert rows.lower[KEEP_OUT_ROW] < rows.upper[KEEP_OUT_ROW]

@@ -1,0 +1,207 @@
+"""Both engines load one URDF and agree about it."""
+
+import numpy as np
+import pinocchio as pin
+import pybullet
+import pybullet_data
+import pytest
+
+from marl_mm.robot.description import RobotConfig, urdf_xml
+from marl_mm.robot.limits import robot_limits
+from marl_mm.robot.model import (
+    ACTUATED,
+    SUPPORT_B,
+    RobotModel,
+    RobotState,
+    support_margin,
+)
+from marl_mm.robot.names import ARM_JOINTS, FINGER_JOINTS, GRASP_JOINT, WHEEL_JOINTS
+
+JOINTS = WHEEL_JOINTS + ARM_JOINTS + FINGER_JOINTS
+
+
+class Engines:
+    """The whole robot, with wheels and fingers, in both engines."""
+
+    def __init__(self, path: str) -> None:
+        xml = urdf_xml(RobotConfig())
+        meshes = f"{pybullet_data.getDataPath()}/franka_panda"
+        with open(path, "w") as file:
+            file.write(xml.replace('"franka_panda', f'"{meshes}'))
+        self.client = pybullet.connect(pybullet.DIRECT)
+        self.robot = pybullet.loadURDF(
+            path,
+            flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+            physicsClientId=self.client,
+        )
+        count = pybullet.getNumJoints(self.robot, physicsClientId=self.client)
+        infos = [
+            pybullet.getJointInfo(self.robot, i, physicsClientId=self.client)
+            for i in range(count)
+        ]
+        self.index = {info[1].decode(): info[0] for info in infos}
+        self.moving = [i[1].decode() for i in infos if i[2] != pybullet.JOINT_FIXED]
+        self.model = pin.buildModelFromXML(xml, pin.JointModelFreeFlyer())
+        self.data = self.model.createData()
+
+    def place(self, joints: dict[str, float]) -> np.ndarray:
+        """Set the joints in PyBullet and return Pinocchio's configuration."""
+        q = pin.neutral(self.model)
+        for name, value in joints.items():
+            pybullet.resetJointState(
+                self.robot, self.index[name], value, physicsClientId=self.client
+            )
+            joint = self.model.joints[self.model.getJointId(name)]
+            at = joint.idx_q
+            if joint.nq == 2:  # a continuous joint is cos, sin
+                q[at : at + 2] = np.cos(value), np.sin(value)
+            else:
+                q[at] = value
+        return q
+
+    def velocity_index(self, name: str) -> int:
+        return int(self.model.joints[self.model.getJointId(name)].idx_v)
+
+    def random_joints(self, rng: np.random.Generator) -> dict[str, float]:
+        limits = robot_limits(RobotConfig())
+        arm = rng.uniform(limits.lower, limits.upper)
+        values = [*rng.uniform(-3, 3, 2), *arm, *rng.uniform(0, 0.04, 2)]
+        return dict(zip(JOINTS, map(float, values), strict=True))
+
+
+@pytest.fixture(scope="module")
+def engines(tmp_path_factory: pytest.TempPathFactory) -> Engines:
+    return Engines(str(tmp_path_factory.mktemp("robot") / "robot.urdf"))
+
+
+def test_total_mass_agrees_and_is_the_data_sheets(engines: Engines) -> None:
+    links = range(-1, len(engines.index))
+    mass = sum(
+        pybullet.getDynamicsInfo(engines.robot, i, physicsClientId=engines.client)[0]
+        for i in links
+    )
+    assert mass == pytest.approx(pin.computeTotalMass(engines.model), abs=1e-9)
+    base, arm, hand, fingers, frame = 84.0, 2.814203 + 16.062132, 0.73, 0.03, 0.001
+    assert mass == pytest.approx(base + arm + hand + fingers + frame, abs=1e-6)
+
+
+def test_forward_kinematics_agrees_at_50_configurations(engines: Engines) -> None:
+    rng = np.random.default_rng(0)
+    frame = engines.model.getFrameId("grasp")
+    for _ in range(50):
+        q = engines.place(engines.random_joints(rng))
+        pin.framesForwardKinematics(engines.model, engines.data, q)
+        expected = engines.data.oMf[frame]
+        state = pybullet.getLinkState(
+            engines.robot,
+            engines.index[GRASP_JOINT],
+            computeForwardKinematics=True,
+            physicsClientId=engines.client,
+        )
+        rotation = np.reshape(pybullet.getMatrixFromQuaternion(state[5]), (3, 3))
+        np.testing.assert_allclose(state[4], expected.translation, atol=1e-6)
+        np.testing.assert_allclose(rotation, expected.rotation, atol=1e-6)
+
+
+def test_mass_matrix_agrees_at_50_configurations(engines: Engines) -> None:
+    """The joints' block; PyBullet stores inertias as principal moments, to 1e-5."""
+    rng = np.random.default_rng(1)
+    columns = [engines.velocity_index(name) for name in engines.moving]
+    for _ in range(50):
+        joints = engines.random_joints(rng)
+        q = engines.place(joints)
+        crba = pin.crba(engines.model, engines.data, q)
+        expected = crba[np.ix_(columns, columns)]
+        positions = [joints[name] for name in engines.moving]
+        full = pybullet.calculateMassMatrix(
+            engines.robot, positions, physicsClientId=engines.client
+        )
+        actual = np.array(full)[-len(columns) :, -len(columns) :]
+        np.testing.assert_allclose(actual, expected, atol=2e-4)
+
+
+def test_gravity_torque_agrees_at_50_configurations(engines: Engines) -> None:
+    rng = np.random.default_rng(2)
+    pybullet.setGravity(0, 0, -9.81, physicsClientId=engines.client)
+    for _ in range(50):
+        joints = engines.random_joints(rng)
+        q = engines.place(joints)
+        nothing = np.zeros(engines.model.nv)
+        expected = pin.rnea(engines.model, engines.data, q, nothing, nothing)
+        position, quaternion = pybullet.getBasePositionAndOrientation(
+            engines.robot, physicsClientId=engines.client
+        )
+        positions = [joints[name] for name in engines.moving]
+        zeros = [0.0] * (6 + len(positions))
+        torque = pybullet.calculateInverseDynamics(
+            engines.robot,
+            [*position, *quaternion, *positions],
+            zeros,
+            zeros,
+            physicsClientId=engines.client,
+        )
+        for name, value in zip(engines.moving, torque[6:], strict=True):
+            at = engines.velocity_index(name)
+            assert value == pytest.approx(expected[at], abs=1e-3), name
+
+
+def test_initial_posture_puts_the_hand_where_the_design_says() -> None:
+    robot = RobotConfig()
+    q = np.array([0, 0, 1, 0, *robot.initial_joints], dtype=float)
+    terms = RobotModel(robot).evaluate(RobotState(q, np.zeros(10)))
+    np.testing.assert_allclose(terms.position_w, (0.647, 0.100, 0.585), atol=2e-3)
+
+
+def test_base_inertia_follows_the_config() -> None:
+    heavy = RobotConfig(base_mass=164.0, base_com_b=(0.05, 0.0, 0.15))
+    model = pin.buildModelFromXML(urdf_xml(heavy), pin.JointModelFreeFlyer())
+    light = pin.buildModelFromXML(urdf_xml(RobotConfig()), pin.JointModelFreeFlyer())
+    added = pin.computeTotalMass(model) - pin.computeTotalMass(light)
+    assert added == pytest.approx(82.0)
+
+
+def test_jacobian_is_the_derivative_of_the_hand_position() -> None:
+    rng = np.random.default_rng(3)
+    robot = RobotConfig()
+    model = RobotModel(robot)
+    for _ in range(10):
+        yaw = rng.uniform(-3, 3)
+        joints = np.array(robot.initial_joints) + rng.normal(0, 0.3, 7)
+        v = np.zeros(10)
+        v[ACTUATED] = rng.normal(size=9)
+        step = 1e-6
+
+        def at(
+            time: float, yaw: float, joints: np.ndarray, v: np.ndarray
+        ) -> RobotState:
+            turned = yaw + time * v[2]
+            # Midpoint heading: exact to second order for a base that turns.
+            middle = yaw + time * v[2] / 2
+            x, y = time * v[0] * np.cos(middle), time * v[0] * np.sin(middle)
+            q = np.array(
+                [x, y, np.cos(turned), np.sin(turned), *(joints + time * v[3:])]
+            )
+            return RobotState(q, v)
+
+        here = model.evaluate(at(0.0, yaw, joints, v))
+        velocity, jacobian = here.velocity_w.copy(), here.jacobian.copy()
+        bias = here.bias_acceleration.copy()
+        ahead = model.evaluate(at(step, yaw, joints, v))
+        position_ahead, velocity_ahead = (
+            ahead.position_w.copy(),
+            ahead.velocity_w.copy(),
+        )
+        behind = model.evaluate(at(-step, yaw, joints, v))
+        numeric = (position_ahead - behind.position_w) / (2 * step)
+        acceleration = (velocity_ahead - behind.velocity_w) / (2 * step)
+        np.testing.assert_allclose(jacobian @ v, velocity, atol=1e-12)
+        np.testing.assert_allclose(velocity[:3], numeric, atol=1e-7)
+        # v is constant along the path, so all acceleration is the bias Jdot v.
+        np.testing.assert_allclose(bias, acceleration, atol=1e-6)
+
+
+def test_support_margin_is_the_distance_to_the_nearest_edge() -> None:
+    assert support_margin(np.array([-0.27 + 0.05, 0.0])) == pytest.approx(0.05)
+    assert support_margin(np.array([-0.27 - 0.05, 0.0])) == pytest.approx(-0.05)
+    for corner in SUPPORT_B:
+        assert support_margin(corner) == pytest.approx(0.0, abs=1e-12)
