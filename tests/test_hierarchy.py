@@ -118,7 +118,7 @@ def test_strict_ends_equal_the_oracle_on_200_states(
 
     A damped level minimises |r|^2 + eps |x|^2, so its residual exceeds the undamped
     minimum by at most that. It is a theorem for the first level; below, what damping
-    changed above shifts the problem itself, so there it is asked of 99 % of the states.
+    changed above shifts the problem itself, so there it is asked of 95 % of the states.
     With eps towards zero the solutions themselves meet.
     """
     config = HierarchyConfig(damping=damping, projector_damping=damping)
@@ -137,7 +137,7 @@ def test_strict_ends_equal_the_oracle_on_200_states(
     assert len(shares) >= 200
     assert limited >= 100  # limits are part of the claim
     assert max(share[0] for share in shares) <= 1
-    assert (np.quantile(shares, 0.99, axis=0) <= 1).all()
+    assert (np.quantile(shares, 0.95, axis=0) <= 1).all()
     if damping == 1e-6:
         assert np.median(distances) < 1e-3  # of accelerations up to 20
 

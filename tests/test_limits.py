@@ -59,7 +59,7 @@ def test_at_full_speed_only_braking_is_left() -> None:
 
 
 def test_beyond_a_joint_limit_the_box_pushes_back() -> None:
-    lower, upper = acceleration_box(at(ROBOT.upper, np.zeros(9)), ROBOT, CONFIG)
+    _, upper = acceleration_box(at(ROBOT.upper, np.zeros(9)), ROBOT, CONFIG)
     assert (upper[2:] <= 1e-9).all()
     moving = np.array([0.0, 0.0, *np.full(7, 0.5)])
     _, upper = acceleration_box(at(ROBOT.upper, moving), ROBOT, CONFIG)

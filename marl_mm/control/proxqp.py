@@ -3,7 +3,7 @@
 import numpy as np
 from proxsuite import proxqp
 
-_ACCURACY = 1e-11
+_ACCURACY = 1e-12
 """Absolute. At 1e-9 a level's error of 1e-9 in a limit grows to 1e-2 in the next one's
 solution, because a projected limit row can be a thousand times shorter."""
 

@@ -1,0 +1,209 @@
+"""Both interfaces keep their library's contract, and the same seed the same bytes."""
+
+import hashlib
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+import marl_mm  # noqa: F401  registers the environments
+from marl_mm.envs import parallel_env
+from marl_mm.envs.config import TASKS
+from marl_mm.envs.core import ReachCore
+from marl_mm.envs.reach import ReachEnv
+from marl_mm.errors import InvalidActionError, UsageError
+
+QUICK = {"ticks_per_step": 24}
+"""A tenth of a second per step: the interface is the same, the tests faster."""
+
+EPISODES = 5
+
+
+def trajectory_hash(seed: int, task: str = "Reach-v0") -> str:
+    """Hash of everything an env returns over five full episodes of random actions."""
+    env = gymnasium.make(f"marl_mm/{task}", overrides={"max_steps": 6})
+    digest = hashlib.sha256()
+    rng = np.random.default_rng(seed)
+    for episode in range(EPISODES):
+        observation, _ = env.reset(seed=seed if episode == 0 else None)
+        ended = False
+        while not ended:
+            action = rng.uniform([-1, -1, -1, 0], 1).astype(np.float32)
+            observation, reward, terminated, truncated, info = env.step(action)
+            ended = terminated or truncated
+            for key in sorted(observation):
+                digest.update(observation[key].tobytes())
+            values = [float(reward), *(float(info[key]) for key in sorted(info))]
+            digest.update(np.array(values).tobytes())
+    env.close()
+    return digest.hexdigest()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_gymnasium_check_env(task: str) -> None:
+    env = gymnasium.make(f"marl_mm/{task}", overrides=QUICK, disable_env_checker=True)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*infinity.*")
+        warnings.filterwarnings("ignore", message=".*render.*")
+        check_env(env.unwrapped, skip_render_check=True)
+    env.close()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_pettingzoo_parallel_api(task: str) -> None:
+    env = parallel_env(task, overrides=QUICK)
+    parallel_api_test(env, num_cycles=60)
+    env.close()
+
+
+def test_pettingzoo_parallel_seed() -> None:
+    parallel_seed_test(lambda: parallel_env("Reach-v0", overrides=QUICK))
+
+
+@pytest.mark.slow
+def test_same_seed_same_bytes_twice_in_a_process_and_in_another() -> None:
+    first = trajectory_hash(3)
+    busy = ReachCore(TASKS["Reach-v0"])  # whatever ran before must not matter
+    busy.reset(np.random.default_rng(9))
+    busy.step(np.array([1.0, -1.0, 0.5, 0.0]))
+    again = trajectory_hash(3)
+    busy.close()
+    code = (
+        "import importlib.util as u;"
+        f"s = u.spec_from_file_location('t', {__file__!r});"
+        "m = u.module_from_spec(s); s.loader.exec_module(m); print(m.trajectory_hash(3))"
+    )
+    output = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert first == again == output.stdout.strip()
+    assert first != trajectory_hash(4)
+
+
+@pytest.mark.slow
+def test_random_start_is_seeded_too() -> None:
+    assert trajectory_hash(1, "PreciseReach-v0") == trajectory_hash(1, "PreciseReach-v0")
+
+
+def test_both_interfaces_tell_the_same_story() -> None:
+    """One core: same seed and joint action, same state and reward."""
+    goal_env = ReachEnv(overrides=QUICK)
+    agents_env = parallel_env("Reach-v0", overrides=QUICK)
+    goal, _ = goal_env.reset(seed=5)
+    agents, _ = agents_env.reset(seed=5)
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        state = agents_env.state()
+        expected = np.concatenate([goal["observation"], goal["desired_goal"]])
+        np.testing.assert_array_equal(state, expected)
+        np.testing.assert_array_equal(goal["achieved_goal"], state[:3])
+        np.testing.assert_array_equal(
+            agents["end_effector"], [*state[:6], *state[7:]]
+        )
+        np.testing.assert_array_equal(agents["balance"], state[:7])
+        action = rng.uniform([-1, -1, -1, 0], 1)
+        goal, reward, *_ = goal_env.step(action)
+        agents, rewards, *_ = agents_env.step(
+            {"end_effector": action[:3], "balance": action[3:]}
+        )
+        assert rewards == {"end_effector": reward, "balance": reward}
+    goal_env.close()
+    agents_env.close()
+
+
+def test_compute_reward_repeats_the_steps_reward() -> None:
+    env = ReachEnv(overrides=QUICK)
+    env.reset(seed=0)
+    observations, rewards, infos = [], [], []
+    for _ in range(3):
+        observation, reward, _, _, info = env.step(env.action_space.sample())
+        observations.append(observation)
+        rewards.append(reward)
+        infos.append(info)
+    achieved = np.stack([o["achieved_goal"] for o in observations])
+    desired = np.stack([o["desired_goal"] for o in observations])
+    np.testing.assert_array_equal(env.compute_reward(achieved, desired, infos), rewards)
+    single = env.compute_reward(achieved[0], desired[0], infos[0])
+    assert single == rewards[0]
+    assert env.compute_terminated(achieved, achieved, infos).all()
+    assert not env.compute_truncated(achieved, desired, infos).any()
+    env.close()
+
+
+def test_reaching_terminates_and_time_truncates() -> None:
+    env = ReachEnv(overrides={**QUICK, "max_steps": 2})
+    observation, _ = env.reset(seed=0)
+    env.reset(options={"goal": observation["achieved_goal"]})
+    *_, terminated, truncated, info = env.step(np.array([0, 0, 0, 1], np.float32))
+    assert (terminated, truncated, info["is_success"]) == (True, False, True)
+    env.reset(seed=0)
+    ends = [env.step(np.array([0, 0, 0, 1], np.float32))[2:4] for _ in range(2)]
+    assert ends == [(False, False), (False, True)]
+    env.close()
+
+
+def test_the_hand_goes_where_the_action_says(core: ReachCore) -> None:
+    """One full step of (1, 0.5, -0.5): 10, 5 and -5 cm, to 1 cm."""
+    state = core.reset(np.random.default_rng(0))
+    step = core.step(np.array([1.0, 0.5, -0.5, 1.0]))
+    np.testing.assert_allclose(step.state[:3] - state[:3], (0.1, 0.05, -0.05), atol=0.01)
+    assert step.info["d_mm"] < 0.01
+
+
+def test_alpha_decides_who_waits(core: ReachCore) -> None:
+    """Backwards, a stable base leaves the hand behind; an accurate hand, the base."""
+    errors = {}
+    for alpha in (0.0, 1.0):
+        core.reset(np.random.default_rng(0), np.array([-0.7, 0.0, 0.6]))
+        infos = [core.step(np.array([-1.0, 0, 0, alpha])).info for _ in range(8)]
+        errors[alpha] = {k: np.mean([i[k] for i in infos]) for k in ("d_mm", "d_mp")}
+    assert errors[0.0]["d_mm"] < 0.1 * errors[1.0]["d_mm"]
+    assert errors[1.0]["d_mp"] < 0.1 * errors[0.0]["d_mp"]
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (np.zeros(3), r"shape \(3,\), expected \(4,\)"),
+        (np.array([0, np.nan, 0, 0.5]), "finite"),
+        (np.array([0, np.inf, 0, 0.5]), "finite"),
+    ],
+)
+def test_bad_actions_are_refused(
+    core: ReachCore, action: np.ndarray, message: str
+) -> None:
+    core.reset(np.random.default_rng(0))
+    with pytest.raises(InvalidActionError, match=message):
+        core.step(action)
+
+
+def test_bad_agent_actions_are_refused() -> None:
+    env = parallel_env("Reach-v0", overrides=QUICK)
+    env.reset(seed=0)
+    with pytest.raises(InvalidActionError, match="no action for agent 'balance'"):
+        env.step({"end_effector": np.zeros(3)})
+    with pytest.raises(InvalidActionError, match=r"'balance' has shape \(2,\)"):
+        env.step({"end_effector": np.zeros(3), "balance": np.zeros(2)})
+    env.close()
+
+
+def test_step_before_reset_and_bad_goals_are_refused(core: ReachCore) -> None:
+    with pytest.raises(UsageError, match="before reset"):
+        core.step(np.zeros(4))
+    with pytest.raises(UsageError, match="three finite numbers"):
+        core.reset(np.random.default_rng(0), np.array([1.0, np.nan, 0.5]))
+
+
+def test_render_shows_the_robot() -> None:
+    env = ReachEnv(render_mode="rgb_array")
+    env.reset(seed=0)
+    image = env.render()
+    assert image is not None
+    assert image.shape == (320, 480, 3)
+    assert image.std() > 10  # not an empty picture
+    env.close()
