@@ -24,7 +24,7 @@ from marl_mm.layout import ACTION_HIGH, ACTION_LOW, AGENTS, AgentLayout
 class MabcConfig:
     """Hyper-parameters; the paper's where it names them (Table 3)."""
 
-    updates: int = 6_000
+    updates: int = 8_000
     """Gradient steps per actor; the paper's 100,000 gain nothing on its small sets."""
 
     batch_size: int = 256

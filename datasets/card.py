@@ -19,7 +19,7 @@ def card(dataset: Dataset) -> dict[str, Any]:
     alphas = np.concatenate([episode.actions[:, ALPHA] for episode in episodes])
     histogram, _ = np.histogram(alphas, bins=_ALPHA_BINS, range=(0.0, 1.0))
     return {
-        "id": dataset.location.id,
+        "id": dataset.metadata["dataset_id"],
         "path": str(dataset.location.folder),
         "task": ours.get("task"),
         "collector": ours.get("collector"),

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from marl_mm.eval.evaluate import Evaluation
@@ -59,8 +60,11 @@ def evaluation_markdown(evaluations: Sequence[Evaluation]) -> str:
 
 
 def evaluation_table(evaluations: Sequence[Evaluation]) -> Table:
-    """Evaluations as a table for the terminal."""
-    table = Table(*HEADER)
+    """Evaluations as a table for a terminal of 80 columns."""
+    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False)
+    for column, name in enumerate(HEADER):
+        short = name.split(" [")[0]
+        table.add_column(short, justify="left" if column < 2 else "right", no_wrap=True)
     for row in table_rows(evaluations):
         table.add_row(*row, end_section=row[1].endswith(_DIRECTIONS[-1]))
     return table

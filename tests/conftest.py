@@ -14,6 +14,7 @@ from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
 
+MakeEpisode = Callable[..., Episode]
 Situation = tuple[RobotState, ModelTerms, Reference]
 
 
@@ -64,7 +65,7 @@ def short_task() -> ReachConfig:
     return reach_config("Reach-v0", {"ticks_per_step": 24, "max_steps": 4})
 
 
-def make_episode(index: int, steps: int = 3, success: bool = True) -> Episode:
+def build_episode(index: int, steps: int = 3, success: bool = True) -> Episode:
     rng = np.random.default_rng(index)
     ends = np.arange(steps) == steps - 1
     goal_x = 1.2 if index % 2 else -0.6
@@ -83,9 +84,15 @@ def make_episode(index: int, steps: int = 3, success: bool = True) -> Episode:
     )
 
 
+@pytest.fixture(scope="session")
+def make_episode() -> MakeEpisode:
+    """Builds an episode of random numbers: index, steps, success."""
+    return build_episode
+
+
 @pytest.fixture
 def episodes() -> list[Episode]:
-    return [make_episode(i, steps=3 + i % 3, success=i != 2) for i in range(6)]
+    return [build_episode(i, steps=3 + i % 3, success=i != 2) for i in range(6)]
 
 
 @pytest.fixture

@@ -76,7 +76,8 @@ def test_same_seed_same_bytes_twice_in_a_process_and_in_another() -> None:
     code = (
         "import importlib.util as u;"
         f"s = u.spec_from_file_location('t', {__file__!r});"
-        "m = u.module_from_spec(s); s.loader.exec_module(m); print(m.trajectory_hash(3))"
+        "m = u.module_from_spec(s); s.loader.exec_module(m);"
+        "print(m.trajectory_hash(3))"
     )
     output = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
@@ -87,7 +88,9 @@ def test_same_seed_same_bytes_twice_in_a_process_and_in_another() -> None:
 
 @pytest.mark.slow
 def test_random_start_is_seeded_too() -> None:
-    assert trajectory_hash(1, "PreciseReach-v0") == trajectory_hash(1, "PreciseReach-v0")
+    assert trajectory_hash(1, "PreciseReach-v0") == trajectory_hash(
+        1, "PreciseReach-v0"
+    )
 
 
 def test_both_interfaces_tell_the_same_story() -> None:
@@ -102,9 +105,7 @@ def test_both_interfaces_tell_the_same_story() -> None:
         expected = np.concatenate([goal["observation"], goal["desired_goal"]])
         np.testing.assert_array_equal(state, expected)
         np.testing.assert_array_equal(goal["achieved_goal"], state[:3])
-        np.testing.assert_array_equal(
-            agents["end_effector"], [*state[:6], *state[7:]]
-        )
+        np.testing.assert_array_equal(agents["end_effector"], [*state[:6], *state[7:]])
         np.testing.assert_array_equal(agents["balance"], state[:7])
         action = rng.uniform([-1, -1, -1, 0], 1)
         goal, reward, *_ = goal_env.step(action)
@@ -151,7 +152,9 @@ def test_the_hand_goes_where_the_action_says(core: ReachCore) -> None:
     """One full step of (1, 0.5, -0.5): 10, 5 and -5 cm, to 1 cm."""
     state = core.reset(np.random.default_rng(0))
     step = core.step(np.array([1.0, 0.5, -0.5, 1.0]))
-    np.testing.assert_allclose(step.state[:3] - state[:3], (0.1, 0.05, -0.05), atol=0.01)
+    np.testing.assert_allclose(
+        step.state[:3] - state[:3], (0.1, 0.05, -0.05), atol=0.01
+    )
     assert step.info["d_mm"] < 0.01
 
 

@@ -46,7 +46,7 @@ class Engines:
 
     def place(self, joints: dict[str, float]) -> np.ndarray:
         """Set the joints in PyBullet and return Pinocchio's configuration."""
-        q = pin.neutral(self.model)
+        q: np.ndarray = pin.neutral(self.model)
         for name, value in joints.items():
             pybullet.resetJointState(
                 self.robot, self.index[name], value, physicsClientId=self.client

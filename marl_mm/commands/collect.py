@@ -117,7 +117,7 @@ def collect_dataset(
     check_seed(seed)
     refuse_existing(location.folder, overwrite)
     collector = make_collector(policy)
-    overrides = {"max_steps": max_steps or collector.max_steps}
+    overrides = {"max_steps": collector.max_steps if max_steps is None else max_steps}
     check_positive(**overrides)
     config = reach_config(task, overrides)
     with progress_bar(f"collect {policy.name}", steps) as advance:

@@ -54,7 +54,7 @@ class Size:
     episodes: int
 
 
-FULL = Size(steps=1_500, updates=6_000, episodes=100)
+FULL = Size(steps=1_500, updates=8_000, episodes=100)
 SMALL = Size(steps=400, updates=2_000, episodes=20)
 
 

@@ -1,0 +1,277 @@
+"""The command line as a user meets it: one clear line and the right exit code."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+
+import marl_mm  # noqa: F401  registers the environments
+from marl_mm.cli import COMMANDS, main
+from marl_mm.datasets.location import locate
+from marl_mm.datasets.storage import write_dataset
+from marl_mm.episode import Episode
+
+ID = "marl_mm/reach/test-v0"
+DESCRIPTION = {
+    "task": "Reach-v0",
+    "collector": "pd",
+    "seed": 0,
+    "complete": True,
+    "attempts": 6,
+}
+
+Output = pytest.CaptureFixture[str]
+
+
+def run(*arguments: str) -> int:
+    """Exit code of the command, as the shell would see it."""
+    try:
+        return main(arguments)
+    except SystemExit as end:  # from the parser of options
+        return int(end.code or 0)
+
+
+@pytest.fixture
+def dataset(datasets_home: Path, episodes: list[Episode]) -> Path:
+    spec = gymnasium.spec("marl_mm/Reach-v0")
+    write_dataset(locate(ID), episodes, spec, DESCRIPTION)
+    return datasets_home / ID
+
+
+@pytest.fixture
+def run_folder(dataset: Path, tmp_path: Path) -> Path:
+    out = tmp_path / "runs"
+    arguments = ["--updates", "100", "--curve-every", "100", "--curve-episodes", "1"]
+    assert run("train", "mabc", "--dataset", ID, "--out", str(out), *arguments,
+               "--eval-episodes", "2", "--workers", "1") == 0  # fmt: skip
+    return out / "0"
+
+
+def one_line(output: Output) -> str:
+    """The only line on stderr."""
+    captured = output.readouterr()
+    lines = captured.err.strip().splitlines()
+    assert len(lines) == 1, captured.err
+    assert lines[0].startswith("marl-mm: ")
+    return lines[0]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help(name: str, capsys: Output) -> None:
+    assert run(name, "--help") == 0
+    assert "usage: marl-mm " + name in capsys.readouterr().out
+
+
+def test_help_and_version_come_without_heavy_imports() -> None:
+    code = (
+        "import sys; from marl_mm.cli import main; main(['--help']);"
+        "assert not {'torch', 'pybullet', 'pinocchio', 'numba'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
+
+
+def test_no_command_is_a_usage_error(capsys: Output) -> None:
+    assert run() == 2
+    assert "quickstart" in capsys.readouterr().out
+
+
+def test_unknown_commands_are_named(capsys: Output) -> None:
+    assert run("fly") == 2
+    assert "unknown command 'fly', expected one of quickstart" in one_line(capsys)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["collect", "pd", "--steps=-5"], "--steps is -5, expected >= 1"),
+        (["collect", "pd", "--steps", "-5"], "--steps is -5, expected >= 1"),
+        (["collect", "random", "--workers", "0"], "--workers is 0"),
+        (["collect", "random", "--seed", "-1"], "the seed is -1"),
+        (["collect", "pd", "--max-steps", "0"], "--max-steps is 0"),
+        (["collect", "pd", "--alpha", "1.5"], "alpha is 1.5, expected a number in"),
+        (["collect", "pd", "--task", "Fly-v0"], "unknown task 'Fly-v0', expected one"),
+        (["eval", "nowhere"], "no policy 'nowhere': expected pd, random, a run folder"),
+        (["eval", "pd", "--episodes", "0"], "--episodes is 0"),
+        (["play", "pd", "--video", "x.avi"], ".mp4 or .gif"),
+        (["bench", "control", "--steps", "-1"], "--steps is -1"),
+        (["quickstart", "--workers", "-1"], "--workers is -1"),
+        (["datasets", "show", "marl_mm/reach/no-v0"], "no dataset"),
+        (["train", "mabc", "--dataset", "marl_mm/reach/no-v0"], "no dataset"),
+    ],
+)
+def test_usage_errors_are_one_line_and_exit_2(
+    arguments: list[str], message: str, capsys: Output, datasets_home: Path
+) -> None:
+    assert run(*arguments) == 2
+    assert message in one_line(capsys)
+
+
+def test_unknown_options_exit_2(capsys: Output) -> None:
+    assert run("collect", "pd", "--stpes", "5") == 2
+    assert "--stpes" in capsys.readouterr().err
+
+
+def test_an_unknown_dataset_lists_the_known(dataset: Path, capsys: Output) -> None:
+    assert run("train", "mabc", "--dataset", "marl_mm/reach/no-v0") == 2
+    assert ID in one_line(capsys)
+
+
+def test_a_truncated_dataset_fails_with_1(dataset: Path, capsys: Output) -> None:
+    path = dataset / "data" / "main_data.hdf5"
+    path.write_bytes(path.read_bytes()[:1000])
+    assert run("train", "mabc", "--dataset", ID) == 1
+    assert "main_data.hdf5 is damaged" in one_line(capsys)
+    assert run("datasets", "show", ID) == 1
+    assert "--overwrite" in one_line(capsys)
+
+
+def test_nothing_is_overwritten_unasked(
+    dataset: Path, tmp_path: Path, capsys: Output
+) -> None:
+    content = (dataset / "data" / "main_data.hdf5").read_bytes()
+    assert run("collect", "random", "--steps", "5", "--dataset", ID) == 2
+    assert "--overwrite" in one_line(capsys)
+    assert (dataset / "data" / "main_data.hdf5").read_bytes() == content
+    for arguments in (
+        ["quickstart", "--out", str(tmp_path)],
+        ["eval", "pd", "--out", str(dataset / "data" / "metadata.json")],
+    ):
+        assert run(*arguments) == 2
+        assert "exists already" in one_line(capsys)
+    film = tmp_path / "film.mp4"
+    film.write_text("mine")
+    assert run("play", "pd", "--video", str(film)) == 2
+    assert "exists already" in one_line(capsys)
+    assert film.read_text() == "mine"
+
+
+def test_datasets_list_and_show(dataset: Path, capsys: Output) -> None:
+    assert run("datasets", "list", "--json") == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [(row["id"], row["episodes"]) for row in rows] == [(ID, 6)]
+    assert run("datasets", "show", ID, "--json") == 0
+    card = json.loads(capsys.readouterr().out)
+    assert card["steps"] == rows[0]["steps"]
+    assert card["success"]["backward"] == {"episodes": 3, "rate": 2 / 3}
+    assert sum(card["alpha_histogram"]) == card["steps"]
+    assert run("datasets", "list") == 0
+    assert run("datasets", "show", ID) == 0
+
+
+def test_no_datasets_says_how_to_make_one(datasets_home: Path, capsys: Output) -> None:
+    assert run("datasets", "list") == 0
+    assert "marl-mm collect pd" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_collect_writes_what_it_says(datasets_home: Path, capsys: Output) -> None:
+    arguments = ["--steps", "20", "--workers", "1", "--seed", "3", "--json"]
+    assert run("collect", "pd", *arguments) == 0
+    card = json.loads(capsys.readouterr().out)
+    assert card["id"] == "marl_mm/reach/pd-v0"
+    assert card["steps"] >= 20
+    assert card["seed"] == 3
+    assert card["success"]["forward"]["rate"] in (1.0, None)
+
+
+@pytest.mark.slow
+def test_a_run_is_a_folder(run_folder: Path, capsys: Output) -> None:
+    names = {path.name for path in run_folder.iterdir()}
+    files = {"config.json", "metrics.jsonl", "eval.json", "checkpoint.pt"}
+    assert names == files | {"learning_curve.png"}
+    evaluation = json.loads((run_folder / "eval.json").read_text())
+    assert len(evaluation["episodes"]) == 2
+    assert 0 <= evaluation["success_rate"] <= 1
+    assert len(evaluation["interval"]) == 2
+    config = json.loads((run_folder / "config.json").read_text())
+    assert config["algorithm"] == "mabc"
+    assert config["updates"] == 100
+
+
+@pytest.mark.slow
+def test_train_refuses_and_resumes(run_folder: Path, capsys: Output) -> None:
+    out = str(run_folder.parent)
+    base = ["train", "mabc", "--dataset", ID, "--out", out, "--eval-episodes", "2"]
+    capsys.readouterr()
+    assert run(*base) == 2
+    assert "exists already" in one_line(capsys)
+    assert run(*base, "--resume", "--updates", "200") == 1
+    assert "was trained with updates = 100, got 200" in one_line(capsys)
+    options = ["--updates", "100", "--workers", "1", "--curve-episodes", "1"]
+    assert run(*base, "--resume", *options) == 0
+    assert run(*base, "--resume", "--seeds", "7") == 2
+    assert "no checkpoint in" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_checkpoint_of_another_algorithm_fails_with_1(
+    run_folder: Path, capsys: Output
+) -> None:
+    capsys.readouterr()
+    path = run_folder / "checkpoint.pt"
+    checkpoint = torch.load(path, weights_only=True)
+    torch.save({**checkpoint, "algorithm": "td3-bc"}, path)
+    assert run("eval", str(run_folder)) == 1
+    assert "'td3-bc', expected 'mabc'" in one_line(capsys)
+    path.write_bytes(b"not a checkpoint")
+    assert run("play", str(run_folder)) == 1
+    assert "is damaged" in one_line(capsys)
+
+
+@pytest.mark.slow
+def test_eval_compares_policies_on_the_same_goals(
+    run_folder: Path, tmp_path: Path, capsys: Output
+) -> None:
+    capsys.readouterr()
+    out = tmp_path / "eval.json"
+    arguments = ["--episodes", "2", "--workers", "1", "--max-steps", "3", "--json"]
+    assert run("eval", str(run_folder), "pd", *arguments, "--out", str(out)) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads(out.read_text())
+    learned, pd = printed
+    goals = [[row["goal"] for row in one["episodes"]] for one in (learned, pd)]
+    assert goals[0] == goals[1]
+    assert max(row["steps"] for row in pd["episodes"]) == 3
+
+
+@pytest.mark.slow
+def test_play_writes_a_film(tmp_path: Path, capsys: Output) -> None:
+    film = tmp_path / "film.mp4"
+    options = ["--fps", "2", "--camera.width", "96", "--camera.height", "64"]
+    assert run("play", "pd", "--video", str(film), "--max-steps", "2", *options) == 0
+    assert film.stat().st_size > 1000
+    assert "did not reach the goal in 2 steps" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_bench_prints_its_ratios(capsys: Output) -> None:
+    assert run("bench", "control", "--steps", "2", "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    for key in (
+        "controller_over_simulation",
+        "tick_over_simulation",
+        "env_steps_per_second",
+    ):
+        assert np.isfinite(result[key]) and result[key] > 0
+    assert result["tick_us"] > result["controller_us"]
+
+
+@pytest.mark.slow
+def test_stdout_of_json_is_nothing_but_json(datasets_home: Path) -> None:
+    """Across the process border, where PyBullet's greetings would show."""
+    arguments = ["--episodes", "2", "--workers", "2", "--max-steps", "1", "--json"]
+    output = subprocess.run(
+        [sys.executable, "-m", "marl_mm.cli", "eval", "random", *arguments],
+        env={**os.environ, "MINARI_DATASETS_PATH": str(datasets_home)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert json.loads(output.stdout)[0]["policy"] == "random"
+    assert "pybullet" not in output.stderr

@@ -1,0 +1,204 @@
+"""Collections depend on their seed alone: not on workers, not on interruptions."""
+
+import os
+import pty
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from marl_mm.collectors.collect import Collector, collect, make_collector
+from marl_mm.collectors.pd import PdConfig, PdPolicy
+from marl_mm.collectors.random import RandomConfig, RandomPolicy
+from marl_mm.datasets.dataset import load_dataset
+from marl_mm.envs.config import ReachConfig, reach_config
+from marl_mm.envs.reach import ReachEnv
+from marl_mm.envs.rollout import episode_seed
+from marl_mm.episode import Episode
+from marl_mm.errors import MarlMmError, UsageError
+
+
+def same(one: list[Episode], other: list[Episode]) -> bool:
+    """Byte-equal arrays and equal seeds."""
+    if len(one) != len(other):
+        return False
+    return all(
+        a.states.tobytes() == b.states.tobytes()
+        and a.actions.tobytes() == b.actions.tobytes()
+        and a.rewards.tobytes() == b.rewards.tobytes()
+        and all(a.info[key].tobytes() == b.info[key].tobytes() for key in a.info)
+        and (a.seed, a.index) == (b.seed, b.index)
+        for a, b in zip(one, other, strict=True)
+    )
+
+
+@pytest.mark.slow
+def test_one_and_two_workers_give_equal_bytes(short_task: ReachConfig) -> None:
+    collector = make_collector(RandomConfig())
+    one = collect(collector, short_task, 60, seed=5, workers=1)
+    two = collect(collector, short_task, 60, seed=5, workers=2)
+    assert same(one.episodes, two.episodes)
+    assert one.attempts == two.attempts
+    other = collect(collector, short_task, 60, seed=6)
+    assert not same(one.episodes, other.episodes)
+
+
+def test_a_dataset_is_the_shortest_run_of_whole_episodes(
+    short_task: ReachConfig,
+) -> None:
+    collector = make_collector(RandomConfig())
+    collection = collect(collector, short_task, 10, seed=0)
+    lengths = [len(episode) for episode in collection.episodes]
+    assert sum(lengths) >= 10 > sum(lengths[:-1])
+    assert collection.complete
+
+
+def test_a_longer_dataset_begins_with_the_shorter(short_task: ReachConfig) -> None:
+    collector = make_collector(RandomConfig())
+    short = collect(collector, short_task, 8, seed=0).episodes
+    long = collect(collector, short_task, 16, seed=0).episodes
+    assert same(short, long[: len(short)])
+
+
+@pytest.mark.slow
+def test_pd_keeps_successes_and_they_can_be_replayed() -> None:
+    task = reach_config("Reach-v0", {"max_steps": 50})
+    collection = collect(make_collector(PdConfig()), task, 30, seed=1)
+    env = ReachEnv(overrides={"max_steps": 50})
+    for episode in collection.episodes:
+        assert episode.success
+        observation, _ = env.reset(seed=episode.seed)
+        for t, action in enumerate(episode.actions):
+            np.testing.assert_array_equal(
+                observation["observation"], episode.states[t, :7]
+            )
+            observation, reward, terminated, truncated, _ = env.step(action)
+            assert reward == episode.rewards[t]
+            assert (terminated, truncated) == (
+                episode.terminated[t],
+                episode.truncated[t],
+            )
+        np.testing.assert_array_equal(
+            observation["achieved_goal"], episode.states[-1, :3]
+        )
+    env.close()
+
+
+def test_episode_seeds_are_distinct_and_stable() -> None:
+    seeds = {episode_seed(s, i) for s in range(10) for i in range(100)}
+    assert len(seeds) == 1000
+    assert episode_seed(0, 0) == 3757552657  # datasets of all versions rely on it
+
+
+def test_a_hopeless_collector_gives_up(short_task: ReachConfig) -> None:
+    hopeless = Collector(PdPolicy(PdConfig()), lambda episode: False, 4)
+    with pytest.raises(MarlMmError, match="reached no goal in 200 episodes"):
+        collect(
+            hopeless,
+            reach_config("Reach-v0", {"ticks_per_step": 1, "max_steps": 1}),
+            5,
+            0,
+        )
+
+
+@pytest.mark.parametrize(("steps", "seed"), [(0, 0), (-5, 0), (5, -1)])
+def test_bad_numbers_are_refused(
+    short_task: ReachConfig, steps: int, seed: int
+) -> None:
+    with pytest.raises(UsageError, match="expected >= "):
+        collect(make_collector(RandomConfig()), short_task, steps, seed)
+
+
+def test_pd_steers_towards_the_goal_and_stays_in_range() -> None:
+    policy = PdPolicy(PdConfig(kd=0.0))
+    policy.begin(np.random.default_rng(0))
+    state = np.array([0.6, 0.1, 0.6, 0, 0, 0, 1, 1.3, 0.05, 0.7])
+    np.testing.assert_allclose(policy.act(state), [1.0, -0.5, 1.0, 0.75], atol=1e-6)
+
+
+def test_pd_damps_the_hands_speed() -> None:
+    policy = PdPolicy(PdConfig(kp=1.0, kd=2.0))
+    policy.begin(np.random.default_rng(0))
+    state = np.zeros(10)
+    policy.act(state)
+    state = state.copy()
+    state[0] = 0.1
+    np.testing.assert_allclose(policy.act(state)[0], -0.1 - 0.2, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("rule", "ahead", "goal", "expected"),
+    [
+        ("constant", 0.64, 1.2, 0.6),
+        ("direction", 0.64, 1.2, 1.0),
+        ("direction", 0.64, -0.6, 0.6),
+        ("room", 0.70, -0.6, 1.0),
+        ("room", 0.555, -0.6, 0.8),
+        ("room", 0.40, -0.6, 0.6),
+    ],
+)
+def test_alpha_rules(rule: str, ahead: float, goal: float, expected: float) -> None:
+    policy = PdPolicy(PdConfig(alpha_rule=rule, alpha=0.6))  # type: ignore[arg-type]
+    policy.begin(np.random.default_rng(0))
+    state = np.array([ahead, 0, 0.6, 0, 0, 0, 1, goal, 0, 0.6])
+    assert policy.act(state)[3] == pytest.approx(expected)
+
+
+def test_random_actions_fill_the_action_space() -> None:
+    policy = RandomPolicy(RandomConfig())
+    policy.begin(np.random.default_rng(0))
+    actions = np.stack([policy.act(np.zeros(10)) for _ in range(2000)])
+    np.testing.assert_allclose(actions.min(axis=0), [-1, -1, -1, 0], atol=0.01)
+    np.testing.assert_allclose(actions.max(axis=0), [1, 1, 1, 1], atol=0.01)
+
+
+def read_until(terminal: int, text: str | None) -> str:
+    """What a terminal shows until a text comes, or until the other side closes."""
+    shown = ""
+    while text is None or text not in shown:
+        try:
+            part = os.read(terminal, 4096)
+        except OSError:  # Linux's end of file on a terminal
+            break
+        if not part:
+            break
+        shown += part.decode(errors="replace")
+    return shown
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2])
+def test_ctrl_c_leaves_the_episodes_until_then(
+    datasets_home: Path, workers: int
+) -> None:
+    """A real interrupt of the real command: a valid dataset, a prefix of the whole."""
+    arguments = ["collect", "pd", "--steps", "100000", "--seed", "2"]
+    terminal, stderr = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "marl_mm.cli", *arguments, "--workers", str(workers)],
+        env={
+            **os.environ,
+            "MINARI_DATASETS_PATH": str(datasets_home),
+            "COLUMNS": "120",
+        },
+        stdout=subprocess.DEVNULL,
+        stderr=stderr,
+        start_new_session=True,
+    )
+    os.close(stderr)
+    shown = read_until(terminal, "3 episodes")
+    os.killpg(process.pid, signal.SIGINT)
+    shown += read_until(terminal, None)
+    assert process.wait(timeout=60) == 130, shown
+    assert "Traceback" not in shown
+    assert "stopped; the dataset holds the episodes until then" in shown
+    dataset = load_dataset("marl_mm/reach/pd-v0")
+    assert dataset.metadata["marl_mm"]["complete"] is False
+    assert dataset.metadata["total_episodes"] == len(dataset.episodes) > 0
+    task = reach_config("Reach-v0", {"max_steps": 50})
+    again = collect(make_collector(PdConfig()), task, 20, seed=2).episodes
+    count = min(len(again), len(dataset.episodes))
+    assert same(again[:count], dataset.episodes[:count])

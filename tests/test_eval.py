@@ -1,0 +1,148 @@
+"""Evaluation: fixed goals, hand-worked summaries, results independent of workers."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from marl_mm.collectors.pd import PdConfig, PdPolicy
+from marl_mm.collectors.random import RandomConfig, RandomPolicy
+from marl_mm.envs.config import ReachConfig
+from marl_mm.episode import Episode
+from marl_mm.errors import UsageError
+from marl_mm.eval.evaluate import Evaluation, evaluate
+from marl_mm.eval.figures import alpha_over_time, learning_curve
+from marl_mm.eval.goals import goal_set
+from marl_mm.eval.metrics import episode_row, success_interval, summarize_directions
+from marl_mm.eval.tables import evaluation_markdown
+from marl_mm.eval.video import film_episode, film_strip, write_video
+from marl_mm.sim.bullet import Camera
+
+MakeEpisode = Callable[..., Episode]
+QUICK = {"ticks_per_step": 24, "max_steps": 3}
+
+
+def row(direction: str, success: bool, steps: int) -> dict[str, object]:
+    numbers = dict.fromkeys(("return", "d_mm", "d_mp", "base_jerk_rms", "alpha"), 1.0)
+    return {"direction": direction, "success": success, "steps": steps, **numbers}
+
+
+def test_goals_alternate_lie_in_the_paper_s_boxes_and_extend() -> None:
+    config = ReachConfig()
+    plans = goal_set(config, 40, seed=3)
+    goals = np.array([plan.goal_w for plan in plans])
+    ahead, behind = goals[::2], goals[1::2]
+    assert ((ahead[:, 0] > 1.0) & (ahead[:, 0] < 1.5)).all()
+    assert ((behind[:, 0] > -0.8) & (behind[:, 0] < -0.5)).all()
+    assert (np.abs(goals[:, 1]) < 0.2).all()
+    assert ((goals[:, 2] > 0.55) & (goals[:, 2] < 0.8)).all()
+    assert goal_set(config, 10, seed=3) == plans[:10]
+    assert goal_set(config, 10, seed=4) != plans[:10]
+
+
+@pytest.mark.parametrize(
+    ("successes", "episodes", "low", "high"),
+    [(0, 10, 0.0, 0.2775), (5, 10, 0.2366, 0.7634), (100, 100, 0.9630, 1.0)],
+)
+def test_wilson_interval_from_the_textbook(
+    successes: int, episodes: int, low: float, high: float
+) -> None:
+    assert success_interval(successes, episodes) == pytest.approx((low, high), abs=1e-4)
+
+
+def test_summary_by_hand() -> None:
+    rows = [
+        row("forward", True, 6),
+        row("forward", True, 8),
+        row("backward", False, 25),
+        row("backward", True, 16),
+    ]
+    summary = summarize_directions(rows)
+    assert summary["all"]["success_rate"] == 0.75
+    assert summary["all"]["steps_to_success"] == 10
+    assert summary["forward"]["success_rate"] == 1.0
+    assert summary["backward"]["success_rate"] == 0.5
+    assert summary["backward"]["steps_to_success"] == 16
+
+
+def test_no_success_has_no_steps_to_success() -> None:
+    summary = summarize_directions([row("forward", False, 25)])
+    assert summary["all"]["steps_to_success"] is None
+    assert "backward" not in summary
+
+
+def test_row_is_what_the_episode_says(make_episode: MakeEpisode) -> None:
+    episode = make_episode(1, steps=4)
+    values = episode_row(episode)
+    assert values["direction"] == "forward"
+    assert values["steps"] == 4
+    assert values["return"] == pytest.approx(episode.rewards.sum())
+    assert values["zmp_margin"] == episode.info["zmp_margin"].min()
+
+
+@pytest.mark.slow
+def test_workers_do_not_change_an_evaluation() -> None:
+    policy = RandomPolicy(RandomConfig())
+    one = evaluate(policy, 6, seed=1, overrides=QUICK)
+    two = evaluate(policy, 6, seed=1, overrides=QUICK, workers=2)
+    assert one.to_json() == two.to_json()
+    assert one.rows != evaluate(policy, 6, seed=2, overrides=QUICK).rows
+
+
+@pytest.mark.slow
+def test_pd_reaches_goals_that_random_misses() -> None:
+    assert evaluate(PdPolicy(PdConfig()), 4).success_rate == 1.0
+    assert evaluate(RandomPolicy(RandomConfig()), 4).success_rate == 0.0
+
+
+@pytest.mark.parametrize(("episodes", "seed"), [(0, 0), (-1, 0), (1, -1)])
+def test_bad_numbers_are_refused(episodes: int, seed: int) -> None:
+    with pytest.raises(UsageError, match="expected >= "):
+        evaluate(RandomPolicy(RandomConfig()), episodes, seed)
+
+
+def test_markdown_table_has_a_row_per_direction() -> None:
+    rows = [row("forward", True, 6), row("backward", False, 25)]
+    text = evaluation_markdown([Evaluation("pd", "Reach-v0", 0, rows)])
+    lines = text.splitlines()
+    assert len(lines) == 2 + 3
+    assert "| pd | 1 forward | 100.0 [20.7, 100.0] | 6.0 |" in text
+
+
+def test_figures_are_drawn(tmp_path: Path, make_episode: MakeEpisode) -> None:
+    metrics = [
+        {"step": 0, "success/all": 0.0},
+        {"step": 100, "loss/balance": 0.1, "success/all": 0.5},
+    ]
+    learning_curve(metrics, tmp_path / "curve.png")
+    alpha_over_time({"pd": [make_episode(0), make_episode(1)]}, tmp_path / "alpha.png")
+    for name in ("curve.png", "alpha.png"):
+        assert (tmp_path / name).stat().st_size > 5_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["film.mp4", "film.gif"])
+def test_a_film_has_the_frames_of_the_episode(tmp_path: Path, name: str) -> None:
+    import imageio_ffmpeg
+
+    camera = Camera(width=96, height=64)
+    config = ReachConfig(max_steps=2)
+    episode, frames = film_episode(
+        config, PdPolicy(PdConfig()), goal_set(config, 1, 0)[0], camera, fps=8
+    )
+    assert len(episode) == 2
+    assert len(frames) == 2 * 8 + 1
+    assert frames[0].shape == (64, 96, 3)
+    assert np.abs(frames[0].astype(int) - frames[-1]).max() > 0  # it moves
+    write_video(tmp_path / name, frames, 8)
+    count, _ = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / name))
+    assert count == len(frames)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    film_strip(tmp_path / "strip.png", [("pd", [("step 0", frames[0])])])
+    assert (tmp_path / "strip.png").exists()
+
+
+def test_an_unknown_film_format_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"\.mp4 or \.gif"):
+        write_video(tmp_path / "film.avi", [np.zeros((4, 4, 3), np.uint8)], 8)

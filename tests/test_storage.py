@@ -1,0 +1,196 @@
+"""Datasets: read back bit-equal, whole or not at all, clear about damage."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium
+import h5py
+import minari
+import numpy as np
+import pytest
+
+import marl_mm  # noqa: F401  registers the environments
+from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.location import known_ids, locate
+from marl_mm.datasets.storage import read_episodes, write_dataset
+from marl_mm.episode import Episode
+from marl_mm.errors import (
+    DatasetError,
+    OutputExistsError,
+    UnknownDatasetError,
+    UsageError,
+)
+from marl_mm.layout import ACTION, AGENTS, STATE
+
+ID = "marl_mm/reach/test-v0"
+DESCRIPTION = {"task": "Reach-v0", "collector": "pd", "seed": 0, "complete": True}
+
+
+@pytest.fixture
+def written(datasets_home: Path, episodes: list[Episode]) -> Path:
+    write(ID, episodes)
+    return datasets_home / ID
+
+
+def write(name: str, episodes: list[Episode], overwrite: bool = False) -> None:
+    spec = gymnasium.spec("marl_mm/Reach-v0")
+    write_dataset(locate(name), episodes, spec, DESCRIPTION, overwrite)
+
+
+def test_reading_back_is_bit_equal(written: Path, episodes: list[Episode]) -> None:
+    back = load_dataset(ID).episodes
+    assert len(back) == len(episodes)
+    for one, other in zip(episodes, back, strict=True):
+        for name in ("states", "actions", "rewards", "terminated", "truncated"):
+            expected, actual = getattr(one, name), getattr(other, name)
+            assert expected.dtype == actual.dtype
+            np.testing.assert_array_equal(expected, actual)
+        assert one.info.keys() == other.info.keys()
+        for key, values in one.info.items():
+            np.testing.assert_array_equal(values, other.info[key])
+        assert (one.seed, one.index, one.source) == (
+            other.seed,
+            other.index,
+            other.source,
+        )
+
+
+def test_minari_reads_it_without_us(written: Path, episodes: list[Episode]) -> None:
+    dataset = minari.load_dataset(ID)
+    assert dataset.total_episodes == len(episodes)
+    assert dataset.total_steps == sum(map(len, episodes))
+    first = dataset[0]
+    np.testing.assert_array_equal(first.actions, episodes[0].actions)
+    np.testing.assert_array_equal(
+        first.observations["achieved_goal"], episodes[0].states[:, :3]
+    )
+    assert ID in minari.list_local_datasets()
+    env = dataset.recover_environment()
+    assert env.spec is not None
+    assert env.spec.id == "marl_mm/Reach-v0"
+    assert dataset.observation_space == env.observation_space
+    env.close()
+
+
+def test_metadata_says_where_each_agents_entries_are(written: Path) -> None:
+    metadata = json.loads((written / "data" / "metadata.json").read_text())["marl_mm"]
+    assert metadata["state"] == list(STATE)
+    assert metadata["action"] == list(ACTION)
+    assert [agent["name"] for agent in metadata["agents"]] == [a.name for a in AGENTS]
+    assert metadata["agents"][1]["observation"] == list(AGENTS[1].observation)
+    assert "pybullet" in metadata["packages"]
+
+
+def test_joint_view_stacks_the_episodes(written: Path, episodes: list[Episode]) -> None:
+    joint = load_dataset(ID).joint()
+    assert joint.observation.shape == (sum(map(len, episodes)), 10)
+    second = joint.episode == 1
+    np.testing.assert_array_equal(joint.observation[second], episodes[1].states[:-1])
+    np.testing.assert_array_equal(
+        joint.next_observation[second], episodes[1].states[1:]
+    )
+    assert joint.terminated.sum() == sum(e.success for e in episodes)
+    assert joint.truncated.sum() == sum(not e.success for e in episodes)
+
+
+def test_agent_views_together_are_the_joint_action(written: Path) -> None:
+    dataset = load_dataset(ID)
+    agents = dataset.agents()
+    assert list(agents) == ["end_effector", "balance"]
+    joined = np.concatenate([part.action for part in agents.values()], axis=1)
+    np.testing.assert_array_equal(joined, dataset.joint().action)
+    assert agents["end_effector"].observation.shape[1] == 9
+    assert agents["balance"].observation.shape[1] == 7
+
+
+def test_a_path_is_as_good_as_an_id(
+    tmp_path: Path, written: Path, episodes: list[Episode]
+) -> None:
+    write(str(tmp_path / "mine"), episodes)
+    for name in (str(tmp_path / "mine"), str(tmp_path / "mine" / "data"), str(written)):
+        assert len(load_dataset(name).episodes) == len(episodes)
+
+
+def test_an_unknown_id_lists_the_known(written: Path) -> None:
+    with pytest.raises(UnknownDatasetError, match=ID):
+        load_dataset("marl_mm/reach/nothing-v0")
+
+
+def test_an_empty_name_is_refused() -> None:
+    with pytest.raises(UsageError, match="empty"):
+        locate("")
+
+
+def test_nothing_is_overwritten_unasked(written: Path, episodes: list[Episode]) -> None:
+    before = (written / "data" / "main_data.hdf5").read_bytes()
+    with pytest.raises(OutputExistsError, match="--overwrite"):
+        write(ID, episodes[:2])
+    assert (written / "data" / "main_data.hdf5").read_bytes() == before
+    write(ID, episodes[:2], overwrite=True)
+    assert len(load_dataset(ID).episodes) == 2
+    assert [p.name for p in written.parent.iterdir() if p.name.startswith(".")] == []
+
+
+def test_an_empty_dataset_is_refused(datasets_home: Path) -> None:
+    with pytest.raises(DatasetError, match="no episode"):
+        write(ID, [])
+    assert known_ids() == []
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
+def test_a_truncated_file_is_named(written: Path, share: float) -> None:
+    path = written / "data" / "main_data.hdf5"
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(DatasetError, match=r"main_data.hdf5 is damaged .*--overwrite"):
+        load_dataset(ID)
+
+
+def test_a_missing_key_is_named(written: Path) -> None:
+    with h5py.File(written / "data" / "main_data.hdf5", "a") as file:
+        del file["episode_3/rewards"]
+    with pytest.raises(DatasetError, match="rewards"):
+        read_episodes(locate(ID))
+
+
+@pytest.mark.parametrize("content", ["{", "{}", '{"marl_mm": {"schema": 99}}'])
+def test_foreign_or_damaged_metadata_are_named(written: Path, content: str) -> None:
+    (written / "data" / "metadata.json").write_text(content)
+    with pytest.raises(DatasetError, match=r"metadata.json"):
+        load_dataset(ID)
+
+
+def test_a_killed_writer_leaves_nothing_behind(datasets_home: Path) -> None:
+    """Killed in the middle of writing: no dataset, and the id is free."""
+    code = """
+import os, signal, sys
+sys.path.insert(0, sys.argv[1])
+import gymnasium, marl_mm
+from conftest import build_episode
+from marl_mm.datasets.location import locate
+from marl_mm.datasets.storage import write_dataset
+
+class Killer(list):
+    def __iter__(self):
+        for i, episode in enumerate(list.__iter__(self)):
+            if i == 2 and sys._getframe(1).f_code.co_name == "<genexpr>":
+                os.kill(os.getpid(), signal.SIGKILL)
+            yield episode
+
+episodes = Killer(build_episode(i) for i in range(5))
+spec = gymnasium.spec("marl_mm/Reach-v0")
+write_dataset(locate("marl_mm/reach/test-v0"), episodes, spec, {})
+"""
+    killed = subprocess.run(
+        [sys.executable, "-c", code, str(Path(__file__).parent)],
+        env={**os.environ, "MINARI_DATASETS_PATH": str(datasets_home)},
+        capture_output=True,
+        check=False,
+    )
+    assert killed.returncode == -9
+    assert known_ids() == []
+    with pytest.raises(UnknownDatasetError):
+        load_dataset(ID)
