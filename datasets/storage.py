@@ -19,6 +19,7 @@ from minari.data_collector import EpisodeBuffer
 from minari.dataset.minari_storage import MinariStorage
 
 from marl_mm.datasets.location import Location, datasets_root, known_ids
+from marl_mm.datasets.reference import reference_scores
 from marl_mm.episode import INFO, Episode
 from marl_mm.errors import DatasetError, UnknownDatasetError
 from marl_mm.files import new_folder, refuse_existing
@@ -124,6 +125,7 @@ def _metadata(
         "author": {"marl_mm"},
         "description": f"Episodes of {episodes[0].source} on marl_mm.",
         "minari_version": version("minari"),
+        **reference_scores(description.get("task")),
         "marl_mm": {
             "schema": SCHEMA,
             "state": STATE,

@@ -4,7 +4,7 @@ import daqp
 import numpy as np
 import pytest
 
-from marl_mm.control.active_set import solve_least_distance
+from marl_mm.control.compiled.active_set import solve_least_distance
 
 ITERATIONS = 60
 

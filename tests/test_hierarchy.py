@@ -6,7 +6,7 @@ import daqp
 import numpy as np
 import pytest
 
-from marl_mm.control import compiled
+from marl_mm.control.compiled import hierarchy as compiled
 from marl_mm.control.config import ControllerConfig, HierarchyConfig, LimitConfig
 from marl_mm.control.hierarchy import solve_hierarchy
 from marl_mm.control.limits import Bounds, bounds

@@ -75,6 +75,13 @@ def test_minari_reads_it_without_us(written: Path, episodes: list[Episode]) -> N
     env.close()
 
 
+def test_scores_normalise_between_random_and_pd(written: Path) -> None:
+    dataset = minari.load_dataset(ID)
+    metadata = dataset.storage.metadata
+    ends = np.array([metadata["ref_min_score"], metadata["ref_max_score"]])
+    np.testing.assert_allclose(minari.get_normalized_score(dataset, ends), [0, 1])
+
+
 def test_metadata_says_where_each_agents_entries_are(written: Path) -> None:
     metadata = json.loads((written / "data" / "metadata.json").read_text())["marl_mm"]
     assert metadata["state"] == list(STATE)

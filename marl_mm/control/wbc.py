@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from marl_mm.control import compiled
+from marl_mm.control.compiled.tick import tick
 from marl_mm.control.config import ControllerConfig, Gains, HierarchyConfig, LimitConfig
 from marl_mm.control.hierarchy import Solution, solve_hierarchy
 from marl_mm.control.limits import TORQUE_ROWS, bounds
@@ -122,7 +122,7 @@ class WholeBodyController:
         self, state: RobotState, terms: ModelTerms, reference: Reference
     ) -> tuple[Command, bool]:
         u, torque, counters = np.empty(VARIABLES), np.empty(7), np.zeros(3, np.int64)
-        finite = compiled.tick(
+        finite = tick(
             state,
             terms,
             reference,

@@ -5,10 +5,12 @@ draws from its own seed, and results come back in the order of the plans.
 """
 
 import signal
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from multiprocessing import get_context
@@ -118,8 +120,9 @@ def _run_in_pool(
     remaining = iter(plans)
     pending: deque[Future[Episode]] = deque()
     try:
-        for plan in islice(remaining, workers * _AHEAD):
-            pending.append(pool.submit(_run_in_worker, plan))
+        with _deaf_to_interrupts():  # the workers start here, and inherit it
+            for plan in islice(remaining, workers * _AHEAD):
+                pending.append(pool.submit(_run_in_worker, plan))
         while pending:
             episode = pending.popleft().result()
             for plan in islice(remaining, 1):
@@ -133,13 +136,25 @@ def _run_in_pool(
         pool.shutdown(wait=True, cancel_futures=True)
 
 
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Ctrl-C goes to the whole process group, but is the parent's to handle."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+
 _worker: tuple[ReachCore, Policy] | None = None
 """A worker process's own environment and policy."""
 
 
 def _start_worker(config: ReachConfig, policy: Policy) -> None:
     global _worker
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     _worker = ReachCore(config), policy
 
 

@@ -66,13 +66,13 @@ class Camera:
     height: int = 320
     """[pixels]"""
 
-    target_w: tuple[float, float, float] = (0.25, 0.0, 0.42)
+    target_w: tuple[float, float, float] = (0.05, 0.0, 0.40)
     """The point looked at [m]."""
 
-    distance: float = 2.2
+    distance: float = 2.6
     """From the target [m]."""
 
-    yaw: float = 25.0
+    yaw: float = 15.0
     """[deg]"""
 
     pitch: float = -18.0

@@ -10,7 +10,7 @@ Gram matrix of at most nine active normals factored anew at each step.)
 
 import numpy as np
 
-from marl_mm.control.jit import jit
+from marl_mm.control.compiled.jit import jit
 
 _VIOLATED = 1e-9
 """A row outside by more than this, relative to its scale, joins the active set."""

@@ -19,6 +19,7 @@ R = TypeVar("R")
 
 _SOURCES = (
     "control/*.py",
+    "control/compiled/*.py",
     "control/tasks/task.py",
     "robot/model.py",
     "robot/limits.py",
@@ -40,7 +41,7 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
 @cache
 def _cache_folder() -> Path:
     """The first place that can be written to, with the sources' fingerprint."""
-    package = Path(__file__).resolve().parents[1]
+    package = Path(__file__).resolve().parents[2]
     digest = hashlib.sha256(numba.__version__.encode())
     for pattern in _SOURCES:
         for path in sorted(package.glob(pattern)):

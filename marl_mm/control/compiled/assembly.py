@@ -1,0 +1,157 @@
+"""Rows of all tasks and all limits at one state, compiled.
+
+Tasks in Table 1's order: base velocity, base orientation, manipulator position (3),
+manipulator orientation (3), arm posture (7). Limits in the order of limits.py.
+"""
+
+import numpy as np
+
+from marl_mm.control.compiled.jit import jit
+from marl_mm.control.config import Gains, LimitConfig
+from marl_mm.control.tasks.task import Reference
+from marl_mm.robot.limits import RobotLimits
+from marl_mm.robot.model import ModelTerms, RobotState
+
+N = 9
+TASK_ROWS = 15
+LIMIT_ROWS = 17
+
+_LEAST_WIDTH = 2e-3
+
+
+@jit
+def clip(value: float, low: float, high: float) -> float:
+    """Value between two bounds."""
+    return min(max(value, low), high)
+
+
+@jit
+def assemble_tasks(
+    state: RobotState,
+    terms: ModelTerms,
+    reference: Reference,
+    gains: Gains,
+    jacobian: np.ndarray,
+    target: np.ndarray,
+) -> None:
+    """Write all tasks' rows: jacobian (15, 9), target (15,), in Table 1's order."""
+    q, v = state.q, state.v
+    cos, sin = q[2], q[3]
+    jacobian[0, 0] = 1.0
+    jacobian[1, 1] = 1.0
+    for i in range(6):
+        jacobian[2 + i, 0] = terms.jacobian[i, 0]
+        jacobian[2 + i, 1] = terms.jacobian[i, 2]
+        for j in range(7):
+            jacobian[2 + i, 2 + j] = terms.jacobian[i, 3 + j]
+    for j in range(7):
+        jacobian[8 + j, 2 + j] = 1.0
+
+    ahead = (reference.base_position_w[0] - q[0]) * cos
+    ahead += (reference.base_position_w[1] - q[1]) * sin
+    catch = clip(gains.base_rate * ahead, -gains.base_catch, gains.base_catch)
+    target[0] = gains.base_speed_rate * (reference.base_speed + catch - v[0])
+
+    error = reference.base_heading - np.arctan2(sin, cos)
+    error = np.arctan2(np.sin(error), np.cos(error))
+    rate = gains.heading_rate
+    target[1] = rate * rate * error - 2 * rate * v[2]
+
+    position = terms.position_w
+    offset = np.empty(3)
+    for i in range(3):
+        offset[i] = reference.hand_position_w[i] - position[i]
+    distance = np.sqrt(offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2)
+    rate = gains.hand_rate
+    if rate * distance > gains.hand_speed:
+        rate = gains.hand_speed / distance
+    for i in range(3):
+        feedback = rate * offset[i] - terms.velocity_w[i]
+        target[2 + i] = gains.hand_speed_rate * feedback - terms.bias_acceleration[i]
+
+    turn = _rotation_error(terms.rotation_w, reference.hand_rotation_w)
+    rate = gains.hand_rotation_rate
+    for i in range(3):
+        feedback = rate * rate * turn[i] - 2 * rate * terms.velocity_w[3 + i]
+        target[5 + i] = feedback - terms.bias_acceleration[3 + i]
+
+    rate = gains.posture_rate
+    for j in range(7):
+        error = reference.posture[j] - q[4 + j]
+        target[8 + j] = rate * rate * error - 2 * rate * v[3 + j]
+
+
+@jit
+def _rotation_error(rotation_w: np.ndarray, target_w: np.ndarray) -> np.ndarray:
+    relative = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                relative[i, j] += rotation_w[k, i] * target_w[k, j]
+    cosine = clip((relative[0, 0] + relative[1, 1] + relative[2, 2] - 1) / 2, -1.0, 1.0)
+    angle = np.arccos(cosine)
+    if angle < 1e-4:
+        scale = 0.5
+    elif angle < 3.1:
+        scale = angle / (2 * np.sin(angle))
+    else:
+        scale = 1.0
+    x = scale * (relative[2, 1] - relative[1, 2])
+    y = scale * (relative[0, 2] - relative[2, 0])
+    z = scale * (relative[1, 0] - relative[0, 1])
+    vector = np.empty(3)
+    for i in range(3):
+        vector[i] = rotation_w[i, 0] * x + rotation_w[i, 1] * y + rotation_w[i, 2] * z
+    return vector
+
+
+@jit
+def assemble_limits(
+    state: RobotState,
+    terms: ModelTerms,
+    robot: RobotLimits,
+    config: LimitConfig,
+    matrix: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+) -> None:
+    """Write all limit rows: matrix (17, 9), lower and upper (17,)."""
+    q, v = state.q, state.v
+    for i in range(7):
+        matrix[i, 0] = terms.mass_matrix[3 + i, 0]
+        matrix[i, 1] = terms.mass_matrix[3 + i, 2]
+        for j in range(7):
+            matrix[i, 2 + j] = terms.mass_matrix[3 + i, 3 + j]
+        lower[i] = -robot.torque[i] - terms.nonlinear[3 + i]
+        upper[i] = robot.torque[i] - terms.nonlinear[3 + i]
+
+    for j in range(N):
+        matrix[7 + j, j] = 1.0
+        most = robot.acceleration[j]
+        fastest, slowest = robot.speed[j], -robot.speed[j]
+        velocity = v[0] if j == 0 else v[1 + j]
+        if j >= 2:
+            room = robot.upper[j - 2] - q[2 + j] - config.joint_margin
+            fastest = min(fastest, np.sqrt(most * max(room, 0.0)))
+            room = q[2 + j] - robot.lower[j - 2] - config.joint_margin
+            slowest = max(slowest, -np.sqrt(most * max(room, 0.0)))
+        high = clip((fastest - velocity) / config.horizon, -most, most)
+        low = clip((slowest - velocity) / config.horizon, -most, most)
+        if high - low < _LEAST_WIDTH:
+            middle = (low + high) / 2
+            low, high = middle - _LEAST_WIDTH / 2, middle + _LEAST_WIDTH / 2
+        lower[7 + j], upper[7 + j] = low, high
+
+    cos, sin = q[2], q[3]
+    ahead = cos * (terms.position_w[0] - q[0]) + sin * (terms.position_w[1] - q[1])
+    speed = 0.0
+    for j in range(7):
+        matrix[16, 2 + j] = (
+            cos * terms.jacobian[0, 3 + j] + sin * terms.jacobian[1, 3 + j]
+        )
+        speed += matrix[16, 2 + j] * v[3 + j]
+    bias = cos * terms.bias_acceleration[0] + sin * terms.bias_acceleration[1]
+    rate, most = config.keep_out_rate, config.keep_out_acceleration
+    bound = -2 * rate * speed - rate * rate * (ahead - config.keep_out) - bias
+    lower[16] = clip(bound, -most, most - 0.1)
+    upper[16] = most

@@ -1,0 +1,62 @@
+"""What the README tells people to type works."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from marl_mm.cli import main
+
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text()
+
+SMALL = {"steps": "60", "episodes": "2"}
+"""The README's commands run for real, with these numbers in place of its own."""
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
+
+
+def shrunk(line: str) -> list[str]:
+    for name, value in SMALL.items():
+        line = re.sub(rf"--{name} \d+", f"--{name} {value}", line)
+    words = line.replace('"', "").split()[1:]
+    if words[0] == "train":
+        words += ["--updates", "100", "--curve-episodes", "1", "--eval-episodes", "2"]
+    if words[0] == "play":
+        words += ["--max-steps", "2", "--fps", "2"]
+    return words
+
+
+@pytest.mark.slow
+def test_commands_and_code_run_as_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, datasets_home: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    commands = [
+        line
+        for block in blocks("bash")
+        for line in block.splitlines()
+        if line.startswith("marl-mm")
+    ]
+    assert len(commands) == 5
+    for line in commands:
+        assert main(shrunk(line)) == 0, line
+    quickstart = tmp_path / "runs" / "quickstart"
+    quickstart.mkdir()
+    (datasets_home / "marl_mm/reach/pd-v0").rename(quickstart / "dataset")
+    (tmp_path / "runs/mabc/0").rename(quickstart / "mabc")
+    (code,) = blocks("python")
+    names: dict[str, object] = {}
+    exec(compile(code, "README.md", "exec"), names)
+    assert len(names["action"]) == 4  # type: ignore[arg-type]
+
+
+def test_the_map_of_folders_is_true() -> None:
+    listed = re.findall(r"^    (?:  )?(\S+)  +\S", README, flags=re.MULTILINE)
+    for name in listed:
+        candidates = (ROOT / name, ROOT / "marl_mm" / name)
+        assert any(path.exists() for path in candidates), name
+    for link in re.findall(r"\]\(([\w/.]+)\)", README):
+        assert (ROOT / link).exists(), link
