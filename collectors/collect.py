@@ -79,7 +79,7 @@ def collect(
         raise UsageError(f"steps is {steps}, expected >= 1")
     if seed < 0:
         raise UsageError(f"seed is {seed}, expected >= 0")
-    plans = (EpisodePlan(i, episode_seed(seed, i)) for i in count())
+    plans = (EpisodePlan(i, episode_seed(seed, i, "collect")) for i in count())
     attempts = run_episodes(task, collector.policy, plans, workers)
     kept: list[Episode] = []
     done = rejected = 0

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from marl_mm.errors import UsageError
-from marl_mm.layout import ALPHA, BASE, DELTA, GOAL, HAND
+from marl_mm.layout import ALPHA, BASE, DELTA, EE, GOAL
 
 AlphaRule = Literal["constant", "direction", "room"]
 
@@ -59,14 +59,14 @@ class PdPolicy:
 
     def begin(self, rng: np.random.Generator) -> None:
         """Forget the last episode's hand."""
-        self._last_hand: np.ndarray | None = None
+        self._last_ee: np.ndarray | None = None
 
     def act(self, state: np.ndarray) -> np.ndarray:
         """Deterministic in the episode's states."""
         config = self.config
-        hand = state[HAND]
-        speed = np.zeros(3) if self._last_hand is None else hand - self._last_hand
-        self._last_hand = hand
+        hand = state[EE]
+        speed = np.zeros(3) if self._last_ee is None else hand - self._last_ee
+        self._last_ee = hand
         action = np.empty(4, np.float32)
         action[DELTA] = config.kp * (state[GOAL] - hand) - config.kd * speed
         action[DELTA] = np.clip(action[DELTA], -1.0, 1.0)
@@ -78,7 +78,7 @@ class PdPolicy:
         if config.alpha_rule == "constant":
             return config.alpha
         if config.alpha_rule == "direction":
-            return 1.0 if state[GOAL][0] > state[HAND][0] else config.alpha
+            return 1.0 if state[GOAL][0] > state[EE][0] else config.alpha
         x, y, yaw = state[BASE]
         ahead = (state[0] - x) * np.cos(yaw) + (state[1] - y) * np.sin(yaw)
         share = (ahead - config.room_end) / (config.room_start - config.room_end)

@@ -23,7 +23,7 @@ from marl_mm.datasets.reference import reference_scores
 from marl_mm.episode import INFO, Episode
 from marl_mm.errors import DatasetError, UnknownDatasetError
 from marl_mm.files import new_folder, refuse_existing
-from marl_mm.layout import ACTION, AGENTS, GOAL, HAND, OBSERVATION, STATE
+from marl_mm.layout import ACTION, AGENTS, EE, GOAL, OBSERVATION, STATE
 from marl_mm.spaces import action_space, goal_observation_space
 
 SCHEMA = 1
@@ -161,7 +161,7 @@ def _buffer(episode: Episode) -> EpisodeBuffer:
         seed=episode.seed,
         observations={
             "observation": episode.states[:, OBSERVATION],
-            "achieved_goal": episode.states[:, HAND],
+            "achieved_goal": episode.states[:, EE],
             "desired_goal": episode.states[:, GOAL],
         },
         actions=episode.actions,

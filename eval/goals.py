@@ -16,5 +16,5 @@ def goal_set(config: ReachConfig, count: int, seed: int) -> list[EpisodePlan]:
     for index in range(count):
         x = config.goal_x_backward if index % 2 else config.goal_x_forward
         goal = tuple(float(rng.uniform(*a)) for a in (x, config.goal_y, config.goal_z))
-        plans.append(EpisodePlan(index, episode_seed(seed, index), goal))  # type: ignore[arg-type]
+        plans.append(EpisodePlan(index, episode_seed(seed, index, "evaluate"), goal))  # type: ignore[arg-type]
     return plans

@@ -42,7 +42,8 @@ class Episode:
     """One array of shape (T,) for each name in ``INFO``."""
 
     seed: int
-    """``env.reset(seed=...)`` and these actions give this episode again."""
+    """``env.reset(seed=...)`` and these actions give this episode again, if its goal
+    was drawn from the seed (collections) or is given as an option (evaluations)."""
 
     index: int
     """Number of the attempt in its collection or evaluation."""

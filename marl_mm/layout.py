@@ -22,7 +22,7 @@ STATE = (
 ACTION = ("delta_x", "delta_y", "delta_z", "alpha")
 """Joint action, shape (4,): displacement of the end-effector's target, then alpha."""
 
-HAND = slice(0, 3)
+EE = slice(0, 3)
 BASE = slice(3, 6)
 MODE = 6
 OBSERVATION = slice(0, 7)

@@ -16,7 +16,7 @@ from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.envs.config import ReachConfig, reach_config
 from marl_mm.envs.reach import ReachEnv
-from marl_mm.envs.rollout import episode_seed
+from marl_mm.envs.rollout import PURPOSES, episode_seed
 from marl_mm.episode import Episode
 from marl_mm.errors import MarlMmError, UsageError
 
@@ -88,9 +88,15 @@ def test_pd_keeps_successes_and_they_can_be_replayed() -> None:
 
 
 def test_episode_seeds_are_distinct_and_stable() -> None:
-    seeds = {episode_seed(s, i) for s in range(10) for i in range(100)}
-    assert len(seeds) == 1000
-    assert episode_seed(0, 0) == 3757552657  # datasets of all versions rely on it
+    seeds = {
+        episode_seed(s, i, purpose)
+        for s in range(10)
+        for i in range(100)
+        for purpose in PURPOSES
+    }
+    assert len(seeds) == 2000
+    assert max(seeds) < 2**63  # what HDF5 and Minari hold
+    assert episode_seed(0, 0, "collect") == 0  # datasets of all versions rely on it
 
 
 def test_a_hopeless_collector_gives_up(short_task: ReachConfig) -> None:

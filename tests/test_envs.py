@@ -24,6 +24,28 @@ QUICK = {"ticks_per_step": 24}
 EPISODES = 5
 
 
+def agents_hash(seed: int) -> str:
+    """Hash of everything the parallel env returns over five full episodes."""
+    env = parallel_env("Reach-v0", overrides={"max_steps": 6})
+    digest = hashlib.sha256()
+    rng = np.random.default_rng(seed)
+    for episode in range(EPISODES):
+        observations, _ = env.reset(seed=seed if episode == 0 else None)
+        while env.agents:
+            actions = {
+                "end_effector": rng.uniform(-1, 1, 3).astype(np.float32),
+                "balance": rng.uniform(0, 1, 1).astype(np.float32),
+            }
+            observations, rewards, *_, infos = env.step(actions)
+            digest.update(env.state().tobytes())
+            for name, observation in observations.items():
+                digest.update(observation.tobytes())
+                values = [rewards[name], *map(float, infos[name].values())]
+                digest.update(np.array(values).tobytes())
+    env.close()
+    return digest.hexdigest()
+
+
 def trajectory_hash(seed: int, task: str = "Reach-v0") -> str:
     """Hash of everything an env returns over five full episodes of random actions."""
     env = gymnasium.make(f"marl_mm/{task}", overrides={"max_steps": 6})
@@ -66,24 +88,26 @@ def test_pettingzoo_parallel_seed() -> None:
 
 
 @pytest.mark.slow
-def test_same_seed_same_bytes_twice_in_a_process_and_in_another() -> None:
-    first = trajectory_hash(3)
+@pytest.mark.parametrize("name", ["trajectory_hash", "agents_hash"])
+def test_same_seed_same_bytes_twice_in_a_process_and_in_another(name: str) -> None:
+    hash_of = {"trajectory_hash": trajectory_hash, "agents_hash": agents_hash}[name]
+    first = hash_of(3)
     busy = ReachCore(TASKS["Reach-v0"])  # whatever ran before must not matter
     busy.reset(np.random.default_rng(9))
     busy.step(np.array([1.0, -1.0, 0.5, 0.0]))
-    again = trajectory_hash(3)
+    again = hash_of(3)
     busy.close()
     code = (
         "import importlib.util as u;"
         f"s = u.spec_from_file_location('t', {__file__!r});"
         "m = u.module_from_spec(s); s.loader.exec_module(m);"
-        "print(m.trajectory_hash(3))"
+        f"print(m.{name}(3))"
     )
     output = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     assert first == again == output.stdout.strip()
-    assert first != trajectory_hash(4)
+    assert first != hash_of(4)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from marl_mm.control.compiled import hierarchy as compiled
 from marl_mm.control.config import ControllerConfig, HierarchyConfig, LimitConfig
 from marl_mm.control.hierarchy import solve_hierarchy
-from marl_mm.control.limits import Bounds, bounds
+from marl_mm.control.limits import TORQUE_ROWS, Bounds, bounds
 from marl_mm.control.priorities import (
     REACHING,
     REACHING_LEVELS,
@@ -76,6 +76,64 @@ def strict_solution(
     return u, limited
 
 
+def damped_solution(
+    tasks: list[Task], levels: tuple[int, ...], limits: Bounds, config: HierarchyConfig
+) -> np.ndarray:
+    """The same null-space elimination, each level damped as the code's levels are."""
+    u, null = np.zeros(9), np.eye(9)
+    for level in sorted(set(levels)):
+        if null.shape[1] == 0:
+            break
+        handled = [t for t, own in zip(tasks, levels, strict=True) if own == level]
+        jacobian = np.concatenate([task.jacobian for task in handled]) @ null
+        residual = np.concatenate([t.target - t.jacobian @ u for t in handled])
+        used = limits.matrix @ u
+        lower, upper = limits.lower - used, limits.upper - used
+        if level > min(levels):
+            lower = np.minimum(lower, 0.0) - config.margin
+            upper = np.maximum(upper, 0.0) + config.margin
+        z, _, flag, _ = daqp.solve(
+            jacobian.T @ jacobian + config.damping * np.eye(null.shape[1]),
+            -jacobian.T @ residual,
+            np.ascontiguousarray(limits.matrix @ null),
+            upper,
+            lower,
+            np.zeros(len(used), np.int32),
+            primal_tol=1e-10,
+        )
+        assert flag == 1
+        u = u + null @ z
+        _, singular, basis = np.linalg.svd(jacobian)
+        null = null @ basis[int((singular > 1e-5).sum()) :].T
+    return u
+
+
+@pytest.mark.parametrize("strength", [1.0, 0.4], ids=["torque", "weak torque"])
+@pytest.mark.parametrize(("psi", "levels"), ENDS, ids=["alpha 1", "alpha 0"])
+def test_strict_ends_equal_the_damped_oracle_in_every_variable(
+    situation: Draw,
+    limits: RobotLimits,
+    psi: np.ndarray,
+    levels: tuple[int, ...],
+    strength: float,
+) -> None:
+    """u itself to 1e-4 on 200 states, limits and (with a weak arm) torque included."""
+    config = HierarchyConfig(projector_damping=1e-14)
+    weak = limits._replace(torque=strength * limits.torque)
+    torque_limited = 0
+    for problem in problems(situation, weak, seed=19, count=200):
+        tasks, rows = problem
+        u, counters = compiled_solution(problem, psi, config)
+        assert counters[compiled.FAILURES] == 0
+        expected = damped_solution(tasks, levels, rows, config)
+        np.testing.assert_allclose(u, expected, atol=1e-4)
+        value = rows.matrix[TORQUE_ROWS] @ u
+        at_limit = (value > rows.upper[TORQUE_ROWS] - 1e-6).any()
+        torque_limited += at_limit or (value < rows.lower[TORQUE_ROWS] + 1e-6).any()
+    if strength < 1:
+        assert torque_limited >= 10
+
+
 def level_residuals(
     tasks: list[Task], levels: tuple[int, ...], u: np.ndarray
 ) -> np.ndarray:
@@ -117,18 +175,20 @@ def test_strict_ends_equal_the_oracle_on_200_states(
     """Within the damping's tolerance, which is sqrt(eps) |u| for a level's residual.
 
     A damped level minimises |r|^2 + eps |x|^2, so its residual exceeds the undamped
-    minimum by at most that. It is a theorem for the first level; below, what damping
-    changed above shifts the problem itself, so there it is asked of 95 % of the states.
-    With eps towards zero the solutions themselves meet.
+    minimum by at most that. Below the first level, what damping changed above shifts
+    the problem itself, so there it is asked of 95 % of the states. With eps towards
+    zero the solutions themselves meet. What is left is the damping, not an error: see
+    the damped oracle.
     """
     config = HierarchyConfig(damping=damping, projector_damping=damping)
-    shares, distances, limited = [], [], 0
+    shares, distances, limited, failed = [], [], 0, 0
     for problem in problems(situation, limits, seed=7, count=240):
         oracle = strict_solution(problem[0], levels, problem[1])
         if oracle is None:
             continue
         expected, active = oracle
-        u, _ = compiled_solution(problem, psi, config)
+        u, counters = compiled_solution(problem, psi, config)
+        failed += counters[compiled.FAILURES]
         excess = level_residuals(problem[0], levels, u)
         excess -= level_residuals(problem[0], levels, expected)
         shares.append(excess / (np.sqrt(damping) * np.linalg.norm(expected)))
@@ -138,7 +198,10 @@ def test_strict_ends_equal_the_oracle_on_200_states(
     assert limited >= 100  # limits are part of the claim
     assert max(share[0] for share in shares) <= 1
     assert (np.quantile(shares, 0.95, axis=0) <= 1).all()
-    if damping == 1e-6:
+    if damping == HierarchyConfig().damping:
+        assert failed == 0
+    else:  # a thousandth of the damping that the solver is made for
+        assert failed <= 2
         assert np.median(distances) < 1e-3  # of accelerations up to 20
 
 

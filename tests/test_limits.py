@@ -14,16 +14,19 @@ from marl_mm.control.limits import (
     TORQUE_ROWS,
     acceleration_box,
     bounds,
+    keep_out_bias,
     keep_out_bound,
+    keep_out_direction,
 )
 from marl_mm.control.tasks.task import Reference
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
-from marl_mm.robot.model import ACTUATED, ModelTerms, RobotState
+from marl_mm.robot.model import ACTUATED, ModelTerms, RobotModel, RobotState
 
 Draw = Callable[[np.random.Generator], tuple[RobotState, ModelTerms, Reference]]
 CONFIG = LimitConfig()
 ROBOT = robot_limits(RobotConfig())
+MODEL = RobotModel(RobotConfig())
 
 
 def at(arm: np.ndarray, velocity: np.ndarray) -> RobotState:
@@ -93,6 +96,54 @@ def test_keep_out_barrier_by_hand(situation: Draw, limits: RobotLimits) -> None:
         bias_acceleration=np.zeros(6),
     )
     assert keep_out_bound(state, terms, CONFIG) == pytest.approx(64 * 0.02)
+
+
+def test_keep_out_row_and_bias_are_derivatives(limits: RobotLimits) -> None:
+    """x' and x'' of the distance ahead, by finite differences of a turning robot."""
+    model = RobotModel(RobotConfig())
+    rng = np.random.default_rng(5)
+    step = 1e-5
+    for _ in range(10):
+        velocity = np.array([*rng.uniform(-0.5, 0.5, 1), *rng.uniform(-1.5, 1.5, 8)])
+        joints = np.array(RobotConfig().initial_joints) + rng.normal(0, 0.3, 7)
+        yaw = rng.uniform(-3, 3)
+
+        def ahead_at(
+            time: float,
+            yaw: float = yaw,
+            joints: np.ndarray = joints,
+            velocity: np.ndarray = velocity,
+        ) -> tuple[float, RobotState, ModelTerms]:
+            turned, middle = yaw + time * velocity[1], yaw + time * velocity[1] / 2
+            way = time * velocity[0] * np.array([np.cos(middle), np.sin(middle)])
+            arm = joints + time * velocity[2:]
+            v = np.zeros(10)
+            v[ACTUATED] = velocity
+            q = np.array([*way, np.cos(turned), np.sin(turned), *arm])
+            state = RobotState(q, v)
+            terms = model.evaluate(state)
+            terms = ModelTerms(*(array.copy(order="K") for array in terms))
+            return float(q[2:4] @ (terms.position_w[:2] - q[:2])), state, terms
+
+        before, now, after = ahead_at(-step), ahead_at(0.0), ahead_at(step)
+        speed = keep_out_direction(now[1], now[2]) @ velocity
+        assert speed == pytest.approx((after[0] - before[0]) / (2 * step), abs=1e-7)
+        acceleration = (after[0] - 2 * now[0] + before[0]) / step**2
+        assert keep_out_bias(now[1], now[2]) == pytest.approx(acceleration, abs=1e-4)
+
+
+@settings(max_examples=100, deadline=None)
+@given(seed=st.integers(0, 10_000), depth=st.floats(-3, 3))
+def test_keep_out_asks_for_no_more_than_the_box_gives(seed: int, depth: float) -> None:
+    rng = np.random.default_rng(seed)
+    joints = rng.uniform(ROBOT.lower, ROBOT.upper)
+    state = at(joints, rng.normal(0, 1, 9))
+    terms = MODEL.evaluate(state)
+    terms = terms._replace(position_w=terms.position_w + np.array([depth, 0, 0]))
+    rows = bounds(state, terms, ROBOT, CONFIG)
+    row = rows.matrix[KEEP_OUT_ROW]
+    best = np.where(row > 0, row * rows.upper[BOX_ROWS], row * rows.lower[BOX_ROWS])
+    assert rows.lower[KEEP_OUT_ROW] < best.sum()
 
 
 def test_keep_out_moves_the_arm_not_the_base(

@@ -116,9 +116,9 @@ def test_achieved_target_is_the_second_derivative_wanted(
     state, terms, reference = situation(np.random.default_rng(3))
     task = manipulator_position(terms, reference, GAINS)
     u, *_ = np.linalg.lstsq(task.jacobian, task.target, rcond=None)
-    error = reference.hand_position_w - terms.position_w
-    rate = min(GAINS.hand_rate, GAINS.hand_speed / float(np.linalg.norm(error)))
-    feedback = GAINS.hand_speed_rate * (rate * error - terms.velocity_w[:3])
+    error = reference.ee_position_w - terms.position_w
+    rate = min(GAINS.ee_rate, GAINS.ee_speed / float(np.linalg.norm(error)))
+    feedback = GAINS.ee_speed_rate * (rate * error - terms.velocity_w[:3])
     velocity = state.v[ACTUATED]
     ahead = (
         model.evaluate(moved(state, velocity + STEP * u, STEP)).velocity_w[:3].copy()
@@ -130,10 +130,10 @@ def test_achieved_target_is_the_second_derivative_wanted(
 def test_hand_speed_is_limited_far_from_the_target(situation: Draw) -> None:
     _, terms, reference = situation(np.random.default_rng(4))
     terms = terms._replace(velocity_w=np.zeros(6), bias_acceleration=np.zeros(6))
-    far = reference._replace(hand_position_w=terms.position_w + np.array([3.0, 0, 0]))
+    far = reference._replace(ee_position_w=terms.position_w + np.array([3.0, 0, 0]))
     task = manipulator_position(terms, far, GAINS)
-    wanted = task.target / GAINS.hand_speed_rate
-    np.testing.assert_allclose(wanted, [GAINS.hand_speed, 0, 0], atol=1e-12)
+    wanted = task.target / GAINS.ee_speed_rate
+    np.testing.assert_allclose(wanted, [GAINS.ee_speed, 0, 0], atol=1e-12)
 
 
 def test_heading_error_takes_the_short_way_round(situation: Draw) -> None:
@@ -165,7 +165,7 @@ def test_tasks_at_their_goal_ask_for_nothing(situation: Draw) -> None:
     still = RobotState(state.q, np.zeros(10))
     terms = terms._replace(velocity_w=np.zeros(6), bias_acceleration=np.zeros(6))
     there = reference._replace(
-        hand_position_w=terms.position_w,
+        ee_position_w=terms.position_w,
         base_position_w=state.q[:2],
         base_heading=state.yaw,
         base_speed=0.0,

@@ -41,11 +41,11 @@ def test_terms_are_vectorised() -> None:
 
 def test_overrides_reach_nested_fields() -> None:
     config = reach_config(
-        "Reach-v0", {"max_steps": 50, "controller": {"gains": {"hand_rate": 4.0}}}
+        "Reach-v0", {"max_steps": 50, "controller": {"gains": {"ee_rate": 4.0}}}
     )
     assert config.max_steps == 50
-    assert config.controller.gains.hand_rate == 4.0
-    assert config.controller.gains.hand_speed == 0.5
+    assert config.controller.gains.ee_rate == 4.0
+    assert config.controller.gains.ee_speed == 0.5
 
 
 def test_overrides_take_json_lists() -> None:

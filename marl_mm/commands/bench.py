@@ -16,6 +16,7 @@ from marl_mm.control.config import Form, Solver
 from marl_mm.control.tasks.task import Reference
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.core import ReachCore
+from marl_mm.sim.bullet import RATE
 
 _PHASES = ("model", "hierarchy", "io", "simulation")
 
@@ -117,8 +118,8 @@ def _time_step(core: ReachCore, rng: np.random.Generator, times: np.ndarray) -> 
         t1 = perf_counter()
         command = controller.tick(state, terms, reference, alpha)
         t2 = perf_counter()
-        speed += command.acceleration[0] / 240
-        yaw_rate += command.acceleration[1] / 240
+        speed += command.acceleration[0] / RATE
+        yaw_rate += command.acceleration[1] / RATE
         world.command(speed, yaw_rate, command.torque)
         t3 = perf_counter()
         world.step()

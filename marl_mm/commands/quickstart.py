@@ -37,7 +37,7 @@ from marl_mm.policy import Policy
 from marl_mm.progress import progress_bar
 from marl_mm.sim.bullet import Camera
 
-TEACHER = PdConfig(alpha_rule="room")
+EXPERT = PdConfig(alpha_rule="room")
 """The PD agent whose episodes are collected: alpha falls as the hand runs out of room,
 which the balance agent can see."""
 
@@ -55,7 +55,7 @@ class Size:
 
 
 FULL = Size(steps=1_500, updates=8_000, episodes=100)
-SMALL = Size(steps=400, updates=2_000, episodes=20)
+SMALL = Size(steps=600, updates=6_000, episodes=40)
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Quickstart:
     """Processes; the results do not depend on it."""
 
     small: bool = False
-    """A quarter of the data and a fifth of the goals: a smoke test of the chain."""
+    """Less data and fewer goals: a smoke test of the chain."""
 
     overwrite: bool = False
     """Replace OUT if it exists."""
@@ -100,7 +100,7 @@ def main(arguments: Sequence[str]) -> None:
     with _timed(stages, "evaluate (pd, random)"):
         scripted = [
             _evaluate(policy, options, size)
-            for policy in (PdPolicy(TEACHER), RandomPolicy(RandomConfig()))
+            for policy in (PdPolicy(EXPERT), RandomPolicy(RandomConfig()))
         ]
     evaluations = [learned, *scripted]
     with _timed(stages, "figures and film"):
@@ -130,7 +130,7 @@ def _timed(stages: Stages, name: str) -> Iterator[None]:
 def _collect(options: Quickstart, size: Size) -> None:
     collection = collect_dataset(
         locate(str((options.out / "dataset").resolve())),
-        TEACHER,
+        EXPERT,
         "Reach-v0",
         size.steps,
         options.seed,
@@ -146,7 +146,7 @@ def _collect(options: Quickstart, size: Size) -> None:
 def _train(options: Quickstart, size: Size) -> Evaluation:
     training = TrainMabc(
         dataset=str(options.out / "dataset"),
-        curve_every=size.updates // 3,
+        curve_every=2_000,
         eval_episodes=size.episodes,
         eval_seed=options.seed,
         workers=options.workers,
@@ -169,14 +169,14 @@ def _evaluate(policy: Policy, options: Quickstart, size: Size) -> Evaluation:
 
 
 def _picture(options: Quickstart) -> None:
-    """Alpha over time of pupil and teacher, a film and a film strip of the pupil."""
+    """Alpha over time of learner and expert, a film and a film strip of the learner."""
     out, config = options.out, reach_config()
-    pupil, teacher = load_policy(out / "mabc"), PdPolicy(TEACHER)
+    learned, expert = load_policy(out / "mabc"), PdPolicy(EXPERT)
     plans = goal_set(config, 2, options.seed)
     alpha_over_time(
         {
             policy.name: list(run_episodes(config, policy, plans))
-            for policy in (pupil, teacher)
+            for policy in (learned, expert)
         },
         out / "alpha.png",
     )
@@ -184,7 +184,7 @@ def _picture(options: Quickstart) -> None:
     for plan, direction in zip(plans, ("forward", "backward"), strict=True):
         with progress_bar(f"film {direction}", config.max_steps) as advance:
             episode, frames = film_episode(
-                config, pupil, plan, Camera(), FPS, advance=advance
+                config, learned, plan, Camera(), FPS, advance=advance
             )
             advance(config.max_steps - len(episode), "")
         film += frames

@@ -16,19 +16,23 @@ Solver = Literal["active-set", "proxqp"]
 """Compiled controller, or the readable reference with ProxQP."""
 
 
+DEPENDENT = 1e-10
+"""A row whose rest after Gram-Schmidt has a smaller squared norm is dropped."""
+
+
 class Gains(NamedTuple):
     """Feedback rates of the tasks."""
 
-    hand_rate: float = 5.0
+    ee_rate: float = 5.0
     """End-effector position error to speed [1/s]."""
 
-    hand_speed: float = 0.5
+    ee_speed: float = 0.5
     """Largest speed wanted of the end-effector [m/s]."""
 
-    hand_speed_rate: float = 12.0
+    ee_speed_rate: float = 12.0
     """End-effector speed error to acceleration [1/s]."""
 
-    hand_rotation_rate: float = 6.0
+    ee_rotation_rate: float = 6.0
     """End-effector orientation, critically damped [rad/s]."""
 
     base_rate: float = 2.0
@@ -65,8 +69,8 @@ class HierarchyConfig(NamedTuple):
     tolerance: float = 1e-9
     """A closed-form level this far outside a limit still counts as inside."""
 
-    iterations: int = 30
-    """Most iterations of a level's QP."""
+    iterations: int = 100
+    """Most steps of a level's QP (active-set; ProxQP has its own cap)."""
 
 
 class LimitConfig(NamedTuple):
@@ -96,7 +100,8 @@ class ControllerConfig:
     """"blend" mixes the two strict hierarchies; "rhp" is the fractional hierarchy."""
 
     solver: Solver = "active-set"
-    """"active-set" is compiled; "proxqp" is the readable reference, 20 times slower."""
+    """"active-set" is compiled. "proxqp" is the readable reference: 20 times slower
+    and, in closed loop, not reproducible to the last bit."""
 
     gains: Gains = field(default_factory=Gains)
 

@@ -13,14 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marl_mm.control.config import HierarchyConfig
+from marl_mm.control.config import DEPENDENT, HierarchyConfig
 from marl_mm.control.limits import BOX_ROWS, Bounds
 from marl_mm.control.priorities import handled_tasks
 from marl_mm.control.proxqp import solve_qp
 from marl_mm.control.tasks.task import VARIABLES, Task
-
-_DEPENDENT = 1e-10
-"""A row whose rest after Gram-Schmidt has a smaller squared norm is dropped."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +137,7 @@ def next_projector(
                 for known in basis:
                     row = row - (known @ row) * known
             square = row @ row
-            if square < _DEPENDENT:
+            if square < DEPENDENT:
                 continue
             unit = row / np.sqrt(square)
             basis.append(unit)

@@ -1,19 +1,11 @@
 """Who comes first: the paper's two priority tables and what lies between them.
 
 Cumulative coding: a task of strict level L has psi = 0 above row L and 1 from it down,
-so that interpolated columns never decrease. Table 1, Eq. 4 of the paper.
+so that interpolated columns never decrease. Table 1, Eq. 4 of the paper. Columns: base
+velocity, base orientation, manipulator position, manipulator orientation, arm posture.
 """
 
 import numpy as np
-
-TASKS = (
-    "base velocity",
-    "base orientation",
-    "manipulator position",
-    "manipulator orientation",
-    "arm posture",
-)
-"""Columns of a priority matrix (Table 1)."""
 
 STABILITY_LEVELS = (1, 1, 2, 3, 4)
 """Psi1, better move stability: alpha = 1 (Table 1)."""

@@ -8,7 +8,7 @@ _ACCURACY = 1e-12
 solution, because a projected limit row can be a thousand times shorter."""
 
 _ITERATIONS = 300
-"""Outer and inner; some 10 ms where a problem is infeasible."""
+"""Outer and inner; about a millisecond where a problem is infeasible."""
 
 
 def solve_qp(

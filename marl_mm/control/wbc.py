@@ -89,7 +89,7 @@ class WholeBodyController:
         if not finite:
             raise NonFiniteStateError(
                 f"the controller found no finite command at q = {state.q.tolist()}, "
-                f"v = {state.v.tolist()}, target {reference.hand_position_w.tolist()}, "
+                f"v = {state.v.tolist()}, target {reference.ee_position_w.tolist()}, "
                 f"alpha {alpha}"
             )
         return command

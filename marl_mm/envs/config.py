@@ -38,7 +38,8 @@ class ReachConfig:
     """End-effector to goal at the end of a step [m]; reaching it terminates."""
 
     action_scale: float = 0.1
-    """Largest displacement of the end-effector's target per axis and step [m]."""
+    """Largest displacement of the end-effector's target per axis and step [m]; ours,
+    as are all numbers below without a source: the paper leaves them open."""
 
     initial_alpha: float = 1.0
     """Control mode in the first observation, before any alpha was set."""
@@ -49,7 +50,7 @@ class ReachConfig:
     goal_reward: float = 10.0
     """Reward for reaching the goal, instead of minus the distance (Eq. 6)."""
 
-    hand_error_weight: float = 5.0
+    ee_error_weight: float = 5.0
     """Cost of d_mm [1/m] (Eq. 7)."""
 
     base_error_weight: float = 5.0
@@ -65,6 +66,9 @@ class ReachConfig:
     stand_off: float = 0.647
     """The base plan heads for this far behind the hand's target along x [m]: the
     end-effector's distance ahead of the base in the initial posture."""
+
+    standing: float = 0.005
+    """A plan that advances less than this has no direction of travel [m]."""
 
     heading_gain: float = 1.0
     """Heading reference per lateral offset, steering back to y = 0 [rad/m]."""

@@ -19,31 +19,26 @@ from marl_mm.robot.limits import robot_limits
 from marl_mm.robot.model import RobotModel, RobotState, support_margin
 from marl_mm.sim.bullet import RATE, BulletWorld
 
-_STILL = 0.005
-"""A plan shorter than this has no direction of travel [m]."""
-
 
 class BasePlan(NamedTuple):
     """A slow, straight cruise of the base during one step."""
 
-    start_w: np.ndarray
-    """Shape (2,) [m]."""
+    start_x: float
+    """Where the base is when the step begins, world [m]."""
 
-    end_w: np.ndarray
-    """Shape (2,) [m]; always on y = 0."""
+    advance: float
+    """Signed length along x [m]; the plan lies on y = 0."""
 
-    heading: float
-    """[rad]"""
+    direction: float
+    """-1 backward, 0 standing, 1 forward."""
 
     def at(self, share: float) -> np.ndarray:
-        """Point of the plan along x after a share of the step, shape (2,) [m]."""
-        x = self.start_w[0] + share * (self.end_w[0] - self.start_w[0])
-        return np.array([x, 0.0])
+        """Point of the plan after a share of the step, shape (2,) [m]."""
+        return np.array([self.start_x + share * self.advance, 0.0])
 
-    @property
-    def length(self) -> float:
-        """Signed length along x [m]."""
-        return float(self.end_w[0] - self.start_w[0])
+    def heading(self, y: float, gain: float, limit: float) -> float:
+        """Heading that steers a base at lateral offset y back to y = 0 [rad]."""
+        return -self.direction * min(max(gain * y, -limit), limit)
 
 
 class Motion(NamedTuple):
@@ -116,14 +111,14 @@ class ReachCore:
         self.world.reset(self._goal_w)
         self._state = self.world.read()
         start = self.model.evaluate(self._state)
-        self._hand_rotation_w = np.ascontiguousarray(start.rotation_w).copy()
-        self._hand_w = self.world.grasp_position_w()
+        self._ee_rotation_w = np.ascontiguousarray(start.rotation_w).copy()
+        self._ee_w = self.world.grasp_position_w()
         self._alpha = self.config.initial_alpha
         self._commanded = np.zeros(2)
         self._steps = 0
         for _ in range(self.config.random_start_steps):
             action = rng.uniform(self._low, self._high)
-            target_w = self._hand_w + self.config.action_scale * action[DELTA]
+            target_w = self._ee_w + self.config.action_scale * action[DELTA]
             self._alpha = float(action[ALPHA])
             self._drive(target_w, self._plan_base(target_w), None)
         return self._joint_state()
@@ -145,7 +140,7 @@ class ReachCore:
         if self._steps < 0:
             raise UsageError("step() was called before reset()")
         action = self._checked_action(action)
-        target_w = self._hand_w + self.config.action_scale * action[DELTA]
+        target_w = self._ee_w + self.config.action_scale * action[DELTA]
         self._alpha = float(action[ALPHA])
         plan = self._plan_base(target_w)
         motion = self._drive(target_w, plan, watch)
@@ -175,19 +170,18 @@ class ReachCore:
         config, base_w = self.config, self._state.q[:2]
         way = target_w[0] - config.stand_off - base_w[0]
         advance = float(np.clip(way, -config.cruise, config.cruise))
-        direction = np.sign(advance) if abs(advance) > _STILL else 0.0
-        turn = np.clip(
-            config.heading_gain * base_w[1], -config.heading_limit, config.heading_limit
+        moves = abs(advance) > config.standing
+        return BasePlan(
+            float(base_w[0]), advance, float(np.sign(advance)) if moves else 0.0
         )
-        end_w = np.array([base_w[0] + advance, 0.0])
-        return BasePlan(base_w.copy(), end_w, float(-direction * turn))
 
     def _drive(
         self, target_w: np.ndarray, plan: BasePlan, watch: Callable[[int], None] | None
     ) -> Motion:
         """Follow target and plan for a step's ticks."""
         ticks, every = self.config.ticks_per_step, self.config.zmp_every
-        speed = plan.length * RATE / ticks
+        gain, limit = self.config.heading_gain, self.config.heading_limit
+        speed = plan.advance * RATE / ticks
         accelerations = np.empty(ticks)
         margin, failures = np.inf, 0
         state = self._state
@@ -195,9 +189,9 @@ class ReachCore:
             share = (k + 1) / ticks
             reference = Reference(
                 target_w,
-                self._hand_rotation_w,
+                self._ee_rotation_w,
                 plan.at(share),
-                plan.heading,
+                plan.heading(state.q[1], gain, limit),
                 speed,
                 self._posture,
             )
@@ -215,7 +209,7 @@ class ReachCore:
             if watch is not None:
                 watch(k)
         self._state = state
-        self._hand_w = self.world.grasp_position_w()
+        self._ee_w = self.world.grasp_position_w()
         return Motion(accelerations, float(margin), failures)
 
     def _move_base(self, acceleration: np.ndarray) -> float:
@@ -232,13 +226,13 @@ class ReachCore:
     def _joint_state(self) -> np.ndarray:
         state: RobotState = self._state
         base = [state.q[0], state.q[1], state.yaw]
-        return np.array([*self._hand_w, *base, self._alpha, *self._goal_w])
+        return np.array([*self._ee_w, *base, self._alpha, *self._goal_w])
 
     def _outcome(self, target_w: np.ndarray, plan: BasePlan, motion: Motion) -> Step:
         config = self.config
-        distance = goal_distance(self._hand_w, self._goal_w)
-        d_mm = float(np.linalg.norm(target_w - self._hand_w))
-        d_mp = float(np.linalg.norm(plan.end_w - self._state.q[:2]))
+        distance = goal_distance(self._ee_w, self._goal_w)
+        d_mm = float(np.linalg.norm(target_w - self._ee_w))
+        d_mp = float(np.linalg.norm(plan.at(1.0) - self._state.q[:2]))
         jerk = np.diff(motion.base_acceleration) * RATE
         jerk_rms = float(np.sqrt(np.mean(jerk * jerk))) if len(jerk) else 0.0
         success = bool(reached(distance, config))

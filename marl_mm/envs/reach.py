@@ -11,7 +11,7 @@ from marl_mm.envs.config import reach_config
 from marl_mm.envs.core import ReachCore
 from marl_mm.envs.terms import goal_distance, reach_reward, reached
 from marl_mm.errors import UsageError
-from marl_mm.layout import GOAL, HAND, OBSERVATION
+from marl_mm.layout import EE, GOAL, OBSERVATION
 from marl_mm.sim.bullet import Camera
 from marl_mm.spaces import action_space, goal_observation_space
 
@@ -23,7 +23,7 @@ def goal_observation(state: np.ndarray) -> GoalObservation:
     """The joint state, shape (10,), as a goal dictionary."""
     return {
         "observation": state[OBSERVATION].copy(),
-        "achieved_goal": state[HAND].copy(),
+        "achieved_goal": state[EE].copy(),
         "desired_goal": state[GOAL].copy(),
     }
 

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from multiprocessing import get_context
+from typing import Literal, get_args
 
 import numpy as np
 from gymnasium.utils import seeding
@@ -23,6 +24,9 @@ from marl_mm.envs.core import ReachCore, Step
 from marl_mm.episode import INFO, Episode
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.policy import Policy
+
+Purpose = Literal["collect", "evaluate"]
+PURPOSES: tuple[Purpose, ...] = get_args(Purpose)
 
 _AHEAD = 4
 """Episodes handed out per worker beyond the one awaited."""
@@ -42,9 +46,14 @@ class EpisodePlan:
     """Where to go instead of a goal drawn from the seed [m]."""
 
 
-def episode_seed(seed: int, index: int) -> int:
-    """Seed of one episode, from the seed of the whole and its number."""
-    return int(np.random.SeedSequence(seed, spawn_key=(index,)).generate_state(1)[0])
+def episode_seed(seed: int, index: int, purpose: Purpose) -> int:
+    """Seed of one episode, 63 bits, from the seed of the whole and its number.
+
+    Purposes keep evaluation from starting in the very states of a dataset.
+    """
+    key = (PURPOSES.index(purpose), index)
+    state = np.random.SeedSequence(seed, spawn_key=key).generate_state(1, np.uint64)
+    return int(state[0] >> np.uint64(1))
 
 
 def run_episode(

@@ -38,6 +38,6 @@ def reach_reward(
         config: Weights.
     """
     goal = np.where(reached(distance, config), config.goal_reward, -distance)
-    hand = config.hand_error_weight * d_mm
+    hand = config.ee_error_weight * d_mm
     base = config.base_error_weight * d_mp
     return np.asarray(goal - hand - base - config.jerk_weight * base_jerk_rms)

@@ -50,7 +50,7 @@ class SimulationConfig:
     """Largest torque of a wheel's velocity motor [N m]."""
 
     wheel_friction: float = 1.0
-    """Lateral friction coefficient of the drive wheels."""
+    """Friction coefficient between drive wheels and ground."""
 
     finger_force: float = 20.0
     """Largest force of a finger's position motor [N]."""
@@ -250,6 +250,8 @@ class BulletWorld:
             pybullet.GEOM_PLANE, physicsClientId=client
         )
         ground = pybullet.createMultiBody(0, shape, physicsClientId=client)
+        # Bullet multiplies the frictions of both bodies; its default is 0.5.
+        pybullet.changeDynamics(ground, -1, lateralFriction=1, physicsClientId=client)
         if not self._visual:
             return
         data = pybullet_data.getDataPath()

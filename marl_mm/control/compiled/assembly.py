@@ -8,15 +8,12 @@ import numpy as np
 
 from marl_mm.control.compiled.jit import jit
 from marl_mm.control.config import Gains, LimitConfig
-from marl_mm.control.tasks.task import Reference
+from marl_mm.control.limits import LEAST_WIDTH, UNBOUNDED
+from marl_mm.control.tasks.task import VARIABLES, Reference
 from marl_mm.robot.limits import RobotLimits
 from marl_mm.robot.model import ModelTerms, RobotState
 
-N = 9
 TASK_ROWS = 15
-LIMIT_ROWS = 17
-
-_LEAST_WIDTH = 2e-3
 
 
 @jit
@@ -60,17 +57,17 @@ def assemble_tasks(
     position = terms.position_w
     offset = np.empty(3)
     for i in range(3):
-        offset[i] = reference.hand_position_w[i] - position[i]
+        offset[i] = reference.ee_position_w[i] - position[i]
     distance = np.sqrt(offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2)
-    rate = gains.hand_rate
-    if rate * distance > gains.hand_speed:
-        rate = gains.hand_speed / distance
+    rate = gains.ee_rate
+    if rate * distance > gains.ee_speed:
+        rate = gains.ee_speed / distance
     for i in range(3):
         feedback = rate * offset[i] - terms.velocity_w[i]
-        target[2 + i] = gains.hand_speed_rate * feedback - terms.bias_acceleration[i]
+        target[2 + i] = gains.ee_speed_rate * feedback - terms.bias_acceleration[i]
 
-    turn = _rotation_error(terms.rotation_w, reference.hand_rotation_w)
-    rate = gains.hand_rotation_rate
+    turn = _rotation_error(terms.rotation_w, reference.ee_rotation_w)
+    rate = gains.ee_rotation_rate
     for i in range(3):
         feedback = rate * rate * turn[i] - 2 * rate * terms.velocity_w[3 + i]
         target[5 + i] = feedback - terms.bias_acceleration[3 + i]
@@ -125,7 +122,7 @@ def assemble_limits(
         lower[i] = -robot.torque[i] - terms.nonlinear[3 + i]
         upper[i] = robot.torque[i] - terms.nonlinear[3 + i]
 
-    for j in range(N):
+    for j in range(VARIABLES):
         matrix[7 + j, j] = 1.0
         most = robot.acceleration[j]
         fastest, slowest = robot.speed[j], -robot.speed[j]
@@ -137,21 +134,27 @@ def assemble_limits(
             slowest = max(slowest, -np.sqrt(most * max(room, 0.0)))
         high = clip((fastest - velocity) / config.horizon, -most, most)
         low = clip((slowest - velocity) / config.horizon, -most, most)
-        if high - low < _LEAST_WIDTH:
+        if high - low < LEAST_WIDTH:
             middle = (low + high) / 2
-            low, high = middle - _LEAST_WIDTH / 2, middle + _LEAST_WIDTH / 2
+            low, high = middle - LEAST_WIDTH / 2, middle + LEAST_WIDTH / 2
         lower[7 + j], upper[7 + j] = low, high
 
     cos, sin = q[2], q[3]
     ahead = cos * (terms.position_w[0] - q[0]) + sin * (terms.position_w[1] - q[1])
-    speed = 0.0
+    speed = sideways = within_box = 0.0
     for j in range(7):
         matrix[16, 2 + j] = (
             cos * terms.jacobian[0, 3 + j] + sin * terms.jacobian[1, 3 + j]
         )
         speed += matrix[16, 2 + j] * v[3 + j]
+        best = upper[9 + j] if matrix[16, 2 + j] > 0 else lower[9 + j]
+        within_box += matrix[16, 2 + j] * best
+        sideways += (
+            cos * terms.jacobian[1, 3 + j] - sin * terms.jacobian[0, 3 + j]
+        ) * v[3 + j]
     bias = cos * terms.bias_acceleration[0] + sin * terms.bias_acceleration[1]
+    bias += v[2] * v[2] * ahead + 2 * v[2] * sideways
     rate, most = config.keep_out_rate, config.keep_out_acceleration
     bound = -2 * rate * speed - rate * rate * (ahead - config.keep_out) - bias
-    lower[16] = clip(bound, -most, most - 0.1)
-    upper[16] = most
+    lower[16] = min(clip(bound, -most, most), within_box - LEAST_WIDTH)
+    upper[16] = UNBOUNDED

@@ -8,18 +8,18 @@ from marl_mm.control.compiled.active_set import (
     solve_lower,
     solve_upper,
 )
-from marl_mm.control.compiled.assembly import LIMIT_ROWS, TASK_ROWS, N, clip
+from marl_mm.control.compiled.assembly import TASK_ROWS, clip
 from marl_mm.control.compiled.jit import jit
-from marl_mm.control.config import HierarchyConfig
+from marl_mm.control.config import DEPENDENT, HierarchyConfig
+from marl_mm.control.limits import ROWS as LIMIT_ROWS
 from marl_mm.control.priorities import HANDLED
+from marl_mm.control.tasks.task import VARIABLES as N
 
 TASK_OF_ROW = np.array([0, 1, 2, 2, 2, 3, 3, 3, 4, 4, 4, 4, 4, 4, 4])
 """Column of the priority matrix that each task row belongs to."""
 
 LEVELS, QPS, FAILURES = range(3)
 """Entries of the counters."""
-
-_DEPENDENT = 1e-10
 
 
 @jit
@@ -204,7 +204,7 @@ def _reduce(
         square = 0.0
         for j in range(N):
             square += row[j] * row[j]
-        if square < _DEPENDENT:
+        if square < DEPENDENT:
             continue
         norm = np.sqrt(square)
         for j in range(N):

@@ -3,9 +3,7 @@
 import numpy as np
 
 from marl_mm.control.compiled.assembly import (
-    LIMIT_ROWS,
     TASK_ROWS,
-    N,
     assemble_limits,
     assemble_tasks,
     clip,
@@ -13,6 +11,8 @@ from marl_mm.control.compiled.assembly import (
 from marl_mm.control.compiled.hierarchy import solve_hierarchy
 from marl_mm.control.compiled.jit import jit
 from marl_mm.control.config import Gains, HierarchyConfig, LimitConfig
+from marl_mm.control.limits import ROWS as LIMIT_ROWS
+from marl_mm.control.tasks.task import VARIABLES as N
 from marl_mm.control.tasks.task import Reference
 from marl_mm.robot.limits import RobotLimits
 from marl_mm.robot.model import ModelTerms, RobotState

@@ -30,8 +30,8 @@ def manipulator_orientation(
     terms: ModelTerms, reference: Reference, gains: Gains
 ) -> Task:
     """Task with three rows [rad/s^2], critically damped."""
-    error = rotation_error(terms.rotation_w, reference.hand_rotation_w)
-    rate = gains.hand_rotation_rate
+    error = rotation_error(terms.rotation_w, reference.ee_rotation_w)
+    rate = gains.ee_rotation_rate
     feedback = rate * rate * error - 2 * rate * terms.velocity_w[3:]
     return Task(
         "manipulator orientation",

@@ -13,12 +13,12 @@ from marl_mm.robot.model import ACTUATED, ModelTerms
 
 def manipulator_position(terms: ModelTerms, reference: Reference, gains: Gains) -> Task:
     """Task with three rows [m/s^2]."""
-    error = reference.hand_position_w - terms.position_w
+    error = reference.ee_position_w - terms.position_w
     distance = float(np.linalg.norm(error))
-    rate = gains.hand_rate
-    if rate * distance > gains.hand_speed:
-        rate = gains.hand_speed / distance
-    feedback = gains.hand_speed_rate * (rate * error - terms.velocity_w[:3])
+    rate = gains.ee_rate
+    if rate * distance > gains.ee_speed:
+        rate = gains.ee_speed / distance
+    feedback = gains.ee_speed_rate * (rate * error - terms.velocity_w[:3])
     return Task(
         "manipulator position",
         terms.jacobian[:3, ACTUATED],

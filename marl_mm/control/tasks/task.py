@@ -25,10 +25,10 @@ class Task:
 class Reference(NamedTuple):
     """Where the tasks shall bring the robot at this tick."""
 
-    hand_position_w: np.ndarray
+    ee_position_w: np.ndarray
     """End-effector, shape (3,) [m]."""
 
-    hand_rotation_w: np.ndarray
+    ee_rotation_w: np.ndarray
     """End-effector's axes as columns, shape (3, 3)."""
 
     base_position_w: np.ndarray
