@@ -6,24 +6,37 @@ from typing import Any
 
 import torch
 
-from marl_mm.algorithms.mabc import Mabc, MabcConfig
+from marl_mm.algorithms.actors import AgentActor, actors_from
+from marl_mm.algorithms.algorithm import Algorithm
 from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.files import new_file
-from marl_mm.layout import AGENTS
+from marl_mm.layout import ACTION_HIGH, ACTION_LOW, AGENTS
 
 FILE = "checkpoint.pt"
+KNOWN = ("mabc",)
+"""Algorithms whose checkpoints this version can load."""
+
 _FORMAT = "marl_mm checkpoint 1"
 
 
-def save_checkpoint(path: Path, algorithm: Mabc) -> None:
-    """Write an algorithm's state with its config and agent order, atomically."""
+def agents_layout() -> dict[str, Any]:
+    """Agents in order with their entries, and the action space's bounds."""
+    return {
+        "agents": [[a.name, list(a.observation), list(a.action)] for a in AGENTS],
+        "action_low": list(ACTION_LOW),
+        "action_high": list(ACTION_HIGH),
+    }
+
+
+def save_checkpoint(path: Path, algorithm: Algorithm) -> None:
+    """Write an algorithm's state with its config and layout, atomically."""
     with new_file(path) as temporary:
         torch.save(
             {
                 "format": _FORMAT,
                 "algorithm": algorithm.name,
-                "config": asdict(algorithm.config),
-                "agents": [agent.name for agent in AGENTS],
+                "config": asdict(algorithm.config),  # type: ignore[call-overload]
+                "layout": agents_layout(),
                 "state": algorithm.state(),
             },
             temporary,
@@ -35,11 +48,11 @@ def read_checkpoint(path: Path, algorithm: str | None = None) -> dict[str, Any]:
 
     Args:
         path: File or run folder.
-        algorithm: The algorithm it must be of; None accepts any.
+        algorithm: The algorithm it must be of; None accepts any known one.
 
     Raises:
         UsageError: If there is no such file.
-        CheckpointError: If it is damaged or of another algorithm.
+        CheckpointError: If it is damaged, or of another algorithm or agent layout.
     """
     file = path / FILE if path.is_dir() else path
     if not file.exists():
@@ -49,20 +62,36 @@ def read_checkpoint(path: Path, algorithm: str | None = None) -> dict[str, Any]:
     try:
         checkpoint = torch.load(file, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises whatever its unpickler met
-        reason = str(error).splitlines()[0]
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise CheckpointError(f"{file} is damaged ({reason:.80})") from error
     if not isinstance(checkpoint, dict) or checkpoint.get("format") != _FORMAT:
         raise CheckpointError(f"{file} is not a {_FORMAT!r} file")
-    expected = algorithm or Mabc.name
-    if checkpoint["algorithm"] != expected:
+    missing = {"algorithm", "config", "layout", "state"} - checkpoint.keys()
+    if missing:
+        raise CheckpointError(f"{file} lacks {', '.join(sorted(missing))}")
+    expected = (algorithm,) if algorithm else KNOWN
+    if checkpoint["algorithm"] not in expected:
         raise CheckpointError(
             f"{file} holds a checkpoint of algorithm {checkpoint['algorithm']!r}, "
-            f"expected {expected!r}"
+            f"expected {' or '.join(map(repr, expected))}"
+        )
+    if checkpoint["layout"] != agents_layout():
+        raise CheckpointError(
+            f"{file} was made for another agent layout: {checkpoint['layout']}"
         )
     return checkpoint
 
 
-def checkpoint_config(checkpoint: dict[str, Any]) -> MabcConfig:
-    """The hyper-parameters a checkpoint was trained with."""
-    values = checkpoint["config"]
-    return MabcConfig(**{**values, "hidden": tuple(values["hidden"])})
+def restored_agents(checkpoint: dict[str, Any], path: Path) -> dict[str, AgentActor]:
+    """The actors of a checkpoint.
+
+    Raises:
+        CheckpointError: If its networks do not fit its config.
+    """
+    try:
+        return actors_from(
+            checkpoint["state"]["actors"], checkpoint["config"]["hidden"]
+        )
+    except (KeyError, TypeError, RuntimeError) as error:
+        reason = str(error).splitlines()[0]
+        raise CheckpointError(f"{path} is damaged ({reason:.80})") from error

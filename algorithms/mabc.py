@@ -8,14 +8,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import torch
 from torch.nn import functional
 
-from marl_mm.algorithms.networks import ActionScale, Actor, Normalizer
+from marl_mm.algorithms.actors import AgentActor
+from marl_mm.algorithms.networks import Actor, Normalizer
 from marl_mm.datasets.dataset import Transitions
 from marl_mm.errors import UsageError
-from marl_mm.layout import ACTION_HIGH, ACTION_LOW, AGENTS, AgentLayout
+from marl_mm.layout import AGENTS
 
 # --- Config ------------------------------------------------------------------
 
@@ -25,7 +25,8 @@ class MabcConfig:
     """Hyper-parameters; the paper's where it names them (Table 3)."""
 
     updates: int = 8_000
-    """Gradient steps per actor; the paper's 100,000 gain nothing on its small sets."""
+    """Gradient steps per actor. On 1,500 PD steps, 3,000 gave 85-89 % success over
+    three seeds and 200 goals, 6,000 gave 98-100 %; the paper has 100,000 (Table 3)."""
 
     batch_size: int = 256
     """Transitions per step (Table 3)."""
@@ -132,43 +133,3 @@ class _AgentData:
     def __init__(self, part: Transitions) -> None:
         self.observation = torch.as_tensor(part.observation, dtype=torch.float32)
         self.action = torch.as_tensor(part.action, dtype=torch.float32)
-
-
-# --- Act ---------------------------------------------------------------------
-
-
-class AgentActor:
-    """One agent's actor with its place in the joint state and action.
-
-    Args:
-        layout: What the agent sees and sets.
-        actor: Its network.
-    """
-
-    def __init__(self, layout: AgentLayout, actor: Actor) -> None:
-        self.layout = layout
-        self.actor = actor
-        entries = list(layout.action)
-        self.scale = ActionScale(
-            torch.tensor(ACTION_LOW)[entries], torch.tensor(ACTION_HIGH)[entries]
-        )
-
-    @torch.no_grad()
-    def act(self, observation: np.ndarray) -> np.ndarray:
-        """Action in the action space, shape (k,), at the agent's own observation."""
-        inputs = torch.as_tensor(observation, dtype=torch.float32)
-        action: np.ndarray = self.scale.denormalize(self.actor(inputs)).numpy()
-        return action
-
-
-def restore_agents(
-    config: MabcConfig, state: Mapping[str, Any]
-) -> dict[str, AgentActor]:
-    """The trained actors of a checkpoint, without any dataset."""
-    agents = {}
-    for agent in AGENTS:
-        blank = Normalizer(torch.zeros(1, len(agent.observation)), config.std_floor)
-        actor = Actor(blank, len(agent.action), config.hidden)
-        actor.load_state_dict(state["actors"][agent.name])
-        agents[agent.name] = AgentActor(agent, actor.eval())
-    return agents

@@ -55,7 +55,7 @@ class Actor(nn.Module):
         return action
 
 
-class ActionScale(nn.Module):
+class ActionScale:
     """Between an action space and [-1, 1] coordinates.
 
     Args:
@@ -63,18 +63,14 @@ class ActionScale(nn.Module):
         high: Highest actions, shape (k,).
     """
 
-    low: torch.Tensor
-    high: torch.Tensor
-
     def __init__(self, low: torch.Tensor, high: torch.Tensor) -> None:
-        super().__init__()
-        self.register_buffer("low", low)
-        self.register_buffer("high", high)
+        self._low = low
+        self._range = high - low
 
     def normalize(self, action: torch.Tensor) -> torch.Tensor:
         """From the action space to [-1, 1]."""
-        return 2 * (action - self.low) / (self.high - self.low) - 1
+        return 2 * (action - self._low) / self._range - 1
 
     def denormalize(self, action: torch.Tensor) -> torch.Tensor:
         """From [-1, 1] to the action space."""
-        return self.low + (action + 1) / 2 * (self.high - self.low)
+        return self._low + (action + 1) / 2 * self._range

@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from marl_mm.algorithms.checkpoint import checkpoint_config, read_checkpoint
-from marl_mm.algorithms.mabc import AgentActor, restore_agents
+from marl_mm.algorithms.actors import AgentActor
+from marl_mm.algorithms.checkpoint import read_checkpoint, restored_agents
 from marl_mm.errors import UsageError
 from marl_mm.layout import ACTION, STATE
 
@@ -17,11 +18,19 @@ class LearnedPolicy:
     Args:
         name: How tables call it.
         agents: The actors, by agent.
+        source: Where it was loaded from.
     """
 
-    def __init__(self, name: str, agents: Mapping[str, AgentActor]) -> None:
+    def __init__(
+        self, name: str, agents: Mapping[str, AgentActor], source: str | None = None
+    ) -> None:
         self.name = name
         self._agents = dict(agents)
+        self._source = source
+
+    def describe(self) -> dict[str, Any]:
+        """Where it was loaded from."""
+        return {"checkpoint": self._source}
 
     def begin(self, rng: np.random.Generator) -> None:
         """Nothing to remember between episodes."""
@@ -68,6 +77,5 @@ def load_policy(path: str | Path) -> LearnedPolicy:
         CheckpointError: If it is damaged.
     """
     checkpoint = read_checkpoint(Path(path))
-    config = checkpoint_config(checkpoint)
-    agents = restore_agents(config, checkpoint["state"])
-    return LearnedPolicy(checkpoint["algorithm"], agents)
+    agents = restored_agents(checkpoint, Path(path))
+    return LearnedPolicy(checkpoint["algorithm"], agents, str(path))

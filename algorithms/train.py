@@ -6,13 +6,14 @@ A run is a folder: ``config.json`` (written before the first step), ``metrics.js
 
 import json
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from marl_mm.algorithms.algorithm import Algorithm
 from marl_mm.algorithms.checkpoint import FILE, read_checkpoint, save_checkpoint
-from marl_mm.algorithms.mabc import Mabc
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.errors import CheckpointError
 from marl_mm.files import new_file
@@ -22,11 +23,11 @@ Evaluate = Callable[[LearnedPolicy], dict[str, float]]
 """Measures a policy; the loop knows nothing of environments."""
 
 LOG_EVERY = 100
-"""Updates whose mean is one row of ``metrics.jsonl``."""
+"""Most updates whose mean is one row of ``metrics.jsonl``, and between checkpoints."""
 
 
 def train(
-    algorithm: Mabc,
+    algorithm: Algorithm,
     run: Path,
     evaluate: Evaluate,
     evaluate_every: int,
@@ -37,15 +38,16 @@ def train(
     Args:
         algorithm: Fresh, or resumed by ``resume``.
         run: Its folder.
-        evaluate: Called every ``evaluate_every`` updates, and after the last.
+        evaluate: Called before the first, every ``evaluate_every``-th and last update.
         evaluate_every: [updates]
         advance: Told the updates.
 
     Raises:
-        KeyboardInterrupt: After Ctrl-C, once the checkpoint is written.
+        KeyboardInterrupt: After Ctrl-C, saying which checkpoint there is.
     """
     torch.set_num_threads(1)  # small batches: a second thread only costs
     total = algorithm.config.updates
+    saved = algorithm.step
     sums: dict[str, float] = {}
     advance(algorithm.step, "")
     try:
@@ -55,43 +57,49 @@ def train(
             for key, value in algorithm.update().items():
                 sums[key] = sums.get(key, 0.0) + value
             step = algorithm.step
-            if step % LOG_EVERY == 0 or step == total:
-                count = (step - 1) % LOG_EVERY + 1
-                row = {"step": step, **{k: v / count for k, v in sums.items()}}
-                sums = {}
-                if step % evaluate_every == 0 or step == total:
-                    row |= evaluate(_policy(algorithm))
-                _log(run, row)
-                save_checkpoint(run / FILE, algorithm)
-                losses = [v for k, v in row.items() if k.startswith("loss/")]
-                advance(count, f"loss {sum(losses):.4f}")
+            measure = step % evaluate_every == 0 or step == total
+            if not measure and step % LOG_EVERY:
+                continue
+            means = {key: value / (step - saved) for key, value in sums.items()}
+            measured = evaluate(_policy(algorithm)) if measure else {}
+            _log(run, {"step": step, **means, **measured})
+            save_checkpoint(run / FILE, algorithm)
+            losses = [value for key, value in means.items() if key.startswith("loss/")]
+            advance(step - saved, f"loss {sum(losses):.4f}")
+            saved, sums = step, {}
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(
-            f"stopped; {run} holds the checkpoint of the last {LOG_EVERY} updates: "
-            "go on with --resume"
-        ) from None
+        kept = f"{run} holds the checkpoint of update {saved}: go on with --resume"
+        nothing = "before the first checkpoint: start again with --overwrite"
+        raise KeyboardInterrupt(f"stopped; {kept if saved else nothing}") from None
 
 
-def resume(algorithm: Mabc, run: Path) -> None:
+def resume(algorithm: Algorithm, run: Path) -> None:
     """Bring a fresh algorithm to a run's checkpoint, and its metrics to that step.
 
     Raises:
         CheckpointError: If the run is of another algorithm or another config.
     """
     checkpoint = read_checkpoint(run, algorithm.name)
-    mine, theirs = json.loads(json.dumps(_config(algorithm))), checkpoint["config"]
-    theirs = json.loads(json.dumps(theirs))
-    different = [key for key in mine if mine[key] != theirs.get(key)]
-    if different:
-        key = different[0]
-        raise CheckpointError(
-            f"{run} was trained with {key} = {theirs.get(key)}, got {mine[key]}: "
-            "resume with the same config"
-        )
+    mine = _comparable(asdict(algorithm.config))  # type: ignore[call-overload]
+    refuse_difference(run, _comparable(checkpoint["config"]), mine)
     algorithm.load_state(checkpoint["state"])
     rows = [row for row in read_metrics(run) if row["step"] <= algorithm.step]
     with new_file(run / "metrics.jsonl") as temporary:
         temporary.write_text("".join(json.dumps(row) + "\n" for row in rows))
+
+
+def refuse_difference(run: Path, theirs: dict[str, Any], mine: dict[str, Any]) -> None:
+    """Raise if a run was made with something else than what resumes it.
+
+    Raises:
+        CheckpointError: Naming the first key that differs.
+    """
+    for key, value in mine.items():
+        if theirs.get(key) != value:
+            raise CheckpointError(
+                f"{run} was trained with {key} = {theirs.get(key)}, got {value}: "
+                "resume with the same, or start anew with --overwrite"
+            )
 
 
 def read_metrics(run: Path) -> list[dict[str, Any]]:
@@ -103,11 +111,13 @@ def read_metrics(run: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in lines if line.endswith("\n")]
 
 
-def _config(algorithm: Mabc) -> dict[str, Any]:
-    return {k: getattr(algorithm.config, k) for k in vars(algorithm.config)}
+def _comparable(config: dict[str, Any]) -> dict[str, Any]:
+    """As JSON gives it back: tuples are lists."""
+    values: dict[str, Any] = json.loads(json.dumps(config))
+    return values
 
 
-def _policy(algorithm: Mabc) -> LearnedPolicy:
+def _policy(algorithm: Algorithm) -> LearnedPolicy:
     return LearnedPolicy(algorithm.name, algorithm.agents)
 
 

@@ -82,9 +82,10 @@ def collect(
     plans = (EpisodePlan(i, episode_seed(seed, i, "collect")) for i in count())
     attempts = run_episodes(task, collector.policy, plans, workers)
     kept: list[Episode] = []
-    done = rejected = 0
+    done = rejected = tried = 0
     try:
         for episode in attempts:
+            tried = episode.index + 1
             if collector.keep(episode):
                 kept.append(episode)
                 advance(min(len(episode), steps - done), f"{len(kept)} episodes")
@@ -93,7 +94,7 @@ def collect(
             else:
                 rejected += 1
             if done >= steps:
-                return Collection(kept, episode.index + 1, complete=True)
+                return Collection(kept, tried, complete=True)
             if rejected >= _HOPELESS:
                 raise MarlMmError(
                     f"{collector.policy.name} reached no goal in {rejected} episodes "
@@ -101,7 +102,6 @@ def collect(
                     "--max-steps, or change its gains or alpha"
                 )
     except KeyboardInterrupt:
-        tried = kept[-1].index + 1 if kept else 0
         return Collection(kept, tried, complete=False)
     finally:
         attempts.close()  # type: ignore[attr-defined]

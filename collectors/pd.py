@@ -1,7 +1,7 @@
 """The PD collector: steer the hand straight to the goal, alpha by a declared rule."""
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
 
 import numpy as np
 
@@ -56,6 +56,10 @@ class PdPolicy:
 
     def __init__(self, config: PdConfig) -> None:
         self.config = config
+
+    def describe(self) -> dict[str, Any]:
+        """The config."""
+        return asdict(self.config)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Forget the last episode's hand."""

@@ -1,6 +1,7 @@
 """The random collector: actions drawn uniformly from the action space."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,10 @@ class RandomPolicy:
 
     def __init__(self, config: RandomConfig) -> None:
         self.config = config
+
+    def describe(self) -> dict[str, Any]:
+        """The config."""
+        return {}
 
     def begin(self, rng: np.random.Generator) -> None:
         """Take the episode's stream of random numbers."""

@@ -1,7 +1,9 @@
 """A dataset in memory: its episodes and flat views of their transitions."""
 
+import hashlib
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -77,6 +79,14 @@ class Dataset:
             np.repeat(np.arange(len(episodes)), lengths),
         )
 
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash of all observations, actions and rewards."""
+        joint, digest = self._joint, hashlib.sha256()
+        for array in (joint.observation, joint.action, joint.reward, joint.episode):
+            digest.update(array.tobytes())
+        return digest.hexdigest()[:16]
+
     def joint(self) -> Transitions:
         """Joint state (10) and joint action (4)."""
         return self._joint
@@ -89,16 +99,16 @@ class Dataset:
         }
 
 
-def load_dataset(name: str) -> Dataset:
+def load_dataset(name: str | Path | Location) -> Dataset:
     """Read a dataset by id or path.
 
     Args:
-        name: An id such as ``marl_mm/reach/pd-v0``, or a path.
+        name: An id such as ``marl_mm/reach/pd-v0``, a path, or a location.
 
     Raises:
         UnknownDatasetError: If there is none; the message lists the known ids.
         DatasetError: If its files are damaged.
     """
-    location = locate(name)
+    location = name if isinstance(name, Location) else locate(str(name))
     metadata = read_metadata(location)
     return Dataset(location, metadata, read_episodes(location))

@@ -30,7 +30,7 @@ class Location:
 def datasets_root() -> Path:
     """``$MINARI_DATASETS_PATH``, or Minari's default in the home folder."""
     root = os.environ.get("MINARI_DATASETS_PATH")
-    return Path(root) if root else Path.home() / ".minari" / "datasets"
+    return Path(root).resolve() if root else Path.home() / ".minari" / "datasets"
 
 
 def locate(text: str) -> Location:
@@ -43,10 +43,10 @@ def locate(text: str) -> Location:
         raise UsageError("the dataset's name is empty, expected an id or a path")
     if _ID.fullmatch(text):
         return Location(text, datasets_root() / text)
-    folder = Path(text).expanduser()
+    folder = Path(text).expanduser().resolve()
     if folder.name == "data" and (folder / "metadata.json").exists():
         folder = folder.parent
-    name = re.sub(r"[^a-zA-Z0-9_-]", "-", folder.resolve().name)
+    name = re.sub(r"[^a-zA-Z0-9_-]", "-", folder.name)
     versioned = name if re.search(r"-v\d+$", name) else f"{name}-v0"
     return Location(f"marl_mm/local/{versioned}", folder)
 

@@ -6,9 +6,7 @@ own metadata stand under the key ``marl_mm``.
 """
 
 import json
-import warnings
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -21,16 +19,14 @@ from minari.dataset.minari_storage import MinariStorage
 from marl_mm.datasets.location import Location, datasets_root, known_ids
 from marl_mm.datasets.reference import reference_scores
 from marl_mm.episode import INFO, Episode
-from marl_mm.errors import DatasetError, UnknownDatasetError
+from marl_mm.errors import DatasetError, UnknownDatasetError, UsageError
 from marl_mm.files import new_folder, refuse_existing
 from marl_mm.layout import ACTION, AGENTS, EE, GOAL, OBSERVATION, STATE
 from marl_mm.spaces import action_space, goal_observation_space
+from marl_mm.versions import versions
 
 SCHEMA = 1
 """Version of our metadata."""
-
-_PACKAGES = ("marl-mm", "pybullet", "pin", "numpy", "numba", "gymnasium", "minari")
-"""Whose versions decide the bytes of an episode."""
 
 
 def write_dataset(
@@ -54,6 +50,7 @@ def write_dataset(
         DatasetError: If there are no episodes.
     """
     refuse_existing(location.folder, overwrite)
+    refuse_foreign(location)
     if not episodes:
         raise DatasetError(f"no episode to write to {location.folder}")
     with new_folder(location.folder) as temporary:
@@ -69,6 +66,22 @@ def write_dataset(
         storage.update_episode_metadata(_attributes(episode) for episode in episodes)
     if location.folder == datasets_root() / location.id:
         _name_namespaces(location)
+
+
+def refuse_foreign(location: Location) -> None:
+    """Raise before a folder that holds more than a dataset would be replaced.
+
+    Raises:
+        UsageError: If it does.
+    """
+    folder = location.folder
+    if folder.exists() and (
+        not folder.is_dir() or {path.name for path in folder.iterdir()} - {"data"}
+    ):
+        raise UsageError(
+            f"{folder} is no dataset, or holds other files too: it is not replaced; "
+            "choose another name"
+        )
 
 
 def read_metadata(location: Location) -> dict[str, Any]:
@@ -89,10 +102,12 @@ def read_metadata(location: Location) -> dict[str, Any]:
         metadata: dict[str, Any] = json.loads(path.read_text())
     except (OSError, ValueError) as error:
         raise DatasetError(f"cannot read {path}: {error}") from error
-    if metadata.get("marl_mm", {}).get("schema") != SCHEMA:
+    ours = metadata.get("marl_mm") if isinstance(metadata, dict) else None
+    schema = ours.get("schema") if isinstance(ours, dict) else None
+    if schema != SCHEMA or "total_episodes" not in metadata:
         raise DatasetError(
-            f"{path} is not a marl_mm dataset of schema {SCHEMA}: its key 'marl_mm' is "
-            f"{metadata.get('marl_mm')!r:.80}"
+            f"{path} is not of a marl_mm dataset of schema {SCHEMA}: its schema is "
+            f"{schema!r}"
         )
     return metadata
 
@@ -124,7 +139,7 @@ def _metadata(
         "algorithm_name": episodes[0].source,
         "author": {"marl_mm"},
         "description": f"Episodes of {episodes[0].source} on marl_mm.",
-        "minari_version": version("minari"),
+        "minari_version": versions()["minari"],
         **reference_scores(description.get("task")),
         "marl_mm": {
             "schema": SCHEMA,
@@ -138,7 +153,7 @@ def _metadata(
                 }
                 for agent in AGENTS
             ],
-            "packages": {name: version(name) for name in _PACKAGES},
+            "packages": versions(),
             "statistics": _statistics(episodes),
             **description,
         },
@@ -212,6 +227,3 @@ def _name_namespaces(location: Location) -> None:
     path = datasets_root() / folder / "namespace_metadata.json"
     if not path.exists():
         path.write_text(json.dumps({"description": "Datasets made by marl_mm."}))
-
-
-warnings.filterwarnings("ignore", module="minari")

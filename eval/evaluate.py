@@ -18,7 +18,11 @@ class Evaluation:
     """A policy's episodes and what they say together."""
 
     policy: str
+    policy_config: dict[str, Any]
     task: str
+    overrides: dict[str, Any]
+    """Of the task's ``ReachConfig``."""
+
     seed: int
     rows: list[Row]
     """One per episode, raw; see ``episode_row``."""
@@ -38,7 +42,9 @@ class Evaluation:
         everything = self.summary["all"]
         return {
             "policy": self.policy,
+            "policy_config": self.policy_config,
             "task": self.task,
+            "overrides": self.overrides,
             "seed": self.seed,
             "success_rate": everything["success_rate"],
             "interval": everything["interval"],
@@ -81,4 +87,6 @@ def evaluate(
         rows.append(episode_row(episode))
         reached = sum(row["success"] for row in rows)
         advance(1, f"{reached}/{len(rows)} reached")
-    return Evaluation(policy.name, task, seed, rows)
+    return Evaluation(
+        policy.name, policy.describe(), task, dict(overrides or {}), seed, rows
+    )

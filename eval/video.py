@@ -58,17 +58,19 @@ def film_episode(
     """
     core = ReachCore(config, visual=True, gui=gui)
     frames: list[np.ndarray] = []
-    every = max(1, RATE // fps) if fps else 0
+    elapsed = 0
 
     def watch(tick: int) -> None:
-        if every and tick % every == 0:
+        nonlocal elapsed
+        elapsed += 1
+        if fps and elapsed * fps > len(frames) * RATE:
             frames.append(core.world.render(camera))
         if tick == config.ticks_per_step - 1:
             advance(1, "")
 
     try:
         episode = run_episode(core, policy, plan, watch)
-        if every:
+        if fps:
             frames.append(core.world.render(camera))
         return episode, frames
     finally:
@@ -89,9 +91,11 @@ def write_video(path: Path, frames: Sequence[np.ndarray], fps: int) -> None:
             str(temporary), (width, height), fps=fps, macro_block_size=2, **codec
         )
         writer.send(None)
-        for frame in frames:
-            writer.send(np.ascontiguousarray(frame))
-        writer.close()
+        try:
+            for frame in frames:
+                writer.send(np.ascontiguousarray(frame))
+        finally:
+            writer.close()
 
 
 def film_strip(

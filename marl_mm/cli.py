@@ -42,11 +42,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except MarlMmError as error:
         _complain(str(error))
         return error.exit_code
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader has gone; say nothing more
+    except (
+        OSError
+    ) as error:  # disk full, no permission, a file where a folder should be
+        _complain(f"{error.strerror or error}: {error.filename or 'unnamed file'}")
+        return MarlMmError.exit_code
     except KeyboardInterrupt as error:
         _complain(str(error) or "interrupted")
         return INTERRUPTED
-    except BrokenPipeError:
-        sys.stderr.close()  # the reader has gone; say nothing more
     return 0
 
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from marl_mm.errors import OutputExistsError
+from marl_mm.errors import OutputExistsError, UsageError
 
 
 def refuse_existing(path: Path, overwrite: bool) -> None:
@@ -16,7 +16,11 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
 
     Raises:
         OutputExistsError: If ``path`` exists and ``overwrite`` is False.
+        UsageError: If it could not be written there at all.
     """
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
+    if not folder.is_dir() or not os.access(folder, os.W_OK):
+        raise UsageError(f"cannot write {path}: {folder} is no folder open to you")
     if path.exists() and not overwrite:
         raise OutputExistsError(
             f"{path} exists already; choose another name or add --overwrite"
@@ -37,7 +41,10 @@ def new_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """A temporary folder beside ``path`` that takes its place on success."""
+    """A temporary folder beside ``path`` that takes its place on success.
+
+    What stood there is deleted after that, and put back if it fails.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.new")
     previous = path.with_name(f".{path.name}.{os.getpid()}.old")
@@ -47,9 +54,13 @@ def new_folder(path: Path) -> Iterator[Path]:
         if path.exists():
             path.rename(previous)
         temporary.rename(path)
+    except BaseException:
+        if previous.exists() and not path.exists():
+            previous.rename(path)
+        raise
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-        shutil.rmtree(previous, ignore_errors=True)
+    shutil.rmtree(previous, ignore_errors=True)
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -1,6 +1,6 @@
 """What every policy is, scripted or learned: joint state in, joint action out."""
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -11,6 +11,9 @@ class Policy(Protocol):
     @property
     def name(self) -> str:
         """How tables and datasets call it."""
+
+    def describe(self) -> dict[str, Any]:
+        """Its settings, JSON-serialisable, so that a result says whose it is."""
 
     def begin(self, rng: np.random.Generator) -> None:
         """A new episode starts; ``rng`` is the only source of randomness in it."""

@@ -96,6 +96,8 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         (["collect", "pd", "--max-steps", "0"], "--max-steps is 0"),
         (["collect", "pd", "--alpha", "1.5"], "alpha is 1.5, expected a number in"),
         (["collect", "pd", "--task", "Fly-v0"], "unknown task 'Fly-v0', expected one"),
+        (["eval"], "no policy given"),
+        (["collect", "random", "--dataset", "/dev/null/x"], "cannot write"),
         (["eval", "nowhere"], "no policy 'nowhere': expected pd, random, a run folder"),
         (["eval", "pd", "--episodes", "0"], "--episodes is 0"),
         (["play", "pd", "--video", "x.avi"], ".mp4 or .gif"),
@@ -181,6 +183,25 @@ def test_collect_writes_what_it_says(datasets_home: Path, capsys: Output) -> Non
 
 
 @pytest.mark.slow
+def test_collecting_leaves_the_registry_alone(datasets_home: Path) -> None:
+    options = ["--steps", "2", "--max-steps", "2", "--workers", "1"]
+    assert run("collect", "random", *options) == 0
+    assert "overrides" not in gymnasium.spec("marl_mm/Reach-v0").kwargs
+
+
+@pytest.mark.slow
+def test_a_relative_datasets_root_works(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Output
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", "data sets")
+    options = ["--steps", "2", "--max-steps", "2", "--workers", "1", "--json"]
+    assert run("collect", "random", *options) == 0
+    assert json.loads(capsys.readouterr().out)["id"] == "marl_mm/reach/random-v0"
+    assert (tmp_path / "data sets/marl_mm/reach/random-v0/data").is_dir()
+
+
+@pytest.mark.slow
 def test_a_run_is_a_folder(run_folder: Path, capsys: Output) -> None:
     names = {path.name for path in run_folder.iterdir()}
     files = {"config.json", "metrics.jsonl", "eval.json", "checkpoint.pt"}
@@ -204,8 +225,12 @@ def test_train_refuses_and_resumes(run_folder: Path, capsys: Output) -> None:
     assert run(*base, "--resume", "--updates", "200") == 1
     assert "was trained with updates = 100, got 200" in one_line(capsys)
     options = ["--updates", "100", "--workers", "1", "--curve-episodes", "1"]
+    assert run(*base, "--resume", *options, "--task", "SmoothReach-v0") == 1
+    assert "task = Reach-v0, got SmoothReach-v0" in one_line(capsys)
     assert run(*base, "--resume", *options) == 0
-    assert run(*base, "--resume", "--seeds", "7") == 2
+    assert run(*base, "--task", "Fly-v0", "--seeds", "8") == 2
+    assert not (run_folder.parent / "8").exists()
+    assert run(*base, "--resume", *options, "--seeds", "7") == 2
     assert "no checkpoint in" in capsys.readouterr().err
 
 

@@ -226,6 +226,16 @@ def test_step_before_reset_and_bad_goals_are_refused(core: ReachCore) -> None:
         core.reset(np.random.default_rng(0), np.array([1.0, np.nan, 0.5]))
 
 
+def test_bad_render_modes_and_early_states_are_refused() -> None:
+    for make in (ReachEnv, parallel_env):
+        with pytest.raises(UsageError, match="rgb_array or human or None"):
+            make(render_mode="ascii")
+    env = parallel_env("Reach-v0")
+    with pytest.raises(UsageError, match="before reset"):
+        env.state()
+    env.close()
+
+
 def test_render_shows_the_robot() -> None:
     env = ReachEnv(render_mode="rgb_array")
     env.reset(seed=0)

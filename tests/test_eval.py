@@ -104,7 +104,7 @@ def test_bad_numbers_are_refused(episodes: int, seed: int) -> None:
 
 def test_markdown_table_has_a_row_per_direction() -> None:
     rows = [row("forward", True, 6), row("backward", False, 25)]
-    text = evaluation_markdown([Evaluation("pd", "Reach-v0", 0, rows)])
+    text = evaluation_markdown([Evaluation("pd", {}, "Reach-v0", {}, 0, rows)])
     lines = text.splitlines()
     assert len(lines) == 2 + 3
     assert "| pd | 1 forward | 100.0 [20.7, 100.0] | 6.0 |" in text
@@ -141,6 +141,16 @@ def test_a_film_has_the_frames_of_the_episode(tmp_path: Path, name: str) -> None
     assert [path.name for path in tmp_path.iterdir()] == [name]
     film_strip(tmp_path / "strip.png", [("pd", [("step 0", frames[0])])])
     assert (tmp_path / "strip.png").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fps", [7, 25])
+def test_film_time_is_simulated_time(fps: int) -> None:
+    config = ReachConfig(max_steps=2)
+    plan = goal_set(config, 1, 0)[0]
+    camera = Camera(width=32, height=32)
+    _, frames = film_episode(config, PdPolicy(PdConfig()), plan, camera, fps)
+    assert len(frames) == 2 * fps + 1
 
 
 def test_an_unknown_film_format_is_refused(tmp_path: Path) -> None:

@@ -168,6 +168,17 @@ def test_resume_continues_bit_equally(
     ).read_bytes()
 
 
+def test_evaluation_comes_when_it_was_asked_for(
+    data: dict[str, Transitions], tmp_path: Path
+) -> None:
+    """At 0, every 130 and the end, whatever the rhythm of the log is."""
+    train(Mabc(CONFIG, data, 0), tmp_path, lambda policy: {"success/all": 0.5}, 130)
+    rows = read_metrics(tmp_path)
+    measured = [row["step"] for row in rows if "success/all" in row]
+    assert measured == [0, 130, 260, 300]
+    assert [row["step"] for row in rows] == [0, 100, 130, 200, 260, 300]
+
+
 def test_resume_refuses_another_config(
     data: dict[str, Transitions], tmp_path: Path
 ) -> None:
@@ -192,7 +203,11 @@ def test_damaged_and_missing_checkpoints_are_named(
 ) -> None:
     with pytest.raises(UsageError, match="no checkpoint at"):
         load_policy(tmp_path)
+    (tmp_path / FILE).write_bytes(b"")
+    with pytest.raises(CheckpointError, match="damaged"):
+        load_policy(tmp_path)
     save_checkpoint(tmp_path / FILE, Mabc(CONFIG, data, seed=0))
+    whole = torch.load(tmp_path / FILE, weights_only=True)
     content = (tmp_path / FILE).read_bytes()
     (tmp_path / FILE).write_bytes(content[: len(content) // 2])
     with pytest.raises(CheckpointError, match="damaged"):
@@ -200,6 +215,19 @@ def test_damaged_and_missing_checkpoints_are_named(
     torch.save([1, 2], tmp_path / FILE)
     with pytest.raises(CheckpointError, match="is not a"):
         read_checkpoint(tmp_path)
+    swapped = {**whole["layout"], "agents": whole["layout"]["agents"][::-1]}
+    for broken, message in (
+        ({"layout": swapped}, "another agent layout"),
+        ({"config": {**whole["config"], "hidden": [8, 8]}}, "damaged"),
+        ({"state": {}}, "damaged"),
+    ):
+        torch.save({**whole, **broken}, tmp_path / FILE)
+        with pytest.raises(CheckpointError, match=message):
+            load_policy(tmp_path)
+    del whole["state"]
+    torch.save(whole, tmp_path / FILE)
+    with pytest.raises(CheckpointError, match="lacks state"):
+        load_policy(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from marl_mm.errors import (
     UnknownDatasetError,
     UsageError,
 )
+from marl_mm.files import new_folder
 from marl_mm.layout import ACTION, AGENTS, STATE
 
 ID = "marl_mm/reach/test-v0"
@@ -141,6 +142,34 @@ def test_nothing_is_overwritten_unasked(written: Path, episodes: list[Episode]) 
     assert [p.name for p in written.parent.iterdir() if p.name.startswith(".")] == []
 
 
+def test_overwrite_replaces_datasets_and_nothing_else(
+    tmp_path: Path, episodes: list[Episode]
+) -> None:
+    thesis = tmp_path / "work" / "thesis.txt"
+    thesis.parent.mkdir()
+    thesis.write_text("years")
+    with pytest.raises(UsageError, match="holds other files"):
+        write(str(tmp_path / "work"), episodes, overwrite=True)
+    with pytest.raises(UsageError, match="is no dataset"):
+        write(str(thesis), episodes, overwrite=True)
+    assert thesis.read_text() == "years"
+
+
+def test_a_failed_replacement_keeps_what_was_there(tmp_path: Path) -> None:
+    target = tmp_path / "folder"
+    target.mkdir()
+    (target / "old").write_text("old")
+    with pytest.raises(OSError), new_folder(target) as temporary:
+        (temporary / "new").write_text("new")
+        raise OSError("disk full")
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+    assert (target / "old").read_text() == "old"
+    with new_folder(target) as temporary:
+        (temporary / "new").write_text("new")
+    assert [path.name for path in target.iterdir()] == ["new"]
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
 def test_an_empty_dataset_is_refused(datasets_home: Path) -> None:
     with pytest.raises(DatasetError, match="no episode"):
         write(ID, [])
@@ -163,7 +192,7 @@ def test_a_missing_key_is_named(written: Path) -> None:
         read_episodes(locate(ID))
 
 
-@pytest.mark.parametrize("content", ["{", "{}", '{"marl_mm": {"schema": 99}}'])
+@pytest.mark.parametrize("content", ["{", "{}", "[1]", '{"marl_mm": {"schema": 99}}'])
 def test_foreign_or_damaged_metadata_are_named(written: Path, content: str) -> None:
     (written / "data" / "metadata.json").write_text(content)
     with pytest.raises(DatasetError, match=r"metadata.json"):

@@ -60,6 +60,12 @@ def test_overrides_take_json_lists() -> None:
         ("Reach-v0", {"maxsteps": 3}, "max_steps"),
         ("Reach-v0", {"controller": {"gain": 3}}, "controller.gain"),
         ("Reach-v0", {"max_steps": 0}, "expected >= 1"),
+        ("Reach-v0", {"max_steps": "50"}, "max_steps is '50', expected int"),
+        ("Reach-v0", {"cruise": float("nan")}, "cruise is nan, expected a finite"),
+        ("Reach-v0", {"goal_y": [0.2]}, "expected 2 numbers"),
+        ("Reach-v0", {"action_scale": -1}, "expected > 0"),
+        ("Reach-v0", {"controller": 5}, "expected a mapping of its fields"),
+        ("Reach-v0", {"controller": {"form": "mix"}}, "'blend', 'rhp'"),
     ],
 )
 def test_unknown_names_and_bad_values_are_refused(

@@ -1,7 +1,7 @@
 """marl-mm bench: what a controller tick costs, against the simulator's step."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from time import perf_counter
 from typing import Any
@@ -13,12 +13,9 @@ from rich.table import Table
 
 from marl_mm.commands.options import check_positive, check_seed
 from marl_mm.control.config import Form, Solver
-from marl_mm.control.tasks.task import Reference
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.core import ReachCore
-from marl_mm.sim.bullet import RATE
-
-_PHASES = ("model", "hierarchy", "io", "simulation")
+from marl_mm.layout import ACTION_HIGH, ACTION_LOW
 
 
 @dataclass(frozen=True)
@@ -65,65 +62,80 @@ def main(arguments: Sequence[str]) -> None:
 def bench_control(options: BenchControl) -> dict[str, Any]:
     """Median time of each phase of a tick [us], and their ratios.
 
-    The controller is model and hierarchy; the tick is everything. All phases are timed
-    in the same ticks, so that a noisy machine disturbs them alike.
+    The environment runs as it always does, with a clock around each part it calls, so
+    that a noisy machine disturbs all parts alike. The controller is model and
+    hierarchy; the tick is everything, clocks included.
     """
     overrides = {"controller": {"form": options.form, "solver": options.solver}}
     core = ReachCore(reach_config("Reach-v0", overrides))
     rng = np.random.default_rng(options.seed)
-    core.reset(rng)
-    core.step(np.array([0.0, 0.0, 0.0, 0.5]))  # compiles or loads the compiled code
-    ticks = core.config.ticks_per_step
-    times = np.empty((options.steps * ticks, len(_PHASES)))
-    for step in range(options.steps):
-        if step % core.config.max_steps == 0:
-            core.reset(rng)
-        _time_step(core, rng, times[step * ticks : (step + 1) * ticks])
-    begin = perf_counter()
-    core.reset(rng)
-    for _ in range(options.steps):
-        core.step(rng.uniform([-1, -1, -1, 0], 1))
-    seconds = perf_counter() - begin
+    _run_steps(core, rng, 1)  # compiles, or loads what was compiled
+    seconds = _run_steps(core, rng, options.steps).sum()
+    clocks = {
+        "model": _clocked(core.model, "evaluate"),
+        "hierarchy": _clocked(core.controller, "tick"),
+        "command": _clocked(core.world, "command"),
+        "simulation": _clocked(core.world, "step"),
+        "read": _clocked(core.world, "read"),
+    }
+    steps = _run_steps(core, rng, options.steps, clocks.values())
     core.close()
-    median = dict(zip(_PHASES, 1e6 * np.median(times, axis=0), strict=True))
-    controller = np.median(times[:, :2].sum(axis=1))
-    tick = np.median(times.sum(axis=1))
-    simulation = np.median(times[:, 3])
+    ticks = core.config.ticks_per_step
+    phase = {name: 1e6 * np.array(times) for name, times in clocks.items()}
+    controller = phase["model"] + phase["hierarchy"]
+    io = phase["command"] + phase["read"]
+    simulation = float(np.median(phase["simulation"]))
+    tick = float(1e6 * np.median(steps) / ticks)
     return {
-        "controller_over_simulation": float(controller / simulation),
-        "tick_over_simulation": float(tick / simulation),
-        "env_steps_per_second": options.steps / seconds,
-        "ticks_per_second": float(1 / tick),
-        **{f"{name}_us": float(value) for name, value in median.items()},
-        "controller_us": float(1e6 * controller),
-        "tick_us": float(1e6 * tick),
-        "tick_us_99th_percentile": float(1e6 * np.percentile(times.sum(axis=1), 99)),
+        "controller_over_simulation": float(np.median(controller)) / simulation,
+        "tick_over_simulation": tick / simulation,
+        "env_steps_per_second": options.steps / float(seconds),
+        "ticks_per_second": ticks * options.steps / float(seconds),
+        "simulation_us": simulation,
+        "io_us": float(np.median(io)),
+        "model_us": float(np.median(phase["model"])),
+        "hierarchy_us": float(np.median(phase["hierarchy"])),
+        "controller_us": float(np.median(controller)),
+        "controller_us_99th_percentile": float(np.percentile(controller, 99)),
+        "tick_us": tick,
         "options": asdict(options),
     }
 
 
-def _time_step(core: ReachCore, rng: np.random.Generator, times: np.ndarray) -> None:
-    """One environment step with a random action, phase by phase."""
-    world, model, controller = core.world, core.model, core.controller
-    state = world.read()
-    start = model.evaluate(state)
-    rotation_w = np.ascontiguousarray(start.rotation_w).copy()
-    target_w = world.grasp_position_w() + rng.uniform(-0.1, 0.1, 3)
-    posture, alpha = state.q[4:].copy(), float(rng.uniform())
-    speed = yaw_rate = 0.0
-    for row in times:
-        reference = Reference(target_w, rotation_w, state.q[:2], 0.0, 0.0, posture)
-        t0 = perf_counter()
-        terms = model.evaluate(state)
-        t1 = perf_counter()
-        command = controller.tick(state, terms, reference, alpha)
-        t2 = perf_counter()
-        speed += command.acceleration[0] / RATE
-        yaw_rate += command.acceleration[1] / RATE
-        world.command(speed, yaw_rate, command.torque)
-        t3 = perf_counter()
-        world.step()
-        t4 = perf_counter()
-        state = world.read()
-        t5 = perf_counter()
-        row[:] = t1 - t0, t2 - t1, (t3 - t2) + (t5 - t4), t4 - t3
+def _run_steps(
+    core: ReachCore,
+    rng: np.random.Generator,
+    count: int,
+    clocks: Iterable[list[float]] = (),
+) -> np.ndarray:
+    """Environment steps with random actions; the time each took, shape (count,) [s].
+
+    What the clocks counted during resets is taken out.
+    """
+    times = np.empty(count)
+    for i in range(count):
+        if i % core.config.max_steps == 0:
+            marks = [len(clock) for clock in clocks]
+            core.reset(rng)
+            for clock, mark in zip(clocks, marks, strict=True):
+                del clock[mark:]
+        action = rng.uniform(ACTION_LOW, ACTION_HIGH)
+        begin = perf_counter()
+        core.step(action)
+        times[i] = perf_counter() - begin
+    return times
+
+
+def _clocked(part: object, name: str) -> list[float]:
+    """Time every call of a method from now on; the times [s], growing."""
+    method = getattr(part, name)
+    times: list[float] = []
+
+    def timed(*arguments: Any) -> Any:
+        begin = perf_counter()
+        result = method(*arguments)
+        times.append(perf_counter() - begin)
+        return result
+
+    setattr(part, name, timed)
+    return times

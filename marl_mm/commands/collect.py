@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import asdict, dataclass, field
 from typing import Annotated, Any
 
@@ -15,9 +16,8 @@ from marl_mm.commands.options import available_cores, check_positive, check_seed
 from marl_mm.datasets.card import card
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import Location, locate
-from marl_mm.datasets.storage import write_dataset
-from marl_mm.envs.config import reach_config
-from marl_mm.errors import MarlMmError
+from marl_mm.datasets.storage import refuse_foreign, write_dataset
+from marl_mm.envs.config import config_dict, reach_config
 from marl_mm.files import refuse_existing
 from marl_mm.progress import progress_bar
 
@@ -88,7 +88,7 @@ def main(arguments: Sequence[str]) -> None:
         command.max_steps,
         command.overwrite,
     )
-    summary = card(load_dataset(str(location.folder)))
+    summary = card(load_dataset(location))
     if command.json:
         print(json.dumps(summary, indent=2))
     else:
@@ -111,11 +111,12 @@ def collect_dataset(
 
     Raises:
         UsageError: If an argument makes no sense or the dataset exists.
-        MarlMmError: If Ctrl-C came before the first episode was kept.
+        KeyboardInterrupt: If Ctrl-C came before the first episode was kept.
     """
     check_positive(steps=steps, workers=workers)
     check_seed(seed)
     refuse_existing(location.folder, overwrite)
+    refuse_foreign(location)
     collector = make_collector(policy)
     overrides = {"max_steps": collector.max_steps if max_steps is None else max_steps}
     check_positive(**overrides)
@@ -123,12 +124,13 @@ def collect_dataset(
     with progress_bar(f"collect {policy.name}", steps) as advance:
         collection = collect(collector, config, steps, seed, workers, advance)
     if not collection.episodes:
-        raise MarlMmError("stopped before the first episode was kept: nothing written")
-    spec = gymnasium.spec(f"marl_mm/{task}")
-    spec.kwargs = {**spec.kwargs, "overrides": overrides}
+        raise KeyboardInterrupt("stopped before an episode was kept: nothing written")
+    spec = deepcopy(gymnasium.spec(f"marl_mm/{task}"))  # the registry's own object
+    spec.kwargs["overrides"] = overrides
     description: dict[str, Any] = {
         "task": task,
         "overrides": overrides,
+        "config": config_dict(config),
         "collector": policy.name,
         "collector_config": asdict(policy),
         "seed": seed,

@@ -15,6 +15,7 @@ from marl_mm.commands.options import (
     check_seed,
     named_policy,
 )
+from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import evaluate
 from marl_mm.eval.tables import evaluation_table
 from marl_mm.files import refuse_existing, write_json
@@ -59,6 +60,8 @@ class Eval:
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm eval``."""
     options = tyro.cli(Eval, prog="marl-mm eval", args=arguments)
+    if not options.policies:
+        raise UsageError("no policy given, expected run folders, pd or random")
     check_positive(episodes=options.episodes, workers=options.workers)
     check_seed(options.seed)
     overrides = {}

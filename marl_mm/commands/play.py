@@ -1,5 +1,6 @@
 """marl-mm play: one episode on film, or in PyBullet's window."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +12,7 @@ from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands.options import check_positive, check_seed, named_policy
 from marl_mm.envs.config import reach_config
 from marl_mm.eval.goals import goal_set
+from marl_mm.eval.metrics import episode_row
 from marl_mm.eval.video import check_format, film_episode, write_video
 from marl_mm.files import refuse_existing
 from marl_mm.progress import progress_bar
@@ -48,6 +50,9 @@ class Play:
     overwrite: bool = False
     """Replace the film if it exists."""
 
+    json: bool = False
+    """Print the episode's row as JSON."""
+
     camera: Camera = field(default_factory=Camera)
     """Where to look from."""
 
@@ -78,6 +83,9 @@ def main(arguments: Sequence[str]) -> None:
         )
     if not options.gui:
         write_video(options.video, frames, options.fps)
+    if options.json:
+        print(json.dumps(episode_row(episode), indent=2))
+        return
     ending = "reached the goal" if episode.success else "did not reach the goal"
     where = "" if options.gui else f"{options.video}: "
     print(f"{where}{policy.name} {ending} in {len(episode)} steps")

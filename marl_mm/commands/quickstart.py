@@ -107,7 +107,7 @@ def main(arguments: Sequence[str]) -> None:
         _picture(options)
     values = {
         "stages_s": stages,
-        "dataset": card(load_dataset(str(out / "dataset"))),
+        "dataset": card(load_dataset(out.resolve() / "dataset")),
         "evaluations": [evaluation.to_json() for evaluation in evaluations],
     }
     write_json(out / "quickstart.json", values)
@@ -129,7 +129,7 @@ def _timed(stages: Stages, name: str) -> Iterator[None]:
 
 def _collect(options: Quickstart, size: Size) -> None:
     collection = collect_dataset(
-        locate(str((options.out / "dataset").resolve())),
+        locate(str(options.out.resolve() / "dataset")),
         EXPERT,
         "Reach-v0",
         size.steps,
@@ -153,7 +153,7 @@ def _train(options: Quickstart, size: Size) -> Evaluation:
         overwrite=options.overwrite,
         config=MabcConfig(updates=size.updates),
     )
-    dataset = load_dataset(str((options.out / "dataset").resolve()))
+    dataset = load_dataset(options.out.resolve() / "dataset")
     return train_run(dataset, training, options.seed, options.out / "mabc")
 
 

@@ -11,14 +11,21 @@ import tyro
 from marl_mm.algorithms.checkpoint import FILE
 from marl_mm.algorithms.mabc import Mabc, MabcConfig
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
-from marl_mm.algorithms.train import read_metrics, resume, train
+from marl_mm.algorithms.train import (
+    read_metrics,
+    refuse_difference,
+    resume,
+    train,
+)
 from marl_mm.commands.options import available_cores, check_positive, check_seed
 from marl_mm.datasets.dataset import Dataset, load_dataset
-from marl_mm.errors import UsageError
+from marl_mm.envs.config import reach_config
+from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate
 from marl_mm.eval.figures import learning_curve
 from marl_mm.files import refuse_existing, write_json
 from marl_mm.progress import progress_bar
+from marl_mm.versions import versions
 
 
 @dataclass(frozen=True)
@@ -34,8 +41,9 @@ class TrainOptions:
     seeds: tuple[int, ...] = (0,)
     """One run each: initial weights and batches."""
 
-    task: str = "Reach-v0"
-    """To evaluate on: Reach-v0, SmoothReach-v0 or PreciseReach-v0."""
+    task: str | None = None
+    """To evaluate on: Reach-v0, SmoothReach-v0 or PreciseReach-v0; default that of the
+    dataset."""
 
     curve_every: int = 2_000
     """Updates between points of the learning curve."""
@@ -80,9 +88,11 @@ def main(arguments: Sequence[str]) -> None:
         args=arguments,
     )
     dataset = load_dataset(options.dataset)
+    runs = {seed: options.out / str(seed) for seed in options.seeds}
+    for seed, run in runs.items():
+        check_run(dataset, options, seed, run)
     results = []
-    for seed in options.seeds:
-        run = options.out / str(seed)
+    for seed, run in runs.items():
         evaluation = train_run(dataset, options, seed, run)
         results.append({"run": str(run), **evaluation.to_json()})
         if not options.json:
@@ -97,11 +107,13 @@ def main(arguments: Sequence[str]) -> None:
         print(json.dumps(results, indent=2))
 
 
-def train_run(dataset: Dataset, options: TrainMabc, seed: int, run: Path) -> Evaluation:
-    """Train one seed, evaluate it, and leave a run folder.
+def check_run(dataset: Dataset, options: TrainMabc, seed: int, run: Path) -> None:
+    """Raise before any work is done for what would stop a run.
 
     Raises:
-        UsageError: If an option makes no sense, or the run exists.
+        UsageError: If an option makes no sense, the run exists, or there is no run to
+            resume.
+        CheckpointError: If the run to resume was made with something else.
     """
     check_positive(
         curve_every=options.curve_every,
@@ -110,20 +122,37 @@ def train_run(dataset: Dataset, options: TrainMabc, seed: int, run: Path) -> Eva
         workers=options.workers,
     )
     check_seed(seed, options.eval_seed)
+    config = _run_config(dataset, options, seed)
+    reach_config(config["task"])
+    if not options.resume:
+        refuse_existing(run, options.overwrite)
+        return
+    if not (run / FILE).exists():
+        raise UsageError(f"no checkpoint in {run} to resume from")
+    try:
+        theirs = json.loads((run / "config.json").read_text())
+    except (OSError, ValueError) as error:
+        raise CheckpointError(f"cannot read {run / 'config.json'}: {error}") from error
+    mine = json.loads(json.dumps(config))
+    del mine["packages"], mine["dataset"]["path"]
+    theirs["dataset"].pop("path", None)
+    refuse_difference(run, theirs, mine)
+
+
+def train_run(dataset: Dataset, options: TrainMabc, seed: int, run: Path) -> Evaluation:
+    """Train one seed, evaluate it, and leave a run folder; see ``check_run``."""
+    check_run(dataset, options, seed, run)
+    config = _run_config(dataset, options, seed)
+    task: str = config["task"]
     algorithm = Mabc(options.config, dataset.agents(), seed)
     if options.resume:
-        if not (run / FILE).exists():
-            raise UsageError(f"no checkpoint in {run} to resume from")
         resume(algorithm, run)
     else:
-        refuse_existing(run, options.overwrite)
-        _start_run(run, options, seed, dataset)
+        _start_run(run, config)
 
     def point(policy: LearnedPolicy) -> dict[str, float]:
-        measured = evaluate(
-            policy, options.curve_episodes, options.eval_seed + 1, options.task
-        )
-        summary = measured.summary
+        goals = options.eval_seed + 1  # not those of the final evaluation
+        summary = evaluate(policy, options.curve_episodes, goals, task).summary
         return {
             f"success/{name}": part["success_rate"] for name, part in summary.items()
         }
@@ -137,7 +166,7 @@ def train_run(dataset: Dataset, options: TrainMabc, seed: int, run: Path) -> Eva
             load_policy(run),
             options.eval_episodes,
             options.eval_seed,
-            options.task,
+            task,
             workers=options.workers,
             advance=advance,
         )
@@ -145,20 +174,25 @@ def train_run(dataset: Dataset, options: TrainMabc, seed: int, run: Path) -> Eva
     return evaluation
 
 
-def _start_run(run: Path, options: TrainMabc, seed: int, dataset: Dataset) -> None:
-    """An empty run folder with its config; remains of an older run go."""
+def _run_config(dataset: Dataset, options: TrainMabc, seed: int) -> dict[str, Any]:
+    """What a run is made of; ``config.json``."""
+    return {
+        "algorithm": Mabc.name,
+        "seed": seed,
+        "task": options.task or dataset.metadata["marl_mm"]["task"],
+        "dataset": {
+            "id": dataset.metadata["dataset_id"],
+            "path": str(dataset.location.folder),
+            "fingerprint": dataset.fingerprint,
+        },
+        "packages": versions(),
+        **asdict(options.config),
+    }
+
+
+def _start_run(run: Path, config: dict[str, Any]) -> None:
+    """A run folder with its config; what an older run left there goes."""
     run.mkdir(parents=True, exist_ok=True)
     for name in (FILE, "metrics.jsonl", "eval.json", "learning_curve.png"):
         (run / name).unlink(missing_ok=True)
-    config: dict[str, Any] = {
-        "algorithm": Mabc.name,
-        "seed": seed,
-        "dataset": {
-            "id": dataset.location.id,
-            "path": str(dataset.location.folder.resolve()),
-        },
-        "packages": dataset.metadata["marl_mm"]["packages"],
-        "task": options.task,
-        **asdict(options.config),
-    }
     write_json(run / "config.json", config)

@@ -1,5 +1,6 @@
 """The reach tasks as data: every number of an episode, with its unit and source."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
@@ -89,6 +90,11 @@ class ReachConfig:
         for name in ("max_steps", "ticks_per_step", "zmp_every"):
             if getattr(self, name) < 1:
                 raise UsageError(f"{name} is {getattr(self, name)}, expected >= 1")
+        for name in ("success_distance", "action_scale"):
+            if not getattr(self, name) > 0:
+                raise UsageError(f"{name} is {getattr(self, name)}, expected > 0")
+        if not 0.0 <= self.initial_alpha <= 1.0:
+            raise UsageError(f"initial_alpha is {self.initial_alpha}, expected [0, 1]")
 
 
 TASKS: dict[str, ReachConfig] = {
@@ -118,6 +124,15 @@ def reach_config(
     return config
 
 
+def config_dict(config: Any) -> Any:
+    """A config as nested dictionaries, JSON-serialisable."""
+    if is_dataclass(config):
+        return {f.name: config_dict(getattr(config, f.name)) for f in fields(config)}
+    if hasattr(config, "_asdict"):
+        return {name: config_dict(value) for name, value in config._asdict().items()}
+    return config
+
+
 def _replaced(config: Any, overrides: Mapping[str, Any], path: str) -> Any:
     if is_dataclass(config):
         known = [item.name for item in fields(config)]
@@ -130,11 +145,34 @@ def _replaced(config: Any, overrides: Mapping[str, Any], path: str) -> Any:
                 f"unknown field {path + name!r}, expected one of {', '.join(known)}"
             )
         current = getattr(config, name)
-        if isinstance(value, Mapping):
-            value = _replaced(current, value, f"{path}{name}.")
-        elif isinstance(current, tuple) and isinstance(value, list):
-            value = tuple(value)  # JSON has no tuples
-        changes[name] = value
+        if is_dataclass(current) or hasattr(current, "_asdict"):
+            if not isinstance(value, Mapping):
+                raise UsageError(
+                    f"{path}{name} is {value!r}, expected a mapping of its fields"
+                )
+            changes[name] = _replaced(current, value, f"{path}{name}.")
+        else:
+            changes[name] = _like(current, value, path + name)
     if is_dataclass(config) and not isinstance(config, type):
         return replace(config, **changes)
     return config._replace(**changes)
+
+
+def _like(current: Any, value: Any, name: str) -> Any:
+    """A value in the type of the one it replaces.
+
+    Raises:
+        UsageError: If it is not of that type, or not finite.
+    """
+    if isinstance(current, tuple):
+        if not isinstance(value, list | tuple) or len(value) != len(current):
+            raise UsageError(f"{name} is {value!r}, expected {len(current)} numbers")
+        pairs = zip(current, value, strict=True)
+        return tuple(_like(one, other, name) for one, other in pairs)
+    if isinstance(current, float) and isinstance(value, int | float):
+        if math.isfinite(value):
+            return float(value)
+    elif isinstance(value, type(current)) and not isinstance(value, bool):
+        return value
+    kind = "a finite number" if isinstance(current, float) else type(current).__name__
+    raise UsageError(f"{name} is {value!r}, expected {kind}")

@@ -19,6 +19,21 @@ from marl_mm.robot.limits import robot_limits
 from marl_mm.robot.model import RobotModel, RobotState, support_margin
 from marl_mm.sim.bullet import RATE, BulletWorld
 
+RENDER_MODES = ("rgb_array", "human")
+"""Pictures, or PyBullet's window."""
+
+
+def check_render_mode(mode: str | None) -> None:
+    """Raise for a render mode that does not exist.
+
+    Raises:
+        UsageError: If it is neither None nor one of ``RENDER_MODES``.
+    """
+    if mode is not None and mode not in RENDER_MODES:
+        raise UsageError(
+            f"render_mode is {mode!r}, expected {' or '.join(RENDER_MODES)} or None"
+        )
+
 
 class BasePlan(NamedTuple):
     """A slow, straight cruise of the base during one step."""

@@ -13,8 +13,8 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from marl_mm.envs.config import reach_config
-from marl_mm.envs.core import ReachCore
-from marl_mm.errors import InvalidActionError
+from marl_mm.envs.core import RENDER_MODES, ReachCore, check_render_mode
+from marl_mm.errors import InvalidActionError, UsageError
 from marl_mm.layout import ACTION, AGENTS
 from marl_mm.sim.bullet import Camera
 from marl_mm.spaces import (
@@ -68,9 +68,10 @@ class ReachParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         overrides: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
     ) -> None:
+        check_render_mode(render_mode)
         self.metadata = {
             "name": f"marl_mm/{task}",
-            "render_modes": ["rgb_array", "human"],
+            "render_modes": list(RENDER_MODES),
             "is_parallelizable": True,
         }
         self.render_mode = render_mode
@@ -84,6 +85,7 @@ class ReachParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         self.action_spaces = agent_action_spaces()
         self.state_space = state_space()
         self._rng, _ = seeding.np_random()
+        self._joint: np.ndarray | None = None
 
     def observation_space(self, agent: str) -> spaces.Box:
         """What an agent observes; the same object at each call."""
@@ -99,9 +101,9 @@ class ReachParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         """Begin an episode; ``options={"goal": (x, y, z)}`` sets the goal [m]."""
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
-        self._joint = self.core.reset(self._rng, (options or {}).get("goal"))
-        self.agents = list(self.possible_agents)
-        return split_state(self._joint), {agent: {} for agent in self.agents}
+        state = self.core.reset(self._rng, (options or {}).get("goal"))
+        self._joint, self.agents = state, list(self.possible_agents)
+        return split_state(state), {agent: {} for agent in self.agents}
 
     def step(
         self, actions: dict[str, np.ndarray]
@@ -120,7 +122,7 @@ class ReachParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         if outcome.terminated or outcome.truncated:
             self.agents = []
         return (
-            split_state(self._joint),
+            split_state(outcome.state),
             dict.fromkeys(agents, outcome.reward),
             dict.fromkeys(agents, outcome.terminated),
             dict.fromkeys(agents, outcome.truncated),
@@ -128,7 +130,13 @@ class ReachParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         )
 
     def state(self) -> np.ndarray:
-        """The joint state, shape (10,)."""
+        """The joint state, shape (10,).
+
+        Raises:
+            UsageError: If no episode has begun.
+        """
+        if self._joint is None:
+            raise UsageError("state() was called before reset()")
         return self._joint.copy()
 
     def render(self) -> np.ndarray | None:

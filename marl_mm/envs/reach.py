@@ -8,9 +8,8 @@ import numpy as np
 from gymnasium import spaces
 
 from marl_mm.envs.config import reach_config
-from marl_mm.envs.core import ReachCore
+from marl_mm.envs.core import RENDER_MODES, ReachCore, check_render_mode
 from marl_mm.envs.terms import goal_distance, reach_reward, reached
-from marl_mm.errors import UsageError
 from marl_mm.layout import EE, GOAL, OBSERVATION
 from marl_mm.sim.bullet import Camera
 from marl_mm.spaces import action_space, goal_observation_space
@@ -37,7 +36,7 @@ class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
         render_mode: ``"rgb_array"``, ``"human"`` (PyBullet's window) or None.
     """
 
-    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 1}  # noqa: RUF012
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 1}  # noqa: RUF012
 
     def __init__(
         self,
@@ -45,11 +44,7 @@ class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
         overrides: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
     ) -> None:
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise UsageError(
-                f"render_mode is {render_mode!r}, expected one of "
-                f"{self.metadata['render_modes']} or None"
-            )
+        check_render_mode(render_mode)
         self.render_mode = render_mode
         self.config = reach_config(task, overrides)
         self.core = ReachCore(

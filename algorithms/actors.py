@@ -1,0 +1,47 @@
+"""Decentralised actors: each with its own observation and its place in the action."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+
+from marl_mm.algorithms.networks import ActionScale, Actor, Normalizer
+from marl_mm.layout import ACTION_HIGH, ACTION_LOW, AGENTS, AgentLayout
+
+
+class AgentActor:
+    """One agent's actor with its place in the joint state and action.
+
+    Args:
+        layout: What the agent sees and sets.
+        actor: Its network.
+    """
+
+    def __init__(self, layout: AgentLayout, actor: Actor) -> None:
+        self.layout = layout
+        self.actor = actor
+        entries = list(layout.action)
+        self.scale = ActionScale(
+            torch.tensor(ACTION_LOW)[entries], torch.tensor(ACTION_HIGH)[entries]
+        )
+
+    @torch.no_grad()
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """Action in the action space, shape (k,), at the agent's own observation."""
+        inputs = torch.as_tensor(observation, dtype=torch.float32)
+        action: np.ndarray = self.scale.denormalize(self.actor(inputs)).numpy()
+        return action
+
+
+def actors_from(
+    states: Mapping[str, Any], hidden: Sequence[int]
+) -> dict[str, AgentActor]:
+    """Trained actors from their networks' states, without any dataset."""
+    agents = {}
+    for agent in AGENTS:
+        blank = Normalizer(torch.zeros(1, len(agent.observation)), floor=1.0)
+        actor = Actor(blank, len(agent.action), hidden)
+        actor.load_state_dict(states[agent.name])
+        agents[agent.name] = AgentActor(agent, actor.eval())
+    return agents

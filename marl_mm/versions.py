@@ -1,0 +1,28 @@
+"""Which versions made a file: they decide its bytes."""
+
+import platform
+from importlib.metadata import PackageNotFoundError, version
+
+PACKAGES = (
+    "marl-mm",
+    "pybullet",
+    "pin",
+    "proxsuite",
+    "numba",
+    "numpy",
+    "torch",
+    "gymnasium",
+    "pettingzoo",
+    "minari",
+)
+
+
+def versions() -> dict[str, str]:
+    """Version of Python and of every package that takes part."""
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:  # a copied folder, not an installed package
+            found[name] = "unknown"
+    return found
