@@ -199,6 +199,7 @@ def test_alpha_decides_who_waits(core: ReachCore) -> None:
         (np.zeros(3), r"shape \(3,\), expected \(4,\)"),
         (np.array([0, np.nan, 0, 0.5]), "finite"),
         (np.array([0, np.inf, 0, 0.5]), "finite"),
+        (np.array(["a", "b", "c", "d"]), "expected four numbers"),
     ],
 )
 def test_bad_actions_are_refused(

@@ -167,7 +167,12 @@ class ReachCore:
         self.world.close()
 
     def _checked_action(self, action: np.ndarray) -> np.ndarray:
-        values = np.asarray(action, dtype=np.float64)
+        try:
+            values = np.asarray(action, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise InvalidActionError(
+                f"action is {action!r}, expected four numbers"
+            ) from error
         if values.shape != self._low.shape:
             raise InvalidActionError(
                 f"action has shape {values.shape}, expected (4,): three displacements "
@@ -271,7 +276,10 @@ class ReachCore:
 
 
 def _checked_goal(goal_w: np.ndarray) -> np.ndarray:
-    goal = np.asarray(goal_w, dtype=np.float64)
+    try:
+        goal = np.asarray(goal_w, dtype=np.float64)
+    except (TypeError, ValueError):
+        goal = np.empty(0)
     if goal.shape != (3,) or not np.isfinite(goal).all():
-        raise UsageError(f"goal is {goal.tolist()}, expected three finite numbers [m]")
+        raise UsageError(f"goal is {goal_w!r}, expected three finite numbers [m]")
     return goal
