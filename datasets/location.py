@@ -37,12 +37,14 @@ def locate(text: str) -> Location:
     """The location an id or a path means, whether it exists or not.
 
     Raises:
-        UsageError: If the text is empty.
+        UsageError: If the text is empty, or an id of ours without a version.
     """
     if not text:
         raise UsageError("the dataset's name is empty, expected an id or a path")
     if _ID.fullmatch(text):
         return Location(text, datasets_root() / text)
+    if text.startswith("marl_mm/"):
+        raise UsageError(f"{text!r} looks like an id without its version, as in -v0")
     folder = Path(text).expanduser().resolve()
     if folder.name == "data" and (folder / "metadata.json").exists():
         folder = folder.parent

@@ -123,12 +123,43 @@ def read_episodes(location: Location) -> list[Episode]:
     path = location.data / "main_data.hdf5"
     try:
         with h5py.File(path, "r") as file:
-            return [_episode(file[f"episode_{i}"]) for i in range(total)]
+            episodes = [_episode(file[f"episode_{i}"]) for i in range(total)]
     except (OSError, KeyError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         raise DatasetError(
             f"{path} is damaged ({reason}); collect it again with --overwrite"
         ) from error
+    for i, episode in enumerate(episodes):
+        _check_episode(path, i, episode)
+    return episodes
+
+
+def _check_episode(path: Path, number: int, episode: Episode) -> None:
+    """Raise for an episode that cannot be: wrong shapes, or not finite.
+
+    Raises:
+        DatasetError: Naming episode and field.
+    """
+    steps = len(episode.rewards)
+    shapes = {
+        "states": (steps + 1, len(STATE)),
+        "actions": (steps, len(ACTION)),
+        "rewards": (steps,),
+        "terminated": (steps,),
+        "truncated": (steps,),
+    }
+    for name, expected in shapes.items():
+        values = getattr(episode, name)
+        if values.shape != expected or steps == 0:
+            raise DatasetError(
+                f"{path}, episode {number}: {name} have shape {values.shape}, expected "
+                f"{expected}; collect it again with --overwrite"
+            )
+        if not np.isfinite(values).all():
+            raise DatasetError(
+                f"{path}, episode {number}: {name} hold a NaN or an infinity; collect "
+                "it again with --overwrite"
+            )
 
 
 def _metadata(

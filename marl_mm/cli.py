@@ -1,10 +1,12 @@
 """The command line: finds a command, runs it, and turns errors into one line."""
 
 import importlib
+import os
+import signal
 import sys
 from collections.abc import Sequence
 
-from marl_mm.errors import MarlMmError
+from marl_mm.errors import MarlMmError, UsageError
 
 COMMANDS = {
     "quickstart": "collect, train and evaluate in a few minutes, with a report",
@@ -24,6 +26,32 @@ INTERRUPTED = 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``marl-mm`` and return its exit code: 0, 1 failure, 2 usage, 130 Ctrl-C."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        code = _run(words)
+        sys.stdout.flush()
+        return code
+    except MarlMmError as error:
+        _complain(str(error))
+        return error.exit_code
+    except BrokenPipeError:  # the reader has gone; say nothing more, at exit neither
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return 0
+    except OSError as error:  # disk full, no permission
+        _complain(f"{error.strerror or error}: {error.filename or 'standard output'}")
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return MarlMmError.exit_code
+    except KeyboardInterrupt as error:
+        _complain(str(error) or "interrupted")
+        return INTERRUPTED
+
+
+def _interrupt(number: int, frame: object) -> None:
+    """A supervisor's SIGTERM ends a command as Ctrl-C does: workers and files too."""
+    signal.raise_signal(signal.SIGINT)
+
+
+def _run(words: list[str]) -> int:
     if not words or words[0] in ("-h", "--help"):
         _print(_usage())
         return 0 if words else 2
@@ -32,26 +60,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         _print(f"marl-mm {__version__}")
         return 0
-    name = words[0]
-    if name not in COMMANDS:
-        _complain(f"unknown command {name!r}, expected one of {', '.join(COMMANDS)}")
-        return 2
-    try:
-        module = importlib.import_module(f"marl_mm.commands.{name}")
-        module.main(words[1:])
-    except MarlMmError as error:
-        _complain(str(error))
-        return error.exit_code
-    except BrokenPipeError:
-        sys.stderr.close()  # the reader has gone; say nothing more
-    except (
-        OSError
-    ) as error:  # disk full, no permission, a file where a folder should be
-        _complain(f"{error.strerror or error}: {error.filename or 'unnamed file'}")
-        return MarlMmError.exit_code
-    except KeyboardInterrupt as error:
-        _complain(str(error) or "interrupted")
-        return INTERRUPTED
+    if words[0] not in COMMANDS:
+        raise UsageError(
+            f"unknown command {words[0]!r}, expected one of {', '.join(COMMANDS)}"
+        )
+    importlib.import_module(f"marl_mm.commands.{words[0]}").main(words[1:])
     return 0
 
 

@@ -231,7 +231,11 @@ def test_train_refuses_and_resumes(run_folder: Path, capsys: Output) -> None:
     assert run(*base, "--task", "Fly-v0", "--seeds", "8") == 2
     assert not (run_folder.parent / "8").exists()
     assert run(*base, "--resume", *options, "--seeds", "7") == 2
-    assert "no checkpoint in" in capsys.readouterr().err
+    assert run(*base, "--seeds") == 2
+    shown = capsys.readouterr().err
+    assert "no checkpoint in" in shown and "names no seed" in shown
+    assert run(*base, "--resume", *options, "--seeds", "0", "3") == 0
+    assert (run_folder.parent / "3" / "eval.json").exists()
 
 
 @pytest.mark.slow

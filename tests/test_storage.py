@@ -192,6 +192,17 @@ def test_a_missing_key_is_named(written: Path) -> None:
         read_episodes(locate(ID))
 
 
+def test_episodes_that_cannot_be_are_named(written: Path) -> None:
+    with h5py.File(written / "data" / "main_data.hdf5", "a") as file:
+        file["episode_1/actions"][0, 2] = np.nan
+    with pytest.raises(DatasetError, match=r"episode 1: actions hold a NaN"):
+        load_dataset(ID)
+    with h5py.File(written / "data" / "main_data.hdf5", "a") as file:
+        file["episode_1/actions"].resize((2, 4))
+    with pytest.raises(DatasetError, match=r"actions have shape \(2, 4\), expected"):
+        load_dataset(ID)
+
+
 @pytest.mark.parametrize("content", ["{", "{}", "[1]", '{"marl_mm": {"schema": 99}}'])
 def test_foreign_or_damaged_metadata_are_named(written: Path, content: str) -> None:
     (written / "data" / "metadata.json").write_text(content)

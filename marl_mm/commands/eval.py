@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import tyro
@@ -85,10 +85,11 @@ def main(arguments: Sequence[str]) -> None:
                     advance,
                 )
             )
-    values = [
-        {"name": name, **evaluation.to_json()}
+    evaluations = [
+        replace(evaluation, policy=name)
         for name, evaluation in zip(options.policies, evaluations, strict=True)
     ]
+    values = [evaluation.to_json() for evaluation in evaluations]
     if options.out is not None:
         write_json(options.out, values)
     if options.json:

@@ -55,7 +55,7 @@ class Size:
 
 
 FULL = Size(steps=1_500, updates=8_000, episodes=100)
-SMALL = Size(steps=600, updates=6_000, episodes=40)
+SMALL = Size(steps=1_000, updates=8_000, episodes=40)
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Quickstart:
     """Replace OUT if it exists."""
 
     json: bool = False
-    """Print the evaluations as JSON instead of the table."""
+    """Print wall times, the dataset's card and the evaluations as JSON."""
 
 
 Stages = dict[str, float]
@@ -93,10 +93,15 @@ def main(arguments: Sequence[str]) -> None:
     refuse_existing(options.out, options.overwrite)
     size = SMALL if options.small else FULL
     out, stages = options.out, Stages()
-    with _timed(stages, "collect (pd)"):
-        _collect(options, size)
-    with _timed(stages, "train and evaluate (mabc)"):
-        learned = _train(options, size)
+    try:
+        with _timed(stages, "collect (pd)"):
+            _collect(options, size)
+        with _timed(stages, "train and evaluate (mabc)"):
+            learned = _train(options, size)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"stopped; start again with --overwrite, or use what is in {out}"
+        ) from None
     with _timed(stages, "evaluate (pd, random)"):
         scripted = [
             _evaluate(policy, options, size)
@@ -138,9 +143,7 @@ def _collect(options: Quickstart, size: Size) -> None:
         overwrite=options.overwrite,
     )
     if not collection.complete:
-        raise KeyboardInterrupt(
-            f"stopped; {options.out / 'dataset'} holds the episodes until then"
-        )
+        raise KeyboardInterrupt
 
 
 def _train(options: Quickstart, size: Size) -> Evaluation:
@@ -203,14 +206,17 @@ def _report(
     return f"""# Quickstart
 
 Made by `marl-mm quickstart --seed {options.seed}{" --small" * options.small}`.
-A PD agent collected {dataset["steps"]} steps in {dataset["episodes"]} episodes
+A PD agent collected {dataset["episodes"]} successful episodes, {dataset["steps"]} steps
 (`dataset/`, Minari HDF5). MABC trained two decentralised actors on that file (`mabc/`).
 All policies were then evaluated on the same goals, half ahead and half behind.
 
 {evaluation_markdown(evaluations)}
 Success: end-effector within 5 cm of the goal in at most 25 steps of 1 s, with Wilson's
 interval.
-Steps: mean over successes. d_mm, d_mp: distance of hand and base from their targets.
+Steps: mean over successes; return: sum of the shared reward; d_mm, d_mp: distance of
+hand and base from their targets at the end of a step; jerk: of the base, rms; alpha: 1
+stable base ... 0 accurate hand. Means over all steps of all episodes. The PD agent
+lowers alpha from 1 to {EXPERT.alpha} as the hand nears its own base (rule "room").
 
 ![film strip](mabc.png)
 
@@ -220,7 +226,11 @@ Film: [mabc.mp4](mabc.mp4)
 
 ![learning curve](mabc/learning_curve.png)
 
+Each point: {TrainMabc.curve_episodes} goals of their own, so coarser than the table.
+
 ## Alpha over time
+
+The first goal ahead and the first behind.
 
 ![alpha](alpha.png)
 

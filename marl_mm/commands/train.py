@@ -61,7 +61,7 @@ class TrainOptions:
     """Processes that evaluate."""
 
     resume: bool = False
-    """Go on where a run was stopped."""
+    """Go on where runs were stopped; seeds that have none start."""
 
     overwrite: bool = False
     """Start anew where a run exists."""
@@ -89,6 +89,10 @@ def main(arguments: Sequence[str]) -> None:
     )
     dataset = load_dataset(options.dataset)
     runs = {seed: options.out / str(seed) for seed in options.seeds}
+    if not runs:
+        raise UsageError("--seeds names no seed, expected at least one")
+    if options.resume and not any((run / FILE).exists() for run in runs.values()):
+        raise UsageError(f"no checkpoint in {options.out} to resume from")
     for seed, run in runs.items():
         check_run(dataset, options, seed, run)
     results = []
@@ -111,8 +115,7 @@ def check_run(dataset: Dataset, options: TrainMabc, seed: int, run: Path) -> Non
     """Raise before any work is done for what would stop a run.
 
     Raises:
-        UsageError: If an option makes no sense, the run exists, or there is no run to
-            resume.
+        UsageError: If an option makes no sense, or the run exists.
         CheckpointError: If the run to resume was made with something else.
     """
     check_positive(
@@ -128,7 +131,7 @@ def check_run(dataset: Dataset, options: TrainMabc, seed: int, run: Path) -> Non
         refuse_existing(run, options.overwrite)
         return
     if not (run / FILE).exists():
-        raise UsageError(f"no checkpoint in {run} to resume from")
+        return  # stopped before its first checkpoint, or before its turn
     try:
         theirs = json.loads((run / "config.json").read_text())
     except (OSError, ValueError) as error:
@@ -145,7 +148,7 @@ def train_run(dataset: Dataset, options: TrainMabc, seed: int, run: Path) -> Eva
     config = _run_config(dataset, options, seed)
     task: str = config["task"]
     algorithm = Mabc(options.config, dataset.agents(), seed)
-    if options.resume:
+    if options.resume and (run / FILE).exists():
         resume(algorithm, run)
     else:
         _start_run(run, config)
@@ -161,15 +164,20 @@ def train_run(dataset: Dataset, options: TrainMabc, seed: int, run: Path) -> Eva
     with progress_bar(f"train {algorithm.name}", total) as advance:
         train(algorithm, run, point, options.curve_every, advance)
     learning_curve(read_metrics(run), run / "learning_curve.png")
-    with progress_bar(f"eval {algorithm.name}", options.eval_episodes) as advance:
-        evaluation = evaluate(
-            load_policy(run),
-            options.eval_episodes,
-            options.eval_seed,
-            task,
-            workers=options.workers,
-            advance=advance,
-        )
+    try:
+        with progress_bar(f"eval {algorithm.name}", options.eval_episodes) as advance:
+            evaluation = evaluate(
+                load_policy(run),
+                options.eval_episodes,
+                options.eval_seed,
+                task,
+                workers=options.workers,
+                advance=advance,
+            )
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"stopped; {run} is trained: evaluate it with --resume"
+        ) from None
     write_json(run / "eval.json", evaluation.to_json())
     return evaluation
 

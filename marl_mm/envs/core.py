@@ -19,8 +19,8 @@ from marl_mm.robot.limits import robot_limits
 from marl_mm.robot.model import RobotModel, RobotState, support_margin
 from marl_mm.sim.bullet import RATE, BulletWorld
 
-RENDER_MODES = ("rgb_array", "human")
-"""Pictures, or PyBullet's window."""
+RENDER_MODES = ("rgb_array",)
+"""Pictures; for PyBullet's window there is ``marl-mm play --gui``."""
 
 
 def check_render_mode(mode: str | None) -> None:

@@ -59,7 +59,7 @@ class ReachParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
     Args:
         task: A registered task's name.
         overrides: Fields of its ``ReachConfig`` to replace.
-        render_mode: ``"rgb_array"``, ``"human"`` (PyBullet's window) or None.
+        render_mode: ``"rgb_array"`` or None.
     """
 
     def __init__(
@@ -76,9 +76,7 @@ class ReachParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         }
         self.render_mode = render_mode
         self.config = reach_config(task, overrides)
-        self.core = ReachCore(
-            self.config, visual=render_mode is not None, gui=render_mode == "human"
-        )
+        self.core = ReachCore(self.config, visual=render_mode is not None)
         self.possible_agents = [agent.name for agent in AGENTS]
         self.agents: list[str] = []
         self.observation_spaces = agent_observation_spaces()

@@ -33,7 +33,7 @@ class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
     Args:
         task: A registered task's name.
         overrides: Fields of its ``ReachConfig`` to replace, JSON-serialisable.
-        render_mode: ``"rgb_array"``, ``"human"`` (PyBullet's window) or None.
+        render_mode: ``"rgb_array"`` or None.
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 1}  # noqa: RUF012
@@ -47,9 +47,7 @@ class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
         check_render_mode(render_mode)
         self.render_mode = render_mode
         self.config = reach_config(task, overrides)
-        self.core = ReachCore(
-            self.config, visual=render_mode is not None, gui=render_mode == "human"
-        )
+        self.core = ReachCore(self.config, visual=render_mode is not None)
         self.observation_space = cast(
             spaces.Space[GoalObservation], goal_observation_space()
         )

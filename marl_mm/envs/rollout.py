@@ -142,7 +142,9 @@ def _run_in_pool(
             "a worker process died; if memory ran out, use fewer --workers"
         ) from error
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+        # At most a few episodes are in flight; an interrupted wait would hang at exit.
+        with _deaf_to_interrupts():
+            pool.shutdown(wait=True, cancel_futures=True)
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from math import sqrt
 
 import numpy as np
 
-from marl_mm.errors import NonFiniteStateError
+from marl_mm.errors import NonFiniteStateError, UsageError
 from marl_mm.robot.description import WHEEL_RADIUS, WHEEL_SEPARATION, RobotConfig
 from marl_mm.robot.description import urdf_xml as robot_urdf
 from marl_mm.robot.model import GRAVITY, RobotState
@@ -79,6 +79,15 @@ class Camera:
     pitch: float = -18.0
     """[deg]"""
 
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            size = getattr(self, name)
+            if not 16 <= size <= 4096 or size % 2:
+                raise UsageError(f"camera {name} is {size}, expected even, 16 to 4096")
+        angles = (self.yaw, self.pitch, *self.target_w)
+        if not (np.isfinite(angles).all() and 0 < self.distance < 100):
+            raise UsageError("camera angles and distance must be finite, distance > 0")
+
 
 class BulletWorld:
     """One robot on a plane, in a physics client of its own.
@@ -100,6 +109,8 @@ class BulletWorld:
         visual: bool = False,
         gui: bool = False,
     ) -> None:
+        if gui and not os.environ.get("DISPLAY"):
+            raise UsageError("PyBullet's window needs a screen: $DISPLAY is not set")
         self._robot_config = robot
         self._config = config
         self._visual = visual or gui
