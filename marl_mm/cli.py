@@ -42,6 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return MarlMmError.exit_code
     except KeyboardInterrupt as error:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is ending already
         _complain(str(error) or "interrupted")
         return INTERRUPTED
 

@@ -5,6 +5,7 @@ import pty
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -198,7 +199,9 @@ def test_ctrl_c_leaves_the_episodes_until_then(
     )
     os.close(stderr)
     shown = read_until(terminal, "3 episodes")
-    os.killpg(process.pid, signal.SIGINT)
+    for _ in range(2):  # an impatient user's second one must not hang it
+        os.killpg(process.pid, signal.SIGINT)
+        time.sleep(0.1)
     shown += read_until(terminal, None)
     assert process.wait(timeout=60) == 130, shown
     assert "Traceback" not in shown

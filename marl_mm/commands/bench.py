@@ -7,11 +7,11 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-import tyro
 from rich.console import Console
 from rich.table import Table
 
 from marl_mm.commands.options import check_positive, check_seed
+from marl_mm.commands.parser import parse_subcommand
 from marl_mm.control.config import Form, Solver
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.core import ReachCore
@@ -40,11 +40,11 @@ class BenchControl:
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm bench``."""
-    options = tyro.extras.subcommand_cli_from_dict(
+    options = parse_subcommand(
         {"control": BenchControl},
-        prog="marl-mm bench",
-        description="Measure the controller against the simulator.",
-        args=arguments,
+        "marl-mm bench",
+        "Measure the controller against the simulator.",
+        arguments,
     )
     check_positive(steps=options.steps)
     check_seed(options.seed)

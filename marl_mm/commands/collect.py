@@ -13,12 +13,14 @@ from marl_mm.collectors.collect import Collection, PolicyConfig, collect, make_c
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.collectors.random import RandomConfig
 from marl_mm.commands.options import available_cores, check_positive, check_seed
+from marl_mm.commands.parser import parse_subcommand
 from marl_mm.datasets.card import card
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import Location, locate
 from marl_mm.datasets.storage import refuse_foreign, write_dataset
 from marl_mm.envs.config import config_dict, reach_config
 from marl_mm.files import refuse_existing
+from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.progress import progress_bar
 
 
@@ -71,11 +73,11 @@ class Random(CollectOptions):
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm collect``."""
-    command = tyro.extras.subcommand_cli_from_dict(
+    command = parse_subcommand(
         {"pd": Pd, "random": Random},
-        prog="marl-mm collect",
-        description="Collect a dataset with a scripted policy.",
-        args=arguments,
+        "marl-mm collect",
+        "Collect a dataset with a scripted policy.",
+        arguments,
     )
     location = locate(command.dataset or _default_id(command.task, command.policy))
     collection = collect_dataset(
@@ -138,7 +140,8 @@ def collect_dataset(
         "attempts": collection.attempts,
         "complete": collection.complete,
     }
-    write_dataset(location, collection.episodes, spec, description, overwrite)
+    with deaf_to_interrupts():  # a second Ctrl-C must not cost what the first one kept
+        write_dataset(location, collection.episodes, spec, description, overwrite)
     return collection
 
 

@@ -9,6 +9,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from marl_mm.commands.parser import parse_subcommand
 from marl_mm.datasets.card import card
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import datasets_root, known_ids, locate
@@ -37,11 +38,11 @@ class Show:
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm datasets``."""
-    command: List | Show = tyro.extras.subcommand_cli_from_dict(
+    command: List | Show = parse_subcommand(
         {"list": List, "show": Show},
-        prog="marl-mm datasets",
-        description="List datasets and show what is in them.",
-        args=arguments,
+        "marl-mm datasets",
+        "List datasets and show what is in them.",
+        arguments,
     )
     if isinstance(command, List):
         _list(command)

@@ -15,6 +15,7 @@ from marl_mm.commands.options import (
     check_seed,
     named_policy,
 )
+from marl_mm.commands.parser import parse_options
 from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import evaluate
 from marl_mm.eval.tables import evaluation_table
@@ -59,7 +60,7 @@ class Eval:
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm eval``."""
-    options = tyro.cli(Eval, prog="marl-mm eval", args=arguments)
+    options = parse_options(Eval, "marl-mm eval", arguments)
     if not options.policies:
         raise UsageError("no policy given, expected run folders, pd or random")
     check_positive(episodes=options.episodes, workers=options.workers)

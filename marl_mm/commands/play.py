@@ -10,6 +10,7 @@ import tyro
 
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands.options import check_positive, check_seed, named_policy
+from marl_mm.commands.parser import parse_options
 from marl_mm.envs.config import reach_config
 from marl_mm.eval.goals import goal_set
 from marl_mm.eval.metrics import episode_row
@@ -62,7 +63,7 @@ class Play:
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm play``."""
-    options = tyro.cli(Play, prog="marl-mm play", args=arguments)
+    options = parse_options(Play, "marl-mm play", arguments)
     check_positive(max_steps=options.max_steps, fps=options.fps)
     check_seed(options.seed)
     if not options.gui:

@@ -12,7 +12,6 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-import tyro
 from rich.console import Console
 
 from marl_mm.algorithms.mabc import MabcConfig
@@ -21,6 +20,7 @@ from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.commands.collect import collect_dataset
 from marl_mm.commands.options import available_cores, check_positive, check_seed
+from marl_mm.commands.parser import parse_options
 from marl_mm.commands.train import TrainMabc, train_run
 from marl_mm.datasets.card import card
 from marl_mm.datasets.dataset import load_dataset
@@ -87,7 +87,7 @@ Stages = dict[str, float]
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm quickstart``."""
-    options = tyro.cli(Quickstart, prog="marl-mm quickstart", args=arguments)
+    options = parse_options(Quickstart, "marl-mm quickstart", arguments)
     check_positive(workers=options.workers)
     check_seed(options.seed)
     refuse_existing(options.out, options.overwrite)

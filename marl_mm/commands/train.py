@@ -18,6 +18,7 @@ from marl_mm.algorithms.train import (
     train,
 )
 from marl_mm.commands.options import available_cores, check_positive, check_seed
+from marl_mm.commands.parser import parse_subcommand
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.envs.config import reach_config
 from marl_mm.errors import CheckpointError, UsageError
@@ -81,11 +82,11 @@ class TrainMabc(TrainOptions):
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm train``."""
-    options = tyro.extras.subcommand_cli_from_dict(
+    options = parse_subcommand(
         {"mabc": TrainMabc},
-        prog="marl-mm train",
-        description="Train a policy from a dataset file.",
-        args=arguments,
+        "marl-mm train",
+        "Train a policy from a dataset file.",
+        arguments,
     )
     dataset = load_dataset(options.dataset)
     runs = {seed: options.out / str(seed) for seed in options.seeds}

@@ -4,13 +4,10 @@ The result depends on the plans alone: every episode starts from a rebuilt world
 draws from its own seed, and results come back in the order of the plans.
 """
 
-import signal
-import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from multiprocessing import get_context
@@ -23,6 +20,7 @@ from marl_mm.envs.config import ReachConfig
 from marl_mm.envs.core import ReachCore, Step
 from marl_mm.episode import INFO, Episode
 from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.policy import Policy
 
 Purpose = Literal["collect", "evaluate"]
@@ -129,7 +127,7 @@ def _run_in_pool(
     remaining = iter(plans)
     pending: deque[Future[Episode]] = deque()
     try:
-        with _deaf_to_interrupts():  # the workers start here, and inherit it
+        with deaf_to_interrupts():  # the workers start here, and inherit it
             for plan in islice(remaining, workers * _AHEAD):
                 pending.append(pool.submit(_run_in_worker, plan))
         while pending:
@@ -143,21 +141,8 @@ def _run_in_pool(
         ) from error
     finally:
         # At most a few episodes are in flight; an interrupted wait would hang at exit.
-        with _deaf_to_interrupts():
+        with deaf_to_interrupts():
             pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Ctrl-C goes to the whole process group, but is the parent's to handle."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, previous)
 
 
 _worker: tuple[ReachCore, Policy] | None = None
