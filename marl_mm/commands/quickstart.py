@@ -215,7 +215,7 @@ Success: end-effector within 5 cm of the goal in at most 25 steps of 1 s, with W
 interval.
 Steps: mean over successes; return: sum of the shared reward; d_mm, d_mp: distance of
 hand and base from their targets at the end of a step; jerk: of the base, rms; alpha: 1
-stable base ... 0 accurate hand. Means over all steps of all episodes. The PD agent
+stable base ... 0 accurate hand. Means over episodes of each one's mean. The PD agent
 lowers alpha from 1 to {EXPERT.alpha} as the hand nears its own base (rule "room").
 
 ![film strip](mabc.png)
