@@ -16,7 +16,7 @@ from marl_mm.errors import UsageError
 from marl_mm.files import new_file
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
-from marl_mm.sim.bullet import RATE, Camera
+from marl_mm.sim.config import RATE, Camera
 
 FORMATS = (".mp4", ".gif")
 

@@ -17,7 +17,7 @@ from marl_mm.eval.goals import goal_set
 from marl_mm.eval.metrics import episode_row, success_interval, summarize_directions
 from marl_mm.eval.tables import evaluation_markdown
 from marl_mm.eval.video import film_episode, film_strip, write_video
-from marl_mm.sim.bullet import Camera
+from marl_mm.sim.config import Camera
 
 MakeEpisode = Callable[..., Episode]
 QUICK = {"ticks_per_step": 24, "max_steps": 3}

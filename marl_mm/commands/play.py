@@ -17,7 +17,7 @@ from marl_mm.eval.metrics import episode_row
 from marl_mm.eval.video import check_format, film_episode, write_video
 from marl_mm.files import refuse_existing
 from marl_mm.progress import progress_bar
-from marl_mm.sim.bullet import Camera
+from marl_mm.sim.config import Camera
 
 
 @dataclass(frozen=True)

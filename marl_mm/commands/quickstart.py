@@ -35,7 +35,7 @@ from marl_mm.eval.video import film_episode, film_strip, write_video
 from marl_mm.files import new_file, refuse_existing, write_json
 from marl_mm.policy import Policy
 from marl_mm.progress import progress_bar
-from marl_mm.sim.bullet import Camera
+from marl_mm.sim.config import Camera
 
 EXPERT = PdConfig(alpha_rule="room")
 """The PD agent whose episodes are collected: alpha falls as the hand runs out of room,

@@ -8,7 +8,7 @@ from typing import Any
 from marl_mm.control.config import ControllerConfig
 from marl_mm.errors import UsageError
 from marl_mm.robot.description import RobotConfig
-from marl_mm.sim.bullet import SimulationConfig
+from marl_mm.sim.config import SimulationConfig
 
 Interval = tuple[float, float]
 

@@ -17,7 +17,8 @@ from marl_mm.errors import InvalidActionError, UsageError
 from marl_mm.layout import ACTION_HIGH, ACTION_LOW, ALPHA, DELTA
 from marl_mm.robot.limits import robot_limits
 from marl_mm.robot.model import RobotModel, RobotState, support_margin
-from marl_mm.sim.bullet import RATE, BulletWorld
+from marl_mm.sim.bullet import BulletWorld
+from marl_mm.sim.config import RATE
 
 RENDER_MODES = ("rgb_array",)
 """Pictures; for PyBullet's window there is ``marl-mm play --gui``."""

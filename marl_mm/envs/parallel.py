@@ -16,7 +16,7 @@ from marl_mm.envs.config import reach_config
 from marl_mm.envs.core import RENDER_MODES, ReachCore, check_render_mode
 from marl_mm.errors import InvalidActionError, UsageError
 from marl_mm.layout import ACTION, AGENTS
-from marl_mm.sim.bullet import Camera
+from marl_mm.sim.config import Camera
 from marl_mm.spaces import (
     agent_action_spaces,
     agent_observation_spaces,

@@ -11,7 +11,7 @@ from marl_mm.envs.config import reach_config
 from marl_mm.envs.core import RENDER_MODES, ReachCore, check_render_mode
 from marl_mm.envs.terms import goal_distance, reach_reward, reached
 from marl_mm.layout import EE, GOAL, OBSERVATION
-from marl_mm.sim.bullet import Camera
+from marl_mm.sim.config import Camera
 from marl_mm.spaces import action_space, goal_observation_space
 
 GoalObservation = dict[str, np.ndarray]

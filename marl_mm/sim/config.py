@@ -1,0 +1,60 @@
+"""How the simulation runs and is looked at; knows nothing of PyBullet."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from marl_mm.errors import UsageError
+
+RATE = 240
+"""Simulation steps and controller ticks per second (paper, Sec. 4.1)."""
+
+
+@dataclass(frozen=True)
+class SimulationConfig:
+    """How PyBullet simulates."""
+
+    solver_iterations: int = 20
+    """Of the contact solver; 10, 20 and 50 agree to 0.1 mm, fewer are faster."""
+
+    wheel_force: float = 40.0
+    """Largest torque of a wheel's velocity motor [N m]; ours: far below the 200 N m of
+    the drive, enough for 2 m/s^2."""
+
+    wheel_friction: float = 1.0
+    """Friction coefficient between drive wheels and ground."""
+
+    finger_force: float = 20.0
+    """Largest force of a finger's position motor [N]."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A fixed camera that looks at the robot's work space."""
+
+    width: int = 480
+    """[pixels]; a multiple of 16 suits video codecs."""
+
+    height: int = 320
+    """[pixels]"""
+
+    target_w: tuple[float, float, float] = (0.05, 0.0, 0.40)
+    """The point looked at [m]."""
+
+    distance: float = 2.6
+    """From the target [m]."""
+
+    yaw: float = 15.0
+    """[deg]"""
+
+    pitch: float = -18.0
+    """[deg]"""
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            size = getattr(self, name)
+            if not 16 <= size <= 4096 or size % 2:
+                raise UsageError(f"camera {name} is {size}, expected even, 16 to 4096")
+        angles = (self.yaw, self.pitch, *self.target_w)
+        if not (np.isfinite(angles).all() and 0 < self.distance < 100):
+            raise UsageError("camera angles and distance must be finite, distance > 0")
