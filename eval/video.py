@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from marl_mm.envs.config import ReachConfig
 from marl_mm.envs.core import ReachCore
+from marl_mm.envs.drive import Tick
 from marl_mm.envs.rollout import EpisodePlan, run_episode
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
@@ -60,18 +61,18 @@ def film_episode(
     frames: list[np.ndarray] = []
     elapsed = 0
 
-    def watch(tick: int) -> None:
+    def watch(tick: Tick) -> None:
         nonlocal elapsed
         elapsed += 1
         if fps and elapsed * fps > len(frames) * RATE:
-            frames.append(core.world.render(camera))
-        if tick == config.ticks_per_step - 1:
+            frames.append(core.drive.world.render(camera))
+        if tick.number == config.ticks_per_step - 1:
             advance(1, "")
 
     try:
         episode = run_episode(core, policy, plan, watch)
         if fps:
-            frames.append(core.world.render(camera))
+            frames.append(core.drive.world.render(camera))
         return episode, frames
     finally:
         core.close()

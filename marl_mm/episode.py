@@ -14,7 +14,12 @@ INFO = (
     "base_jerk_rms",
     "base_acceleration_rms",
     "zmp_margin",
+    "tilt",
+    "base_pitch",
+    "wheel_slip",
+    "model_ee_error",
     "qp_failures",
+    "safe_ticks",
 )
 """Per-step quantities that an episode keeps; see the environment's ``info``."""
 

@@ -4,7 +4,11 @@ import daqp
 import numpy as np
 import pytest
 
-from marl_mm.control.compiled.active_set import solve_least_distance
+from marl_mm.control.compiled.active_set import (
+    EXHAUSTED,
+    SOLVED,
+    solve_least_distance,
+)
 
 ITERATIONS = 60
 
@@ -13,10 +17,9 @@ def solve(
     rows: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> tuple[bool, np.ndarray]:
     y = np.zeros(rows.shape[1])
-    found = solve_least_distance(
-        np.ascontiguousarray(rows), lower, upper, y, ITERATIONS
-    )
-    return found, y
+    columns = np.ascontiguousarray(rows.T)
+    code = solve_least_distance(columns, lower, upper, y, ITERATIONS)
+    return code == SOLVED, y
 
 
 def test_equals_daqp_on_1000_problems() -> None:
@@ -59,5 +62,12 @@ def test_repeated_and_zero_rows_do_no_harm() -> None:
 @pytest.mark.parametrize("gap", [1e-3, 1.0])
 def test_contradictory_rows_are_reported(gap: float) -> None:
     rows = np.array([[1.0, 0.0], [1.0, 0.0]])
-    found, _ = solve(rows, np.array([1.0, -5.0]), np.array([5.0, 1.0 - gap]))
-    assert not found
+    y = np.zeros(2)
+    lower, upper = np.array([1.0, -5.0]), np.array([5.0, 1.0 - gap])
+    assert solve_least_distance(rows.T.copy(), lower, upper, y, ITERATIONS) in (0, 1)
+
+
+def test_running_out_of_iterations_is_told_apart() -> None:
+    rows, y = np.eye(3), np.zeros(3)
+    code = solve_least_distance(rows, np.ones(3), np.full(3, 2.0), y, 2)
+    assert code == EXHAUSTED

@@ -148,7 +148,7 @@ def compiled_solution(
 ) -> tuple[np.ndarray, np.ndarray]:
     """u and the counters of the compiled form."""
     tasks, rows = problem
-    u, counters = np.empty(9), np.zeros(3, np.int64)
+    u, counters = np.empty(9), np.zeros(4, np.int64)
     compiled.solve_hierarchy(
         np.concatenate([task.jacobian for task in tasks]),
         np.concatenate([task.target for task in tasks]),

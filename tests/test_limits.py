@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from marl_mm.control.config import LimitConfig
 from marl_mm.control.limits import (
     BOX_ROWS,
-    KEEP_OUT_ROW,
+    KEEP_OUT,
     TORQUE_ROWS,
     acceleration_box,
     bounds,
@@ -141,9 +141,9 @@ def test_keep_out_asks_for_no_more_than_the_box_gives(seed: int, depth: float) -
     terms = MODEL.evaluate(state)
     terms = terms._replace(position_w=terms.position_w + np.array([depth, 0, 0]))
     rows = bounds(state, terms, ROBOT, CONFIG)
-    row = rows.matrix[KEEP_OUT_ROW]
+    row = rows.matrix[KEEP_OUT]
     best = np.where(row > 0, row * rows.upper[BOX_ROWS], row * rows.lower[BOX_ROWS])
-    assert rows.lower[KEEP_OUT_ROW] < best.sum()
+    assert rows.lower[KEEP_OUT] < best.sum()
 
 
 def test_keep_out_moves_the_arm_not_the_base(
@@ -151,5 +151,5 @@ def test_keep_out_moves_the_arm_not_the_base(
 ) -> None:
     state, terms, _ = situation(np.random.default_rng(4))
     rows = bounds(state, terms, limits, CONFIG)
-    assert (rows.matrix[KEEP_OUT_ROW, :2] == 0).all()
-    assert rows.lower[KEEP_OUT_ROW] < rows.upper[KEEP_OUT_ROW]
+    assert (rows.matrix[KEEP_OUT, :2] == 0).all()
+    assert rows.lower[KEEP_OUT] < rows.upper[KEEP_OUT]

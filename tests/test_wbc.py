@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from marl_mm.control.config import ControllerConfig, Form, Gains, Solver
+from marl_mm.control.config import FORMS, ControllerConfig, Form, Gains, Solver
 from marl_mm.control.tasks.task import Reference
 from marl_mm.control.wbc import WholeBodyController
 from marl_mm.envs.core import ReachCore
@@ -17,7 +17,6 @@ from marl_mm.robot.limits import RobotLimits, robot_limits
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
 
 Draw = Callable[[np.random.Generator], tuple[RobotState, ModelTerms, Reference]]
-FORMS: tuple[Form, ...] = ("blend", "rhp")
 LIMITS = robot_limits(RobotConfig())
 MODEL = RobotModel(RobotConfig())
 
@@ -155,7 +154,7 @@ def test_a_minute_of_abuse_in_closed_loop(form: Form) -> None:
             alpha = rng.choice([0.0, 1.0, rng.uniform()])
             step = core.step(np.array([*delta, alpha]))
             failures += step.info["qp_failures"]
-            arm = core.world.read().q[4:]
+            arm = core.drive.world.read().q[4:]
             assert (arm > LIMITS.lower).all()
             assert (arm < LIMITS.upper).all()
             assert step.info["zmp_margin"] > 0

@@ -72,11 +72,11 @@ def bench_control(options: BenchControl) -> dict[str, Any]:
     _run_steps(core, rng, 1)  # compiles, or loads what was compiled
     seconds = _run_steps(core, rng, options.steps).sum()
     clocks = {
-        "model": _clocked(core.model, "evaluate"),
-        "hierarchy": _clocked(core.controller, "tick"),
-        "command": _clocked(core.world, "command"),
-        "simulation": _clocked(core.world, "step"),
-        "read": _clocked(core.world, "read"),
+        "model": _clocked(core.drive.model, "evaluate"),
+        "hierarchy": _clocked(core.drive.controller, "solve"),
+        "command": _clocked(core.drive.world, "command"),
+        "simulation": _clocked(core.drive.world, "step"),
+        "read": _clocked(core.drive.world, "read"),
     }
     steps = _run_steps(core, rng, options.steps, clocks.values())
     core.close()

@@ -5,19 +5,19 @@ same mathematics: 8 goals, 11 alphas, 24 variations, without one failed level.
 """
 
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 from marl_mm.errors import UsageError
 
-Form = Literal["blend", "rhp"]
+Form = Literal["blend", "rhp", "rhp-literal"]
 """How alpha enters: blend of two strict hierarchies, or one fractional hierarchy."""
 
-Solver = Literal["active-set", "proxqp"]
-"""Compiled controller, or the readable reference with ProxQP."""
+FORMS: tuple[Form, ...] = get_args(Form)
 
+Solver = Literal["active-set", "proxqp", "daqp"]
+"""Compiled controller, or the readable reference with ProxQP or DAQP for its QPs."""
 
-DEPENDENT = 1e-10
-"""A row whose rest after Gram-Schmidt has a smaller squared norm is dropped."""
+SOLVERS: tuple[Solver, ...] = get_args(Solver)
 
 
 class Gains(NamedTuple):
@@ -58,10 +58,18 @@ class HierarchyConfig(NamedTuple):
     """eps: weight of |x|^2 in every level."""
 
     projector_damping: float = 1e-3
-    """A row of squared norm n^2 is projected out by n^2 / (n^2 + this)."""
+    """A row of squared norm n^2 is projected out by n^2 / (n^2 + this); positive."""
 
     rho: float = 1.0
     """Weight of |x|^2 - |P x|^2 from the second level on (fractional form)."""
+
+    protection: float = 30.0
+    """A task with psi strictly between 0 and 1 above a level keeps this psi (1 - psi)
+    as extra weight in it (fractional form; nothing for strict priorities)."""
+
+    weighted: bool = True
+    """Weight a task by how much its psi rises at a level. Without this, and with rho 0,
+    the recursion is Eq. 2 and 3 of the paper to the letter: form "rhp-literal"."""
 
     margin: float = 1e-8
     """Levels below the first contain x = 0 with this to spare."""
@@ -79,6 +87,10 @@ class LimitConfig(NamedTuple):
     horizon: float = 4 / 240
     """Time in which a velocity limit may be reached [s]."""
 
+    speed_share: float = 0.98
+    """Share of the speed limits that is used, so that what the robot does not follow
+    exactly stays inside them, too."""
+
     joint_margin: float = 0.01
     """The braking bound stops this far before a joint's limit [rad]."""
 
@@ -91,17 +103,35 @@ class LimitConfig(NamedTuple):
     keep_out_acceleration: float = 8.0
     """Most the barrier may ask for [m/s^2]."""
 
+    traction: float = 100.0
+    """Most force of a drive wheel on the ground along its way, and of both across it
+    [N]. The wheels carry about 300 N each, but a swinging arm unloads one of them;
+    where they slip, the arm does not accelerate as commanded, and its limits fail."""
+
+    zmp: bool = False
+    """Keep the zero-moment point inside the support polygon; with the default base it
+    is there anyway."""
+
+    zmp_margin: float = 0.03
+    """Least distance of the zero-moment point to the support polygon's edge [m]."""
+
 
 @dataclass(frozen=True)
 class ControllerConfig:
     """Everything the whole-body controller can be told."""
 
     form: Form = "blend"
-    """"blend" mixes the two strict hierarchies; "rhp" is the fractional hierarchy."""
+    """"blend" mixes the two strict hierarchies; "rhp" is one fractional hierarchy, the
+    paper's idea repaired; "rhp-literal" is the paper's to the letter, to compare."""
 
     solver: Solver = "active-set"
     """"active-set" is compiled. "proxqp" is the readable reference: 20 times slower
-    and, in closed loop, not reproducible to the last bit."""
+    and, in closed loop, not reproducible to the last bit. "daqp" is the same with an
+    exact solver (optional extra ``bench``)."""
+
+    response: float = 2.0
+    """Stability's share in the hierarchy is 1 - (1 - alpha) ** this. At 1 it is alpha
+    itself (Eq. 4), and half of the robot's response lies in alpha's last tenth."""
 
     gains: Gains = field(default_factory=Gains)
 
@@ -111,10 +141,12 @@ class ControllerConfig:
 
     def __post_init__(self) -> None:
         for name, value, choices in (
-            ("form", self.form, ("blend", "rhp")),
-            ("solver", self.solver, ("active-set", "proxqp")),
+            ("form", self.form, FORMS),
+            ("solver", self.solver, SOLVERS),
         ):
             if value not in choices:
                 raise UsageError(
                     f"controller {name} is {value!r}, expected one of {choices}"
                 )
+        if not 1 <= self.response <= 10:
+            raise UsageError(f"response is {self.response}, expected 1 to 10")

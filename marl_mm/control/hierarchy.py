@@ -4,19 +4,22 @@ u_k = u_{k-1} + P_{k-1} x_k, where x_k minimises, within the limits,
 
     sum_t w_t |A_t (P x + u) - b_t|^2 + rho (|x|^2 - |P x|^2) + eps |x|^2,
 
-w_t = psi(k, t) - psi(k-1, t). The weights go to zero where a task enters or leaves a
-level and the rho term keeps a fractional projector from being undone by x: without
-them alpha acts as a switch. For strict priorities both are the identity.
+w_t = psi(k, t) - psi(k-1, t) + protection psi(k-1, t) (1 - psi(k-1, t)).
+
+The weights go to zero where a task enters or leaves a level; a task half served above
+keeps a say, or else the next one would undo it through a projector that is only half
+closed; and the rho term keeps x from undoing the projector as a whole. Without them
+alpha acts as a switch. For strict priorities all of it is the identity.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from marl_mm.control.config import DEPENDENT, HierarchyConfig
-from marl_mm.control.limits import BOX_ROWS, Bounds
+from marl_mm.control.config import HierarchyConfig
+from marl_mm.control.limits import Bounds
 from marl_mm.control.priorities import handled_tasks
-from marl_mm.control.proxqp import solve_qp
+from marl_mm.control.qp import NO_CAUSE, SolveQp, proxqp
 from marl_mm.control.tasks.task import VARIABLES, Task
 
 
@@ -47,9 +50,19 @@ class Solution:
     failures: int
     """Levels whose QP found nothing, and which left u as it was."""
 
+    cause: int
+    """Row of the limits that stood in the way of the last failed level, or NO_CAUSE."""
+
+    feasible: bool
+    """Whether the first level found anything: else the limits contradict each other."""
+
 
 def solve_hierarchy(
-    tasks: list[Task], psi: np.ndarray, limits: Bounds, config: HierarchyConfig
+    tasks: list[Task],
+    psi: np.ndarray,
+    limits: Bounds,
+    config: HierarchyConfig,
+    solve_qp: SolveQp = proxqp,
 ) -> Solution:
     """Solve all levels of a priority matrix, strict or fractional.
 
@@ -58,9 +71,11 @@ def solve_hierarchy(
         psi: Priority matrix, shape (levels, tasks).
         limits: On the whole of u, in every level.
         config: Damping and tolerances.
+        solve_qp: For the levels whose closed form breaks a limit.
     """
     u, projector = np.zeros(VARIABLES), np.eye(VARIABLES)
     levels = qps = failures = 0
+    cause, feasible = NO_CAUSE, True
     for level in range(len(psi)):
         handled = handled_tasks(psi, level)
         if not handled:
@@ -68,8 +83,10 @@ def solve_hierarchy(
         levels += 1
         above = psi[level - 1] if level else np.zeros(len(tasks))
         rho = config.rho if level else 0.0
-        weights = psi[level] - above
-        objective = level_objective(tasks, handled, weights, projector, u, rho, config)
+        weights = psi[level] - above + config.protection * above * (1 - above)
+        if not config.weighted:
+            weights = (psi[level] > above).astype(float)
+        objective = level_objective(tasks, weights, projector, u, rho, config)
         room = level_bounds(limits, projector, u, config.margin if level else None)
         x = -np.linalg.solve(objective.hessian, objective.gradient)
         if not _inside(room, x, config.tolerance):
@@ -81,16 +98,19 @@ def solve_hierarchy(
                 room.lower,
                 room.upper,
             )
-            failures += found is None
-            x = _rest(limits, level) if found is None else found
+            if isinstance(found, int):
+                failures, cause = failures + 1, found
+                feasible = feasible and level > 0
+                x = np.zeros(VARIABLES)
+            else:
+                x = found
         u = u + projector @ x
         projector = next_projector(tasks, handled, psi[level], projector, config)
-    return Solution(u, levels, qps, failures)
+    return Solution(u, levels, qps, failures, cause, feasible)
 
 
 def level_objective(
     tasks: list[Task],
-    handled: list[int],
     weights: np.ndarray,
     projector: np.ndarray,
     u: np.ndarray,
@@ -101,11 +121,11 @@ def level_objective(
     identity = np.eye(VARIABLES)
     hessian = config.damping * identity + rho * (identity - projector.T @ projector)
     gradient = np.zeros(VARIABLES)
-    for k in handled:
-        projected = tasks[k].jacobian @ projector
-        residual = tasks[k].target - tasks[k].jacobian @ u
-        hessian += weights[k] * projected.T @ projected
-        gradient -= weights[k] * projected.T @ residual
+    for task, weight in zip(tasks, weights, strict=True):
+        projected = task.jacobian @ projector
+        residual = task.target - task.jacobian @ u
+        hessian += weight * projected.T @ projected
+        gradient -= weight * projected.T @ residual
     return Objective(hessian, gradient)
 
 
@@ -128,22 +148,18 @@ def next_projector(
     projector: np.ndarray,
     config: HierarchyConfig,
 ) -> np.ndarray:
-    """P (I - B' Lambda B): B orthonormal rows of A P, Lambda their tasks' psi."""
-    basis: list[np.ndarray] = []
-    reduced = projector.copy()
+    """P times I - psi a a' / (a'a + damping) for each row a of A P, one by one.
+
+    Each row is taken through the projector as it stands then: at psi 1 this is
+    Gram-Schmidt, and P the null space's projector; at less, no row takes a direction
+    away from those after it that it did not close itself.
+    """
     for k in handled:
-        for row in tasks[k].jacobian @ projector:
-            for _ in range(2):  # once more, against cancellation
-                for known in basis:
-                    row = row - (known @ row) * known
-            square = row @ row
-            if square < DEPENDENT:
-                continue
-            unit = row / np.sqrt(square)
-            basis.append(unit)
-            share = psi[k] * square / (square + config.projector_damping)
-            reduced = reduced - share * np.outer(reduced @ unit, unit)
-    return reduced
+        for row in tasks[k].jacobian:
+            a = row @ projector
+            share = psi[k] / (a @ a + config.projector_damping)
+            projector = projector - share * np.outer(projector @ a, a)
+    return projector
 
 
 def _inside(room: Bounds, x: np.ndarray, tolerance: float) -> bool:
@@ -151,11 +167,3 @@ def _inside(room: Bounds, x: np.ndarray, tolerance: float) -> bool:
     above = (value > room.upper + tolerance).any()
     below = (value < room.lower - tolerance).any()
     return not (above or below)
-
-
-def _rest(limits: Bounds, level: int) -> np.ndarray:
-    """What a failed level adds: nothing, or at the first level zero inside the box."""
-    zero = np.zeros(VARIABLES)
-    if level:
-        return zero
-    return np.clip(zero, limits.lower[BOX_ROWS], limits.upper[BOX_ROWS])

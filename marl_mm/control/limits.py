@@ -1,10 +1,14 @@
-"""Every limit as rows d <= C u <= d_bar, feasible by construction.
+"""Every limit as rows d <= C u <= d_bar, each of which the box alone can meet.
 
-Torque rows come first (7), then one box row per variable (9), then the keep-out plane.
-A box row is the intersection of acceleration limit, velocity limit over a short horizon
-and, for arm joints, the braking bound |v| <= sqrt(a (limit - q)); each bound is clamped
-to the acceleration limit so that the row is never empty. The keep-out plane asks for no
-more than the box can give.
+Torque rows come first (7), then one box row per variable (9), then the keep-out plane,
+then the rim speed of both drive wheels, then the ground's forces on them and, where
+``LimitConfig.zmp`` asks for it, the zero-moment point at the six edges of the support
+polygon. A box row is the intersection
+of acceleration limit, velocity limit over a short horizon and, for arm joints, the
+braking bound |v| <= sqrt(a (limit - q)); each bound is clamped to the acceleration
+limit so that the row is never empty. The rows after it ask for no more than the box can
+give. Together with the torques they may still contradict each other; then the
+controller brakes (wbc.py).
 """
 
 from dataclasses import dataclass
@@ -13,13 +17,42 @@ import numpy as np
 
 from marl_mm.control.config import LimitConfig
 from marl_mm.control.tasks.task import VARIABLES
+from marl_mm.robot.description import WHEEL_RADIUS, WHEEL_SEPARATION
 from marl_mm.robot.limits import RobotLimits
-from marl_mm.robot.model import ACTUATED, ModelTerms, RobotState
+from marl_mm.robot.model import (
+    ACTUATED,
+    SUPPORT_B,
+    SUPPORT_INWARD_B,
+    ModelTerms,
+    RobotState,
+)
 
-TORQUE_ROWS = slice(0, 7)
-BOX_ROWS = slice(7, 16)
-KEEP_OUT_ROW = 16
-ROWS = 17
+TORQUE, BOX, KEEP_OUT, WHEELS, TRACTION, ZMP = 0, 7, 16, 17, 19, 22
+"""Where each kind of row begins."""
+
+TORQUE_ROWS = slice(TORQUE, BOX)
+BOX_ROWS = slice(BOX, KEEP_OUT)
+WHEEL_ROWS = slice(WHEELS, TRACTION)
+TRACTION_ROWS = slice(TRACTION, ZMP)
+ZMP_ROWS = slice(ZMP, ZMP + len(SUPPORT_B))
+
+ROWS = ZMP
+"""Rows without the zero-moment point's."""
+
+LIMIT_NAMES = (
+    *(f"torque of arm joint {i + 1}" for i in range(7)),
+    "base acceleration",
+    "base yaw acceleration",
+    *(f"acceleration of arm joint {i + 1}" for i in range(7)),
+    "keep-out plane",
+    "speed of the left wheel",
+    "speed of the right wheel",
+    "traction of the left wheel",
+    "traction of the right wheel",
+    "side force on the wheels",
+    *(f"zero-moment point at edge {i + 1}" for i in range(len(SUPPORT_B))),
+)
+"""What each row limits."""
 
 LEAST_WIDTH = 2e-3
 """A box row is at least this wide [rad/s^2]."""
@@ -27,37 +60,52 @@ LEAST_WIDTH = 2e-3
 UNBOUNDED = 1e9
 """A bound that is none, and still a number to calculate with."""
 
+WHEEL_ARM = WHEEL_SEPARATION / 2
+"""Rim speed per yaw rate of the base [m]."""
+
 
 @dataclass(frozen=True)
 class Bounds:
     """Limits at one state: lower <= matrix u <= upper."""
 
     matrix: np.ndarray
-    """C, shape (17, 9)."""
+    """C, shape (22 or 28, 9)."""
 
     lower: np.ndarray
-    """d, shape (17,)."""
+    """d, one per row."""
 
     upper: np.ndarray
-    """d_bar, shape (17,)."""
+    """d_bar, one per row."""
+
+
+def row_count(config: LimitConfig) -> int:
+    """Rows at every state."""
+    return ROWS + (len(SUPPORT_B) if config.zmp else 0)
 
 
 def bounds(
     state: RobotState, terms: ModelTerms, robot: RobotLimits, config: LimitConfig
 ) -> Bounds:
     """All limits at a state."""
-    matrix = np.zeros((ROWS, VARIABLES))
-    lower, upper = np.zeros(ROWS), np.zeros(ROWS)
+    rows = row_count(config)
+    matrix = np.zeros((rows, VARIABLES))
+    lower, upper = np.zeros(rows), np.full(rows, UNBOUNDED)
     matrix[TORQUE_ROWS] = terms.mass_matrix[3:, ACTUATED]
     lower[TORQUE_ROWS] = -robot.torque - terms.nonlinear[3:]
     upper[TORQUE_ROWS] = robot.torque - terms.nonlinear[3:]
     matrix[BOX_ROWS] = np.eye(VARIABLES)
     lower[BOX_ROWS], upper[BOX_ROWS] = acceleration_box(state, robot, config)
-    matrix[KEEP_OUT_ROW] = keep_out_direction(state, terms)
-    row, low, high = matrix[KEEP_OUT_ROW], lower[BOX_ROWS], upper[BOX_ROWS]
-    within_box = np.where(row > 0, row * high, row * low).sum() - LEAST_WIDTH
-    lower[KEEP_OUT_ROW] = min(keep_out_bound(state, terms, config), within_box)
-    upper[KEEP_OUT_ROW] = UNBOUNDED
+    matrix[KEEP_OUT] = keep_out_direction(state, terms)
+    lower[KEEP_OUT] = keep_out_bound(state, terms, config)
+    matrix[WHEEL_ROWS], lower[WHEEL_ROWS], upper[WHEEL_ROWS] = wheel_rims(
+        state, robot, config
+    )
+    matrix[TRACTION_ROWS], force = wheel_forces(terms)
+    lower[TRACTION_ROWS] = -config.traction - force
+    upper[TRACTION_ROWS] = config.traction - force
+    if config.zmp:
+        matrix[ZMP_ROWS], lower[ZMP_ROWS] = edge_moments(state, terms, config)
+    _lessen_to_box(matrix, lower, upper)
     return Bounds(matrix, lower, upper)
 
 
@@ -66,7 +114,8 @@ def acceleration_box(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest acceleration of each variable, shapes (9,)."""
     velocity = state.v[ACTUATED]
-    fastest, slowest = robot.speed.copy(), -robot.speed
+    fastest = config.speed_share * robot.speed
+    slowest = -fastest
     arm, limit = state.q[4:], robot.acceleration[2:]
     room = np.maximum(robot.upper - arm - config.joint_margin, 0.0)
     fastest[2:] = np.minimum(fastest[2:], np.sqrt(limit * room))
@@ -113,3 +162,58 @@ def keep_out_bound(state: RobotState, terms: ModelTerms, config: LimitConfig) ->
     rate, most = config.keep_out_rate, config.keep_out_acceleration
     bound = -2 * rate * speed - rate * rate * (ahead - config.keep_out)
     return float(np.clip(bound - keep_out_bias(state, terms), -most, most))
+
+
+def wheel_rims(
+    state: RobotState, robot: RobotLimits, config: LimitConfig
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows of both rims' acceleration [m/s^2], and their bounds by speed over time."""
+    rows = np.zeros((2, VARIABLES))
+    rows[:, 0] = 1.0
+    rows[:, 1] = -WHEEL_ARM, WHEEL_ARM
+    speed = rows[:, :2] @ state.v[[0, 2]]
+    most = config.speed_share * robot.wheel_speed * WHEEL_RADIUS
+    return rows, (-most - speed) / config.horizon, (most - speed) / config.horizon
+
+
+def wheel_forces(terms: ModelTerms) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and bias of the ground's force on the wheels [N].
+
+    Left along, right along, both across: what moves the base and holds it against the
+    arm's reaction.
+    """
+    forces = np.column_stack([terms.mass_matrix[:3, ACTUATED], terms.nonlinear[:3]])
+    along, across, turning = forces[0] / 2, forces[1], forces[2] / (2 * WHEEL_ARM)
+    rows = np.stack([along - turning, along + turning, across])
+    return rows[:, :-1], rows[:, -1]
+
+
+def edge_moments(
+    state: RobotState, terms: ModelTerms, config: LimitConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and lower bounds of the moments that hold the robot on the ground [N m].
+
+    The ground's force acts at the zero-moment point. Its moment about an edge of the
+    support polygon, moved inward by the margin, is the vertical force times the point's
+    distance from there: linear in u, and not negative while the point is inside.
+    """
+    cos, sin = state.q[2:4]
+    inward = SUPPORT_INWARD_B @ np.array([[cos, sin], [-sin, cos]])
+    height = terms.com_w[2]
+    lever = inward @ (terms.com_w[:2] - state.q[:2])
+    lever -= (SUPPORT_INWARD_B * SUPPORT_B).sum(axis=1) + config.zmp_margin
+    wrench = np.column_stack([terms.wrench_matrix[:, ACTUATED], terms.wrench_bias])
+    x = height * wrench[0] + wrench[4]
+    y = height * wrench[1] - wrench[3]
+    moment = np.outer(lever, wrench[2]) - inward @ np.stack([x, y])
+    return moment[:, :-1], -moment[:, -1]
+
+
+def _lessen_to_box(matrix: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> None:
+    """Ask of the rows after the box no more than the box can give."""
+    rest = slice(KEEP_OUT, None)
+    one, other = matrix[rest] * lower[BOX_ROWS], matrix[rest] * upper[BOX_ROWS]
+    most = np.maximum(one, other).sum(axis=1) - LEAST_WIDTH
+    least = np.minimum(one, other).sum(axis=1) + LEAST_WIDTH
+    lower[rest] = np.minimum(lower[rest], most)
+    upper[rest] = np.maximum(upper[rest], least)

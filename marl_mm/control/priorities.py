@@ -29,9 +29,20 @@ STABILITY = cumulative(STABILITY_LEVELS)
 REACHING = cumulative(REACHING_LEVELS)
 
 
-def priority_matrix(alpha: float) -> np.ndarray:
-    """Psi(alpha) = alpha Psi1 + (1 - alpha) Psi2 (Eq. 4), shape (4, 5)."""
-    return alpha * STABILITY + (1 - alpha) * REACHING
+def stability_share(alpha: float, response: float) -> float:
+    """What alpha is worth in the hierarchy: 0 at 0, 1 at 1, early where response > 1.
+
+    The hand is held back by base tasks of weight s against (1 - s) of its own, so that
+    it gives way as 1 / (1 - s): almost nothing happens before s is near 1. With s =
+    1 - (1 - alpha)^response the response spreads over alpha's range.
+    """
+    share: float = 1.0 - (1.0 - alpha) ** response
+    return share
+
+
+def priority_matrix(share: float) -> np.ndarray:
+    """Psi = s Psi1 + (1 - s) Psi2 (Eq. 4, with s for alpha), shape (4, 5)."""
+    return share * STABILITY + (1 - share) * REACHING
 
 
 def handled_tasks(psi: np.ndarray, level: int) -> list[int]:

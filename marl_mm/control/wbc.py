@@ -5,6 +5,7 @@ Variables u, shape (9,): base forward [m/s^2], base yaw [rad/s^2], seven arm joi
 first: 1 a stable base, 0 an accurate hand (Eq. 4).
 """
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,8 +13,15 @@ import numpy as np
 from marl_mm.control.compiled.tick import tick
 from marl_mm.control.config import ControllerConfig, Gains, HierarchyConfig, LimitConfig
 from marl_mm.control.hierarchy import Solution, solve_hierarchy
-from marl_mm.control.limits import TORQUE_ROWS, bounds
-from marl_mm.control.priorities import REACHING, STABILITY, priority_matrix
+from marl_mm.control.limits import LIMIT_NAMES, TORQUE_ROWS, bounds, row_count
+from marl_mm.control.priorities import (
+    REACHING,
+    STABILITY,
+    priority_matrix,
+    stability_share,
+)
+from marl_mm.control.qp import NO_CAUSE, daqp, proxqp
+from marl_mm.control.safe import braking_acceleration
 from marl_mm.control.tasks.arm_posture import arm_posture
 from marl_mm.control.tasks.base_orientation import base_orientation
 from marl_mm.control.tasks.base_velocity import base_velocity
@@ -43,6 +51,31 @@ class Command(NamedTuple):
     failures: int
     """Levels whose QP failed, and which were skipped."""
 
+    cause: int
+    """The last failure's, see ``reason``."""
+
+    safe: bool
+    """Whether no acceleration met all limits, so that the command only brakes."""
+
+    @property
+    def reason(self) -> str | None:
+        """What stood in the way of the last failed level, in words."""
+        if self.failures == 0:
+            return None
+        if self.cause < 0:
+            return "the QP ran out of iterations"
+        return f"{LIMIT_NAMES[self.cause]} contradicts the other limits"
+
+
+class Priorities(NamedTuple):
+    """Who comes first: one hierarchy, or a mix of several."""
+
+    matrices: np.ndarray
+    """Cumulative priority matrices, shape (m, 4, 5)."""
+
+    shares: np.ndarray
+    """Weight of each hierarchy's solution in u, shape (m,)."""
+
 
 class WholeBodyController:
     """One controller for one robot; it keeps no state between ticks.
@@ -55,18 +88,49 @@ class WholeBodyController:
     def __init__(self, robot: RobotLimits, config: ControllerConfig) -> None:
         self.config = config
         self._robot = robot
-        # The compiled form has one signature: every number a float.
-        self._gains = Gains(*map(float, config.gains))
-        numbers: dict[str, Any] = {
-            name: float(value) for name, value in config.hierarchy._asdict().items()
-        }
-        numbers["iterations"] = int(config.hierarchy.iterations)
-        self._hierarchy = HierarchyConfig(**numbers)
-        self._limits = LimitConfig(*map(float, config.limits))
-        self._alpha = -1.0
+        hierarchy = config.hierarchy
+        if config.form == "rhp-literal":
+            hierarchy = hierarchy._replace(rho=0.0, weighted=False)
+        # The compiled form has one signature: numbers keep the type of their default.
+        self._gains = Gains(*_typed(Gains(), config.gains))
+        self._hierarchy = HierarchyConfig(*_typed(HierarchyConfig(), hierarchy))
+        self._limits = LimitConfig(*_typed(LimitConfig(), config.limits))
+        self._rows = row_count(self._limits)
+        numbers = (
+            tuple(robot),
+            tuple(self._gains),
+            tuple(self._hierarchy),
+            tuple(self._limits),
+        )
+        self._numbers: tuple[Any, Any, Any, Any] = numbers
 
     def tick(
         self, state: RobotState, terms: ModelTerms, reference: Reference, alpha: float
+    ) -> Command:
+        """``solve`` with the priorities of alpha: 0 reaching ... 1 stability first."""
+        return self.solve(state, terms, reference, self.priorities(alpha))
+
+    def priorities(self, alpha: float) -> Priorities:
+        """Who comes first at alpha: 0 reaching ... 1 stability.
+
+        Raises:
+            UsageError: If alpha is not in [0, 1].
+        """
+        if not 0.0 <= alpha <= 1.0:
+            raise UsageError(f"alpha is {alpha}, expected a number in [0, 1]")
+        share = stability_share(alpha, self.config.response)
+        if self.config.form != "blend" or share in (0.0, 1.0):
+            return Priorities(priority_matrix(share)[None], np.ones(1))
+        return Priorities(
+            np.stack([STABILITY, REACHING]), np.array([share, 1.0 - share])
+        )
+
+    def solve(
+        self,
+        state: RobotState,
+        terms: ModelTerms,
+        reference: Reference,
+        priorities: Priorities,
     ) -> Command:
         """Solve the hierarchy at one state.
 
@@ -74,23 +138,21 @@ class WholeBodyController:
             state: The robot now.
             terms: The model at that state.
             reference: What the tasks follow.
-            alpha: 0 reaching first ... 1 stability first.
+            priorities: Who comes first.
 
         Raises:
             NonFiniteStateError: If the state holds, or the solution would hold, a NaN.
         """
-        if alpha != self._alpha:
-            self._set_alpha(alpha)
         if self.config.solver == "active-set":
-            command, finite = self._compiled(state, terms, reference)
+            command, finite = self._compiled(state, terms, reference, priorities)
         else:
-            command = self._readable(state, terms, reference)
+            command = self._readable(state, terms, reference, priorities)
             finite = bool(np.isfinite(command.torque).all())
         if not finite:
             raise NonFiniteStateError(
                 f"the controller found no finite command at q = {state.q.tolist()}, "
                 f"v = {state.v.tolist()}, target {reference.ee_position_w.tolist()}, "
-                f"alpha {alpha}"
+                f"shares {priorities.shares.tolist()}"
             )
         return command
 
@@ -107,58 +169,63 @@ class WholeBodyController:
             arm_posture(state, reference, gains),
         ]
 
-    def _set_alpha(self, alpha: float) -> None:
-        if not 0.0 <= alpha <= 1.0:
-            raise UsageError(f"alpha is {alpha}, expected a number in [0, 1]")
-        self._alpha = alpha
-        if self.config.form == "rhp" or alpha in (0.0, 1.0):
-            self._priorities = priority_matrix(alpha)[None]
-            self._shares = np.ones(1)
-        else:
-            self._priorities = np.stack([STABILITY, REACHING])
-            self._shares = np.array([alpha, 1 - alpha])
-
     def _compiled(
-        self, state: RobotState, terms: ModelTerms, reference: Reference
+        self,
+        state: RobotState,
+        terms: ModelTerms,
+        reference: Reference,
+        priorities: Priorities,
     ) -> tuple[Command, bool]:
-        u, torque, counters = np.empty(VARIABLES), np.empty(7), np.zeros(3, np.int64)
-        finite = tick(
-            state,
-            terms,
-            reference,
-            self._robot,
-            self._gains,
-            self._hierarchy,
-            self._limits,
-            self._priorities,
-            self._shares,
+        u, torque, counters = np.empty(VARIABLES), np.empty(7), np.zeros(4, np.int64)
+        feasible, finite = tick(
+            tuple(state),
+            tuple(terms),
+            tuple(reference),
+            *self._numbers,
+            *priorities,
+            self._rows,
             u,
             torque,
             counters,
         )
-        return Command(u, torque, *counters.tolist()), finite
+        levels, qps, failures, cause = counters.tolist()
+        command = Command(u, torque, levels, qps, failures, cause, not feasible)
+        return command, finite
 
     def _readable(
-        self, state: RobotState, terms: ModelTerms, reference: Reference
+        self,
+        state: RobotState,
+        terms: ModelTerms,
+        reference: Reference,
+        priorities: Priorities,
     ) -> Command:
         tasks = self.tasks(state, terms, reference)
         limits = bounds(state, terms, self._robot, self._limits)
+        solve_qp = daqp if self.config.solver == "daqp" else proxqp
         solutions: list[Solution] = [
-            solve_hierarchy(tasks, psi, limits, self._hierarchy)
-            for psi in self._priorities
+            solve_hierarchy(tasks, psi, limits, self._hierarchy, solve_qp)
+            for psi in priorities.matrices
         ]
-        u = sum(
-            (
-                share * solution.acceleration
-                for share, solution in zip(self._shares, solutions, strict=True)
-            ),
-            start=np.zeros(VARIABLES),
-        )
+        feasible = all(solution.feasible for solution in solutions)
+        if feasible:
+            u = np.zeros(VARIABLES)
+            for share, solution in zip(priorities.shares, solutions, strict=True):
+                u += share * solution.acceleration
+        else:
+            u = braking_acceleration(state, limits)
         torque = limits.matrix[TORQUE_ROWS] @ u + terms.nonlinear[3:]
+        causes = [solution.cause for solution in solutions if solution.failures]
         return Command(
             u,
             np.clip(torque, -self._robot.torque, self._robot.torque),
             sum(solution.levels for solution in solutions),
             sum(solution.qps for solution in solutions),
             sum(solution.failures for solution in solutions),
+            causes[-1] if causes else NO_CAUSE,
+            not feasible,
         )
+
+
+def _typed(defaults: NamedTuple, values: NamedTuple) -> Iterator[Any]:
+    for default, value in zip(defaults, values, strict=True):
+        yield type(default)(value)

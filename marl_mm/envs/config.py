@@ -77,8 +77,8 @@ class ReachConfig:
     heading_limit: float = 0.3
     """Largest heading reference [rad]."""
 
-    zmp_every: int = 8
-    """Ticks between evaluations of the zero-moment point."""
+    look_every: int = 8
+    """Ticks between looks at stability: ZMP margin, tilt, slip, the model's error."""
 
     robot: RobotConfig = field(default_factory=RobotConfig)
 
@@ -87,7 +87,7 @@ class ReachConfig:
     controller: ControllerConfig = field(default_factory=ControllerConfig)
 
     def __post_init__(self) -> None:
-        for name in ("max_steps", "ticks_per_step", "zmp_every"):
+        for name in ("max_steps", "ticks_per_step", "look_every"):
             if getattr(self, name) < 1:
                 raise UsageError(f"{name} is {getattr(self, name)}, expected >= 1")
         for name in ("success_distance", "action_scale"):

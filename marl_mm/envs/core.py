@@ -4,20 +4,17 @@ A step is one second: the action becomes a target for the hand and a plan for th
 which the whole-body controller follows for 240 ticks.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from marl_mm.control.tasks.task import Reference
-from marl_mm.control.wbc import WholeBodyController
 from marl_mm.envs.config import ReachConfig
+from marl_mm.envs.drive import Drive, Motion, Watch
 from marl_mm.envs.terms import goal_distance, reach_reward, reached
 from marl_mm.errors import InvalidActionError, UsageError
 from marl_mm.layout import ACTION_HIGH, ACTION_LOW, ALPHA, DELTA
-from marl_mm.robot.limits import robot_limits
-from marl_mm.robot.model import RobotModel, RobotState, support_margin
-from marl_mm.sim.bullet import BulletWorld
+from marl_mm.robot.model import RobotState
 from marl_mm.sim.config import RATE
 
 RENDER_MODES = ("rgb_array",)
@@ -48,26 +45,14 @@ class BasePlan(NamedTuple):
     direction: float
     """-1 backward, 0 standing, 1 forward."""
 
-    def at(self, share: float) -> np.ndarray:
-        """Point of the plan after a share of the step, shape (2,) [m]."""
-        return np.array([self.start_x + share * self.advance, 0.0])
+    def points(self, ticks: int) -> np.ndarray:
+        """The plan after each tick of the step, shape (ticks, 2) [m]."""
+        x = self.start_x + self.advance * np.arange(1, ticks + 1) / ticks
+        return np.stack([x, np.zeros(ticks)], axis=1)
 
     def heading(self, y: float, gain: float, limit: float) -> float:
         """Heading that steers a base at lateral offset y back to y = 0 [rad]."""
         return -self.direction * min(max(gain * y, -limit), limit)
-
-
-class Motion(NamedTuple):
-    """What happened during one step's ticks."""
-
-    base_acceleration: np.ndarray
-    """Commanded, shape (ticks,) [m/s^2]."""
-
-    zmp_margin: float
-    """Least distance of the zero-moment point to the support polygon's edge [m]."""
-
-    qp_failures: int
-    """Levels of the hierarchy that found no solution."""
 
 
 class Step(NamedTuple):
@@ -95,11 +80,9 @@ class ReachCore:
         self, config: ReachConfig, visual: bool = False, gui: bool = False
     ) -> None:
         self.config = config
-        self.world = BulletWorld(config.robot, config.simulation, visual, gui)
-        self.model = RobotModel(config.robot)
-        limits = robot_limits(config.robot)
-        self.controller = WholeBodyController(limits, config.controller)
-        self._base_speed, self._base_yaw_rate = limits.speed[:2]
+        self.drive = Drive(
+            config.robot, config.simulation, config.controller, visual, gui
+        )
         self._posture = np.array(config.robot.initial_joints)
         self._low, self._high = np.array(ACTION_LOW), np.array(ACTION_HIGH)
         self._steps = -1
@@ -124,30 +107,25 @@ class ReachCore:
         """
         drawn = self.sample_goal(rng)
         self._goal_w = drawn if goal_w is None else _checked_goal(goal_w)
-        self.world.reset(self._goal_w)
-        self._state = self.world.read()
-        start = self.model.evaluate(self._state)
+        start = self.drive.model.evaluate(self.drive.reset(self._goal_w))
         self._ee_rotation_w = np.ascontiguousarray(start.rotation_w).copy()
-        self._ee_w = self.world.grasp_position_w()
+        self._ee_w = self.drive.world.grasp_position_w()
         self._alpha = self.config.initial_alpha
-        self._commanded = np.zeros(2)
         self._steps = 0
         for _ in range(self.config.random_start_steps):
             action = rng.uniform(self._low, self._high)
             target_w = self._ee_w + self.config.action_scale * action[DELTA]
             self._alpha = float(action[ALPHA])
-            self._drive(target_w, self._plan_base(target_w), None)
+            self._follow(target_w, self._plan_base(target_w), None)
         return self._joint_state()
 
-    def step(
-        self, action: np.ndarray, watch: Callable[[int], None] | None = None
-    ) -> Step:
+    def step(self, action: np.ndarray, watch: Watch | None = None) -> Step:
         """Act for one second.
 
         Args:
             action: Shape (4,): three displacements in [-1, 1], alpha in [0, 1]; values
                 outside are clipped.
-            watch: Called after each tick with its number, for rendering.
+            watch: Called after each tick, for rendering and for limits.
 
         Raises:
             InvalidActionError: If the action has another shape or is not finite.
@@ -159,13 +137,13 @@ class ReachCore:
         target_w = self._ee_w + self.config.action_scale * action[DELTA]
         self._alpha = float(action[ALPHA])
         plan = self._plan_base(target_w)
-        motion = self._drive(target_w, plan, watch)
+        motion = self._follow(target_w, plan, watch)
         self._steps += 1
         return self._outcome(target_w, plan, motion)
 
     def close(self) -> None:
         """Disconnect from the simulator."""
-        self.world.close()
+        self.drive.close()
 
     def _checked_action(self, action: np.ndarray) -> np.ndarray:
         try:
@@ -188,7 +166,7 @@ class ReachCore:
 
     def _plan_base(self, target_w: np.ndarray) -> BasePlan:
         """A plan from the measured base towards its place behind the hand's target."""
-        config, base_w = self.config, self._state.q[:2]
+        config, base_w = self.config, self.drive.state.q[:2]
         way = target_w[0] - config.stand_off - base_w[0]
         advance = float(np.clip(way, -config.cruise, config.cruise))
         moves = abs(advance) > config.standing
@@ -196,56 +174,31 @@ class ReachCore:
             float(base_w[0]), advance, float(np.sign(advance)) if moves else 0.0
         )
 
-    def _drive(
-        self, target_w: np.ndarray, plan: BasePlan, watch: Callable[[int], None] | None
+    def _follow(
+        self, target_w: np.ndarray, plan: BasePlan, watch: Watch | None
     ) -> Motion:
         """Follow target and plan for a step's ticks."""
-        ticks, every = self.config.ticks_per_step, self.config.zmp_every
-        gain, limit = self.config.heading_gain, self.config.heading_limit
+        config = self.config
+        ticks = config.ticks_per_step
         speed = plan.advance * RATE / ticks
-        accelerations = np.empty(ticks)
-        margin, failures = np.inf, 0
-        state = self._state
-        for k in range(ticks):
-            share = (k + 1) / ticks
-            reference = Reference(
-                target_w,
-                self._ee_rotation_w,
-                plan.at(share),
-                plan.heading(state.q[1], gain, limit),
-                speed,
-                self._posture,
-            )
-            terms = self.model.evaluate(state)
-            command = self.controller.tick(state, terms, reference, self._alpha)
-            accelerations[k] = self._move_base(command.acceleration)
-            forward, yaw_rate = self._commanded.tolist()
-            self.world.command(forward, yaw_rate, command.torque)
-            self.world.step()
-            if k % every == 0:
-                zmp_b = self.model.zmp_b(state, command.acceleration)
-                margin = min(margin, support_margin(zmp_b))
-            failures += command.failures
-            state = self.world.read()
-            if watch is not None:
-                watch(k)
-        self._state = state
-        self._ee_w = self.world.grasp_position_w()
-        return Motion(accelerations, float(margin), failures)
+        points = plan.points(ticks)
 
-    def _move_base(self, acceleration: np.ndarray) -> float:
-        """Integrate the base's part of u; returns what the limits left of it."""
-        before = self._commanded[0]
-        forward = before + acceleration[0] / RATE
-        yaw_rate = self._commanded[1] + acceleration[1] / RATE
-        self._commanded[0] = min(max(forward, -self._base_speed), self._base_speed)
-        self._commanded[1] = min(
-            max(yaw_rate, -self._base_yaw_rate), self._base_yaw_rate
+        def reference_at(k: int, state: RobotState) -> Reference:
+            y = state.q[1].item()
+            heading = plan.heading(y, config.heading_gain, config.heading_limit)
+            return Reference(
+                target_w, self._ee_rotation_w, points[k], heading, speed, self._posture
+            )
+
+        priorities = self.drive.controller.priorities(self._alpha)
+        motion = self.drive.follow(
+            reference_at, priorities, ticks, config.look_every, watch
         )
-        return float((self._commanded[0] - before) * RATE)
+        self._ee_w = self.drive.world.grasp_position_w()
+        return motion
 
     def _joint_state(self) -> np.ndarray:
-        state: RobotState = self._state
+        state = self.drive.state
         base = [state.q[0], state.q[1], state.yaw]
         return np.array([*self._ee_w, *base, self._alpha, *self._goal_w])
 
@@ -253,7 +206,7 @@ class ReachCore:
         config = self.config
         distance = goal_distance(self._ee_w, self._goal_w)
         d_mm = float(np.linalg.norm(target_w - self._ee_w))
-        d_mp = float(np.linalg.norm(plan.at(1.0) - self._state.q[:2]))
+        d_mp = float(np.linalg.norm(plan.points(1)[0] - self.drive.state.q[:2]))
         jerk = np.diff(motion.base_acceleration) * RATE
         jerk_rms = float(np.sqrt(np.mean(jerk * jerk))) if len(jerk) else 0.0
         success = bool(reached(distance, config))
@@ -270,7 +223,12 @@ class ReachCore:
                 np.sqrt(np.mean(motion.base_acceleration**2))
             ),
             "zmp_margin": motion.zmp_margin,
+            "tilt": motion.tilt,
+            "base_pitch": motion.base_pitch,
+            "wheel_slip": motion.wheel_slip,
+            "model_ee_error": motion.model_ee_error,
             "qp_failures": motion.qp_failures,
+            "safe_ticks": motion.safe_ticks,
         }
         truncated = self._steps >= config.max_steps and not success
         return Step(self._joint_state(), float(reward), success, truncated, info)

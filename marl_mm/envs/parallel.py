@@ -141,7 +141,7 @@ class ReachParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         """A picture, shape (height, width, 3), in mode ``"rgb_array"``."""
         if self.render_mode != "rgb_array":
             return None
-        return self.core.world.render(Camera())
+        return self.core.drive.world.render(Camera())
 
     def close(self) -> None:
         """Disconnect from the simulator."""

@@ -102,7 +102,7 @@ class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
         """A picture, shape (height, width, 3), in mode ``"rgb_array"``."""
         if self.render_mode != "rgb_array":
             return None
-        return self.core.world.render(Camera())
+        return self.core.drive.world.render(Camera())
 
     def close(self) -> None:
         """Disconnect from the simulator."""

@@ -5,7 +5,7 @@ draws from its own seed, and results come back in the order of the plans.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -18,6 +18,7 @@ from gymnasium.utils import seeding
 
 from marl_mm.envs.config import ReachConfig
 from marl_mm.envs.core import ReachCore, Step
+from marl_mm.envs.drive import Watch
 from marl_mm.episode import INFO, Episode
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.interrupts import deaf_to_interrupts
@@ -58,7 +59,7 @@ def run_episode(
     core: ReachCore,
     policy: Policy,
     plan: EpisodePlan,
-    watch: Callable[[int], None] | None = None,
+    watch: Watch | None = None,
 ) -> Episode:
     """Run one episode to its end; ``watch`` is called after each controller tick."""
     rng, _ = seeding.np_random(plan.seed)

@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from marl_mm.robot.description import RobotConfig, urdf_xml
+from marl_mm.robot.names import ARM_JOINTS, WHEEL_JOINTS
 
 ARM_ACCELERATION = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
 """[rad/s^2] (Franka Emika control parameters; a URDF has no place for them)."""
@@ -41,11 +42,15 @@ class RobotLimits(NamedTuple):
     torque: np.ndarray
     """Absolute arm joint torque, shape (7,) [N m]."""
 
+    wheel_speed: float
+    """Absolute speed of a drive wheel [rad/s]."""
+
 
 def robot_limits(config: RobotConfig) -> RobotLimits:
     """Limits from the URDF, completed by the data sheets' accelerations."""
     model = pin.buildModelFromXML(urdf_xml(config))
-    arm = [model.joints[model.getJointId(f"panda_joint{i}")] for i in range(1, 8)]
+    arm = [model.joints[model.getJointId(name)] for name in ARM_JOINTS]
+    wheel = model.joints[model.getJointId(WHEEL_JOINTS[0])]
     q, v = [joint.idx_q for joint in arm], [joint.idx_v for joint in arm]
     return RobotLimits(
         speed=np.array([BASE_SPEED, BASE_YAW_RATE, *model.velocityLimit[v]]),
@@ -55,4 +60,5 @@ def robot_limits(config: RobotConfig) -> RobotLimits:
         lower=model.lowerPositionLimit[q].copy(),
         upper=model.upperPositionLimit[q].copy(),
         torque=model.effortLimit[v].copy(),
+        wheel_speed=float(model.velocityLimit[wheel.idx_v]),
     )

@@ -68,11 +68,26 @@ class ModelTerms(NamedTuple):
     nonlinear: np.ndarray
     """Coriolis, centrifugal and gravity forces, shape (10,) [N], [N m]."""
 
+    com_w: np.ndarray
+    """Centre of mass, shape (3,) [m]; zero unless the model evaluates balance."""
+
+    wrench_matrix: np.ndarray
+    """Of the ground's wrench about the centre of mass per acceleration, shape (6, 10):
+    force rows, then moment; zero unless the model evaluates balance."""
+
+    wrench_bias: np.ndarray
+    """That wrench without acceleration, shape (6,) [N], [N m]; zero likewise."""
+
 
 class RobotModel:
-    """Pinocchio's planar model of the robot, evaluated once per controller tick."""
+    """Pinocchio's planar model of the robot, evaluated once per controller tick.
 
-    def __init__(self, config: RobotConfig) -> None:
+    Args:
+        config: Mass properties.
+        balance: Also evaluate what the zero-moment point depends on.
+    """
+
+    def __init__(self, config: RobotConfig, balance: bool = False) -> None:
         full = pin.buildModelFromXML(urdf_xml(config), pin.JointModelPlanar())
         home = pin.neutral(full)
         for finger in FINGER_JOINTS:
@@ -83,6 +98,8 @@ class RobotModel:
         self._frame = self._model.getFrameId(GRASP_FRAME)
         self._no_acceleration = np.zeros(self._model.nv)
         self._mass = pin.computeTotalMass(self._model)
+        self._balance = balance
+        self._ground = np.zeros(3), np.zeros((6, self._model.nv)), np.zeros(6)
 
     def evaluate(self, state: RobotState) -> ModelTerms:
         """Kinematics and dynamics at ``state``.
@@ -91,6 +108,8 @@ class RobotModel:
         """
         model, data, frame = self._model, self._data, self._frame
         q, v = state
+        if self._balance:
+            self._evaluate_ground(state)
         pin.forwardKinematics(model, data, q, v, self._no_acceleration)
         pin.computeJointJacobians(model, data)
         placement = pin.updateFramePlacement(model, data, frame)
@@ -103,7 +122,22 @@ class RobotModel:
             bias_acceleration=acceleration.vector,
             mass_matrix=pin.crba(model, data, q),
             nonlinear=pin.nonLinearEffects(model, data, q, v),
+            com_w=self._ground[0],
+            wrench_matrix=self._ground[1],
+            wrench_bias=self._ground[2],
         )
+
+    def _evaluate_ground(self, state: RobotState) -> None:
+        """The rate of the centroidal momentum, less gravity."""
+        model, data = self._model, self._data
+        com_w, matrix, bias = self._ground
+        pin.computeCentroidalMomentumTimeVariation(
+            model, data, state.q, state.v, self._no_acceleration
+        )
+        bias[:3], bias[3:] = data.dhg.linear, data.dhg.angular
+        bias[2] += self._mass * GRAVITY
+        matrix[:] = pin.computeCentroidalMap(model, data, state.q)
+        com_w[:] = data.com[0]
 
     def zmp_b(self, state: RobotState, acceleration: np.ndarray) -> np.ndarray:
         """Zero-moment point on the ground in the base frame, shape (2,) [m].
@@ -136,10 +170,14 @@ SUPPORT_B = np.array(
 """Corners of the support polygon in the base frame, counter-clockwise, (6, 2) [m]."""
 
 _EDGE = np.roll(SUPPORT_B, -1, axis=0) - SUPPORT_B
-_INWARD = np.stack([-_EDGE[:, 1], _EDGE[:, 0]], axis=1)
-_INWARD /= np.linalg.norm(_INWARD, axis=1, keepdims=True)
+_NORMAL = np.stack([-_EDGE[:, 1], _EDGE[:, 0]], axis=1)
+SUPPORT_INWARD_B = _NORMAL / np.linalg.norm(_NORMAL, axis=1, keepdims=True)
+"""Inward normals of the edges from each corner to the next, shape (6, 2)."""
+
+
+_OFFSET_B = (SUPPORT_B * SUPPORT_INWARD_B).sum(axis=1)
 
 
 def support_margin(point_b: np.ndarray) -> float:
     """Distance of a ground point to the support polygon's edge, inside positive [m]."""
-    return float(((point_b - SUPPORT_B) * _INWARD).sum(axis=1).min())
+    return float((SUPPORT_INWARD_B @ point_b - _OFFSET_B).min())

@@ -5,7 +5,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from math import sqrt
+from math import asin, atan2
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from marl_mm.robot.description import urdf_xml as robot_urdf
 from marl_mm.robot.model import GRAVITY, RobotState
 from marl_mm.robot.names import ARM_JOINTS, FINGER_JOINTS, GRASP_JOINT, WHEEL_JOINTS
 from marl_mm.sim.config import RATE, Camera, SimulationConfig
+from marl_mm.sim.planar import planar_state
 
 
 @contextmanager
@@ -93,45 +94,45 @@ class BulletWorld:
         """
         client, robot = self._client, self._robot
         joints = pybullet.getJointStates(robot, self._arm, physicsClientId=client)
-        position, quaternion = pybullet.getBasePositionAndOrientation(
+        place, turn = pybullet.getBasePositionAndOrientation(
             robot, physicsClientId=client
         )
         linear, angular = pybullet.getBaseVelocity(robot, physicsClientId=client)
-        # Bullet reports the centre of mass; take its offset from the base frame out.
-        x, y, z, w = quaternion
-        cx, cy, cz = self._com_b
-        r00, r01, r02 = (
-            1 - 2 * (y * y + z * z),
-            2 * (x * y - w * z),
-            2 * (x * z + w * y),
-        )
-        r10, r11, r12 = (
-            2 * (x * y + w * z),
-            1 - 2 * (x * x + z * z),
-            2 * (y * z - w * x),
-        )
-        r20, r21, r22 = (
-            2 * (x * z - w * y),
-            2 * (y * z + w * x),
-            1 - 2 * (x * x + y * y),
-        )
-        dx = r00 * cx + r01 * cy + r02 * cz
-        dy = r10 * cx + r11 * cy + r12 * cz
-        dz = r20 * cx + r21 * cy + r22 * cz
-        wx, wy, wz = angular
-        vx = linear[0] - (wy * dz - wz * dy)
-        vy = linear[1] - (wz * dx - wx * dz)
-        norm = sqrt(r00 * r00 + r10 * r10)
-        c, s = r00 / norm, r10 / norm
-        arm = [joint[0] for joint in joints]
-        rates = [joint[1] for joint in joints]
-        q = np.array([position[0] - dx, position[1] - dy, c, s, *arm])
-        v = np.array([c * vx + s * vy, -s * vx + c * vy, wz, *rates])
-        if not (np.isfinite(q).all() and np.isfinite(v).all()):
+        arm, rates, _, _ = zip(*joints, strict=True)
+        q, v = np.empty(11), np.empty(10)
+        com_b = self._com_b
+        if not planar_state(place, turn, linear, angular, com_b, arm, rates, q, v):
             raise NonFiniteStateError(
                 f"the simulation diverged: q = {q.tolist()}, v = {v.tolist()}"
             )
         return RobotState(q, v)
+
+    def attitude(self) -> tuple[float, float]:
+        """Roll and pitch of the base [rad]; pitch is positive with the nose down."""
+        _, quaternion = pybullet.getBasePositionAndOrientation(
+            self._robot, physicsClientId=self._client
+        )
+        x, y, z, w = quaternion
+        roll = atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+        return roll, asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
+
+    def wheel_rates(self) -> tuple[float, float]:
+        """How fast the left and the right wheel turn [rad/s]."""
+        left, right = pybullet.getJointStates(
+            self._robot, self._wheels, physicsClientId=self._client
+        )
+        return left[1], right[1]
+
+    def ground_forces(self) -> tuple[np.ndarray, np.ndarray]:
+        """Contact points with the ground, shape (n, 3) [m], and normal forces [N].
+
+        The forces, shape (n,), are those of the last step.
+        """
+        contacts = pybullet.getContactPoints(
+            self._robot, self._ground, physicsClientId=self._client
+        )
+        points = np.array([contact[6] for contact in contacts]).reshape(-1, 3)
+        return points, np.array([contact[9] for contact in contacts])
 
     def command(self, forward: float, yaw_rate: float, torque: np.ndarray) -> None:
         """Set the motors for the next step.
@@ -208,9 +209,11 @@ class BulletWorld:
         shape = pybullet.createCollisionShape(
             pybullet.GEOM_PLANE, physicsClientId=client
         )
-        ground = pybullet.createMultiBody(0, shape, physicsClientId=client)
+        self._ground = pybullet.createMultiBody(0, shape, physicsClientId=client)
         # Bullet multiplies the frictions of both bodies; its default is 0.5.
-        pybullet.changeDynamics(ground, -1, lateralFriction=1, physicsClientId=client)
+        pybullet.changeDynamics(
+            self._ground, -1, lateralFriction=1, physicsClientId=client
+        )
         if not self._visual:
             return
         data = pybullet_data.getDataPath()

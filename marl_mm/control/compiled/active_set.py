@@ -4,19 +4,30 @@ Minimise |y|^2 / 2 subject to lower <= M y <= upper. Start at y = 0, the unconst
 minimum. Take the most violated row p with inward normal n: its projection z off the
 active normals says how y can move, r = (their least-squares coefficients of n) how
 their multipliers give way. Step until p is met, or until a multiplier reaches zero and
-its row leaves; where z = 0 only multipliers move. (Goldfarb & Idnani 1983, with the
-Gram matrix of at most nine active normals factored anew at each step.)
+its row leaves; where z = 0 only multipliers move. (Goldfarb & Idnani 1983; the active
+normals are kept as Q R, grown by Gram-Schmidt at each addition.)
+
+Rows are passed as columns: loops over all rows then run over neighbouring memory.
 """
 
 import numpy as np
 
-from marl_mm.control.compiled.jit import jit
+from marl_mm.jit import jit
 
-_VIOLATED = 1e-9
-"""A row outside by more than this, relative to its scale, joins the active set."""
+_VIOLATED = 1e-10
+"""A row further than this from y joins the active set."""
 
-_DEPENDENT = 1e-13
+_VANISHING = 1e-12
+"""Least squared norm by which distances are measured."""
+
+_DEPENDENT = 1e-18
 """Squared share of a normal left by projection, below which it counts as dependent."""
+
+SOLVED = -1
+"""What the solver returns where it found the minimiser."""
+
+EXHAUSTED = -2
+"""What it returns where the iterations ran out."""
 
 
 @jit
@@ -57,54 +68,61 @@ def solve_upper(factor: np.ndarray, vector: np.ndarray, size: int) -> None:
 
 @jit
 def solve_least_distance(
-    rows: np.ndarray,
+    columns: np.ndarray,
     lower: np.ndarray,
     upper: np.ndarray,
     y: np.ndarray,
     iterations: int,
-) -> bool:
-    """Write the minimiser into ``y``; False where there is none or it was not found.
+) -> int:
+    """Write the minimiser into ``y``.
 
     Args:
-        rows: M, shape (m, n).
+        columns: M', shape (n, m).
         lower: Shape (m,).
         upper: Shape (m,).
         y: Result, shape (n,).
         iterations: Most steps, each of which adds or drops a row.
+
+    Returns:
+        SOLVED, EXHAUSTED, or the row that contradicts those met before it.
     """
-    n = rows.shape[1]
-    active = np.zeros(n, np.int64)
-    side = np.zeros(n)  # +1 where the row is at its lower bound, -1 at its upper
-    multiplier = np.zeros(n)
-    factor = np.zeros((n, n))
-    gram = np.zeros((n, n))
-    change = np.zeros(n)
-    move = np.zeros(n)
+    n, m = columns.shape
+    active = np.empty(n, np.int64)
+    multiplier = np.empty(n)
+    normals = np.empty((n, n))  # of the active rows, inward: N' = Q R
+    basis = np.empty((n, n))  # rows of Q'
+    triangle = np.empty((n, n))  # R
+    normal = np.empty(n)
+    change = np.empty(n)
+    shares = np.empty(n)
+    move = np.empty(n)
+    value = np.zeros(m)
+    scale = np.zeros(m)
+    for j in range(n):
+        for i in range(m):
+            scale[i] += columns[j, i] * columns[j, i]
+    for i in range(m):
+        scale[i] = 1.0 / np.sqrt(max(scale[i], _VANISHING))
     count = 0
     y[:] = 0.0
     entering, sign, entering_multiplier = -1, 0.0, 0.0
     for _ in range(iterations):
         if entering < 0:
-            entering, sign = _most_violated(rows, lower, upper, y, active, count)
+            entering, sign = _most_violated(value, lower, upper, scale, active, count)
             entering_multiplier = 0.0
             if entering < 0:
-                return True
-        normal = rows[entering]
-        _factor_active(rows, active, side, count, gram, factor)
-        for a in range(count):
-            change[a] = 0.0
-            for j in range(n):
-                change[a] += side[a] * rows[active[a], j] * sign * normal[j]
-        solve_lower(factor, change, count)
-        solve_upper(factor, change, count)
-        size = left = slack = 0.0
+                return SOLVED
+        size = slack = 0.0
         for j in range(n):
-            move[j] = sign * normal[j]
-            for a in range(count):
-                move[j] -= change[a] * side[a] * rows[active[a], j]
+            normal[j] = sign * columns[j, entering]
             size += normal[j] * normal[j]
-            left += move[j] * move[j]
-            slack += sign * normal[j] * y[j]
+            slack += normal[j] * y[j]
+        left = _project(normal, basis, count, move, shares)
+        for a in range(count - 1, -1, -1):  # R change = shares
+            value_a = shares[a]
+            for b in range(a + 1, count):
+                value_a -= triangle[a, b] * change[b]
+            change[a] = value_a / triangle[a, a]
         bound = lower[entering] if sign > 0 else -upper[entering]
         full = np.inf
         if left > _DEPENDENT * size:
@@ -115,71 +133,116 @@ def solve_least_distance(
                 partial, leaving = multiplier[a] / change[a], a
         step = min(full, partial)
         if step == np.inf:
-            return False  # the row contradicts the active ones
+            return entering
         for a in range(count):
             multiplier[a] = max(multiplier[a] - step * change[a], 0.0)
         entering_multiplier += step
         if full < np.inf:
             for j in range(n):
                 y[j] += step * move[j]
+            _rows_times(columns, y, value)
         if full <= partial:
             if count == n:
-                return False
-            active[count], side[count] = entering, sign
-            multiplier[count] = entering_multiplier
+                return entering
+            active[count], multiplier[count] = entering, entering_multiplier
+            _append(normal, left, move, shares, count, normals, basis, triangle)
             count += 1
             entering = -1
         else:
-            for a in range(leaving, count - 1):
-                active[a], side[a] = active[a + 1], side[a + 1]
-                multiplier[a] = multiplier[a + 1]
             count -= 1
-    return False
+            for a in range(leaving, count):
+                active[a], multiplier[a] = active[a + 1], multiplier[a + 1]
+                normals[a] = normals[a + 1]
+            for a in range(leaving, count):
+                left = _project(normals[a], basis, a, move, shares)
+                _append(normals[a], left, move, shares, a, normals, basis, triangle)
+    return EXHAUSTED
+
+
+@jit
+def _rows_times(columns: np.ndarray, y: np.ndarray, value: np.ndarray) -> None:
+    """M y for all rows."""
+    value[:] = 0.0
+    for j in range(len(y)):
+        for i in range(len(value)):
+            value[i] += columns[j, i] * y[j]
 
 
 @jit
 def _most_violated(
-    rows: np.ndarray,
+    value: np.ndarray,
     lower: np.ndarray,
     upper: np.ndarray,
-    y: np.ndarray,
+    scale: np.ndarray,
     active: np.ndarray,
     count: int,
 ) -> tuple[int, float]:
-    """The inactive row furthest outside and the side it is on, or -1."""
-    worst, found, sign = 0.0, -1, 0.0
-    for i in range(rows.shape[0]):
+    """The inactive row furthest from y and the side it is on, or -1."""
+    worst, found, sign = _VIOLATED, -1, 0.0
+    for i in range(len(value)):
+        below = (lower[i] - value[i]) * scale[i]
+        above = (value[i] - upper[i]) * scale[i]
+        if below <= worst and above <= worst:
+            continue
         is_active = False
         for a in range(count):
             is_active |= active[a] == i
         if is_active:
             continue
-        value = 0.0
-        for j in range(rows.shape[1]):
-            value += rows[i, j] * y[j]
-        below = (lower[i] - value) / (1.0 + abs(lower[i]))
-        above = (value - upper[i]) / (1.0 + abs(upper[i]))
-        if below > max(worst, _VIOLATED):
+        if below > worst:
             worst, found, sign = below, i, 1.0
-        if above > max(worst, _VIOLATED):
+        if above > worst:
             worst, found, sign = above, i, -1.0
     return found, sign
 
 
 @jit
-def _factor_active(
-    rows: np.ndarray,
-    active: np.ndarray,
-    side: np.ndarray,
+def _project(
+    normal: np.ndarray,
+    basis: np.ndarray,
     count: int,
-    gram: np.ndarray,
-    factor: np.ndarray,
-) -> None:
-    """Cholesky factor of the active normals' Gram matrix."""
+    rest: np.ndarray,
+    shares: np.ndarray,
+) -> float:
+    """Split a normal into its shares of the basis and a rest; the rest's square.
+
+    Twice, against cancellation: the Gram matrix would lose half of the digits.
+    """
+    n = len(normal)
+    for j in range(n):
+        rest[j] = normal[j]
     for a in range(count):
-        for b in range(a + 1):
+        shares[a] = 0.0
+    for _ in range(2):
+        for a in range(count):
             dot = 0.0
-            for j in range(rows.shape[1]):
-                dot += rows[active[a], j] * rows[active[b], j]
-            gram[a, b] = side[a] * side[b] * dot
-    cholesky(gram, factor, count)
+            for j in range(n):
+                dot += basis[a, j] * rest[j]
+            for j in range(n):
+                rest[j] -= dot * basis[a, j]
+            shares[a] += dot
+    square = 0.0
+    for j in range(n):
+        square += rest[j] * rest[j]
+    return square
+
+
+@jit
+def _append(
+    normal: np.ndarray,
+    left: float,
+    rest: np.ndarray,
+    shares: np.ndarray,
+    count: int,
+    normals: np.ndarray,
+    basis: np.ndarray,
+    triangle: np.ndarray,
+) -> None:
+    """Let a normal, split by ``_project``, be the next active one."""
+    norm = np.sqrt(left)
+    for j in range(len(normal)):
+        normals[count, j] = normal[j]
+        basis[count, j] = rest[j] / norm
+    for a in range(count):
+        triangle[a, count] = shares[a]
+    triangle[count, count] = norm

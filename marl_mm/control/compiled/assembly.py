@@ -6,12 +6,27 @@ manipulator orientation (3), arm posture (7). Limits in the order of limits.py.
 
 import numpy as np
 
-from marl_mm.control.compiled.jit import jit
 from marl_mm.control.config import Gains, LimitConfig
-from marl_mm.control.limits import LEAST_WIDTH, UNBOUNDED
+from marl_mm.control.limits import (
+    BOX,
+    KEEP_OUT,
+    LEAST_WIDTH,
+    TRACTION,
+    UNBOUNDED,
+    WHEEL_ARM,
+    WHEELS,
+    ZMP,
+)
 from marl_mm.control.tasks.task import VARIABLES, Reference
+from marl_mm.jit import jit
+from marl_mm.robot.description import WHEEL_RADIUS
 from marl_mm.robot.limits import RobotLimits
-from marl_mm.robot.model import ModelTerms, RobotState
+from marl_mm.robot.model import (
+    SUPPORT_B,
+    SUPPORT_INWARD_B,
+    ModelTerms,
+    RobotState,
+)
 
 TASK_ROWS = 15
 
@@ -112,8 +127,7 @@ def assemble_limits(
     lower: np.ndarray,
     upper: np.ndarray,
 ) -> None:
-    """Write all limit rows: matrix (17, 9), lower and upper (17,)."""
-    q, v = state.q, state.v
+    """Write all limit rows: matrix (rows, 9), lower and upper (rows,)."""
     for i in range(7):
         matrix[i, 0] = terms.mass_matrix[3 + i, 0]
         matrix[i, 1] = terms.mass_matrix[3 + i, 2]
@@ -121,11 +135,36 @@ def assemble_limits(
             matrix[i, 2 + j] = terms.mass_matrix[3 + i, 3 + j]
         lower[i] = -robot.torque[i] - terms.nonlinear[3 + i]
         upper[i] = robot.torque[i] - terms.nonlinear[3 + i]
+    _box(state, robot, config, matrix, lower, upper)
+    _keep_out(state, terms, config, matrix, lower, upper)
+    _wheel_rims(state, robot, config, matrix, lower, upper)
+    _wheel_forces(terms, config, matrix, lower, upper)
+    if config.zmp:
+        _edge_moments(state, terms, config, matrix, lower, upper)
+    for i in range(KEEP_OUT, len(lower)):
+        most, least = -LEAST_WIDTH, LEAST_WIDTH
+        for j in range(VARIABLES):
+            one, other = matrix[i, j] * lower[BOX + j], matrix[i, j] * upper[BOX + j]
+            most += max(one, other)
+            least += min(one, other)
+        lower[i], upper[i] = min(lower[i], most), max(upper[i], least)
 
+
+@jit
+def _box(
+    state: RobotState,
+    robot: RobotLimits,
+    config: LimitConfig,
+    matrix: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+) -> None:
+    q, v = state.q, state.v
     for j in range(VARIABLES):
-        matrix[7 + j, j] = 1.0
+        matrix[BOX + j, j] = 1.0
         most = robot.acceleration[j]
-        fastest, slowest = robot.speed[j], -robot.speed[j]
+        fastest = config.speed_share * robot.speed[j]
+        slowest = -fastest
         velocity = v[0] if j == 0 else v[1 + j]
         if j >= 2:
             room = robot.upper[j - 2] - q[2 + j] - config.joint_margin
@@ -137,24 +176,109 @@ def assemble_limits(
         if high - low < LEAST_WIDTH:
             middle = (low + high) / 2
             low, high = middle - LEAST_WIDTH / 2, middle + LEAST_WIDTH / 2
-        lower[7 + j], upper[7 + j] = low, high
+        lower[BOX + j], upper[BOX + j] = low, high
 
+
+@jit
+def _keep_out(
+    state: RobotState,
+    terms: ModelTerms,
+    config: LimitConfig,
+    matrix: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+) -> None:
+    q, v = state.q, state.v
     cos, sin = q[2], q[3]
     ahead = cos * (terms.position_w[0] - q[0]) + sin * (terms.position_w[1] - q[1])
-    speed = sideways = within_box = 0.0
+    row = matrix[KEEP_OUT]
+    speed = sideways = 0.0
     for j in range(7):
-        matrix[16, 2 + j] = (
-            cos * terms.jacobian[0, 3 + j] + sin * terms.jacobian[1, 3 + j]
-        )
-        speed += matrix[16, 2 + j] * v[3 + j]
-        best = upper[9 + j] if matrix[16, 2 + j] > 0 else lower[9 + j]
-        within_box += matrix[16, 2 + j] * best
-        sideways += (
-            cos * terms.jacobian[1, 3 + j] - sin * terms.jacobian[0, 3 + j]
-        ) * v[3 + j]
+        dx, dy = terms.jacobian[0, 3 + j], terms.jacobian[1, 3 + j]
+        row[2 + j] = cos * dx + sin * dy
+        speed += row[2 + j] * v[3 + j]
+        sideways += (cos * dy - sin * dx) * v[3 + j]
     bias = cos * terms.bias_acceleration[0] + sin * terms.bias_acceleration[1]
     bias += v[2] * v[2] * ahead + 2 * v[2] * sideways
     rate, most = config.keep_out_rate, config.keep_out_acceleration
     bound = -2 * rate * speed - rate * rate * (ahead - config.keep_out) - bias
-    lower[16] = min(clip(bound, -most, most), within_box - LEAST_WIDTH)
-    upper[16] = UNBOUNDED
+    lower[KEEP_OUT], upper[KEEP_OUT] = clip(bound, -most, most), UNBOUNDED
+
+
+@jit
+def _wheel_rims(
+    state: RobotState,
+    robot: RobotLimits,
+    config: LimitConfig,
+    matrix: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+) -> None:
+    most = config.speed_share * robot.wheel_speed * WHEEL_RADIUS
+    for i in range(2):
+        arm = WHEEL_ARM if i else -WHEEL_ARM
+        row = WHEELS + i
+        matrix[row, 0], matrix[row, 1] = 1.0, arm
+        speed = state.v[0] + arm * state.v[2]
+        lower[row] = (-most - speed) / config.horizon
+        upper[row] = (most - speed) / config.horizon
+
+
+@jit
+def _wheel_forces(
+    terms: ModelTerms,
+    config: LimitConfig,
+    matrix: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+) -> None:
+    for c in range(VARIABLES + 1):
+        if c < VARIABLES:
+            forces = terms.mass_matrix[:, 0 if c == 0 else c + 1]
+        else:
+            forces = terms.nonlinear
+        along, turning = forces[0] / 2, forces[2] / (2 * WHEEL_ARM)
+        for i in range(3):
+            force = forces[1]
+            if i < 2:
+                force = along + (turning if i else -turning)
+            if c < VARIABLES:
+                matrix[TRACTION + i, c] = force
+            else:
+                lower[TRACTION + i] = -config.traction - force
+                upper[TRACTION + i] = config.traction - force
+
+
+@jit
+def _edge_moments(
+    state: RobotState,
+    terms: ModelTerms,
+    config: LimitConfig,
+    matrix: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+) -> None:
+    q, com = state.q, terms.com_w
+    cos, sin = q[2], q[3]
+    for e in range(len(SUPPORT_B)):
+        nx, ny = SUPPORT_INWARD_B[e]
+        lever = -config.zmp_margin - nx * SUPPORT_B[e, 0] - ny * SUPPORT_B[e, 1]
+        nx, ny = cos * nx - sin * ny, sin * nx + cos * ny
+        lever += nx * (com[0] - q[0]) + ny * (com[1] - q[1])
+        row = ZMP + e
+        for j in range(VARIABLES):
+            column = terms.wrench_matrix[:, 0 if j == 0 else j + 1]
+            matrix[row, j] = _moment(column, lever, nx, ny, com[2])
+        lower[row] = -_moment(terms.wrench_bias, lever, nx, ny, com[2])
+        upper[row] = UNBOUNDED
+
+
+@jit
+def _moment(
+    wrench: np.ndarray, lever: float, nx: float, ny: float, height: float
+) -> float:
+    """Moment of a wrench at the centre of mass about an edge on the ground [N m]."""
+    x = height * wrench[0] + wrench[4]
+    y = height * wrench[1] - wrench[3]
+    moment: float = lever * wrench[2] - nx * x - ny * y
+    return moment

@@ -1,25 +1,30 @@
-"""All levels of a priority matrix, compiled: see control/hierarchy.py for the idea."""
+"""All levels of a priority matrix, compiled: see control/hierarchy.py for the idea.
+
+Innermost loops run along rows, so that they are vectorised, and skip the zeros of rows
+that select one variable.
+"""
 
 import numpy as np
 
 from marl_mm.control.compiled.active_set import (
+    SOLVED,
     cholesky,
     solve_least_distance,
     solve_lower,
     solve_upper,
 )
-from marl_mm.control.compiled.assembly import TASK_ROWS, clip
-from marl_mm.control.compiled.jit import jit
-from marl_mm.control.config import DEPENDENT, HierarchyConfig
-from marl_mm.control.limits import ROWS as LIMIT_ROWS
+from marl_mm.control.compiled.assembly import TASK_ROWS
+from marl_mm.control.config import HierarchyConfig
+from marl_mm.control.limits import BOX
 from marl_mm.control.priorities import HANDLED
 from marl_mm.control.tasks.task import VARIABLES as N
+from marl_mm.jit import jit
 
 TASK_OF_ROW = np.array([0, 1, 2, 2, 2, 3, 3, 3, 4, 4, 4, 4, 4, 4, 4])
 """Column of the priority matrix that each task row belongs to."""
 
-LEVELS, QPS, FAILURES = range(3)
-"""Entries of the counters."""
+LEVELS, QPS, FAILURES, CAUSE = range(4)
+"""Entries of the counters; CAUSE is the last failed level's code, see active_set."""
 
 
 @jit
@@ -33,57 +38,55 @@ def solve_hierarchy(
     config: HierarchyConfig,
     u: np.ndarray,
     counters: np.ndarray,
-) -> None:
-    """All levels of a priority matrix; writes u (9,) and adds to the counters (3,)."""
+) -> bool:
+    """All levels of a priority matrix; writes u (9,) and adds to the counters (4,).
+
+    Returns:
+        False where the limits contradict each other: the first level found nothing.
+    """
+    limits = len(lower)
     u[:] = 0.0
     projector = np.eye(N)
-    projected = np.empty((TASK_ROWS, N))
-    basis = np.empty((TASK_ROWS, N))
+    row = np.empty(N)
     hessian = np.empty((N, N))
     factor = np.empty((N, N))
     gradient = np.empty(N)
     x = np.empty(N)
-    rows = np.empty((LIMIT_ROWS, N))
-    low = np.empty(LIMIT_ROWS)
-    high = np.empty(LIMIT_ROWS)
+    rows = np.empty((limits, N))
+    low = np.empty(limits)
+    high = np.empty(limits)
     order = np.empty(TASK_ROWS, np.int64)
-    weight = np.empty(TASK_ROWS)
     share = np.empty(TASK_ROWS)
+    feasible = True
     for level in range(psi.shape[0]):
-        count = _handled_rows(psi, level, order, weight, share)
+        count = _handled_rows(psi, level, order, share)
         if count == 0:
             continue
         counters[LEVELS] += 1
-        for a in range(count):
-            r = order[a]
-            for j in range(N):
-                if level == 0:  # P = I
-                    projected[a, j] = jacobian[r, j]
-                else:
-                    value = 0.0
-                    for k in range(N):
-                        value += jacobian[r, k] * projector[k, j]
-                    projected[a, j] = value
-        rho = config.rho if level > 0 else 0.0
-        for i in range(N):
-            gradient[i] = 0.0
-            for j in range(i + 1):
-                value = 0.0
-                for a in range(count):
-                    value += weight[a] * projected[a, i] * projected[a, j]
-                if rho > 0.0:
-                    for k in range(N):
-                        value -= rho * projector[k, i] * projector[k, j]
-                if i == j:
-                    value += rho + config.damping
-                hessian[i, j] = value
-        for a in range(count):
-            r = order[a]
+        hessian[:] = 0.0
+        gradient[:] = 0.0
+        for r in range(TASK_ROWS):
+            weight = _weight(psi, level, TASK_OF_ROW[r], config)
+            if weight == 0.0:
+                continue
+            _times(jacobian[r], projector, row)
             residual = target[r]
             for k in range(N):
                 residual -= jacobian[r, k] * u[k]
-            for j in range(N):
-                gradient[j] -= weight[a] * residual * projected[a, j]
+            for i in range(N):
+                scaled = weight * row[i]
+                gradient[i] -= residual * scaled
+                for j in range(N):
+                    hessian[i, j] += scaled * row[j]
+        for i in range(N):
+            hessian[i, i] += config.damping
+        if level > 0:
+            for k in range(N):
+                hessian[k, k] += config.rho
+                for i in range(N):
+                    scaled = config.rho * projector[k, i]
+                    for j in range(N):
+                        hessian[i, j] -= scaled * projector[k, j]
         cholesky(hessian, factor, N)
         for j in range(N):
             x[j] = -gradient[j]
@@ -91,17 +94,18 @@ def solve_hierarchy(
         solve_upper(factor, x, N)
 
         broken = False
-        for i in range(LIMIT_ROWS):
-            value = used = 0.0
+        for i in range(limits):
+            if BOX <= i < BOX + N:
+                rows[i] = projector[i - BOX]
+                used = u[i - BOX]
+            else:
+                _times(matrix[i], projector, rows[i])
+                used = 0.0
+                for j in range(N):
+                    used += matrix[i, j] * u[j]
+            value = 0.0
             for j in range(N):
-                entry = matrix[i, j]
-                if level > 0:
-                    entry = 0.0
-                    for k in range(N):
-                        entry += matrix[i, k] * projector[k, j]
-                rows[i, j] = entry
-                value += entry * x[j]
-                used += matrix[i, j] * u[j]
+                value += rows[i, j] * x[j]
             low[i], high[i] = lower[i] - used, upper[i] - used
             if level > 0:
                 low[i] = min(low[i], 0.0) - config.margin
@@ -110,29 +114,37 @@ def solve_hierarchy(
             broken |= value < low[i] - config.tolerance
         if broken:
             counters[QPS] += 1
-            solved = _solve_limited(
+            code = _solve_limited(
                 factor, gradient, rows, low, high, x, config.iterations
             )
-            if not solved:
+            if code != SOLVED:
                 counters[FAILURES] += 1
-                for j in range(N):
-                    x[j] = 0.0 if level else clip(0.0, lower[7 + j], upper[7 + j])
+                counters[CAUSE] = code
+                feasible &= level > 0
+                x[:] = 0.0
         for i in range(N):
-            value = 0.0
             for k in range(N):
-                value += projector[i, k] * x[k]
-            u[i] += value
+                u[i] += projector[i, k] * x[k]
         if level < psi.shape[0] - 1:
-            _reduce(projector, projected, share, count, basis, config.projector_damping)
+            for a in range(count):
+                _times(jacobian[order[a]], projector, row)
+                _deflate(projector, row, share[a], config.projector_damping)
+    return feasible
+
+
+@jit
+def _times(row: np.ndarray, projector: np.ndarray, result: np.ndarray) -> None:
+    """A row times the projector."""
+    result[:] = 0.0
+    for k in range(N):
+        if row[k] != 0.0:
+            for j in range(N):
+                result[j] += row[k] * projector[k, j]
 
 
 @jit
 def _handled_rows(
-    psi: np.ndarray,
-    level: int,
-    order: np.ndarray,
-    weight: np.ndarray,
-    share: np.ndarray,
+    psi: np.ndarray, level: int, order: np.ndarray, share: np.ndarray
 ) -> int:
     """Rows of the tasks whose psi rises here, highest psi first (stable)."""
     count = 0
@@ -143,12 +155,21 @@ def _handled_rows(
             continue
         a = count
         while a > 0 and share[a - 1] < psi[level, k]:
-            order[a], weight[a] = order[a - 1], weight[a - 1]
-            share[a] = share[a - 1]
+            order[a], share[a] = order[a - 1], share[a - 1]
             a -= 1
-        order[a], weight[a], share[a] = r, rise, psi[level, k]
+        order[a], share[a] = r, psi[level, k]
         count += 1
     return count
+
+
+@jit
+def _weight(psi: np.ndarray, level: int, task: int, config: HierarchyConfig) -> float:
+    above = psi[level - 1, task] if level > 0 else 0.0
+    if not config.weighted:
+        return 1.0 if psi[level, task] > above else 0.0
+    protected = config.protection * above * (1.0 - above)
+    weight: float = psi[level, task] - above + protected
+    return weight
 
 
 @jit
@@ -160,60 +181,41 @@ def _solve_limited(
     high: np.ndarray,
     x: np.ndarray,
     iterations: int,
-) -> bool:
+) -> int:
     """The level's QP as a least-distance problem in y = L' x + L^-1 g."""
+    limits = len(low)
     shift = gradient.copy()
     solve_lower(factor, shift, N)
-    for i in range(LIMIT_ROWS):
-        solve_lower(factor, rows[i], N)
-        moved = 0.0
-        for j in range(N):
-            moved += rows[i, j] * shift[j]
-        low[i] += moved
-        high[i] += moved
-    if not solve_least_distance(rows, low, high, x, iterations):
-        return False
+    columns = np.empty((N, limits))  # of rows L'^-1
+    for i in range(N):
+        for r in range(limits):
+            columns[i, r] = rows[r, i]
+        for k in range(i):
+            for r in range(limits):
+                columns[i, r] -= factor[i, k] * columns[k, r]
+        for r in range(limits):
+            columns[i, r] /= factor[i, i]
+            low[r] += columns[i, r] * shift[i]
+            high[r] += columns[i, r] * shift[i]
+    code = solve_least_distance(columns, low, high, x, iterations)
     for j in range(N):
         x[j] -= shift[j]
     solve_upper(factor, x, N)
-    return True
+    return code
 
 
 @jit
-def _reduce(
-    projector: np.ndarray,
-    projected: np.ndarray,
-    share: np.ndarray,
-    count: int,
-    basis: np.ndarray,
-    damping: float,
+def _deflate(
+    projector: np.ndarray, row: np.ndarray, share: float, damping: float
 ) -> None:
-    """P (I - B' Lambda B) in place, by Gram-Schmidt on the rows of A P."""
-    found = 0
-    row = np.empty(N)
-    for a in range(count):
+    """P (I - share a a' / (a'a + damping)) in place."""
+    square = damping
+    for j in range(N):
+        square += row[j] * row[j]
+    for i in range(N):
+        dot = 0.0
         for j in range(N):
-            row[j] = projected[a, j]
-        for _ in range(2):  # once more, against cancellation
-            for b in range(found):
-                dot = 0.0
-                for j in range(N):
-                    dot += basis[b, j] * row[j]
-                for j in range(N):
-                    row[j] -= dot * basis[b, j]
-        square = 0.0
+            dot += projector[i, j] * row[j]
+        dot *= share / square
         for j in range(N):
-            square += row[j] * row[j]
-        if square < DEPENDENT:
-            continue
-        norm = np.sqrt(square)
-        for j in range(N):
-            basis[found, j] = row[j] / norm
-        scale = share[a] * square / (square + damping)
-        for i in range(N):
-            dot = 0.0
-            for j in range(N):
-                dot += projector[i, j] * basis[found, j]
-            for j in range(N):
-                projector[i, j] -= scale * dot * basis[found, j]
-        found += 1
+            projector[i, j] -= dot * row[j]

@@ -18,11 +18,12 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 _SOURCES = (
+    "jit.py",
     "control/*.py",
     "control/compiled/*.py",
     "control/tasks/task.py",
-    "robot/model.py",
-    "robot/limits.py",
+    "robot/*.py",
+    "sim/planar.py",
 )
 """Below the package: everything that compiled code is made of."""
 
@@ -32,7 +33,7 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
     previous = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = previous or str(_cache_folder())
     try:
-        compiled: Callable[P, R] = numba.njit(cache=True)(function)
+        compiled: Callable[P, R] = numba.njit(cache=True, error_model="numpy")(function)
         return compiled
     finally:
         numba.config.CACHE_DIR = previous
@@ -41,7 +42,7 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
 @cache
 def _cache_folder() -> Path:
     """The first place that can be written to, with the sources' fingerprint."""
-    package = Path(__file__).resolve().parents[2]
+    package = Path(__file__).resolve().parent
     digest = hashlib.sha256(numba.__version__.encode())
     for pattern in _SOURCES:
         for path in sorted(package.glob(pattern)):

@@ -1,0 +1,192 @@
+"""The robot under its controller: follow references for some ticks, and watch how.
+
+Simulator, model and controller meet here and nowhere else. What the limits say is
+watched at 240 Hz where it is needed, and stability every few ticks.
+"""
+
+from collections.abc import Callable
+from math import hypot, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from marl_mm.control.config import ControllerConfig
+from marl_mm.control.limits import WHEEL_ARM
+from marl_mm.control.tasks.task import Reference
+from marl_mm.control.wbc import Command, Priorities, WholeBodyController
+from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig
+from marl_mm.robot.limits import robot_limits
+from marl_mm.robot.model import RobotModel, RobotState, support_margin
+from marl_mm.sim.bullet import BulletWorld
+from marl_mm.sim.config import RATE, SimulationConfig
+
+ReferenceAt = Callable[[int, RobotState], Reference]
+"""Reference at a tick's number and state."""
+
+
+class Tick(NamedTuple):
+    """One tick, for those who watch."""
+
+    number: int
+
+    state: RobotState
+    """Before the tick."""
+
+    command: Command
+    """What the robot was told then."""
+
+
+Watch = Callable[[Tick], None]
+"""Called after each tick."""
+
+
+class Motion(NamedTuple):
+    """What happened during some ticks; extremes are over every few of them."""
+
+    base_acceleration: np.ndarray
+    """Commanded, shape (ticks,) [m/s^2]."""
+
+    zmp_margin: float
+    """Least distance of the zero-moment point to the support polygon's edge [m]."""
+
+    tilt: float
+    """Largest angle of the base's vertical axis to the world's [rad]."""
+
+    base_pitch: float
+    """Largest pitch of the base, which the controller's planar model lacks [rad]."""
+
+    wheel_slip: float
+    """Largest speed between a drive wheel's rim and the ground along it [m/s]."""
+
+    model_ee_error: float
+    """Largest distance of the model's end-effector to the simulator's [m]."""
+
+    qp_failures: int
+    """Levels of the hierarchy that found no solution."""
+
+    safe_ticks: int
+    """Ticks in which no acceleration met all limits and the robot only braked."""
+
+
+class Drive:
+    """One robot in a world of its own, and its controller.
+
+    Args:
+        robot: Mass properties and start posture.
+        simulation: Solver and motors.
+        controller: Form, gains and limits.
+        visual: Load meshes for rendering.
+        gui: Open PyBullet's window.
+    """
+
+    def __init__(
+        self,
+        robot: RobotConfig,
+        simulation: SimulationConfig,
+        controller: ControllerConfig,
+        visual: bool = False,
+        gui: bool = False,
+    ) -> None:
+        self.world = BulletWorld(robot, simulation, visual, gui)
+        self.model = RobotModel(robot, balance=controller.limits.zmp)
+        self.limits = robot_limits(robot)
+        self.controller = WholeBodyController(self.limits, controller)
+        self._base_speed, self._base_yaw_rate = self.limits.speed[:2].tolist()
+        self._rim_speed = self.limits.wheel_speed * WHEEL_RADIUS
+
+    def reset(self, goal_w: np.ndarray | None = None) -> RobotState:
+        """A new world, with the robot at rest in its start posture.
+
+        Args:
+            goal_w: Where to draw the goal, shape (3,) [m].
+        """
+        self.world.reset(goal_w)
+        self.state = self.world.read()
+        return self.state
+
+    def follow(
+        self,
+        reference_at: ReferenceAt,
+        priorities: Priorities,
+        ticks: int,
+        every: int,
+        watch: Watch | None = None,
+    ) -> Motion:
+        """Run the controller for some ticks; ``state`` is the robot after them.
+
+        Args:
+            reference_at: What the tasks follow.
+            priorities: Who comes first.
+            ticks: Of 1/240 s.
+            every: Ticks between looks at stability.
+            watch: Called after each tick.
+        """
+        model, controller, world = self.model, self.controller, self.world
+        accelerations = np.empty(ticks)
+        looks: list[tuple[float, float, float, float, float]] = []
+        failures = safe = 0
+        state = self.state
+        for k in range(ticks):
+            terms = model.evaluate(state)
+            reference = reference_at(k, state)
+            command = controller.solve(state, terms, reference, priorities)
+            if k % every == 0:
+                looks.append(self._look(state, terms.position_w, command))
+            accelerations[k] = command.acceleration[0]
+            world.command(*self._move_base(state, command.acceleration), command.torque)
+            world.step()
+            if command.failures:
+                failures += command.failures
+                safe += command.safe
+            after = world.read()
+            if watch is not None:
+                watch(Tick(k, state, command))
+            state = after
+        self.state = state
+        margins, tilts, pitches, slips, errors = zip(*looks, strict=True)
+        return Motion(
+            accelerations,
+            min(margins),
+            max(tilts),
+            max(pitches, key=abs),
+            max(slips),
+            max(errors),
+            failures,
+            safe,
+        )
+
+    def close(self) -> None:
+        """Disconnect from the simulator."""
+        self.world.close()
+
+    def _look(
+        self, state: RobotState, position_w: np.ndarray, command: Command
+    ) -> tuple[float, float, float, float, float]:
+        """Margin, tilt, pitch, slip and the model's error at a state: see Motion."""
+        x, y, z = position_w.tolist()
+        ee_x, ee_y, ee_z = self.world.grasp_position_w()
+        error = sqrt((x - ee_x) ** 2 + (y - ee_y) ** 2 + (z - ee_z) ** 2)
+        roll, pitch = self.world.attitude()
+        left, right = self.world.wheel_rates()
+        forward, turn = state.v[0].item(), WHEEL_ARM * state.v[2].item()
+        slip = max(
+            abs(WHEEL_RADIUS * left - forward + turn),
+            abs(WHEEL_RADIUS * right - forward - turn),
+        )
+        margin = support_margin(self.model.zmp_b(state, command.acceleration))
+        return margin, hypot(roll, pitch), pitch, slip, error
+
+    def _move_base(
+        self, state: RobotState, acceleration: np.ndarray
+    ) -> tuple[float, float]:
+        """The base's speeds after a tick of u: forward [m/s], yaw rate [rad/s].
+
+        From the measured ones: an integral of u alone would go on while the wheels
+        slip, and jerk the base when they grip again.
+        """
+        forward = state.v[0].item() + acceleration[0].item() / RATE
+        yaw_rate = state.v[2].item() + acceleration[1].item() / RATE
+        forward = min(max(forward, -self._base_speed), self._base_speed)
+        most = (self._rim_speed - abs(forward)) / WHEEL_ARM
+        most = min(most, self._base_yaw_rate)
+        return forward, min(max(yaw_rate, -most), most)

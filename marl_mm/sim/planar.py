@@ -1,0 +1,53 @@
+"""The planar state that the controller sees, from the simulator's floating base."""
+
+import numpy as np
+
+from marl_mm.jit import jit
+
+
+@jit
+def planar_state(
+    position_w: tuple[float, ...],
+    quaternion: tuple[float, ...],
+    linear_w: tuple[float, ...],
+    angular_w: tuple[float, ...],
+    com_b: tuple[float, ...],
+    joints: tuple[float, ...],
+    rates: tuple[float, ...],
+    q: np.ndarray,
+    v: np.ndarray,
+) -> bool:
+    """Write q (11,) and v (10,) of ``RobotState``; False where they are not finite.
+
+    Args:
+        position_w: Centre of mass of the base link [m].
+        quaternion: Its orientation, x, y, z, w.
+        linear_w: Its velocity [m/s].
+        angular_w: Its angular velocity [rad/s].
+        com_b: The centre of mass in the base frame, which Bullet takes for the link
+            [m].
+        joints: Arm [rad].
+        rates: Arm [rad/s].
+        q: Result.
+        v: Result.
+    """
+    x, y, z, w = quaternion
+    cx, cy, cz = com_b
+    r00, r01, r02 = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    r10, r11, r12 = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    r20, r21, r22 = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    dx = r00 * cx + r01 * cy + r02 * cz
+    dy = r10 * cx + r11 * cy + r12 * cz
+    dz = r20 * cx + r21 * cy + r22 * cz
+    wx, wy, wz = angular_w
+    vx = linear_w[0] - (wy * dz - wz * dy)
+    vy = linear_w[1] - (wz * dx - wx * dz)
+    norm = np.sqrt(r00 * r00 + r10 * r10)
+    cos, sin = r00 / norm, r10 / norm
+    q[0], q[1], q[2], q[3] = position_w[0] - dx, position_w[1] - dy, cos, sin
+    v[0], v[1], v[2] = cos * vx + sin * vy, -sin * vx + cos * vy, wz
+    total = q[0] + q[1] + cos + sin + v[0] + v[1] + wz
+    for j in range(7):
+        q[4 + j], v[3 + j] = joints[j], rates[j]
+        total += joints[j] + rates[j]
+    return bool(np.isfinite(total))
