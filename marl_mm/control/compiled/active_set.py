@@ -206,14 +206,18 @@ def _project(
 ) -> float:
     """Split a normal into its shares of the basis and a rest; the rest's square.
 
-    Twice, against cancellation: the Gram matrix would lose half of the digits.
+    Once more where little is left, against cancellation: with a Gram matrix in place of
+    the basis, half of the digits would be lost.
     """
     n = len(normal)
+    square = 0.0
     for j in range(n):
         rest[j] = normal[j]
+        square += normal[j] * normal[j]
     for a in range(count):
         shares[a] = 0.0
-    for _ in range(2):
+    for _ in range(3):
+        before, square = square, 0.0
         for a in range(count):
             dot = 0.0
             for j in range(n):
@@ -221,9 +225,10 @@ def _project(
             for j in range(n):
                 rest[j] -= dot * basis[a, j]
             shares[a] += dot
-    square = 0.0
-    for j in range(n):
-        square += rest[j] * rest[j]
+        for j in range(n):
+            square += rest[j] * rest[j]
+        if square > 0.1 * before:
+            break
     return square
 
 
