@@ -13,7 +13,13 @@ import numpy as np
 from marl_mm.control.compiled.tick import tick
 from marl_mm.control.config import ControllerConfig, Gains, HierarchyConfig, LimitConfig
 from marl_mm.control.hierarchy import Solution, solve_hierarchy
-from marl_mm.control.limits import LIMIT_NAMES, TORQUE_ROWS, bounds, row_count
+from marl_mm.control.limits import (
+    LIMIT_NAMES,
+    TORQUE_ROWS,
+    WHEEL_ARM,
+    bounds,
+    row_count,
+)
 from marl_mm.control.priorities import (
     REACHING,
     STABILITY,
@@ -29,6 +35,7 @@ from marl_mm.control.tasks.manipulator_orientation import manipulator_orientatio
 from marl_mm.control.tasks.manipulator_position import manipulator_position
 from marl_mm.control.tasks.task import VARIABLES, Reference, Task
 from marl_mm.errors import NonFiniteStateError, UsageError
+from marl_mm.robot.description import WHEEL_RADIUS
 from marl_mm.robot.limits import RobotLimits
 from marl_mm.robot.model import ModelTerms, RobotState
 
@@ -41,6 +48,11 @@ class Command(NamedTuple):
 
     torque: np.ndarray
     """Of the arm joints, clipped to their limits, shape (7,) [N m]."""
+
+    base_speed: tuple[float, float]
+    """For the wheels: forward [m/s], yaw rate [rad/s]. The measured speeds plus u over a
+    tick: an integral of u alone would go on while the wheels slip, and jerk the base
+    when they grip again."""
 
     levels: int
     """Levels of the hierarchy solved."""
@@ -83,10 +95,14 @@ class WholeBodyController:
     Args:
         robot: Limits of the robot.
         config: Form, solver and gains.
+        rate: Ticks per second.
     """
 
-    def __init__(self, robot: RobotLimits, config: ControllerConfig) -> None:
+    def __init__(
+        self, robot: RobotLimits, config: ControllerConfig, rate: float = 240.0
+    ) -> None:
         self.config = config
+        self._rate = float(rate)
         self._robot = robot
         hierarchy = config.hierarchy
         if config.form == "rhp-literal":
@@ -177,19 +193,21 @@ class WholeBodyController:
         priorities: Priorities,
     ) -> tuple[Command, bool]:
         u, torque, counters = np.empty(VARIABLES), np.empty(7), np.zeros(4, np.int64)
-        feasible, finite = tick(
+        feasible, finite, forward, turning = tick(
             tuple(state),
             tuple(terms),
             tuple(reference),
             *self._numbers,
             *priorities,
             self._rows,
+            self._rate,
             u,
             torque,
             counters,
         )
         levels, qps, failures, cause = counters.tolist()
-        command = Command(u, torque, levels, qps, failures, cause, not feasible)
+        safe, speed = not feasible, (forward, turning)
+        command = Command(u, torque, speed, levels, qps, failures, cause, safe)
         return command, finite
 
     def _readable(
@@ -218,12 +236,21 @@ class WholeBodyController:
         return Command(
             u,
             np.clip(torque, -self._robot.torque, self._robot.torque),
+            self._base_speed(state, u),
             sum(solution.levels for solution in solutions),
             sum(solution.qps for solution in solutions),
             sum(solution.failures for solution in solutions),
             causes[-1] if causes else NO_CAUSE,
             not feasible,
         )
+
+    def _base_speed(self, state: RobotState, u: np.ndarray) -> tuple[float, float]:
+        most, most_turning = self._robot.speed[:2]
+        forward = np.clip(state.v[0] + u[0] / self._rate, -most, most)
+        rim = self._robot.wheel_speed * WHEEL_RADIUS
+        most_turning = min(most_turning, (rim - abs(forward)) / WHEEL_ARM)
+        turning = np.clip(state.v[2] + u[1] / self._rate, -most_turning, most_turning)
+        return float(forward), float(turning)
 
 
 def _typed(defaults: NamedTuple, values: NamedTuple) -> Iterator[Any]:

@@ -90,9 +90,7 @@ class Drive:
         self.world = BulletWorld(robot, simulation, visual, gui)
         self.model = RobotModel(robot, balance=controller.limits.zmp)
         self.limits = robot_limits(robot)
-        self.controller = WholeBodyController(self.limits, controller)
-        self._base_speed, self._base_yaw_rate = self.limits.speed[:2].tolist()
-        self._rim_speed = self.limits.wheel_speed * WHEEL_RADIUS
+        self.controller = WholeBodyController(self.limits, controller, RATE)
 
     def reset(self, goal_w: np.ndarray | None = None) -> RobotState:
         """A new world, with the robot at rest in its start posture.
@@ -133,7 +131,7 @@ class Drive:
             if k % every == 0:
                 looks.append(self._look(state, terms.position_w, command))
             accelerations[k] = command.acceleration[0]
-            world.command(*self._move_base(state, command.acceleration), command.torque)
+            world.command(*command.base_speed, command.torque)
             world.step()
             if command.failures:
                 failures += command.failures
@@ -175,18 +173,3 @@ class Drive:
         )
         margin = support_margin(self.model.zmp_b(state, command.acceleration))
         return margin, hypot(roll, pitch), pitch, slip, error
-
-    def _move_base(
-        self, state: RobotState, acceleration: np.ndarray
-    ) -> tuple[float, float]:
-        """The base's speeds after a tick of u: forward [m/s], yaw rate [rad/s].
-
-        From the measured ones: an integral of u alone would go on while the wheels
-        slip, and jerk the base when they grip again.
-        """
-        forward = state.v[0].item() + acceleration[0].item() / RATE
-        yaw_rate = state.v[2].item() + acceleration[1].item() / RATE
-        forward = min(max(forward, -self._base_speed), self._base_speed)
-        most = (self._rim_speed - abs(forward)) / WHEEL_ARM
-        most = min(most, self._base_yaw_rate)
-        return forward, min(max(yaw_rate, -most), most)

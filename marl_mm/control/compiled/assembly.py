@@ -232,21 +232,17 @@ def _wheel_forces(
     lower: np.ndarray,
     upper: np.ndarray,
 ) -> None:
-    for c in range(VARIABLES + 1):
-        if c < VARIABLES:
-            forces = terms.mass_matrix[:, 0 if c == 0 else c + 1]
-        else:
-            forces = terms.nonlinear
-        along, turning = forces[0] / 2, forces[2] / (2 * WHEEL_ARM)
-        for i in range(3):
-            force = forces[1]
-            if i < 2:
-                force = along + (turning if i else -turning)
-            if c < VARIABLES:
-                matrix[TRACTION + i, c] = force
-            else:
-                lower[TRACTION + i] = -config.traction - force
-                upper[TRACTION + i] = config.traction - force
+    mass, bias = terms.mass_matrix, terms.nonlinear
+    for j in range(VARIABLES):
+        k = 0 if j == 0 else j + 1
+        along, turning = mass[0, k] / 2, mass[2, k] / (2 * WHEEL_ARM)
+        matrix[TRACTION, j] = along - turning
+        matrix[TRACTION + 1, j] = along + turning
+        matrix[TRACTION + 2, j] = mass[1, k]
+    along, turning = bias[0] / 2, bias[2] / (2 * WHEEL_ARM)
+    for i, force in enumerate((along - turning, along + turning, bias[1])):
+        lower[TRACTION + i] = -config.traction - force
+        upper[TRACTION + i] = config.traction - force
 
 
 @jit

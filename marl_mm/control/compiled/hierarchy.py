@@ -52,6 +52,7 @@ def solve_hierarchy(
     factor = np.empty((N, N))
     gradient = np.empty(N)
     x = np.empty(N)
+    step = np.empty(N)
     rows = np.empty((limits, N))
     low = np.empty(limits)
     high = np.empty(limits)
@@ -93,19 +94,16 @@ def solve_hierarchy(
         solve_lower(factor, x, N)
         solve_upper(factor, x, N)
 
+        _times_column(projector, x, step)
         broken = False
         for i in range(limits):
             if BOX <= i < BOX + N:
-                rows[i] = projector[i - BOX]
-                used = u[i - BOX]
+                used, value = u[i - BOX], step[i - BOX]
             else:
-                _times(matrix[i], projector, rows[i])
-                used = 0.0
+                used = value = 0.0
                 for j in range(N):
                     used += matrix[i, j] * u[j]
-            value = 0.0
-            for j in range(N):
-                value += rows[i, j] * x[j]
+                    value += matrix[i, j] * step[j]
             low[i], high[i] = lower[i] - used, upper[i] - used
             if level > 0:
                 low[i] = min(low[i], 0.0) - config.margin
@@ -114,6 +112,8 @@ def solve_hierarchy(
             broken |= value < low[i] - config.tolerance
         if broken:
             counters[QPS] += 1
+            for i in range(limits):
+                _times(matrix[i], projector, rows[i])
             code = _solve_limited(
                 factor, gradient, rows, low, high, x, config.iterations
             )
@@ -122,9 +122,9 @@ def solve_hierarchy(
                 counters[CAUSE] = code
                 feasible &= level > 0
                 x[:] = 0.0
+            _times_column(projector, x, step)
         for i in range(N):
-            for k in range(N):
-                u[i] += projector[i, k] * x[k]
+            u[i] += step[i]
         if level < psi.shape[0] - 1:
             for a in range(count):
                 _times(jacobian[order[a]], projector, row)
@@ -140,6 +140,16 @@ def _times(row: np.ndarray, projector: np.ndarray, result: np.ndarray) -> None:
         if row[k] != 0.0:
             for j in range(N):
                 result[j] += row[k] * projector[k, j]
+
+
+@jit
+def _times_column(projector: np.ndarray, x: np.ndarray, result: np.ndarray) -> None:
+    """The projector times a column."""
+    for i in range(N):
+        value = 0.0
+        for j in range(N):
+            value += projector[i, j] * x[j]
+        result[i] = value
 
 
 @jit

@@ -12,11 +12,12 @@ from marl_mm.control.compiled.assembly import (
 )
 from marl_mm.control.compiled.hierarchy import solve_hierarchy
 from marl_mm.control.config import Gains, HierarchyConfig, LimitConfig
-from marl_mm.control.limits import BOX
+from marl_mm.control.limits import BOX, WHEEL_ARM
 from marl_mm.control.safe import BRAKING_RATE
 from marl_mm.control.tasks.task import VARIABLES as N
 from marl_mm.control.tasks.task import Reference
 from marl_mm.jit import jit
+from marl_mm.robot.description import WHEEL_RADIUS
 from marl_mm.robot.limits import RobotLimits
 from marl_mm.robot.model import ModelTerms, RobotState
 
@@ -33,10 +34,11 @@ def tick(
     priorities: np.ndarray,
     shares: np.ndarray,
     rows: int,
+    rate: float,
     u: np.ndarray,
     torque: np.ndarray,
     counters: np.ndarray,
-) -> tuple[bool, bool]:
+) -> tuple[bool, bool, float, float]:
     """One controller tick.
 
     The records come as plain tuples, because numba takes 0.6 us to recognise each
@@ -53,12 +55,14 @@ def tick(
         priorities: Priority matrices, shape (m, 4, 5); u is the mix of their solutions.
         shares: Weight of each matrix's solution, shape (m,).
         rows: Of the limits.
+        rate: Ticks per second.
         u: Result, shape (9,).
         torque: Result, shape (7,) [N m].
         counters: Levels, QPs, failures to add to, and the last failure's cause, (4,).
 
     Returns:
-        Whether the limits could be met (else u brakes), and whether u is finite.
+        Whether the limits could be met (else u brakes), whether u is finite, and the
+        base's speeds after the tick: forward [m/s], yaw rate [rad/s].
     """
     state_, terms_ = RobotState(*state), ModelTerms(*terms)
     robot_ = RobotLimits(*robot)
@@ -100,4 +104,8 @@ def tick(
         finite &= np.isfinite(value)
     for j in range(N):
         finite &= np.isfinite(u[j])
-    return feasible, finite
+    forward = clip(state_.v[0] + u[0] / rate, -robot_.speed[0], robot_.speed[0])
+    most = (robot_.wheel_speed * WHEEL_RADIUS - abs(forward)) / WHEEL_ARM
+    most = min(most, robot_.speed[1])
+    yaw_rate = clip(state_.v[2] + u[1] / rate, -most, most)
+    return feasible, finite, forward, yaw_rate
