@@ -25,7 +25,7 @@ class PdConfig:
     """"constant": always ``alpha``. "direction": 1 for goals ahead, ``alpha`` behind.
     "room": from 1 down to ``alpha`` as the hand nears its own base."""
 
-    alpha: float = 0.75
+    alpha: float = 0.5
     """The constant, or the rule's lowest value; 0 accurate hand ... 1 stable base."""
 
     room_start: float = 0.64

@@ -7,6 +7,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from marl_mm.episode import Episode
+from marl_mm.eval.metrics import Row
 from marl_mm.files import new_file
 from marl_mm.layout import ALPHA
 
@@ -54,6 +55,91 @@ def alpha_over_time(episodes: dict[str, Sequence[Episode]], path: Path) -> None:
     axes[1][0].set(ylabel="distance to goal [m]")
     axes[0][0].legend(frameon=False)
     _save(figure, path)
+
+
+FORM_COLORS = {"blend": "#1b6ca8", "rhp": "#c8553d", "rhp-literal": "#8a8a8a"}
+
+
+def alpha_response(summaries: Sequence[Row], path: Path) -> None:
+    """Errors, jerk and steps over alpha, one line per form, on the first task."""
+    figure = Figure(figsize=(10, 4.6), layout="constrained")
+    axes: Any = figure.subplots(2, 4, sharex=True)
+    columns = (
+        ("d_mm", "hand behind its target, d_mm [m]"),
+        ("d_mp", "base behind its plan, d_mp [m]"),
+        ("base_jerk_rms", "base jerk [m/s^3]"),
+        ("steps", "steps to the goal"),
+    )
+    task = _first_task(summaries)
+    for line, direction in zip(axes, ("backward", "forward"), strict=True):
+        for axis, (name, label) in zip(line, columns, strict=True):
+            for form in _forms(summaries):
+                rows = _over_alpha(summaries, task, form, direction)
+                axis.plot(
+                    [row["alpha"] for row in rows],
+                    [row[name] for row in rows],
+                    "o-",
+                    ms=3,
+                    color=FORM_COLORS[form],
+                    label=form,
+                )
+            axis.set_ylim(bottom=0)
+            axis.set_title(f"{label}\n{direction}", fontsize=8)
+            axis.tick_params(labelsize=7)
+    for axis in axes[1]:
+        axis.set_xlabel("alpha", fontsize=8)
+    axes[0][0].legend(frameon=False, fontsize=7)
+    _save(figure, path)
+
+
+def alpha_pareto(summaries: Sequence[Row], path: Path) -> None:
+    """Hand error against base error going backward, a curve per form over alpha."""
+    tasks = sorted({row["task"] for row in summaries}, reverse=True)
+    figure = Figure(figsize=(4.2 * len(tasks), 3.6), layout="constrained")
+    axes: Any = figure.subplots(1, len(tasks), squeeze=False)
+    for axis, task in zip(axes[0], tasks, strict=True):
+        for form in _forms(summaries):
+            rows = _over_alpha(summaries, task, form, "backward")
+            hand = [100 * row["d_mm"] for row in rows]
+            base = [100 * row["d_mp"] for row in rows]
+            axis.plot(base, hand, "o-", ms=3, color=FORM_COLORS[form], label=form)
+            if form == "blend":
+                for row, x, y in zip(rows, base, hand, strict=True):
+                    axis.annotate(
+                        f"{row['alpha']:g}",
+                        (x, y),
+                        xytext=(4, 3),
+                        textcoords="offset points",
+                        fontsize=7,
+                    )
+        axis.set(
+            title=f"{task}, backward",
+            xlabel="base behind its plan, d_mp [cm]",
+            ylabel="hand behind its target, d_mm [cm]",
+        )
+    axes[0][0].legend(frameon=False)
+    _save(figure, path)
+
+
+def _first_task(summaries: Sequence[Row]) -> str:
+    tasks = {row["task"] for row in summaries}
+    return "Reach-v0" if "Reach-v0" in tasks else min(tasks)
+
+
+def _forms(summaries: Sequence[Row]) -> list[str]:
+    return [form for form in FORM_COLORS if any(r["form"] == form for r in summaries)]
+
+
+def _over_alpha(
+    summaries: Sequence[Row], task: str, form: str, direction: str
+) -> list[Row]:
+    wanted = (task, form, "constant", direction)
+    rows = [
+        row
+        for row in summaries
+        if (row["task"], row["form"], row["rule"], row["direction"]) == wanted
+    ]
+    return sorted(rows, key=lambda row: float(row["alpha"]))
 
 
 def _save(figure: Figure, path: Path) -> None:

@@ -63,3 +63,15 @@ def summarize_directions(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
     for direction in ("forward", "backward"):
         parts[direction] = [row for row in rows if row["direction"] == direction]
     return {name: summarize(part) for name, part in parts.items() if part}
+
+
+def bootstrap_interval(
+    values: np.ndarray, resamples: int = 10_000
+) -> tuple[float, float]:
+    """95 % percentile interval of the mean, by resampling with a fixed seed."""
+    rng = np.random.default_rng(0)
+    picks = rng.integers(len(values), size=(resamples, len(values)))
+    means = np.asarray(values)[picks].mean(axis=1)
+    tail = (1 - CONFIDENCE) / 2
+    low, high = np.quantile(means, [tail, 1 - tail])
+    return float(low), float(high)

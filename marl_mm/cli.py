@@ -15,6 +15,7 @@ COMMANDS = {
     "train": "train a policy from a dataset: mabc",
     "eval": "evaluate runs and scripted policies on fixed goals",
     "play": "film an episode, or watch it in a window",
+    "sweep-alpha": "what alpha does: tables and figures over alpha, form and task",
     "bench": "measure the controller against the simulator",
 }
 """Each command is a module of ``marl_mm.commands``, imported when it is called."""
@@ -65,7 +66,8 @@ def _run(words: list[str]) -> int:
         raise UsageError(
             f"unknown command {words[0]!r}, expected one of {', '.join(COMMANDS)}"
         )
-    importlib.import_module(f"marl_mm.commands.{words[0]}").main(words[1:])
+    module = words[0].replace("-", "_")
+    importlib.import_module(f"marl_mm.commands.{module}").main(words[1:])
     return 0
 
 

@@ -4,13 +4,8 @@ The result depends on the plans alone: every episode starts from a rebuilt world
 draws from its own seed, and results come back in the order of the plans.
 """
 
-from collections import deque
 from collections.abc import Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from itertools import islice
-from multiprocessing import get_context
 from typing import Literal, get_args
 
 import numpy as np
@@ -20,15 +15,11 @@ from marl_mm.envs.config import ReachConfig
 from marl_mm.envs.core import ReachCore, Step
 from marl_mm.envs.drive import Watch
 from marl_mm.episode import INFO, Episode
-from marl_mm.errors import MarlMmError, UsageError
-from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.policy import Policy
+from marl_mm.workers import ordered_map
 
 Purpose = Literal["collect", "evaluate"]
 PURPOSES: tuple[Purpose, ...] = get_args(Purpose)
-
-_AHEAD = 4
-"""Episodes handed out per worker beyond the one awaited."""
 
 
 @dataclass(frozen=True)
@@ -100,12 +91,11 @@ def run_episodes(
         UsageError: If ``workers`` is not positive.
         MarlMmError: If a worker process dies.
     """
-    if workers < 1:
-        raise UsageError(f"workers is {workers}, expected >= 1")
     if workers == 1:
         yield from _run_here(config, policy, plans)
     else:
-        yield from _run_in_pool(config, policy, plans, workers)
+        arguments = (config, policy)
+        yield from ordered_map(_run_in_worker, plans, workers, _start_worker, arguments)
 
 
 def _run_here(
@@ -117,33 +107,6 @@ def _run_here(
             yield run_episode(core, policy, plan)
     finally:
         core.close()
-
-
-def _run_in_pool(
-    config: ReachConfig, policy: Policy, plans: Iterable[EpisodePlan], workers: int
-) -> Iterator[Episode]:
-    pool = ProcessPoolExecutor(
-        workers, get_context("spawn"), _start_worker, (config, policy)
-    )
-    remaining = iter(plans)
-    pending: deque[Future[Episode]] = deque()
-    try:
-        with deaf_to_interrupts():  # the workers start here, and inherit it
-            for plan in islice(remaining, workers * _AHEAD):
-                pending.append(pool.submit(_run_in_worker, plan))
-        while pending:
-            episode = pending.popleft().result()
-            for plan in islice(remaining, 1):
-                pending.append(pool.submit(_run_in_worker, plan))
-            yield episode
-    except BrokenProcessPool as error:
-        raise MarlMmError(
-            "a worker process died; if memory ran out, use fewer --workers"
-        ) from error
-    finally:
-        # At most a few episodes are in flight; an interrupted wait would hang at exit.
-        with deaf_to_interrupts():
-            pool.shutdown(wait=True, cancel_futures=True)
 
 
 _worker: tuple[ReachCore, Policy] | None = None

@@ -1,0 +1,213 @@
+"""marl-mm sweep-alpha: what alpha does, in tables and figures."""
+
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from marl_mm.collectors.pd import PdConfig
+from marl_mm.commands.options import available_cores, check_positive, check_seed
+from marl_mm.commands.parser import parse_options
+from marl_mm.control.config import FORMS, Form
+from marl_mm.errors import UsageError
+from marl_mm.eval.figures import alpha_pareto, alpha_response
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.sweep import (
+    RUNS,
+    SHORT,
+    Cell,
+    responses,
+    run_cell,
+    summarize_cells,
+    worth_of_a_rule,
+)
+from marl_mm.eval.tables import sweep_markdown, write_csv
+from marl_mm.files import new_folder, refuse_existing, write_json
+from marl_mm.progress import progress_bar
+from marl_mm.versions import versions
+from marl_mm.workers import ordered_map
+
+RULES = (PdConfig(alpha_rule="direction"), PdConfig(alpha_rule="room"))
+"""State-dependent alphas, compared with every fixed one on SmoothReach-v0."""
+
+FINE = 0.05
+"""Step of the fixed alphas they are compared with."""
+
+
+@dataclass(frozen=True)
+class SweepAlpha:
+    """Run the PD agent at fixed alphas, and with rules that choose alpha by the state.
+
+    Writes alpha.md, figures (response.png, pareto.png), means (alpha.csv, worth.csv)
+    and every episode (episodes.csv). The defaults take about half an hour on two cores.
+    """
+
+    out: Path = Path("runs/alpha")
+    """Folder of the results."""
+
+    tasks: tuple[str, ...] = tuple(task for tasks in RUNS.values() for task in tasks)
+    """Reach-v0, SmoothReach-v0, PreciseReach-v0."""
+
+    forms: tuple[Form, ...] = FORMS
+    """How alpha enters the controller: blend, rhp, rhp-literal."""
+
+    goals: int = 48
+    """Per alpha, half ahead and half behind."""
+
+    alphas: int = 11
+    """Evenly spaced from 0 to 1."""
+
+    seed: int = 0
+    """Of the goals."""
+
+    worth_goals: int = 96
+    """For comparing rules with fixed alphas, on goals of the next seed; 0: none."""
+
+    workers: int = field(default_factory=available_cores)
+    """Processes; the result does not depend on it."""
+
+    resume: bool = False
+    """Keep what an interrupted sweep has finished."""
+
+    overwrite: bool = False
+    """Replace OUT if it exists."""
+
+    json: bool = False
+    """Print the means as JSON."""
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the command line of ``marl-mm sweep-alpha``."""
+    options = parse_options(SweepAlpha, "marl-mm sweep-alpha", arguments)
+    check_positive(goals=options.goals, workers=options.workers)
+    check_seed(options.seed)
+    if options.alphas < 2:
+        raise UsageError(f"--alphas is {options.alphas}, expected >= 2")
+    if options.worth_goals < 0:
+        raise UsageError(f"--worth-goals is {options.worth_goals}, expected >= 0")
+    _check_known(
+        "--tasks", options.tasks, [t for tasks in RUNS.values() for t in tasks]
+    )
+    _check_known("--forms", options.forms, FORMS)
+    refuse_existing(options.out, options.overwrite)
+    rows, worth_rows = _run(options)
+    summary = summarize_cells(rows)
+    answer = responses(summary)
+    worth = worth_of_a_rule(worth_rows, "SmoothReach-v0") if worth_rows else []
+    with new_folder(options.out) as folder:
+        write_csv(folder / "episodes.csv", [*rows, *worth_rows])
+        write_csv(folder / "alpha.csv", summary)
+        if worth:
+            write_csv(folder / "worth.csv", worth)
+        alpha_response(summary, folder / "response.png")
+        alpha_pareto(summary, folder / "pareto.png")
+        text = sweep_markdown(summary, answer, worth)
+        (folder / "alpha.md").write_text(text)
+        write_json(folder / "config.json", _described(options))
+    shutil.rmtree(_cells_folder(options.out), ignore_errors=True)
+    if options.json:
+        result = {
+            "alphas": summary,
+            "responses": [asdict(one) for one in answer],
+            "worth": worth,
+        }
+        print(json.dumps(result, indent=2))
+    else:
+        print(f"{text}\nwritten to {options.out}")
+
+
+def _check_known(option: str, given: Sequence[str], known: Sequence[str]) -> None:
+    unknown = [name for name in given if name not in known]
+    if unknown or not given:
+        raise UsageError(
+            f"{option} is {' '.join(given) or 'empty'}, expected some of "
+            f"{', '.join(known)}"
+        )
+
+
+def _run(options: SweepAlpha) -> tuple[list[Row], list[Row]]:
+    """Rows of the sweep, and those for the worth of a rule."""
+    sweep, worth = _cells(options), _worth_cells(options)
+    folder = _cells_folder(options.out)
+    if not options.resume:
+        shutil.rmtree(folder, ignore_errors=True)
+    cells = [*sweep, *worth]
+    rows: dict[Cell, list[Row]] = {}
+    for cell in cells:
+        found = _read_cell(folder, cell)
+        if found is not None:
+            rows[cell] = found
+    missing = [cell for cell in cells if cell not in rows]
+    with progress_bar("sweep-alpha", len(cells)) as advance:
+        advance(len(rows), "")
+        try:
+            results = ordered_map(run_cell, missing, options.workers)
+            for cell, found in zip(missing, results, strict=True):
+                rows[cell] = found
+                value = {"cell": _cell_key(cell), "rows": found}
+                write_json(folder / _cell_name(cell), value)
+                advance(1, f"{cell.task} {cell.form} alpha {cell.pd.alpha:g}")
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                f"interrupted with {len(rows)} of {len(cells)} settings done; "
+                "--resume goes on from there"
+            ) from None
+    kept = [row for cell in sweep for row in rows[cell] if row["task"] in options.tasks]
+    return kept, [row for cell in worth for row in rows[cell]]
+
+
+def _cells(options: SweepAlpha) -> list[Cell]:
+    alphas = np.linspace(0, 1, options.alphas).round(6).tolist()
+    return [
+        Cell(task, form, PdConfig(alpha=alpha), options.goals, options.seed)
+        for task, served in RUNS.items()
+        if set(served) & set(options.tasks)
+        for form in options.forms
+        for alpha in alphas
+    ]
+
+
+def _worth_cells(options: SweepAlpha) -> list[Cell]:
+    if not options.worth_goals or "SmoothReach-v0" not in options.tasks:
+        return []
+    alphas = np.arange(0, 1 + FINE / 2, FINE).round(6).tolist()
+    policies = [*(PdConfig(alpha=alpha) for alpha in alphas), *RULES]
+    goals, seed = options.worth_goals, options.seed + 1
+    return [Cell("Reach-v0", "blend", pd, goals, seed, SHORT) for pd in policies]
+
+
+def _cells_folder(out: Path) -> Path:
+    return out.with_name(f".{out.name}.cells")
+
+
+def _cell_name(cell: Cell) -> str:
+    pd = cell.pd
+    parts = (cell.task, cell.form, pd.alpha_rule, f"{pd.alpha:g}", str(cell.seed))
+    return "-".join(parts) + ".json"
+
+
+def _cell_key(cell: Cell) -> dict[str, Any]:
+    return {**cell.to_json(), "versions": versions()}
+
+
+def _read_cell(folder: Path, cell: Cell) -> list[Row] | None:
+    """A finished setting's rows, if they are there and of this very setting."""
+    try:
+        value = json.loads((folder / _cell_name(cell)).read_text())
+    except (OSError, ValueError):
+        return None
+    if value.get("cell") != json.loads(json.dumps(_cell_key(cell))):
+        return None
+    rows: list[Row] = value["rows"]
+    return rows
+
+
+def _described(options: SweepAlpha) -> dict[str, Any]:
+    described = {**asdict(options), "out": options.out.name}
+    for name in ("resume", "overwrite", "json", "workers"):
+        del described[name]
+    return {"options": described, "versions": versions()}
