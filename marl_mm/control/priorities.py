@@ -15,12 +15,15 @@ REACHING_LEVELS = (3, 3, 1, 2, 4)
 
 LEVELS = 4
 
+LEFT_OUT = LEVELS + 1
+"""As a task's level: it has no part in the hierarchy."""
+
 HANDLED = 1e-5
 """A task is handled at a level when its psi rises by more than this."""
 
 
 def cumulative(levels: tuple[int, ...]) -> np.ndarray:
-    """Priority matrix of strict levels, shape (4, 5)."""
+    """Priority matrix of strict levels, shape (4, 5); see ``LEFT_OUT``."""
     rows = np.arange(1, LEVELS + 1)[:, None]
     return (rows >= np.array(levels)[None, :]).astype(float)
 

@@ -1,0 +1,271 @@
+"""Driven into each limit, the robot in the simulator keeps it.
+
+Tasks that are no part of a hierarchy leave the others free to ask for anything: here
+they ask for what no limit allows, and PyBullet shows what the robot did.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from marl_mm.control.config import ControllerConfig, Gains, LimitConfig
+from marl_mm.control.limits import WHEEL_ARM
+from marl_mm.control.priorities import LEFT_OUT, REACHING_LEVELS, cumulative
+from marl_mm.control.tasks.task import Reference
+from marl_mm.control.wbc import Priorities
+from marl_mm.envs.drive import Drive, Tick
+from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig
+from marl_mm.robot.model import ACTUATED, RobotState, support_margin
+from marl_mm.sim.config import RATE, SimulationConfig
+
+ARM_ONLY = (1, 1, LEFT_OUT, LEFT_OUT, 2)
+BASE_ONLY = (1, 1, LEFT_OUT, LEFT_OUT, 2)
+
+MEASURED = 1.05
+"""Accelerations are differences of the simulator's speeds over one tick."""
+
+SETTLING = 3
+"""Ticks after a reset in which the contacts and the fingers' motors settle."""
+
+
+class Record:
+    """States and commands of a run."""
+
+    def __init__(self) -> None:
+        self.ticks: list[Tick] = []
+        self.pressure_b: list[np.ndarray] = []
+
+    @property
+    def arm(self) -> np.ndarray:
+        return np.array([tick.state.q[4:] for tick in self.ticks])
+
+    @property
+    def velocity(self) -> np.ndarray:
+        return np.array([tick.state.v[ACTUATED] for tick in self.ticks])
+
+    @property
+    def acceleration(self) -> np.ndarray:
+        return np.diff(self.velocity, axis=0)[SETTLING:] * RATE
+
+    @property
+    def torque(self) -> np.ndarray:
+        return np.array([tick.command.torque for tick in self.ticks])
+
+
+def run(
+    change: Callable[[int, Reference], Reference],
+    levels: tuple[int, ...],
+    seconds: float,
+    controller: ControllerConfig | None = None,
+    robot: RobotConfig | None = None,
+) -> tuple[Record, Drive]:
+    """Follow the start posture, changed tick by tick; forces under the robot, too."""
+    robot = robot or RobotConfig()
+    drive = Drive(robot, SimulationConfig(), controller or ControllerConfig())
+    start = drive.reset()
+    terms = drive.model.evaluate(start)
+    rest = Reference(
+        terms.position_w.copy(),
+        np.ascontiguousarray(terms.rotation_w).copy(),
+        start.q[:2].copy(),
+        0.0,
+        0.0,
+        np.array(robot.initial_joints),
+    )
+
+    def reference_at(k: int, state: RobotState) -> Reference:
+        return change(k, rest._replace(base_position_w=state.q[:2]))
+
+    record = Record()
+
+    def watch(tick: Tick) -> None:
+        record.ticks.append(tick)
+        points, forces = drive.world.ground_forces()
+        centre = forces @ points[:, :2] / forces.sum() - tick.state.q[:2]
+        cos, sin = tick.state.q[2:4]
+        x, y = centre
+        record.pressure_b.append(np.array([cos * x + sin * y, cos * y - sin * x]))
+
+    priorities = Priorities(cumulative(levels)[None], np.ones(1))
+    drive.follow(reference_at, priorities, round(seconds * RATE), 8, watch)
+    drive.close()
+    return record, drive
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize("joint", range(7))
+def test_a_joint_driven_beyond_its_range(joint: int, side: int) -> None:
+    """As fast as it may, to where it may not go: position, speed, torque hold."""
+    gains = Gains(posture_rate=12)
+
+    def beyond(k: int, rest: Reference) -> Reference:
+        posture = rest.posture.copy()
+        posture[joint] += side * 8.0
+        return rest._replace(posture=posture)
+
+    record, drive = run(beyond, ARM_ONLY, 4, ControllerConfig(gains=gains))
+    limits = drive.limits
+    arm, speed = record.arm, np.abs(record.velocity[:, 2:])
+    assert (arm < limits.upper).all()
+    assert (arm > limits.lower).all()
+    bound = limits.upper if side > 0 else limits.lower
+    assert abs(arm[-1, joint] - bound[joint]) < 0.03, "it was not driven there"
+    assert (speed <= limits.speed[2:]).all()
+    assert (np.abs(record.torque) <= limits.torque).all()
+    share = np.abs(record.acceleration[:, 2:]) / limits.acceleration[2:]
+    assert share.max() < MEASURED
+
+
+def test_joints_reach_their_speed_limit_and_no_more() -> None:
+    """Joint 1 swings through its whole range, twice."""
+
+    def swing(k: int, rest: Reference) -> Reference:
+        posture = rest.posture.copy()
+        posture[0] = 8.0 if (k // 720) % 2 == 0 else -8.0
+        return rest._replace(posture=posture)
+
+    gains = Gains(posture_rate=12)
+    record, drive = run(swing, ARM_ONLY, 9, ControllerConfig(gains=gains))
+    fastest = np.abs(record.velocity[:, 2]).max() / drive.limits.speed[2]
+    assert 0.96 < fastest <= 1
+
+
+def test_a_weak_arm_keeps_its_torque() -> None:
+    """Joint 2 at 60 % of its torque lifts the arm: the QP's torque rows are active."""
+    robot = RobotConfig()
+    drive = Drive(robot, SimulationConfig(), ControllerConfig())
+    weak = drive.limits._replace(torque=0.6 * drive.limits.torque)
+    drive.close()
+
+    def wave(k: int, rest: Reference) -> Reference:
+        posture = rest.posture.copy()
+        posture[1] = 1.7 if (k // 360) % 2 == 0 else -1.7
+        posture[3] = -0.1
+        return rest._replace(posture=posture)
+
+    import marl_mm.envs.drive as module
+
+    original = module.robot_limits
+    module.robot_limits = lambda config: weak  # type: ignore[assignment]
+    try:
+        record, _ = run(
+            wave, ARM_ONLY, 6, ControllerConfig(gains=Gains(posture_rate=12))
+        )
+    finally:
+        module.robot_limits = original
+    share = np.abs(record.torque) / weak.torque
+    assert share.max() <= 1
+    assert share.max() > 0.99
+
+
+def test_base_speed_and_acceleration() -> None:
+    def dash(k: int, rest: Reference) -> Reference:
+        return rest._replace(base_speed=3.0 if (k // 480) % 2 == 0 else -3.0)
+
+    record, drive = run(dash, BASE_ONLY, 6)
+    speed, limits = np.abs(record.velocity[:, 0]), drive.limits
+    assert 0.97 < speed.max() <= limits.speed[0]
+    acceleration = np.abs(record.acceleration[:, 0])
+    assert 0.9 * limits.acceleration[0] < acceleration.max()
+    assert acceleration.max() < MEASURED * limits.acceleration[0]
+
+
+def test_base_yaw_rate_and_acceleration() -> None:
+    def turn(k: int, rest: Reference) -> Reference:
+        return rest._replace(base_heading=3.0 if (k // 480) % 2 == 0 else -0.1)
+
+    gains = Gains(heading_rate=12)
+    record, drive = run(turn, BASE_ONLY, 6, ControllerConfig(gains=gains))
+    rate, limits = np.abs(record.velocity[:, 1]), drive.limits
+    assert 0.96 * limits.speed[1] < rate.max() <= limits.speed[1]
+    acceleration = np.abs(record.acceleration[:, 1])
+    assert 0.9 * limits.acceleration[1] < acceleration.max()
+    assert acceleration.max() < MEASURED * limits.acceleration[1]
+
+
+def test_wheel_speed() -> None:
+    """Full speed and full turn together are more than a wheel can do."""
+
+    def curve(k: int, rest: Reference) -> Reference:
+        return rest._replace(base_speed=3.0, base_heading=0.02 * k)
+
+    gains = Gains(heading_rate=8)
+    record, drive = run(curve, BASE_ONLY, 5, ControllerConfig(gains=gains))
+    forward, turning = record.velocity[:, 0], record.velocity[:, 1]
+    rim = np.abs(forward) + np.abs(WHEEL_ARM * turning)
+    most = drive.limits.wheel_speed * WHEEL_RADIUS
+    assert 0.97 * most < rim.max() <= most
+
+
+def test_keep_out_plane() -> None:
+    """The hand is asked into its own column, and stops ahead of it."""
+
+    def into_the_column(k: int, rest: Reference) -> Reference:
+        return rest._replace(ee_position_w=np.array([0.0, 0.1, 0.6]))
+
+    record, drive = run(into_the_column, REACHING_LEVELS, 4)
+    ahead = []
+    for tick in record.ticks:
+        terms = drive.model.evaluate(tick.state)
+        ahead.append(tick.state.q[2:4] @ (terms.position_w[:2] - tick.state.q[:2]))
+    plane = LimitConfig().keep_out
+    assert min(ahead) > plane - 0.005
+    assert min(ahead) < plane + 0.02, "it was not driven there"
+
+
+TOP_HEAVY = RobotConfig(base_mass=40.0, base_com_b=(0.0, 0.0, 0.45))
+
+
+@pytest.mark.parametrize("on", [False, True])
+def test_zero_moment_point(on: bool) -> None:
+    """A light base with a high centre of mass brakes hard, with the arm stretched.
+
+    The centre of pressure under it, from the simulator's contact forces, keeps the
+    margin if the limit is on, and passes it if not.
+    """
+    margin = 0.12
+    limits = LimitConfig(zmp=on, zmp_margin=margin)
+
+    def dash(k: int, rest: Reference) -> Reference:
+        posture = rest.posture.copy()
+        posture[1], posture[3] = 0.9, -1.2
+        ahead = (k // 360) % 2 == 0
+        return rest._replace(base_speed=0.8 if ahead else -0.8, posture=posture)
+
+    record, _ = run(dash, BASE_ONLY, 6, ControllerConfig(limits=limits), TOP_HEAVY)
+    margins = [support_margin(point) for point in record.pressure_b[24:]]
+    if on:
+        assert min(margins) > margin - 0.005
+    else:
+        assert min(margins) < margin - 0.01
+
+
+def test_wheels_grip() -> None:
+    """Flung targets at every second: the wheels do not slip away."""
+    rng = np.random.default_rng(0)
+    targets = rng.uniform((0.4, -0.8, 0.3), (1.2, 0.8, 1.1), (6, 3))
+
+    def fling(k: int, rest: Reference) -> Reference:
+        return rest._replace(ee_position_w=targets[k // 240])
+
+    controller = ControllerConfig()
+    drive = Drive(RobotConfig(), SimulationConfig(), controller)
+    start = drive.reset()
+    terms = drive.model.evaluate(start)
+    rotation = np.ascontiguousarray(terms.rotation_w).copy()
+    posture = np.array(RobotConfig().initial_joints)
+
+    def reference_at(k: int, state: RobotState) -> Reference:
+        return fling(
+            k, Reference(targets[0], rotation, state.q[:2], 0.0, 0.0, posture)
+        )
+
+    motion = drive.follow(
+        reference_at, drive.controller.priorities(0.0), 6 * RATE, 1
+    )
+    drive.close()
+    assert motion.wheel_slip < 0.05
+    assert motion.tilt < 1e-3
+    assert motion.model_ee_error < 1e-3
