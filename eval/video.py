@@ -17,6 +17,7 @@ from marl_mm.errors import UsageError
 from marl_mm.files import new_file
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
+from marl_mm.sim.bullet import BulletWorld
 from marl_mm.sim.config import RATE, Camera
 
 FORMATS = (".mp4", ".gif")
@@ -32,6 +33,33 @@ def check_format(path: Path) -> None:
         raise UsageError(
             f"video {path} ends in {path.suffix!r}, expected {' or '.join(FORMATS)}"
         )
+
+
+class Film:
+    """Frames of a world, taken tick by tick at a rate of simulated time.
+
+    Args:
+        world: What to look at.
+        camera: Where from.
+        fps: Frames per simulated second; 0 takes none.
+    """
+
+    def __init__(self, world: BulletWorld, camera: Camera, fps: int) -> None:
+        self._world, self._camera, self._fps = world, camera, fps
+        self._elapsed = 0
+        self.frames: list[np.ndarray] = []
+        """Each of shape (height, width, 3), uint8."""
+
+    def __call__(self, tick: Tick) -> None:
+        """Take a frame if one is due after this tick."""
+        self._elapsed += 1
+        if self._fps and self._elapsed * self._fps > len(self.frames) * RATE:
+            self.frames.append(self._world.render(self._camera))
+
+    def add(self) -> None:
+        """Take one more, of the end."""
+        if self._fps:
+            self.frames.append(self._world.render(self._camera))
 
 
 def film_episode(
@@ -58,22 +86,17 @@ def film_episode(
         The episode, and frames of shape (height, width, 3), uint8.
     """
     core = ReachCore(config, visual=True, gui=gui)
-    frames: list[np.ndarray] = []
-    elapsed = 0
+    film = Film(core.drive.world, camera, fps)
 
     def watch(tick: Tick) -> None:
-        nonlocal elapsed
-        elapsed += 1
-        if fps and elapsed * fps > len(frames) * RATE:
-            frames.append(core.drive.world.render(camera))
+        film(tick)
         if tick.number == config.ticks_per_step - 1:
             advance(1, "")
 
     try:
         episode = run_episode(core, policy, plan, watch)
-        if fps:
-            frames.append(core.drive.world.render(camera))
-        return episode, frames
+        film.add()
+        return episode, film.frames
     finally:
         core.close()
 

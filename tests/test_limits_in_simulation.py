@@ -132,7 +132,7 @@ def test_joints_reach_their_speed_limit_and_no_more() -> None:
     assert 0.96 < fastest <= 1
 
 
-def test_a_weak_arm_keeps_its_torque() -> None:
+def test_a_weak_arm_keeps_its_torque(monkeypatch: pytest.MonkeyPatch) -> None:
     """Joint 2 at 60 % of its torque lifts the arm: the QP's torque rows are active."""
     robot = RobotConfig()
     drive = Drive(robot, SimulationConfig(), ControllerConfig())
@@ -145,16 +145,9 @@ def test_a_weak_arm_keeps_its_torque() -> None:
         posture[3] = -0.1
         return rest._replace(posture=posture)
 
-    import marl_mm.envs.drive as module
-
-    original = module.robot_limits
-    module.robot_limits = lambda config: weak  # type: ignore[assignment]
-    try:
-        record, _ = run(
-            wave, ARM_ONLY, 6, ControllerConfig(gains=Gains(posture_rate=12))
-        )
-    finally:
-        module.robot_limits = original
+    monkeypatch.setattr("marl_mm.envs.drive.robot_limits", lambda config: weak)
+    gains = Gains(posture_rate=12)
+    record, _ = run(wave, ARM_ONLY, 6, ControllerConfig(gains=gains))
     share = np.abs(record.torque) / weak.torque
     assert share.max() <= 1
     assert share.max() > 0.99
@@ -258,13 +251,9 @@ def test_wheels_grip() -> None:
     posture = np.array(RobotConfig().initial_joints)
 
     def reference_at(k: int, state: RobotState) -> Reference:
-        return fling(
-            k, Reference(targets[0], rotation, state.q[:2], 0.0, 0.0, posture)
-        )
+        return fling(k, Reference(targets[0], rotation, state.q[:2], 0.0, 0.0, posture))
 
-    motion = drive.follow(
-        reference_at, drive.controller.priorities(0.0), 6 * RATE, 1
-    )
+    motion = drive.follow(reference_at, drive.controller.priorities(0.0), 6 * RATE, 1)
     drive.close()
     assert motion.wheel_slip < 0.05
     assert motion.tilt < 1e-3

@@ -1,23 +1,28 @@
 """marl-mm play: one episode on film, or in PyBullet's window."""
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import tyro
 
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands.options import check_positive, check_seed, named_policy
 from marl_mm.commands.parser import parse_options
 from marl_mm.envs.config import reach_config
+from marl_mm.envs.demos import DEMOS, Drift, arm_reach, base_turn, demo_drive
+from marl_mm.envs.drive import Drive, Tick, Watch
+from marl_mm.errors import UsageError
 from marl_mm.eval.goals import goal_set
 from marl_mm.eval.metrics import episode_row
-from marl_mm.eval.video import check_format, film_episode, write_video
+from marl_mm.eval.video import Film, check_format, film_episode, write_video
 from marl_mm.files import refuse_existing
 from marl_mm.progress import progress_bar
-from marl_mm.sim.config import Camera
+from marl_mm.sim.config import RATE, Camera
 
 
 @dataclass(frozen=True)
@@ -25,7 +30,8 @@ class Play:
     """Film an episode, or watch it in a window."""
 
     policy: tyro.conf.Positional[str]
-    """Run folder, checkpoint file, "pd" or "random"."""
+    """Run folder, checkpoint file, "pd" or "random"; or a test of the robot alone:
+    "arm-reach" (the base stands) or "base-turn" (the arm rests)."""
 
     video: Path = Path("episode.mp4")
     """Where to write the film: .mp4 or .gif."""
@@ -60,6 +66,16 @@ class Play:
     pd: PdConfig = field(default_factory=PdConfig)
     """Gains and alpha of the policy "pd"."""
 
+    target: tuple[float, float, float] = (0.8, 0.3, 0.8)
+    """Where the hand goes in "arm-reach", world x, y, z [m]; it starts at 0.65, 0.10,
+    0.58."""
+
+    angle: float = 90.0
+    """How far the base turns in "base-turn", -180 to 180 [deg]."""
+
+    seconds: float = 4.0
+    """How long "arm-reach" and "base-turn" take [s]."""
+
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm play``."""
@@ -69,6 +85,9 @@ def main(arguments: Sequence[str]) -> None:
     if not options.gui:
         check_format(options.video)
         refuse_existing(options.video, options.overwrite)
+    if options.policy in DEMOS:
+        _play_demo(options)
+        return
     policy = named_policy(options.policy, options.pd)
     config = reach_config(options.task, {"max_steps": options.max_steps})
     plan = goal_set(config, 2, options.seed)[options.direction == "backward"]
@@ -90,3 +109,52 @@ def main(arguments: Sequence[str]) -> None:
     ending = "reached the goal" if episode.success else "did not reach the goal"
     where = "" if options.gui else f"{options.video}: "
     print(f"{where}{policy.name} {ending} in {len(episode)} steps")
+
+
+def _play_demo(options: Play) -> None:
+    """Run one of the robot's own tests, and say how far the resting half drifted."""
+    if not 0.1 <= options.seconds <= 60:
+        raise UsageError(f"--seconds is {options.seconds}, expected 0.1 to 60")
+    if not -180 <= options.angle <= 180:
+        raise UsageError(f"--angle is {options.angle}, expected -180 to 180 degrees")
+    if not all(map(math.isfinite, options.target)):
+        raise UsageError(f"--target is {options.target}, expected finite numbers [m]")
+    drive = demo_drive(visual=True, gui=options.gui)
+    film = Film(drive.world, options.camera, 0 if options.gui else options.fps)
+    try:
+        ticks = round(options.seconds * RATE)
+        with progress_bar(f"play {options.policy}", ticks) as advance:
+
+            def watch(tick: Tick) -> None:
+                film(tick)
+                advance(1, "")
+
+            drift = _run_demo(options, drive, watch)
+        film.add()
+    finally:
+        drive.close()
+    if not options.gui:
+        write_video(options.video, film.frames, options.fps)
+    if options.json:
+        print(json.dumps(drift._asdict(), indent=2))
+        return
+    where = "" if options.gui else f"{options.video}: "
+    if options.policy == "arm-reach":
+        text = (
+            f"hand {1e3 * drift.position_error:.2f} mm from its target; the base "
+            f"drifted {1e3 * drift.base_drift:.1f} mm and "
+            f"{math.degrees(drift.heading_drift):.2f} deg at most"
+        )
+    else:
+        text = (
+            f"base {math.degrees(drift.heading_error):.2f} deg from its angle; it "
+            f"drifted {1e3 * drift.base_drift:.1f} mm, a joint of the arm "
+            f"{math.degrees(drift.arm_drift):.2f} deg at most"
+        )
+    print(where + text)
+
+
+def _run_demo(options: Play, drive: Drive, watch: Watch) -> Drift:
+    if options.policy == "arm-reach":
+        return arm_reach(drive, np.array(options.target), options.seconds, watch)
+    return base_turn(drive, math.radians(options.angle), options.seconds, watch)

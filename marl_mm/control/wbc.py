@@ -50,8 +50,8 @@ class Command(NamedTuple):
     """Of the arm joints, clipped to their limits, shape (7,) [N m]."""
 
     base_speed: tuple[float, float]
-    """For the wheels: forward [m/s], yaw rate [rad/s]. The measured speeds plus u over a
-    tick: an integral of u alone would go on while the wheels slip, and jerk the base
+    """For the wheels: forward [m/s], yaw rate [rad/s]. The measured speeds plus u over
+    a tick: an integral of u alone would go on while the wheels slip, and jerk the base
     when they grip again."""
 
     levels: int
@@ -111,14 +111,14 @@ class WholeBodyController:
         self._gains = Gains(*_typed(Gains(), config.gains))
         self._hierarchy = HierarchyConfig(*_typed(HierarchyConfig(), hierarchy))
         self._limits = LimitConfig(*_typed(LimitConfig(), config.limits))
-        self._rows = row_count(self._limits)
+        self.rows = row_count(self._limits)
         numbers = (
             tuple(robot),
             tuple(self._gains),
             tuple(self._hierarchy),
             tuple(self._limits),
         )
-        self._numbers: tuple[Any, Any, Any, Any] = numbers
+        self.numbers: tuple[Any, Any, Any, Any] = numbers
 
     def tick(
         self, state: RobotState, terms: ModelTerms, reference: Reference, alpha: float
@@ -197,9 +197,9 @@ class WholeBodyController:
             tuple(state),
             tuple(terms),
             tuple(reference),
-            *self._numbers,
+            *self.numbers,
             *priorities,
-            self._rows,
+            self.rows,
             self._rate,
             u,
             torque,

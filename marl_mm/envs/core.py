@@ -131,9 +131,12 @@ class ReachCore:
             InvalidActionError: If the action has another shape or is not finite.
             UsageError: If no episode is running.
         """
+        return self.push(np.clip(self._checked(action), self._low, self._high), watch)
+
+    def push(self, action: np.ndarray, watch: Watch | None = None) -> Step:
+        """``step`` with whatever displacements: beyond what an action may ask."""
         if self._steps < 0:
             raise UsageError("step() was called before reset()")
-        action = self._checked_action(action)
         target_w = self._ee_w + self.config.action_scale * action[DELTA]
         self._alpha = float(action[ALPHA])
         plan = self._plan_base(target_w)
@@ -145,7 +148,7 @@ class ReachCore:
         """Disconnect from the simulator."""
         self.drive.close()
 
-    def _checked_action(self, action: np.ndarray) -> np.ndarray:
+    def _checked(self, action: np.ndarray) -> np.ndarray:
         try:
             values = np.asarray(action, dtype=np.float64)
         except (TypeError, ValueError) as error:
@@ -162,7 +165,7 @@ class ReachCore:
                 f"action is {values.tolist()}, expected finite numbers: check the "
                 "policy's input for NaN"
             )
-        return np.clip(values, self._low, self._high)
+        return values
 
     def _plan_base(self, target_w: np.ndarray) -> BasePlan:
         """A plan from the measured base towards its place behind the hand's target."""

@@ -6,7 +6,7 @@ joints [rad/s]. Wheels and fingers are locked; a differential drive never moves
 sideways, so the controller leaves the lateral column out.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -100,6 +100,11 @@ class RobotModel:
         self._mass = pin.computeTotalMass(self._model)
         self._balance = balance
         self._ground = np.zeros(3), np.zeros((6, self._model.nv)), np.zeros(6)
+
+    @property
+    def pinocchio(self) -> Any:
+        """Pinocchio's own model: planar root joint, wheels and fingers locked."""
+        return self._model
 
     def evaluate(self, state: RobotState) -> ModelTerms:
         """Kinematics and dynamics at ``state``.

@@ -1,0 +1,73 @@
+"""Parts of the compiled tick, repeated: for the benchmark, as they cannot be seen apart
+from outside.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from marl_mm.control.compiled.assembly import (
+    TASK_ROWS,
+    assemble_limits,
+    assemble_tasks,
+)
+from marl_mm.control.compiled.hierarchy import solve_hierarchy
+from marl_mm.control.config import Gains, HierarchyConfig, LimitConfig
+from marl_mm.control.tasks.task import VARIABLES as N
+from marl_mm.control.tasks.task import Reference
+from marl_mm.jit import jit
+from marl_mm.robot.limits import RobotLimits
+from marl_mm.robot.model import ModelTerms, RobotState
+
+
+@jit
+def repeat_assembly(
+    state: tuple[Any, ...],
+    terms: tuple[Any, ...],
+    reference: tuple[Any, ...],
+    robot: tuple[Any, ...],
+    gains: tuple[Any, ...],
+    limits: tuple[Any, ...],
+    rows: int,
+    repeats: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rows of all tasks and limits; arguments as those of ``tick``."""
+    jacobian, target = np.zeros((TASK_ROWS, N)), np.zeros(TASK_ROWS)
+    matrix, lower, upper = np.zeros((rows, N)), np.zeros(rows), np.zeros(rows)
+    state_, terms_ = RobotState(*state), ModelTerms(*terms)
+    reference_, robot_ = Reference(*reference), RobotLimits(*robot)
+    gains_, limits_ = Gains(*gains), LimitConfig(*limits)
+    for _ in range(repeats):
+        assemble_tasks(state_, terms_, reference_, gains_, jacobian, target)
+        assemble_limits(state_, terms_, robot_, limits_, matrix, lower, upper)
+    return jacobian, target, matrix, lower, upper
+
+
+@jit
+def repeat_levels(
+    jacobian: np.ndarray,
+    target: np.ndarray,
+    matrix: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    priorities: np.ndarray,
+    hierarchy: tuple[Any, ...],
+    repeats: int,
+) -> np.ndarray:
+    """All levels of all hierarchies."""
+    u, counters = np.zeros(N), np.zeros(4, np.int64)
+    config = HierarchyConfig(*hierarchy)
+    for _ in range(repeats):
+        for m in range(priorities.shape[0]):
+            solve_hierarchy(
+                jacobian,
+                target,
+                priorities[m],
+                matrix,
+                lower,
+                upper,
+                config,
+                u,
+                counters,
+            )
+    return u

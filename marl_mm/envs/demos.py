@@ -1,0 +1,134 @@
+"""The random tests of the paper's Fig. 3: one half of the robot moves, the other rests.
+
+(a) The arm reaches a point while the base stands; (b) the base turns to an angle while
+the arm rests.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from marl_mm.control.config import ControllerConfig, Gains
+from marl_mm.control.priorities import LEFT_OUT, STABILITY, cumulative
+from marl_mm.control.tasks.task import Reference
+from marl_mm.control.wbc import Priorities
+from marl_mm.envs.drive import Drive, Tick, Watch
+from marl_mm.robot.description import RobotConfig
+from marl_mm.robot.model import RobotState
+from marl_mm.sim.config import RATE, SimulationConfig
+
+BASE_THEN_POSTURE = cumulative((1, 1, LEFT_OUT, LEFT_OUT, 2))
+"""Without the hand's tasks: in the world's frame they would hold it back."""
+
+
+DEMOS = ("arm-reach", "base-turn")
+"""Names on the command line."""
+
+
+class Drift(NamedTuple):
+    """Where the robot ended, and how far what should rest has moved at most."""
+
+    position_error: float
+    """End-effector to its target at the end, or 0 where it has none [m]."""
+
+    heading_error: float
+    """Heading to its target at the end [rad]."""
+
+    base_drift: float
+    """Of the base's origin from its start [m]."""
+
+    heading_drift: float
+    """Of the heading from its start, where it should rest [rad]."""
+
+    arm_drift: float
+    """Of any joint from its start, where the arm should rest [rad]."""
+
+
+def arm_reach(
+    drive: Drive, target_w: np.ndarray, seconds: float, watch: Watch
+) -> Drift:
+    """The arm reaches a point while the base stands still.
+
+    Args:
+        drive: A robot; it starts anew.
+        target_w: Where to, shape (3,) [m].
+        seconds: How long.
+        watch: Called after each tick.
+    """
+    start, rest = _start(drive)
+    reference = rest._replace(ee_position_w=np.asarray(target_w, dtype=float))
+    states = _follow(drive, STABILITY, lambda k, state: reference, seconds, watch)
+    error = drive.world.grasp_position_w() - reference.ee_position_w
+    return _drift(start, states)._replace(
+        position_error=float(np.linalg.norm(error)), arm_drift=0.0
+    )
+
+
+def base_turn(drive: Drive, angle: float, seconds: float, watch: Watch) -> Drift:
+    """The base turns on the spot while the arm rests.
+
+    Args:
+        drive: A robot; it starts anew.
+        angle: Where to [rad], within half a turn.
+        seconds: How long.
+        watch: Called after each tick.
+    """
+    start, rest = _start(drive)
+    reference = rest._replace(base_heading=float(angle))
+    states = _follow(
+        drive, BASE_THEN_POSTURE, lambda k, state: reference, seconds, watch
+    )
+    error = drive.state.yaw - angle
+    error = float(np.abs(np.arctan2(np.sin(error), np.cos(error))))
+    return _drift(start, states)._replace(heading_error=error, heading_drift=0.0)
+
+
+def demo_drive(visual: bool = False, gui: bool = False) -> Drive:
+    """A robot that holds its arm's posture tightly, and is else as always."""
+    controller = ControllerConfig(gains=Gains(posture_rate=12.0))
+    return Drive(RobotConfig(), SimulationConfig(), controller, visual, gui)
+
+
+def _start(drive: Drive) -> tuple[RobotState, Reference]:
+    """A new world, and the reference that keeps the robot as it stands there."""
+    start = drive.reset()
+    terms = drive.model.evaluate(start)
+    return start, Reference(
+        terms.position_w.copy(),
+        np.ascontiguousarray(terms.rotation_w).copy(),
+        start.q[:2].copy(),
+        start.yaw,
+        0.0,
+        start.q[4:].copy(),
+    )
+
+
+def _follow(
+    drive: Drive,
+    levels: np.ndarray,
+    reference_at: Callable[[int, RobotState], Reference],
+    seconds: float,
+    watch: Watch,
+) -> list[RobotState]:
+    states: list[RobotState] = []
+
+    def see(tick: Tick) -> None:
+        states.append(tick.state)
+        watch(tick)
+
+    priorities = Priorities(levels[None], np.ones(1))
+    drive.follow(reference_at, priorities, round(seconds * RATE), 8, see)
+    return [*states, drive.state]
+
+
+def _drift(start: RobotState, states: list[RobotState]) -> Drift:
+    q = np.array([state.q for state in states]) - start.q
+    yaw = np.array([state.yaw for state in states]) - start.yaw
+    return Drift(
+        0.0,
+        float(abs(yaw[-1])),
+        float(np.linalg.norm(q[:, :2], axis=1).max()),
+        float(np.abs(np.arctan2(np.sin(yaw), np.cos(yaw))).max()),
+        float(np.abs(q[:, 4:]).max()),
+    )
