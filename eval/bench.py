@@ -60,12 +60,14 @@ def bench_control(
     rng = np.random.default_rng(seed)
     core.reset(rng)
     core.step(_action(rng))  # compiles, or loads what was compiled
-    clocks, samples = _Clocks(core.drive), []
+    clocks = _Clocks(core.drive)
+    samples: list[Sample] = []
+    stamps: list[float] = []
     ticks, seconds = [], 0.0
     for i in range(steps):
         if i % config.max_steps == 0:
             core.reset(rng)
-        stamps = [perf_counter()]
+        stamps[:] = [perf_counter()]
         core.step(_action(rng), lambda tick: stamps.append(perf_counter()))
         seconds += perf_counter() - stamps[0]
         ticks.append(np.diff(stamps))
@@ -196,7 +198,7 @@ def _per_repeat(function: Callable[..., Any], *arguments: Any) -> tuple[float, A
 
 
 def _references(core: ReachCore, samples: list[Sample]) -> dict[str, np.ndarray]:
-    """Other ways to solve the same states; those that are not installed are left out."""
+    """Other ways to solve the same states; what is not installed is left out."""
     config = core.config.controller
     found = {
         "compiled": _solve_times(core, replace(config, solver="active-set"), samples),

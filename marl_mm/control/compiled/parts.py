@@ -1,6 +1,4 @@
-"""Parts of the compiled tick, repeated: for the benchmark, as they cannot be seen apart
-from outside.
-"""
+"""Parts of the compiled tick, repeated: the benchmark cannot see them from outside."""
 
 from typing import Any
 
