@@ -1,15 +1,19 @@
-"""The hierarchy against an independent strict solver, and its own promises."""
+"""The hierarchy against independent solvers, and its own promises."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import daqp
 import numpy as np
 import pytest
+import quadprog
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from marl_mm.control.compiled import hierarchy as compiled
 from marl_mm.control.config import ControllerConfig, HierarchyConfig, LimitConfig
 from marl_mm.control.hierarchy import solve_hierarchy
-from marl_mm.control.limits import TORQUE_ROWS, Bounds, bounds
+from marl_mm.control.limits import TORQUE_ROWS, UNBOUNDED, Bounds, bounds
 from marl_mm.control.priorities import (
     REACHING,
     REACHING_LEVELS,
@@ -17,69 +21,70 @@ from marl_mm.control.priorities import (
     STABILITY_LEVELS,
     priority_matrix,
 )
+from marl_mm.control.qp import daqp as solve_by_daqp
 from marl_mm.control.tasks.task import Reference, Task
 from marl_mm.control.wbc import WholeBodyController
-from marl_mm.robot.limits import RobotLimits
-from marl_mm.robot.model import ModelTerms, RobotState
+from marl_mm.robot.description import RobotConfig
+from marl_mm.robot.limits import RobotLimits, robot_limits
+from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
 
 Draw = Callable[[np.random.Generator], tuple[RobotState, ModelTerms, Reference]]
 Problem = tuple[list[Task], Bounds]
 ENDS = [(STABILITY, STABILITY_LEVELS), (REACHING, REACHING_LEVELS)]
+END_NAMES = ["alpha 1", "alpha 0"]
+LIMITS = robot_limits(RobotConfig())
+MODEL = RobotModel(RobotConfig())
+CONTROLLER = WholeBodyController(LIMITS, ControllerConfig())
+STATES = 1000
+
+
+def problem_at(
+    state: RobotState, terms: ModelTerms, reference: Reference, limits: RobotLimits
+) -> Problem:
+    tasks = CONTROLLER.tasks(state, terms, reference)
+    return tasks, bounds(state, terms, limits, LimitConfig())
 
 
 def problems(draw: Draw, limits: RobotLimits, seed: int, count: int) -> list[Problem]:
     rng = np.random.default_rng(seed)
-    controller = WholeBodyController(limits, ControllerConfig())
-    drawn = [draw(rng) for _ in range(count)]
-    return [
-        (controller.tasks(*one), bounds(one[0], one[1], limits, LimitConfig()))
-        for one in drawn
-    ]
+    return [problem_at(*draw(rng), limits) for _ in range(count)]
 
 
-def strict_solution(
-    tasks: list[Task], levels: tuple[int, ...], limits: Bounds
-) -> tuple[np.ndarray, bool] | None:
-    """Lexicographic least squares by null-space elimination (SVD) and DAQP.
-
-    Shares nothing with the code under test: no damping, no projector, another QP
-    solver. Returns the solution and whether a limit is active, or None where DAQP,
-    which sometimes errs, gives up.
-    """
-    u, null, limited = np.zeros(9), np.eye(9), False
-    for level in sorted(set(levels)):
-        if null.shape[1] == 0:
-            break
-        handled = [t for t, own in zip(tasks, levels, strict=True) if own == level]
-        jacobian = np.concatenate([task.jacobian for task in handled]) @ null
-        residual = np.concatenate([t.target - t.jacobian @ u for t in handled])
-        used = limits.matrix @ u
-        room = np.array([limits.lower - used - 1e-10, limits.upper - used + 1e-10])
-        if u.any():
-            room = np.array([np.minimum(room[0], 0), np.maximum(room[1], 0)])
-        z, _, flag, _ = daqp.solve(
-            jacobian.T @ jacobian + 1e-9 * np.eye(null.shape[1]),
-            -jacobian.T @ residual,
-            np.ascontiguousarray(limits.matrix @ null),
-            room[1],
-            room[0],
-            np.zeros(len(used), np.int32),
-        )
-        if flag < 1:
-            return None
-        u = u + null @ z
-        value = limits.matrix @ u
-        limited |= bool((value > limits.upper - 1e-6).any())
-        limited |= bool((value < limits.lower + 1e-6).any())
-        _, singular, basis = np.linalg.svd(jacobian)
-        null = null @ basis[int((singular > 1e-6).sum()) :].T
-    return u, limited
+def without_limits(rows: Bounds) -> Bounds:
+    wide = np.full(len(rows.lower), UNBOUNDED)
+    return replace(rows, lower=-wide, upper=wide)
 
 
-def damped_solution(
-    tasks: list[Task], levels: tuple[int, ...], limits: Bounds, config: HierarchyConfig
+def unit_rows(rows: Bounds) -> Bounds:
+    """The same limits, each row of length one where it has a length."""
+    norm = np.linalg.norm(rows.matrix, axis=1)
+    norm[norm < 1e-9] = 1.0
+    matrix = np.ascontiguousarray(rows.matrix / norm[:, None])
+    return Bounds(matrix, rows.lower / norm, rows.upper / norm)
+
+
+def solve_by_quadprog(
+    hessian: np.ndarray, target: np.ndarray, room: Bounds
 ) -> np.ndarray:
-    """The same null-space elimination, each level damped as the code's levels are."""
+    """Raises ValueError where the limits are inconsistent."""
+    some = np.linalg.norm(room.matrix, axis=1) > 0.5
+    above, below = some & (room.lower > -1e6), some & (room.upper < 1e6)
+    if not (above | below).any():
+        return np.linalg.solve(hessian, target)
+    rows = np.concatenate([room.matrix[above], -room.matrix[below]])
+    least = np.concatenate([room.lower[above], -room.upper[below]])
+    x: np.ndarray = quadprog.solve_qp(hessian, target, rows.T.copy(), least)[0]
+    return x
+
+
+def cascade(
+    tasks: list[Task], levels: tuple[int, ...], limits: Bounds, damping: float
+) -> np.ndarray:
+    """Lexicographic least squares by null-space elimination (SVD) and quadprog.
+
+    Shares nothing with the code under test: no recursion of projectors, another QP
+    solver on normalised rows.
+    """
     u, null = np.zeros(9), np.eye(9)
     for level in sorted(set(levels)):
         if null.shape[1] == 0:
@@ -90,48 +95,45 @@ def damped_solution(
         used = limits.matrix @ u
         lower, upper = limits.lower - used, limits.upper - used
         if level > min(levels):
-            lower = np.minimum(lower, 0.0) - config.margin
-            upper = np.maximum(upper, 0.0) + config.margin
-        z, _, flag, _ = daqp.solve(
-            jacobian.T @ jacobian + config.damping * np.eye(null.shape[1]),
-            -jacobian.T @ residual,
-            np.ascontiguousarray(limits.matrix @ null),
-            upper,
-            lower,
-            np.zeros(len(used), np.int32),
-            primal_tol=1e-10,
+            lower = np.minimum(lower, 0.0) - HierarchyConfig().margin
+            upper = np.maximum(upper, 0.0) + HierarchyConfig().margin
+        room = unit_rows(Bounds(limits.matrix @ null, lower, upper))
+        z = solve_by_quadprog(
+            jacobian.T @ jacobian + damping * np.eye(null.shape[1]),
+            jacobian.T @ residual,
+            room,
         )
-        assert flag == 1
         u = u + null @ z
         _, singular, basis = np.linalg.svd(jacobian)
         null = null @ basis[int((singular > 1e-5).sum()) :].T
     return u
 
 
-@pytest.mark.parametrize("strength", [1.0, 0.4], ids=["torque", "weak torque"])
-@pytest.mark.parametrize(("psi", "levels"), ENDS, ids=["alpha 1", "alpha 0"])
-def test_strict_ends_equal_the_damped_oracle_in_every_variable(
-    situation: Draw,
-    limits: RobotLimits,
-    psi: np.ndarray,
-    levels: tuple[int, ...],
-    strength: float,
-) -> None:
-    """u itself to 1e-4 on 200 states, limits and (with a weak arm) torque included."""
-    config = HierarchyConfig(projector_damping=1e-14)
-    weak = limits._replace(torque=strength * limits.torque)
-    torque_limited = 0
-    for problem in problems(situation, weak, seed=19, count=200):
-        tasks, rows = problem
-        u, counters = compiled_solution(problem, psi, config)
-        assert counters[compiled.FAILURES] == 0
-        expected = damped_solution(tasks, levels, rows, config)
-        np.testing.assert_allclose(u, expected, atol=1e-4)
-        value = rows.matrix[TORQUE_ROWS] @ u
-        at_limit = (value > rows.upper[TORQUE_ROWS] - 1e-6).any()
-        torque_limited += at_limit or (value < rows.lower[TORQUE_ROWS] + 1e-6).any()
-    if strength < 1:
-        assert torque_limited >= 10
+def native_hierarchy(
+    tasks: list[Task], levels: tuple[int, ...], limits: Bounds
+) -> np.ndarray:
+    """DAQP's own strict hierarchy in one call."""
+    room = unit_rows(limits)
+    matrix, lower, upper = [room.matrix], [room.lower], [room.upper]
+    breaks = [len(room.lower)]
+    for level in sorted(set(levels)):
+        handled = [t for t, own in zip(tasks, levels, strict=True) if own == level]
+        target = np.concatenate([task.target for task in handled])
+        matrix.append(np.concatenate([task.jacobian for task in handled]))
+        lower.append(target)
+        upper.append(target)
+        breaks.append(breaks[-1] + len(target))
+    u, _, flag, _ = daqp.solve(
+        np.eye(9),
+        np.zeros(9),
+        np.ascontiguousarray(np.concatenate(matrix)),
+        np.concatenate(upper),
+        np.concatenate(lower),
+        np.zeros(breaks[-1], np.int32),
+        break_points=np.array(breaks, np.int32),
+    )
+    assert flag > 0
+    return np.array(u)
 
 
 def level_residuals(
@@ -163,57 +165,187 @@ def compiled_solution(
     return u, counters
 
 
-@pytest.mark.parametrize("damping", [1e-6, HierarchyConfig().damping])
-@pytest.mark.parametrize(("psi", "levels"), ENDS, ids=["alpha 1", "alpha 0"])
-def test_strict_ends_equal_the_oracle_on_200_states(
+@pytest.mark.slow
+@pytest.mark.parametrize("strength", [None, 1.0, 0.4], ids=["free", "limits", "weak"])
+@pytest.mark.parametrize(("psi", "levels"), ENDS, ids=END_NAMES)
+def test_strict_ends_equal_the_damped_oracle_in_every_variable(
     situation: Draw,
-    limits: RobotLimits,
     psi: np.ndarray,
     levels: tuple[int, ...],
-    damping: float,
+    strength: float | None,
 ) -> None:
-    """Within the damping's tolerance, which is sqrt(eps) |u| for a level's residual.
-
-    A damped level minimises |r|^2 + eps |x|^2, so its residual exceeds the undamped
-    minimum by at most that. Below the first level, what damping changed above shifts
-    the problem itself, so there it is asked of 95 % of the states. With eps towards
-    zero the solutions themselves meet. What is left is the damping, not an error: see
-    the damped oracle.
-    """
-    config = HierarchyConfig(damping=damping, projector_damping=damping)
-    shares, distances, limited, failed = [], [], 0, 0
-    for problem in problems(situation, limits, seed=7, count=240):
-        oracle = strict_solution(problem[0], levels, problem[1])
-        if oracle is None:
+    """u itself to 1e-4 on 1,000 states: without limits, with, and with a weak arm."""
+    config = HierarchyConfig(projector_damping=1e-14)
+    limits = LIMITS._replace(torque=(strength or 1.0) * LIMITS.torque)
+    torque_limited = limited = inconsistent = 0
+    for tasks, rows in problems(situation, limits, seed=19, count=STATES):
+        used = rows if strength else without_limits(rows)
+        u, counters = compiled_solution((tasks, used), psi, config)
+        try:
+            expected = cascade(tasks, levels, used, config.damping)
+        except ValueError:
+            assert counters[compiled.FAILURES] > 0
+            inconsistent += 1
             continue
-        expected, active = oracle
-        u, counters = compiled_solution(problem, psi, config)
-        failed += counters[compiled.FAILURES]
-        excess = level_residuals(problem[0], levels, u)
-        excess -= level_residuals(problem[0], levels, expected)
-        shares.append(excess / (np.sqrt(damping) * np.linalg.norm(expected)))
-        distances.append(np.abs(u - expected).max())
-        limited += active
-    assert len(shares) >= 200
-    assert limited >= 100  # limits are part of the claim
-    assert max(share[0] for share in shares) <= 1
-    assert (np.quantile(shares, 0.95, axis=0) <= 1).all()
-    if damping == HierarchyConfig().damping:
-        assert failed == 0
-    else:  # a thousandth of the damping that the solver is made for
-        assert failed <= 2
-        assert np.median(distances) < 1e-3  # of accelerations up to 20
+        assert counters[compiled.FAILURES] == 0
+        np.testing.assert_allclose(u, expected, atol=1e-4)
+        limited += counters[compiled.QPS] > 0
+        value = rows.matrix[TORQUE_ROWS] @ u
+        at_limit = (value > rows.upper[TORQUE_ROWS] - 1e-6).any()
+        torque_limited += at_limit or (value < rows.lower[TORQUE_ROWS] + 1e-6).any()
+    assert limited == 0 if strength is None else limited >= STATES / 2
+    assert inconsistent <= (2 if strength == 0.4 else 0)
+    if strength == 0.4:
+        assert torque_limited >= STATES / 20
 
 
-@pytest.mark.parametrize("alpha", [0.0, 0.2, 0.7, 1.0])
-def test_compiled_form_equals_the_reference(
-    situation: Draw, limits: RobotLimits, alpha: float
+@pytest.mark.slow
+@pytest.mark.parametrize(("psi", "levels"), ENDS, ids=END_NAMES)
+def test_with_damping_towards_zero_it_is_the_lexicographic_optimum(
+    situation: Draw, psi: np.ndarray, levels: tuple[int, ...]
 ) -> None:
-    """To 1e-4 of the accelerations, wherever ProxQP converged."""
+    """A thousandth of the default damping: no failed level, and the oracle's u.
+
+    Where the oracle's own rank decision and damping leave u undetermined, the level
+    residuals still meet.
+    """
+    config = HierarchyConfig(damping=1e-6, projector_damping=1e-12)
+    distances, first = [], []
+    for tasks, rows in problems(situation, LIMITS, seed=7, count=STATES):
+        u, counters = compiled_solution((tasks, rows), psi, config)
+        assert counters[compiled.FAILURES] == 0
+        expected = cascade(tasks, levels, rows, 1e-9)
+        distances.append(np.abs(u - expected).max())
+        excess = level_residuals(tasks, levels, u)
+        excess -= level_residuals(tasks, levels, expected)
+        first.append(excess[0] / np.linalg.norm(expected))
+    assert np.median(distances) < 1e-3  # of accelerations up to 20
+    assert max(first) <= np.sqrt(config.damping)  # what damping may cost
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("psi", "levels"), ENDS, ids=END_NAMES)
+def test_daqps_own_hierarchy_agrees_or_is_worse(
+    situation: Draw, psi: np.ndarray, levels: tuple[int, ...]
+) -> None:
+    """A second oracle, in one call and without projectors.
+
+    On 15 to 35 % of the states it gives the cascade's u, and there the code under test
+    does, too. On the rest it stops at a residual that is higher at the first level
+    where the two differ; but for the few in which its own tolerance of 1e-6 at one
+    level buys it something at the next.
+    """
+    config = HierarchyConfig(damping=1e-6, projector_damping=1e-12)
+    ours, better = [], 0
+    for tasks, rows in problems(situation, LIMITS, seed=5, count=STATES):
+        native = native_hierarchy(tasks, levels, rows)
+        expected = cascade(tasks, levels, rows, 1e-9)
+        if np.abs(native - expected).max() < 1e-3:
+            u, _ = compiled_solution((tasks, rows), psi, config)
+            ours.append(np.abs(u - native).max())
+            continue
+        gain = level_residuals(tasks, levels, expected)
+        gain -= level_residuals(tasks, levels, native)
+        differs = np.nonzero(np.abs(gain) > 1e-5)[0]
+        better += len(differs) > 0 and gain[differs[0]] > 0
+    assert better <= STATES / 100
+    assert len(ours) >= STATES / 10
+    assert np.median(ours) < 1e-3
+
+
+joints = st.lists(st.floats(0, 1), min_size=7, max_size=7)
+speeds = st.lists(st.floats(-1, 1), min_size=9, max_size=9)
+offsets = st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3)
+
+
+def situation_of(
+    joints: list[float], speeds: list[float], offset: list[float]
+) -> Problem:
+    """Any posture within the limits, any speed within them, targets near and far."""
+    room = LIMITS.upper - LIMITS.lower
+    arm = LIMITS.lower + np.array(joints) * room
+    velocity = 0.9 * np.array(speeds) * LIMITS.speed
+    q = np.array([0.1, -0.2, 0.8, 0.6, *arm])
+    state = RobotState(q, np.array([velocity[0], 0.0, *velocity[1:]]))
+    terms = ModelTerms(*(array.copy(order="K") for array in MODEL.evaluate(state)))
+    reference = Reference(
+        terms.position_w + np.array(offset),
+        np.ascontiguousarray(terms.rotation_w),
+        q[:2] + np.array(offset[:2]),
+        offset[2],
+        offset[0],
+        np.array(RobotConfig().initial_joints),
+    )
+    return problem_at(state, terms, reference, LIMITS)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    joints=joints,
+    speeds=speeds,
+    offset=offsets,
+    end=st.sampled_from(ENDS),
+    keep=st.integers(1, 3),
+)
+def test_a_lower_level_never_worsens_a_higher_one(
+    joints: list[float],
+    speeds: list[float],
+    offset: list[float],
+    end: tuple[np.ndarray, tuple[int, ...]],
+    keep: int,
+) -> None:
+    """Levels below the first ``keep`` leave their residuals as they are."""
+    psi, levels = end
+    config = HierarchyConfig(projector_damping=1e-12)
+    problem = situation_of(joints, speeds, offset)
+    whole, _ = compiled_solution(problem, psi, config)
+    part, _ = compiled_solution(problem, psi[:keep], config)
+    np.testing.assert_allclose(
+        level_residuals(problem[0], levels, whole)[:keep],
+        level_residuals(problem[0], levels, part)[:keep],
+        atol=1e-3,
+    )
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    joints=joints,
+    speeds=speeds,
+    offset=offsets,
+    share=st.floats(0, 1),
+    literal=st.booleans(),
+)
+def test_compiled_form_equals_the_reference(
+    joints: list[float],
+    speeds: list[float],
+    offset: list[float],
+    share: float,
+    literal: bool,
+) -> None:
+    """To 1e-4 of the accelerations, and to the number of levels, for any share."""
     config = HierarchyConfig()
-    psi = priority_matrix(alpha)
+    if literal:
+        config = config._replace(rho=0.0, weighted=False)
+    tasks, rows = situation_of(joints, speeds, offset)
+    psi = priority_matrix(share)
+    reference = solve_hierarchy(tasks, psi, rows, config, solve_by_daqp)
+    if reference.failures:  # DAQP finds one in some thousands infeasible that is not
+        reference = solve_hierarchy(tasks, psi, rows, config)
+    u, counters = compiled_solution((tasks, rows), psi, config)
+    assert counters[compiled.LEVELS] == reference.levels
+    if not reference.failures and not counters[compiled.FAILURES]:
+        np.testing.assert_allclose(u, reference.acceleration, atol=1e-4)
+    assert counters[compiled.FAILURES] <= reference.failures
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.7, 1.0])
+def test_compiled_form_equals_the_reference_with_proxqp(
+    situation: Draw, share: float
+) -> None:
+    config = HierarchyConfig()
+    psi = priority_matrix(share)
     compared = qps = 0
-    for tasks, rows in problems(situation, limits, seed=11, count=60):
+    for tasks, rows in problems(situation, LIMITS, seed=11, count=60):
         reference = solve_hierarchy(tasks, psi, rows, config)
         if reference.failures:
             continue
@@ -226,50 +358,54 @@ def test_compiled_form_equals_the_reference(
     assert qps > 50
 
 
-@pytest.mark.parametrize(("psi", "levels"), ENDS, ids=["alpha 1", "alpha 0"])
-def test_a_lower_level_never_changes_a_higher_one(
-    situation: Draw, limits: RobotLimits, psi: np.ndarray, levels: tuple[int, ...]
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.5, 0.9, 1.0])
+def test_solution_respects_every_limit(situation: Draw, share: float) -> None:
+    psi = priority_matrix(share)
+    for problem in problems(situation, LIMITS, seed=17, count=200):
+        u, _ = compiled_solution(problem, psi, HierarchyConfig())
+        rows = unit_rows(problem[1])
+        assert (rows.matrix @ u <= rows.upper + 1e-6).all()
+        assert (rows.matrix @ u >= rows.lower - 1e-6).all()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 1.0])
+def test_priorities_do_not_matter_to_tasks_that_agree(
+    situation: Draw, share: float
 ) -> None:
-    """Dropping the posture, the last level, leaves all other residuals as they are."""
-    config = HierarchyConfig(projector_damping=1e-9)
-    without = psi[:3]
-    for tasks, rows in problems(situation, limits, seed=13, count=30):
-        whole = solve_hierarchy(tasks, psi, rows, config).acceleration
-        part = solve_hierarchy(tasks, without, rows, config).acceleration
-        higher = slice(0, 3)
-        np.testing.assert_allclose(
-            level_residuals(tasks, levels, whole)[higher],
-            level_residuals(tasks, levels, part)[higher],
-            atol=1e-3,
-        )
+    """One u meets all tasks, and no limit binds: it is the answer at any share."""
+    config = HierarchyConfig(damping=1e-9, projector_damping=1e-9)
+    rng = np.random.default_rng(23)
+    for tasks, rows in problems(situation, LIMITS, seed=23, count=30):
+        wanted = rng.normal(0, 0.3, 9)
+        agreed = [replace(task, target=task.jacobian @ wanted) for task in tasks]
+        problem = agreed, without_limits(rows)
+        u, _ = compiled_solution(problem, priority_matrix(share), config)
+        np.testing.assert_allclose(u, wanted, atol=1e-5)
 
 
-@pytest.mark.parametrize("alpha", [0.0, 0.3, 0.5, 0.9, 1.0])
-def test_solution_respects_every_limit(
-    situation: Draw, limits: RobotLimits, alpha: float
-) -> None:
-    psi = priority_matrix(alpha)
-    for tasks, rows in problems(situation, limits, seed=17, count=60):
-        solution = solve_hierarchy(tasks, psi, rows, HierarchyConfig())
-        value = rows.matrix @ solution.acceleration
-        assert (value <= rows.upper + 1e-6).all()
-        assert (value >= rows.lower - 1e-6).all()
-
-
-def toy(psi: float) -> float:
+def toy(psi: float, config: HierarchyConfig) -> float:
     """One variable of nine; A wants +1 and B wants -1, psi of A at the first level."""
     row = np.zeros((1, 9))
     row[0, 0] = 1.0
     tasks = [Task("A", row, np.array([1.0])), Task("B", row, np.array([-1.0]))]
     free = Bounds(np.zeros((1, 9)), np.array([-1.0]), np.array([1.0]))
     matrix = np.array([[psi, 1 - psi], [1.0, 1.0]])
-    config = HierarchyConfig(damping=1e-9, projector_damping=1e-9)
     return float(solve_hierarchy(tasks, matrix, free, config).acceleration[0])
 
 
 @pytest.mark.parametrize(
-    ("alpha", "expected"), [(0, -1), (0.1, -0.784), (0.5, 0), (0.9, 0.784), (1, 1)]
+    ("psi", "expected"), [(0, -1), (0.1, -0.754), (0.5, 0), (0.9, 0.754), (1, 1)]
 )
-def test_fractional_priorities_blend(alpha: float, expected: float) -> None:
-    """Worked by hand: alpha acts gradually, where the literal recursion switches."""
-    assert toy(alpha) == pytest.approx(expected, abs=2e-3)
+def test_fractional_priorities_blend(psi: float, expected: float) -> None:
+    """By hand at 0.1: u1 = -0.8, P = 0.09, w = 3.6 and 2.8, x = 0.51."""
+    config = HierarchyConfig(damping=1e-9, projector_damping=1e-9)
+    assert toy(psi, config) == pytest.approx(expected, abs=2e-3)
+
+
+@pytest.mark.parametrize("psi", [0.1, 0.5, 0.9])
+def test_the_literal_recursion_does_not(psi: float) -> None:
+    """Where the projector can be inverted, x undoes it: alpha has no effect."""
+    config = HierarchyConfig(
+        damping=1e-9, projector_damping=1e-9, rho=0.0, weighted=False
+    )
+    assert toy(psi, config) == pytest.approx(0, abs=2e-3)

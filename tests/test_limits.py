@@ -7,21 +7,35 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from marl_mm.control.compiled.assembly import assemble_limits
 from marl_mm.control.config import LimitConfig
 from marl_mm.control.limits import (
     BOX_ROWS,
     KEEP_OUT,
+    LIMIT_NAMES,
     TORQUE_ROWS,
     acceleration_box,
     bounds,
+    edge_moments,
     keep_out_bias,
     keep_out_bound,
     keep_out_direction,
+    row_count,
+    wheel_forces,
+    wheel_rims,
 )
 from marl_mm.control.tasks.task import Reference
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
-from marl_mm.robot.model import ACTUATED, ModelTerms, RobotModel, RobotState
+from marl_mm.robot.model import (
+    ACTUATED,
+    SUPPORT_B,
+    SUPPORT_INWARD_B,
+    ModelTerms,
+    RobotModel,
+    RobotState,
+    support_margin,
+)
 
 Draw = Callable[[np.random.Generator], tuple[RobotState, ModelTerms, Reference]]
 CONFIG = LimitConfig()
@@ -57,7 +71,8 @@ def test_box_in_the_middle_is_the_acceleration_limit() -> None:
 
 def test_at_full_speed_only_braking_is_left() -> None:
     middle = (ROBOT.lower + ROBOT.upper) / 2
-    _, upper = acceleration_box(at(middle, ROBOT.speed), ROBOT, CONFIG)
+    fastest = CONFIG.speed_share * ROBOT.speed
+    _, upper = acceleration_box(at(middle, fastest), ROBOT, CONFIG)
     np.testing.assert_allclose(upper, 0, atol=1e-9)
 
 
@@ -153,3 +168,78 @@ def test_keep_out_moves_the_arm_not_the_base(
     rows = bounds(state, terms, limits, CONFIG)
     assert (rows.matrix[KEEP_OUT, :2] == 0).all()
     assert rows.lower[KEEP_OUT] < rows.upper[KEEP_OUT]
+
+
+def test_wheel_rows_are_the_rims_accelerations() -> None:
+    """Forward and turning left, the right rim is faster by the wheels' distance."""
+    middle = (ROBOT.lower + ROBOT.upper) / 2
+    state = at(middle, np.array([0.5, 1.0, *np.zeros(7)]))
+    rows, lower, upper = wheel_rims(state, ROBOT, CONFIG)
+    left, right = 0.5 - 0.2226, 0.5 + 0.2226
+    most = 0.98 * 20 * 0.0625
+    np.testing.assert_allclose(rows[:, :2], [[1, -0.2226], [1, 0.2226]])
+    np.testing.assert_allclose(upper * CONFIG.horizon, [most - left, most - right])
+    np.testing.assert_allclose(lower * CONFIG.horizon, [-most - left, -most - right])
+
+
+def test_wheel_forces_are_what_moves_the_base(situation: Draw) -> None:
+    """Their sum, couple and side force are the base's rows of M u + h."""
+    _, terms, _ = situation(np.random.default_rng(6))
+    u = np.random.default_rng(7).normal(size=9)
+    rows, bias = wheel_forces(terms)
+    left, right, across = rows @ u + bias
+    full = np.zeros(10)
+    full[ACTUATED] = u
+    force = terms.mass_matrix @ full + terms.nonlinear
+    assert left + right == pytest.approx(force[0])
+    assert (right - left) * 0.2226 == pytest.approx(force[2])
+    assert across == pytest.approx(force[1])
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_edge_moments_are_distances_of_the_zero_moment_point(seed: int) -> None:
+    """Moment over vertical force is the point's distance to each edge, less the margin.
+
+    The point itself comes from another function of Pinocchio.
+    """
+    rng = np.random.default_rng(seed)
+    arm = rng.uniform(ROBOT.lower, ROBOT.upper)
+    yaw = rng.uniform(-3, 3)
+    v = np.zeros(10)
+    v[ACTUATED] = rng.normal(0, 0.5, 9)
+    state = RobotState(np.array([0.3, -0.2, np.cos(yaw), np.sin(yaw), *arm]), v)
+    u = rng.normal(0, 2, 9)
+    model = RobotModel(RobotConfig(), balance=True)
+    terms = model.evaluate(state)
+    config = LimitConfig(zmp=True, zmp_margin=0.05)
+    rows, lower = edge_moments(state, terms, config)
+    vertical = terms.wrench_matrix[2, ACTUATED] @ u + terms.wrench_bias[2]
+    distances = (rows @ u - lower) / vertical + config.zmp_margin
+    point = model.zmp_b(state, u)
+    expected = ((point - SUPPORT_B) * SUPPORT_INWARD_B).sum(axis=1)
+    np.testing.assert_allclose(distances, expected, atol=1e-9)
+    assert distances.min() == pytest.approx(support_margin(point))
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    joints=st.lists(st.floats(-4, 4), min_size=7, max_size=7),
+    velocity=st.lists(st.floats(-8, 8), min_size=10, max_size=10),
+    zmp=st.booleans(),
+)
+def test_compiled_rows_are_the_readable_ones(
+    joints: list[float], velocity: list[float], zmp: bool
+) -> None:
+    config = LimitConfig(zmp=zmp)
+    state = RobotState(np.array([0.3, -0.2, 0.6, 0.8, *joints]), np.array(velocity))
+    model = RobotModel(RobotConfig(), balance=zmp)
+    terms = model.evaluate(state)
+    expected = bounds(state, terms, ROBOT, config)
+    rows = row_count(config)
+    assert len(LIMIT_NAMES[:rows]) == rows == len(expected.lower)
+    matrix, lower, upper = np.zeros((rows, 9)), np.zeros(rows), np.zeros(rows)
+    assemble_limits(state, terms, ROBOT, config, matrix, lower, upper)
+    np.testing.assert_allclose(matrix, expected.matrix, atol=1e-9)
+    np.testing.assert_allclose(lower, expected.lower, rtol=1e-9, atol=1e-8)
+    np.testing.assert_allclose(upper, expected.upper, rtol=1e-9, atol=1e-8)

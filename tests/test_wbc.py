@@ -7,14 +7,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from marl_mm.control.config import FORMS, ControllerConfig, Form, Gains, Solver
+from marl_mm.control.config import (
+    FORMS,
+    SOLVERS,
+    ControllerConfig,
+    Form,
+    Gains,
+    HierarchyConfig,
+    Solver,
+)
 from marl_mm.control.tasks.task import Reference
 from marl_mm.control.wbc import WholeBodyController
-from marl_mm.envs.core import ReachCore
 from marl_mm.errors import NonFiniteStateError, UsageError
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
-from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
+from marl_mm.robot.model import ACTUATED, ModelTerms, RobotModel, RobotState
 
 Draw = Callable[[np.random.Generator], tuple[RobotState, ModelTerms, Reference]]
 LIMITS = robot_limits(RobotConfig())
@@ -44,22 +51,47 @@ def test_blend_is_the_mix_of_the_two_ends(situation: Draw, limits: RobotLimits) 
         controller.tick(state, terms, reference, alpha).acceleration
         for alpha in (1.0, 0.0, 0.3)
     )
-    np.testing.assert_allclose(mixed, 0.3 * stable + 0.7 * reaching, atol=1e-12)
+    share = 1 - 0.7**2
+    expected = share * stable + (1 - share) * reaching
+    np.testing.assert_allclose(mixed, expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", ["blend", "rhp"])
 @pytest.mark.parametrize("end", [0.0, 1.0])
 def test_alpha_reaches_its_ends_continuously(
     situation: Draw, limits: RobotLimits, form: Form, end: float
 ) -> None:
+    """The worst gap to the end over 200 states shrinks at 1e-3, 1e-5, 1e-7."""
     controller = WholeBodyController(limits, ControllerConfig(form=form))
-    state, terms, reference = situation(np.random.default_rng(2))
-    exact = controller.tick(state, terms, reference, end).acceleration
+    rng = np.random.default_rng(2)
+    gaps = np.zeros((200, 3))
+    for i in range(len(gaps)):
+        drawn = situation(rng)
+        exact = controller.tick(*drawn, end).acceleration
+        for j, distance in enumerate((1e-3, 1e-5, 1e-7)):
+            near = controller.tick(*drawn, abs(end - distance)).acceleration
+            gaps[i, j] = np.abs(near - exact).max()
+    worst, typical = gaps.max(axis=0), np.median(gaps, axis=0)
+    assert worst[1] < worst[0] / 5
+    assert worst[2] < worst[1] / 5 + 1e-9
+    assert typical[1] < typical[0] / 5
+    assert worst[2] < 0.05
+
+
+@pytest.mark.parametrize("end", [0.0, 1.0])
+def test_the_literal_form_jumps_at_its_ends(
+    situation: Draw, limits: RobotLimits, end: float
+) -> None:
+    """Which is why it is not used: 1e-7 of alpha moves an acceleration by over 1."""
+    controller = WholeBodyController(limits, ControllerConfig(form="rhp-literal"))
+    rng = np.random.default_rng(2)
     gaps = []
-    for distance in (1e-2, 1e-4):
-        near = controller.tick(state, terms, reference, abs(end - distance))
-        gaps.append(np.abs(near.acceleration - exact).max())
-    assert gaps[1] < gaps[0] / 10 + 1e-9
+    for _ in range(50):
+        drawn = situation(rng)
+        exact = controller.tick(*drawn, end).acceleration
+        near = controller.tick(*drawn, abs(end - 1e-3)).acceleration
+        gaps.append(np.abs(near - exact).max())
+    assert max(gaps) > 1
 
 
 @settings(max_examples=200, deadline=None)
@@ -89,22 +121,57 @@ def test_any_finite_state_gives_a_finite_bounded_command(
     assert (np.abs(command.acceleration) <= LIMITS.acceleration + 2e-2).all()
 
 
-@pytest.mark.parametrize("solver", ["active-set", "proxqp"])
-def test_infeasible_limits_are_counted_and_survived(
-    situation: Draw, limits: RobotLimits, solver: Solver
+def overloaded(terms: ModelTerms, joint: int) -> ModelTerms:
+    """A load of 200 N m on one joint: no acceleration keeps its torque limit."""
+    nonlinear = terms.nonlinear.copy()
+    nonlinear[3 + joint] += 200.0
+    return terms._replace(nonlinear=nonlinear)
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("joint", [0, 6])
+def test_where_limits_contradict_each_other_it_brakes_and_says_why(
+    situation: Draw, limits: RobotLimits, form: Form, solver: Solver, joint: int
 ) -> None:
-    """A load of 500 N m on every joint: no acceleration keeps the torque limits."""
     state, terms, reference = situation(np.random.default_rng(7))
-    loaded = terms._replace(nonlinear=np.full(10, 500.0))
-    controller = WholeBodyController(limits, ControllerConfig(solver=solver))
-    command = controller.tick(state, loaded, reference, 1.0)
+    loaded = overloaded(terms, joint)
+    controller = WholeBodyController(limits, ControllerConfig(form=form, solver=solver))
+    command = controller.tick(state, loaded, reference, 0.5)
+    assert command.safe
     assert command.failures > 0
-    assert np.isfinite(command.acceleration).all()
+    assert command.reason is not None
+    assert f"torque of arm joint {joint + 1}: out of reach" in command.reason
+    velocity = state.v[ACTUATED]
+    braking = np.sign(velocity) * command.acceleration
+    assert (braking <= 1e-3).all(), "nothing speeds up"
     assert (np.abs(command.acceleration) <= limits.acceleration + 1e-3).all()
-    np.testing.assert_allclose(command.torque, limits.torque)  # all it can give
+    assert abs(command.torque[joint]) == pytest.approx(limits.torque[joint])
+    carried = loaded.mass_matrix[3:, ACTUATED] @ command.acceleration
+    expected = np.clip(carried + loaded.nonlinear[3:], -limits.torque, limits.torque)
+    np.testing.assert_allclose(command.torque, expected, atol=1e-9)
 
 
-@pytest.mark.parametrize("solver", ["active-set", "proxqp"])
+def test_an_ordinary_command_has_no_reason(
+    situation: Draw, limits: RobotLimits
+) -> None:
+    controller = WholeBodyController(limits, ControllerConfig())
+    command = controller.tick(*situation(np.random.default_rng(7)), 0.5)
+    assert not command.safe
+    assert command.reason is None
+
+
+def test_running_out_of_iterations_is_a_reason_of_its_own(
+    situation: Draw, limits: RobotLimits
+) -> None:
+    config = ControllerConfig(hierarchy=HierarchyConfig(iterations=1))
+    controller = WholeBodyController(limits, config)
+    rng = np.random.default_rng(8)
+    reasons = {controller.tick(*situation(rng), 0.0).reason for _ in range(20)}
+    assert "the QP ran out of iterations" in reasons
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
 def test_a_nan_in_the_state_is_an_error_with_the_state(
     limits: RobotLimits, solver: Solver, situation: Draw
 ) -> None:
@@ -125,7 +192,7 @@ def test_alpha_outside_its_range_is_refused(
 
 
 def test_unknown_names_are_refused() -> None:
-    with pytest.raises(UsageError, match="'active-set', 'proxqp'"):
+    with pytest.raises(UsageError, match="'active-set', 'proxqp', 'daqp'"):
         ControllerConfig(solver="osqp")  # type: ignore[arg-type]
 
 
@@ -135,28 +202,3 @@ def test_integer_gains_mean_the_same(situation: Draw, limits: RobotLimits) -> No
     one = WholeBodyController(limits, whole).tick(*situation_, 0.5)
     other = WholeBodyController(limits, ControllerConfig()).tick(*situation_, 0.5)
     np.testing.assert_array_equal(one.acceleration, other.acceleration)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("form", FORMS)
-def test_a_minute_of_abuse_in_closed_loop(form: Form) -> None:
-    """Random targets and alphas, 60 s of 240 Hz: no failed level, limits kept."""
-    from marl_mm.envs.config import reach_config
-
-    core = ReachCore(reach_config("Reach-v0", {"controller": {"form": form}}))
-    rng = np.random.default_rng(6)
-    failures = 0
-    for _ in range(4):
-        core.reset(rng)
-        drift = rng.uniform(-0.1, 0.1, 3)  # runs to the edge of the work space
-        for _ in range(15):
-            delta = 10 * (drift + rng.uniform(-0.1, 0.1, 3))
-            alpha = rng.choice([0.0, 1.0, rng.uniform()])
-            step = core.step(np.array([*delta, alpha]))
-            failures += step.info["qp_failures"]
-            arm = core.drive.world.read().q[4:]
-            assert (arm > LIMITS.lower).all()
-            assert (arm < LIMITS.upper).all()
-            assert step.info["zmp_margin"] > 0
-    core.close()
-    assert failures == 0

@@ -20,3 +20,11 @@ def braking_acceleration(state: RobotState, limits: Bounds) -> np.ndarray:
         wanted, limits.lower[BOX_ROWS], limits.upper[BOX_ROWS]
     )
     return braking
+
+
+def broken_row(u: np.ndarray, limits: Bounds) -> int:
+    """The limit that u is furthest outside of, measured by the acceleration it takes."""
+    value = limits.matrix @ u
+    excess = np.maximum(limits.lower - value, value - limits.upper)
+    norm = np.linalg.norm(limits.matrix, axis=1)
+    return int(np.argmax(excess / np.maximum(norm, 1e-9)))

@@ -27,7 +27,7 @@ from marl_mm.control.priorities import (
     stability_share,
 )
 from marl_mm.control.qp import NO_CAUSE, daqp, proxqp
-from marl_mm.control.safe import braking_acceleration
+from marl_mm.control.safe import braking_acceleration, broken_row
 from marl_mm.control.tasks.arm_posture import arm_posture
 from marl_mm.control.tasks.base_orientation import base_orientation
 from marl_mm.control.tasks.base_velocity import base_velocity
@@ -71,12 +71,15 @@ class Command(NamedTuple):
 
     @property
     def reason(self) -> str | None:
-        """What stood in the way of the last failed level, in words."""
+        """What stood in the way of the last failed level, in words.
+
+        Of a command that only brakes: the limit that even braking breaks, most of all.
+        """
         if self.failures == 0:
             return None
         if self.cause < 0:
             return "the QP ran out of iterations"
-        return f"{LIMIT_NAMES[self.cause]} contradicts the other limits"
+        return f"{LIMIT_NAMES[self.cause]}: out of reach within the other limits"
 
 
 class Priorities(NamedTuple):
@@ -233,6 +236,8 @@ class WholeBodyController:
             u = braking_acceleration(state, limits)
         torque = limits.matrix[TORQUE_ROWS] @ u + terms.nonlinear[3:]
         causes = [solution.cause for solution in solutions if solution.failures]
+        if not feasible:
+            causes.append(broken_row(u, limits))
         return Command(
             u,
             np.clip(torque, -self._robot.torque, self._robot.torque),

@@ -10,7 +10,7 @@ from marl_mm.control.compiled.assembly import (
     assemble_tasks,
     clip,
 )
-from marl_mm.control.compiled.hierarchy import solve_hierarchy
+from marl_mm.control.compiled.hierarchy import CAUSE, solve_hierarchy
 from marl_mm.control.config import Gains, HierarchyConfig, LimitConfig
 from marl_mm.control.limits import BOX, WHEEL_ARM
 from marl_mm.control.safe import BRAKING_RATE
@@ -95,6 +95,15 @@ def tick(
         for j in range(N):
             velocity = state_.v[0 if j == 0 else j + 1]
             u[j] = clip(-BRAKING_RATE * velocity, lower[BOX + j], upper[BOX + j])
+        worst = 0.0
+        for i in range(rows):
+            norm = value = 0.0
+            for j in range(N):
+                norm += matrix[i, j] * matrix[i, j]
+                value += matrix[i, j] * u[j]
+            excess = max(lower[i] - value, value - upper[i])
+            if excess > worst * np.sqrt(norm):
+                worst, counters[CAUSE] = excess / np.sqrt(norm), i
     finite = True
     for i in range(7):
         value = terms_.nonlinear[3 + i]
