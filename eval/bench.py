@@ -29,6 +29,9 @@ from marl_mm.sim.config import RATE
 _SAMPLED = 37
 """Every how many ticks a state is kept for the references; no divisor of 240."""
 
+_OVERLOAD = np.array([0, 0, 0, 300.0, 0, 0, 0, 0, 0, 0])
+"""Torque added to the first arm joint's [N m]."""
+
 _REPEATS = 20
 """Of the compiled parts on one state."""
 
@@ -102,6 +105,9 @@ def bench_control(
         },
         "references_us": {
             name: _spread(times) for name, times in _references(core, samples).items()
+        },
+        "infeasible_us": {
+            name: _spread(times) for name, times in _infeasible(core, samples).items()
         },
         "states_for_references": len(samples),
     }
@@ -215,6 +221,21 @@ def _references(core: ReachCore, samples: list[Sample]) -> dict[str, np.ndarray]
             lambda s: reference.solve(s.state, s.reference), samples
         )
     return found
+
+
+def _infeasible(core: ReachCore, samples: list[Sample]) -> dict[str, np.ndarray]:
+    """The same states with a load on joint 1 that no acceleration can carry."""
+    loaded = [
+        sample._replace(
+            terms=sample.terms._replace(nonlinear=sample.terms.nonlinear + _OVERLOAD)
+        )
+        for sample in samples
+    ]
+    config = core.config.controller
+    return {
+        "compiled": _solve_times(core, replace(config, solver="active-set"), loaded),
+        "numpy_proxqp": _solve_times(core, replace(config, solver="proxqp"), loaded),
+    }
 
 
 def _solve_times(

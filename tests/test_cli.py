@@ -108,6 +108,11 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         (["eval", "pd", "--episodes", "0"], "--episodes is 0"),
         (["play", "pd", "--video", "x.avi"], ".mp4 or .gif"),
         (["bench", "control", "--steps", "-1"], "--steps is -1"),
+        (["bench", "abuse", "--ticks", "0"], "--ticks is 0"),
+        (["play", "base-turn", "--angle", "400"], "--angle is 400.0, expected -180"),
+        (["play", "arm-reach", "--seconds", "0"], "--seconds is 0.0, expected 0.1"),
+        (["sweep-alpha", "--alphas", "1"], "--alphas is 1, expected >= 2"),
+        (["sweep-alpha", "--tasks", "Fly-v0"], "--tasks is Fly-v0, expected some of"),
         (["quickstart", "--workers", "-1"], "--workers is -1"),
         (["datasets", "show", "marl_mm/reach/no-v0"], "no dataset"),
         (["train", "mabc", "--dataset", "marl_mm/reach/no-v0"], "no dataset"),
@@ -289,7 +294,32 @@ def test_bench_prints_its_ratios(capsys: Output) -> None:
         "env_steps_per_second",
     ):
         assert np.isfinite(result[key]) and result[key] > 0
-    assert result["tick_us"] > result["controller_us"]
+    assert result["us"]["tick"]["median"] > result["us"]["controller"]["median"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("demo", "text"), [("arm-reach", "hand"), ("base-turn", "a joint of the arm")]
+)
+def test_play_shows_the_robots_own_tests(
+    demo: str, text: str, tmp_path: Path, capsys: Output
+) -> None:
+    film = tmp_path / "film.mp4"
+    options = ["--fps", "2", "--camera.width", "96", "--camera.height", "64"]
+    assert run("play", demo, "--video", str(film), "--seconds", "1", *options) == 0
+    assert film.stat().st_size > 1000
+    assert text in capsys.readouterr().out
+    assert run("play", demo, "--video", str(film), "--overwrite", "--seconds", "0.2",
+               "--json", *options) == 0  # fmt: skip
+    assert "base_drift" in json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.slow
+def test_bench_abuse_reports_every_limit(capsys: Output) -> None:
+    assert run("bench", "abuse", "--ticks", "480", "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["ticks"] == 480
+    assert len(result["worst_excess"]) == 10
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ def braking_acceleration(state: RobotState, limits: Bounds) -> np.ndarray:
 
 
 def broken_row(u: np.ndarray, limits: Bounds) -> int:
-    """The limit that u is furthest outside of, measured by the acceleration it takes."""
+    """The limit that u is furthest outside of, by the acceleration it would take."""
     value = limits.matrix @ u
     excess = np.maximum(limits.lower - value, value - limits.upper)
     norm = np.linalg.norm(limits.matrix, axis=1)

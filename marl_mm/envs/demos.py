@@ -46,7 +46,7 @@ class Drift(NamedTuple):
 
 
 def arm_reach(
-    drive: Drive, target_w: np.ndarray, seconds: float, watch: Watch
+    drive: Drive, target_w: np.ndarray, seconds: float, watch: Watch | None = None
 ) -> Drift:
     """The arm reaches a point while the base stands still.
 
@@ -65,7 +65,9 @@ def arm_reach(
     )
 
 
-def base_turn(drive: Drive, angle: float, seconds: float, watch: Watch) -> Drift:
+def base_turn(
+    drive: Drive, angle: float, seconds: float, watch: Watch | None = None
+) -> Drift:
     """The base turns on the spot while the arm rests.
 
     Args:
@@ -109,13 +111,14 @@ def _follow(
     levels: np.ndarray,
     reference_at: Callable[[int, RobotState], Reference],
     seconds: float,
-    watch: Watch,
+    watch: Watch | None,
 ) -> list[RobotState]:
     states: list[RobotState] = []
 
     def see(tick: Tick) -> None:
         states.append(tick.state)
-        watch(tick)
+        if watch is not None:
+            watch(tick)
 
     priorities = Priorities(levels[None], np.ones(1))
     drive.follow(reference_at, priorities, round(seconds * RATE), 8, see)

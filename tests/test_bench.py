@@ -1,0 +1,56 @@
+"""The benchmark's numbers belong together; abuse is counted and limits hold."""
+
+import pytest
+
+from marl_mm.control.config import Form
+from marl_mm.envs.config import reach_config
+from marl_mm.eval.abuse import abuse
+from marl_mm.eval.bench import bench_control
+
+
+@pytest.mark.slow
+def test_parts_of_a_tick_belong_together() -> None:
+    result = bench_control(reach_config("Reach-v0"), steps=3, seed=0)
+    us = {name: spread["median"] for name, spread in result["us"].items()}
+    assert us["simulation"] + us["controller"] + us["io"] < 1.3 * us["tick"]
+    assert us["assembly"] + us["levels"] < us["solve"] < us["controller"]
+    ratio = us["controller"] / us["simulation"]
+    assert result["controller_over_simulation"] == pytest.approx(ratio)
+    for spread in result["us"].values():
+        assert spread["median"] <= spread["p99"] <= spread["max"]
+    references = result["references_us"]
+    assert {"compiled", "numpy_proxqp", "numpy_daqp"} <= set(references)
+    assert references["compiled"]["median"] < references["numpy_proxqp"]["median"]
+    assert set(result["infeasible_us"]) == {"compiled", "numpy_proxqp"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", ["blend", "rhp"])
+def test_abuse_in_closed_loop_keeps_the_limits(form: Form) -> None:
+    """A bounded piece of ``marl-mm bench abuse``: 100 s of flung targets."""
+    config = reach_config("Reach-v0", {"controller": {"form": form}})
+    result = abuse(config, 24_000, seed=6)
+    worst = result["worst_excess"]
+    for name in (
+        "joint_position_rad",
+        "joint_velocity_share",
+        "joint_torque_share",
+        "base_speed_share",
+        "base_yaw_rate_share",
+        "wheel_speed_share",
+    ):
+        assert worst[name] <= 0, name
+    assert worst["commanded_acceleration_share"] < 1e-3
+    assert worst["keep_out_m"] < 0.02
+    assert result["ticks"] == 24_000
+    assert result["failed_levels"] == sum(result["reasons"].values()) == 0
+    assert result["safe_ticks"] == 0
+    assert result["least_zmp_margin_m"] > 0
+    assert result["largest_model_ee_error_m"] < 1e-3
+
+
+def test_abuse_is_seeded() -> None:
+    config = reach_config("Reach-v0", {"ticks_per_step": 60})
+    one, other = (abuse(config, 300, seed=1) for _ in range(2))
+    del one["longest_controller_tick_us"], other["longest_controller_tick_us"]
+    assert one == other

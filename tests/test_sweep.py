@@ -1,0 +1,174 @@
+"""The alpha sweep: cells, their summaries, what a rule is worth; and what alpha does."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from marl_mm.cli import main
+from marl_mm.collectors.pd import PdConfig
+from marl_mm.commands import sweep_alpha
+from marl_mm.control.priorities import stability_share
+from marl_mm.eval.metrics import Row, bootstrap_interval
+from marl_mm.eval.sweep import (
+    Cell,
+    responses,
+    run_cell,
+    summarize_cells,
+    worth_of_a_rule,
+)
+
+SMALL = Cell("Reach-v0", "blend", PdConfig(alpha=0.5), 2, 0, 12)
+ARGUMENTS = (
+    *("--alphas", "3", "--goals", "2", "--worth-goals", "2", "--workers", "1"),
+    *("--forms", "blend", "--tasks", "Reach-v0", "SmoothReach-v0"),
+)
+
+
+def row(alpha: float, direction: str, goal: int = 0, **values: float) -> Row:
+    return {
+        "task": "Reach-v0",
+        "form": "blend",
+        "rule": "constant",
+        "alpha": alpha,
+        "goal": goal,
+        "direction": direction,
+        "success": 1,
+        "steps": 10,
+        "return": 1.0,
+        "d_mm": 0.0,
+        "d_mp": 0.0,
+        "base_jerk_rms": 1.0,
+        "zmp_margin": 0.2,
+        "qp_failures": 0,
+        **values,
+    }
+
+
+def test_both_tasks_returns_come_from_one_run() -> None:
+    rows = run_cell(SMALL)
+    assert [one["task"] for one in rows] == ["Reach-v0", "SmoothReach-v0"] * 2
+    for reach, smooth in zip(rows[::2], rows[1::2], strict=True):
+        cost = 0.2 * reach["base_jerk_rms"] * reach["steps"]
+        assert smooth["return"] == pytest.approx(reach["return"] - cost)
+    assert run_cell(SMALL) == rows
+
+
+def test_summary_by_hand() -> None:
+    rows = [
+        row(0.5, "backward", steps=20, d_mm=0.01, zmp_margin=0.1),
+        row(0.5, "backward", steps=30, d_mm=0.03),
+        row(0.5, "backward", steps=50, d_mm=0.02, success=0),
+    ]
+    (summary,) = summarize_cells(rows)
+    assert summary["goals"] == 3
+    assert summary["steps"] == pytest.approx(100 / 3)
+    assert summary["success_25"] == pytest.approx(1 / 3)
+    assert summary["success_50"] == pytest.approx(2 / 3)
+    assert summary["d_mm"] == pytest.approx(0.02)
+    assert summary["zmp_margin"] == 0.1
+
+
+def test_response_by_hand() -> None:
+    """Steps 10, 12, 20: the second half makes 80 %; d_mm falls once by 1 mm."""
+    rows = [
+        row(0.0, "backward", steps=10, d_mm=0.001, d_mp=0.05),
+        row(0.5, "backward", steps=12, d_mm=0.011, d_mp=0.03),
+        row(1.0, "backward", steps=20, d_mm=0.010, d_mp=0.04),
+        row(0.0, "forward", d_mm=0.002),
+        row(0.5, "forward", d_mm=0.009),
+        row(1.0, "forward", d_mm=0.003),
+    ]
+    (response,) = responses(summarize_cells(rows))
+    assert response.largest_share == pytest.approx(0.8)
+    assert response.at == 0.5
+    assert response.d_mm_falls == pytest.approx(0.001)
+    assert response.d_mp_rises == pytest.approx(0.01)
+    assert response.hump == pytest.approx(0.006)
+
+
+def test_worth_is_paired_by_goal() -> None:
+    rows = []
+    for goal in range(20):
+        rows.append(row(0.2, "forward", goal, **{"return": float(goal)}))
+        rule = row(0.2, "forward", goal, **{"return": goal + 1.0 + goal % 2})
+        rows.append({**rule, "rule": "room"})
+    (worth,) = worth_of_a_rule(rows, "Reach-v0")
+    assert worth["difference"] == pytest.approx(1.5)
+    assert 1.2 < worth["interval"][0] < 1.5 < worth["interval"][1] < 1.8
+    assert worth["better_on"] == 20
+
+
+def test_bootstrap_interval_is_that_of_the_mean() -> None:
+    values = np.random.default_rng(0).normal(3, 2, 400)
+    low, high = bootstrap_interval(values)
+    assert (low + high) / 2 == pytest.approx(values.mean(), abs=0.02)
+    assert (high - low) / 2 == pytest.approx(1.96 * 2 / 20, rel=0.1)
+    assert bootstrap_interval(values) == (low, high)
+
+
+def test_stability_share_reaches_its_ends() -> None:
+    assert [stability_share(alpha, 2.0) for alpha in (0.0, 0.5, 1.0)] == [0, 0.75, 1]
+    assert stability_share(0.3, 1.0) == pytest.approx(0.3)
+
+
+@pytest.mark.slow
+def test_the_command_resumes_to_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Interrupted after two settings, it keeps them, and ends in the same files."""
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    assert main(["sweep-alpha", "--out", str(whole), *ARGUMENTS, "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert {one["alpha"] for one in printed["alphas"]} == {0.0, 0.5, 1.0}
+
+    done: list[Cell] = []
+
+    def interrupted(cell: Cell) -> list[Row]:
+        if len(done) == 2:
+            raise KeyboardInterrupt
+        done.append(cell)
+        return run_cell(cell)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sweep_alpha, "run_cell", interrupted)
+        assert main(["sweep-alpha", "--out", str(cut), *ARGUMENTS]) == 130
+    assert not cut.exists()
+    assert "--resume" in capsys.readouterr().err
+    ran: list[Cell] = []
+
+    def counted(cell: Cell) -> list[Row]:
+        ran.append(cell)
+        return run_cell(cell)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sweep_alpha, "run_cell", counted)
+        resume = ["sweep-alpha", "--out", str(cut), *ARGUMENTS, "--resume"]
+        assert main(resume) == 0
+    assert not set(ran) & set(done)
+    for name in ("episodes.csv", "alpha.csv", "worth.csv", "alpha.md"):
+        assert (cut / name).read_bytes() == (whole / name).read_bytes(), name
+    for name in ("response.png", "pareto.png", "config.json"):
+        assert (cut / name).stat().st_size > 100
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", ["blend", "rhp"])
+def test_alpha_trades_the_hand_for_the_base(form: str) -> None:
+    """Backward, d_mm grows and d_mp shrinks from alpha to alpha, and steps with d_mm."""
+    cell = Cell("Reach-v0", "blend", PdConfig(), 8, 3)
+    rows: list[Row] = []
+    for alpha in (0.0, 0.4, 0.7, 1.0):
+        rows += run_cell(replace(cell, form=form, pd=PdConfig(alpha=alpha)))  # type: ignore[arg-type]
+    back = [
+        one
+        for one in summarize_cells(rows)
+        if (one["direction"], one["task"]) == ("backward", "Reach-v0")
+    ]
+    assert (np.diff([one["d_mm"] for one in back]) > 0).all()
+    assert (np.diff([one["d_mp"] for one in back]) < 0).all()
+    assert (np.diff([one["steps"] for one in back]) > 0).all()
+    assert (np.diff([one["base_jerk_rms"] for one in back]) < 0).all()
+    assert sum(one["qp_failures"] for one in back) == 0
