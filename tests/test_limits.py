@@ -214,7 +214,7 @@ def test_edge_moments_are_distances_of_the_zero_moment_point(seed: int) -> None:
     terms = model.evaluate(state)
     config = LimitConfig(zmp=True, zmp_margin=0.05)
     rows, lower = edge_moments(state, terms, config)
-    vertical = terms.wrench_matrix[2, ACTUATED] @ u + terms.wrench_bias[2]
+    vertical = terms.wrench[2, ACTUATED] @ u + terms.wrench[2, -1]
     distances = (rows @ u - lower) / vertical + config.zmp_margin
     point = model.zmp_b(state, u)
     expected = ((point - SUPPORT_B) * SUPPORT_INWARD_B).sum(axis=1)

@@ -199,13 +199,9 @@ def edge_moments(
     """
     cos, sin = state.q[2:4]
     inward = SUPPORT_INWARD_B @ np.array([[cos, sin], [-sin, cos]])
-    height = terms.com_w[2]
-    lever = inward @ (terms.com_w[:2] - state.q[:2])
-    lever -= (SUPPORT_INWARD_B * SUPPORT_B).sum(axis=1) + config.zmp_margin
-    wrench = np.column_stack([terms.wrench_matrix[:, ACTUATED], terms.wrench_bias])
-    x = height * wrench[0] + wrench[4]
-    y = height * wrench[1] - wrench[3]
-    moment = np.outer(lever, wrench[2]) - inward @ np.stack([x, y])
+    edge = (SUPPORT_INWARD_B * SUPPORT_B).sum(axis=1) + config.zmp_margin
+    wrench = terms.wrench[:, [*ACTUATED, -1]]
+    moment = -inward @ np.stack([wrench[4], -wrench[3]]) - np.outer(edge, wrench[2])
     return moment[:, :-1], -moment[:, -1]
 
 

@@ -254,27 +254,18 @@ def _edge_moments(
     lower: np.ndarray,
     upper: np.ndarray,
 ) -> None:
-    q, com = state.q, terms.com_w
-    cos, sin = q[2], q[3]
+    cos, sin = state.q[2], state.q[3]
+    wrench = terms.wrench
     for e in range(len(SUPPORT_B)):
         nx, ny = SUPPORT_INWARD_B[e]
-        lever = -config.zmp_margin - nx * SUPPORT_B[e, 0] - ny * SUPPORT_B[e, 1]
+        edge = nx * SUPPORT_B[e, 0] + ny * SUPPORT_B[e, 1] + config.zmp_margin
         nx, ny = cos * nx - sin * ny, sin * nx + cos * ny
-        lever += nx * (com[0] - q[0]) + ny * (com[1] - q[1])
         row = ZMP + e
-        for j in range(VARIABLES):
-            column = terms.wrench_matrix[:, 0 if j == 0 else j + 1]
-            matrix[row, j] = _moment(column, lever, nx, ny, com[2])
-        lower[row] = -_moment(terms.wrench_bias, lever, nx, ny, com[2])
+        for j in range(VARIABLES + 1):
+            k = 0 if j == 0 else j + 1
+            moment = ny * wrench[3, k] - nx * wrench[4, k] - edge * wrench[2, k]
+            if j < VARIABLES:
+                matrix[row, j] = moment
+            else:
+                lower[row] = -moment
         upper[row] = UNBOUNDED
-
-
-@jit
-def _moment(
-    wrench: np.ndarray, lever: float, nx: float, ny: float, height: float
-) -> float:
-    """Moment of a wrench at the centre of mass about an edge on the ground [N m]."""
-    x = height * wrench[0] + wrench[4]
-    y = height * wrench[1] - wrench[3]
-    moment: float = lever * wrench[2] - nx * x - ny * y
-    return moment

@@ -70,7 +70,7 @@ def solve_hierarchy(
             weight = _weight(psi, level, TASK_OF_ROW[r], config)
             if weight == 0.0:
                 continue
-            _times(jacobian[r], projector, row)
+            _times(jacobian, r, projector, row)
             residual = target[r]
             for k in range(N):
                 residual -= jacobian[r, k] * u[k]
@@ -113,7 +113,9 @@ def solve_hierarchy(
         if broken:
             counters[QPS] += 1
             for i in range(limits):
-                _times(matrix[i], projector, rows[i])
+                _times(matrix, i, projector, row)
+                for j in range(N):
+                    rows[i, j] = row[j]
             code = _solve_limited(
                 factor, gradient, rows, low, high, x, config.iterations
             )
@@ -127,19 +129,23 @@ def solve_hierarchy(
             u[i] += step[i]
         if level < psi.shape[0] - 1:
             for a in range(count):
-                _times(jacobian[order[a]], projector, row)
+                _times(jacobian, order[a], projector, row)
                 _deflate(projector, row, share[a], config.projector_damping)
     return feasible
 
 
 @jit
-def _times(row: np.ndarray, projector: np.ndarray, result: np.ndarray) -> None:
-    """A row times the projector."""
-    result[:] = 0.0
+def _times(
+    matrix: np.ndarray, row: int, projector: np.ndarray, result: np.ndarray
+) -> None:
+    """A row of a matrix times the projector."""
+    for j in range(N):
+        result[j] = 0.0
     for k in range(N):
-        if row[k] != 0.0:
+        factor = matrix[row, k]
+        if factor != 0.0:
             for j in range(N):
-                result[j] += row[k] * projector[k, j]
+                result[j] += factor * projector[k, j]
 
 
 @jit
