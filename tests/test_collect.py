@@ -125,7 +125,7 @@ def test_pd_steers_towards_the_goal_and_stays_in_range() -> None:
     policy = PdPolicy(PdConfig(kd=0.0))
     policy.begin(np.random.default_rng(0))
     state = np.array([0.6, 0.1, 0.6, 0, 0, 0, 1, 1.3, 0.05, 0.7])
-    np.testing.assert_allclose(policy.act(state), [1.0, -0.5, 1.0, 0.75], atol=1e-6)
+    np.testing.assert_allclose(policy.act(state), [1.0, -0.5, 1.0, 0.5], atol=1e-6)
 
 
 def test_pd_damps_the_hands_speed() -> None:

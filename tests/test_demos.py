@@ -1,4 +1,4 @@
-"""The paper's Fig. 3: one half of the robot moves, the other rests; drift in numbers."""
+"""The paper's Fig. 3: one half of the robot moves, the other drifts but little."""
 
 from collections.abc import Iterator
 

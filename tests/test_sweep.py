@@ -1,4 +1,4 @@
-"""The alpha sweep: cells, their summaries, what a rule is worth; and what alpha does."""
+"""The alpha sweep: cells, summaries, what a rule is worth; and what alpha does."""
 
 import json
 from dataclasses import replace
@@ -157,7 +157,7 @@ def test_the_command_resumes_to_the_same_bytes(
 @pytest.mark.slow
 @pytest.mark.parametrize("form", ["blend", "rhp"])
 def test_alpha_trades_the_hand_for_the_base(form: str) -> None:
-    """Backward, d_mm grows and d_mp shrinks from alpha to alpha, and steps with d_mm."""
+    """Backward, d_mm and steps grow, d_mp and jerk shrink from alpha to alpha."""
     cell = Cell("Reach-v0", "blend", PdConfig(), 8, 3)
     rows: list[Row] = []
     for alpha in (0.0, 0.4, 0.7, 1.0):

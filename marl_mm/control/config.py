@@ -100,8 +100,9 @@ class LimitConfig(NamedTuple):
     keep_out_rate: float = 8.0
     """Of the exponential barrier in front of the keep-out plane [1/s]."""
 
-    keep_out_acceleration: float = 8.0
-    """Most the barrier may ask for [m/s^2]."""
+    keep_out_acceleration: float = 40.0
+    """Most the barrier may ask for, before the box has its say [m/s^2]; at 8 a fast
+    hand passed the plane by 8 cm."""
 
     traction: float = 100.0
     """Most force of a drive wheel on the ground along its way, and of both across it
