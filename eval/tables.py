@@ -1,8 +1,9 @@
 """Evaluations and sweeps as Markdown, as CSV or on the terminal."""
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
@@ -97,58 +98,50 @@ def _spread(row: Row) -> dict[str, str]:
 
 ALPHA_HEADER = (
     "alpha",
-    "d_mm back [m]",
-    "d_mp back [m]",
-    "jerk back [m/s^3]",
-    "steps back",
+    "hand d_mm [mm]",
+    "base d_mp [mm]",
+    "base jerk [m/s^3]",
+    "steps",
     "within 25",
     "within 50",
-    "d_mm ahead [m]",
-    "d_mp ahead [m]",
-    "jerk ahead",
-    "steps ahead",
     "return",
     "ZMP margin [m]",
 )
 
 
 def alpha_table(summaries: Sequence[Row], task: str, form: str) -> str:
-    """One row per fixed alpha, as Markdown."""
-    lines = []
+    """One row per fixed alpha, as Markdown; pairs are backward, forward."""
     own = [
         row
         for row in summaries
         if (row["task"], row["form"], row["rule"]) == (task, form, "constant")
     ]
+    lines = []
     for alpha in sorted({row["alpha"] for row in own}):
-        back, ahead = (
-            next(
-                row
-                for row in own
-                if (row["alpha"], row["direction"]) == (alpha, direction)
-            )
-            for direction in ("backward", "forward")
-        )
-        goals = back["goals"] + ahead["goals"]
-        total = back["goals"] * back["return"] + ahead["goals"] * ahead["return"]
+        pair = [
+            next(row for row in own if (row["alpha"], row["direction"]) == (alpha, way))
+            for way in ("backward", "forward")
+        ]
+        goals = sum(row["goals"] for row in pair)
+        total = sum(row["goals"] * row["return"] for row in pair)
         lines.append(
             (
                 f"{alpha:g}",
-                f"{back['d_mm']:.4f}",
-                f"{back['d_mp']:.4f}",
-                f"{back['base_jerk_rms']:.2f}",
-                f"{back['steps']:.1f}",
-                f"{100 * back['success_25']:.0f} %",
-                f"{100 * back['success_50']:.0f} %",
-                f"{ahead['d_mm']:.4f}",
-                f"{ahead['d_mp']:.4f}",
-                f"{ahead['base_jerk_rms']:.2f}",
-                f"{ahead['steps']:.1f}",
+                _pair("{:.1f}", (1e3 * row["d_mm"] for row in pair)),
+                _pair("{:.1f}", (1e3 * row["d_mp"] for row in pair)),
+                _pair("{:.2f}", (row["base_jerk_rms"] for row in pair)),
+                _pair("{:.1f}", (row["steps"] for row in pair)),
+                _pair("{:.0f}", (100 * row["success_25"] for row in pair)) + " %",
+                _pair("{:.0f}", (100 * row["success_50"] for row in pair)) + " %",
                 f"{total / goals:.2f}",
-                f"{min(back['zmp_margin'], ahead['zmp_margin']):.3f}",
+                f"{min(row['zmp_margin'] for row in pair):.3f}",
             )
         )
     return markdown_table(ALPHA_HEADER, lines)
+
+
+def _pair(form: str, values: Iterable[float]) -> str:
+    return ", ".join(form.format(value) for value in values)
 
 
 def response_table(responses: Sequence[Response]) -> str:
@@ -220,7 +213,7 @@ def sweep_markdown(
         "The PD agent at fixed alphas, half of the goals ahead and half behind. "
         "d_mm and d_mp: how far hand and base are from their targets at the end of a "
         "step. Steps to the goal, 50 where it was missed; the return is that of the "
-        "registered task, which ends after 25.\n",
+        "registered task, which ends after 25. Pairs are backward, forward.\n",
         "## How evenly the robot answers, going backward\n",
         response_table(responses),
     ]
@@ -233,3 +226,78 @@ def sweep_markdown(
     for task, form in sorted({(row["task"], row["form"]) for row in summaries}):
         parts += [f"## {task}, {form}\n", alpha_table(summaries, task, form)]
     return "\n".join(parts)
+
+
+ABUSE = {
+    "joint_position_rad": ("joint position", "{:+.4f} rad"),
+    "joint_velocity_share": ("joint velocity", "{:+.1%}"),
+    "joint_torque_share": ("joint torque", "{:+.1%}"),
+    "commanded_acceleration_share": ("acceleration, commanded", "{:+.2%}"),
+    "measured_joint_acceleration_share": (
+        "joint acceleration, over one tick of the simulator",
+        "{:+.1%}",
+    ),
+    "measured_base_acceleration_share": (
+        "base acceleration, over one tick of the simulator",
+        "{:+.1%}",
+    ),
+    "base_speed_share": ("base speed", "{:+.1%}"),
+    "base_yaw_rate_share": ("base yaw rate", "{:+.1%}"),
+    "wheel_speed_share": ("wheel speed", "{:+.1%}"),
+    "keep_out_m": ("keep-out plane", "{:+.4f} m"),
+}
+"""Limits watched by ``marl-mm bench abuse``: name and format of the worst excess."""
+
+
+def abuse_table(results: Mapping[str, Mapping[str, Any]]) -> str:
+    """Worst excess over each limit per form, as Markdown; negative: never reached."""
+    lines = [
+        (name, *(form.format(one["worst_excess"][key]) for one in results.values()))
+        for key, (name, form) in ABUSE.items()
+    ]
+    counts = (
+        ("ticks", "ticks", "{}"),
+        ("levels solved", "levels", "{}"),
+        ("levels that failed", "failed_levels", "{}"),
+        ("ticks that only braked", "safe_ticks", "{}"),
+        ("least ZMP margin", "least_zmp_margin_m", "{:.3f} m"),
+        ("largest tilt", "largest_tilt_rad", "{:.5f} rad"),
+        ("largest wheel slip", "largest_wheel_slip_m_s", "{:.4f} m/s"),
+        ("model's hand off the simulator's", "largest_model_ee_error_m", "{:.5f} m"),
+        ("longest tick of the controller", "longest_controller_tick_us", "{:.0f} us"),
+    )
+    lines += [
+        (name, *(form.format(one[key]) for one in results.values()))
+        for name, key, form in counts
+    ]
+    return markdown_table(("worst excess over a limit", *results), lines)
+
+
+def bench_table(result: Mapping[str, Any]) -> str:
+    """Parts of a tick and other solvers on the same states, as Markdown."""
+    names = {
+        "tick": "whole tick",
+        "simulation": "PyBullet's step",
+        "io": "reading and commanding PyBullet",
+        "controller": "controller: model and solving",
+        "model": "model (Pinocchio)",
+        "solve": "solving, Python included",
+        "assembly": "assembly (compiled)",
+        "levels": "levels without QPs (compiled)",
+        "qp": "QPs (compiled)",
+    }
+    others = {
+        "compiled": "compiled form, on the same states",
+        "numpy_proxqp": "numpy and ProxQP",
+        "numpy_daqp": "numpy and DAQP",
+        "pink_weighted_qp": "Pink: one weighted QP, no torques",
+    }
+    step = result["us"]["simulation"]["median"]
+    lines = []
+    for table, part in ((names, result["us"]), (others, result["references_us"])):
+        for key, name in table.items():
+            if key in part:
+                median, p99 = part[key]["median"], part[key]["p99"]
+                ratio = f"{median / step:.2f}"
+                lines.append((name, f"{median:.1f}", f"{p99:.0f}", ratio))
+    return markdown_table(("part", "median [us]", "p99 [us]", "of a step"), lines)

@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 
 from marl_mm.cli import main
+from marl_mm.eval.readme import TABLES, filled, read_rows
+from marl_mm.eval.tables import write_csv
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
@@ -60,3 +62,16 @@ def test_the_map_of_folders_is_true() -> None:
         assert any(path.exists() for path in candidates), name
     for link in re.findall(r"\]\(([\w/.]+)\)", README):
         assert (ROOT / link).exists(), link
+
+
+def test_the_tables_are_made_of_the_committed_results() -> None:
+    """If this fails: python -m marl_mm.eval.readme."""
+    for name in TABLES:
+        assert f"<!-- {name} -->" in README
+    assert filled(README) == README
+
+
+def test_a_table_is_read_back_as_it_was_written(tmp_path: Path) -> None:
+    rows = [{"name": "a", "goals": 3, "share": 0.25, "interval": [0.1, 0.5]}]
+    write_csv(tmp_path / "rows.csv", rows)
+    assert read_rows(tmp_path / "rows.csv") == rows
