@@ -1,6 +1,8 @@
 """Evaluations and sweeps as Markdown, as CSV or on the terminal."""
 
 import csv
+import gzip
+import io
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -77,12 +79,20 @@ def evaluation_table(evaluations: Sequence[Evaluation]) -> Table:
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """Rows as CSV; numbers with six significant digits, lists spread over columns."""
+    """Rows as CSV, compressed if the name ends in .gz.
+
+    Numbers have six significant digits, intervals two columns.
+    """
     flat = [_spread(row) for row in rows]
-    with new_file(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, fieldnames=list(flat[0]))
-        writer.writeheader()
-        writer.writerows(flat)
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, fieldnames=list(flat[0]))
+    writer.writeheader()
+    writer.writerows(flat)
+    data = text.getvalue().encode()
+    if path.suffix == ".gz":
+        data = gzip.compress(data, mtime=0)  # no clock in the bytes
+    with new_file(path) as temporary:
+        temporary.write_bytes(data)
 
 
 def _spread(row: Row) -> dict[str, str]:

@@ -6,22 +6,22 @@ import numpy as np
 
 from marl_mm.layout import GOAL
 
-INFO = (
-    "d_mm",
-    "d_mp",
-    "distance",
-    "is_success",
-    "base_jerk_rms",
-    "base_acceleration_rms",
-    "zmp_margin",
-    "tilt",
-    "base_pitch",
-    "wheel_slip",
-    "model_ee_error",
-    "qp_failures",
-    "safe_ticks",
-)
-"""Per-step quantities that an episode keeps; see the environment's ``info``."""
+INFO = {
+    "d_mm": "end-effector to its target at the step's end [m]",
+    "d_mp": "base to its plan at the step's end [m]",
+    "distance": "end-effector to the goal at the step's end [m]",
+    "is_success": "whether that is within the task's threshold",
+    "base_jerk_rms": "of the base's commanded acceleration over the step [m/s^3]",
+    "base_acceleration_rms": "commanded, over the step [m/s^2]",
+    "zmp_margin": "least distance of the zero-moment point to the support's edge [m]",
+    "tilt": "largest angle of the base's vertical axis to the world's [rad]",
+    "base_pitch": "largest pitch, which the controller's planar model lacks [rad]",
+    "wheel_slip": "largest speed of a drive wheel's rim over the ground [m/s]",
+    "model_ee_error": "largest distance of the model's hand to the simulator's [m]",
+    "qp_failures": "levels of the hierarchy that found no solution",
+    "safe_ticks": "ticks in which the limits contradicted each other: it only braked",
+}
+"""What ``info`` tells of each step, and an episode keeps; looked at every few ticks."""
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from marl_mm.envs import parallel_env
 from marl_mm.envs.config import TASKS
 from marl_mm.envs.core import ReachCore
 from marl_mm.envs.reach import ReachEnv
+from marl_mm.episode import INFO
 from marl_mm.errors import InvalidActionError, UsageError
 
 QUICK = {"ticks_per_step": 24}
@@ -179,6 +180,18 @@ def test_the_hand_goes_where_the_action_says(core: ReachCore) -> None:
         step.state[:3] - state[:3], (0.1, 0.05, -0.05), atol=0.01
     )
     assert step.info["d_mm"] < 0.01
+
+
+def test_info_is_what_its_list_says_and_plausible(core: ReachCore) -> None:
+    """At rest: upright, on its wheels, the model where the simulator is."""
+    core.reset(np.random.default_rng(0))
+    info = core.step(np.array([0.0, 0.0, 0.0, 1.0])).info
+    assert list(info) == list(INFO)
+    assert 0.1 < info["zmp_margin"] < 0.25
+    assert 0 <= abs(info["base_pitch"]) <= info["tilt"] < 1e-3
+    assert 0 <= info["wheel_slip"] < 0.01
+    assert 0 <= info["model_ee_error"] < 1e-3
+    assert info["qp_failures"] == info["safe_ticks"] == 0
 
 
 def test_alpha_decides_who_waits(core: ReachCore) -> None:

@@ -14,13 +14,13 @@ from marl_mm.control.limits import WHEEL_ARM
 from marl_mm.control.priorities import LEFT_OUT, REACHING_LEVELS, cumulative
 from marl_mm.control.tasks.task import Reference
 from marl_mm.control.wbc import Priorities
-from marl_mm.envs.drive import Drive, Tick
+from marl_mm.envs.drive import Drive, Motion, Tick
 from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig
 from marl_mm.robot.model import ACTUATED, RobotState, support_margin
 from marl_mm.sim.config import RATE, SimulationConfig
 
-ARM_ONLY = (1, 1, LEFT_OUT, LEFT_OUT, 2)
-BASE_ONLY = (1, 1, LEFT_OUT, LEFT_OUT, 2)
+BASE_AND_POSTURE = (1, 1, LEFT_OUT, LEFT_OUT, 2)
+"""Levels without the hand's tasks."""
 
 MEASURED = 1.05
 """Accelerations are differences of the simulator's speeds over one tick."""
@@ -30,11 +30,22 @@ SETTLING = 3
 
 
 class Record:
-    """States and commands of a run."""
+    """States and commands of a run, and the centre of pressure under the robot."""
 
-    def __init__(self) -> None:
+    motion: Motion
+
+    def __init__(self, drive: Drive) -> None:
+        self.drive = drive
+        self.limits = drive.limits
         self.ticks: list[Tick] = []
         self.pressure_b: list[np.ndarray] = []
+
+    def see(self, tick: Tick) -> None:
+        self.ticks.append(tick)
+        points, forces = self.drive.world.ground_forces()
+        x, y = forces @ points[:, :2] / forces.sum() - tick.state.q[:2]
+        cos, sin = tick.state.q[2:4]
+        self.pressure_b.append(np.array([cos * x + sin * y, cos * y - sin * x]))
 
     @property
     def arm(self) -> np.ndarray:
@@ -59,7 +70,7 @@ def run(
     seconds: float,
     controller: ControllerConfig | None = None,
     robot: RobotConfig | None = None,
-) -> tuple[Record, Drive]:
+) -> Record:
     """Follow the start posture, changed tick by tick; forces under the robot, too."""
     robot = robot or RobotConfig()
     drive = Drive(robot, SimulationConfig(), controller or ControllerConfig())
@@ -73,24 +84,16 @@ def run(
         0.0,
         np.array(robot.initial_joints),
     )
+    record = Record(drive)
 
     def reference_at(k: int, state: RobotState) -> Reference:
         return change(k, rest._replace(base_position_w=state.q[:2]))
 
-    record = Record()
-
-    def watch(tick: Tick) -> None:
-        record.ticks.append(tick)
-        points, forces = drive.world.ground_forces()
-        centre = forces @ points[:, :2] / forces.sum() - tick.state.q[:2]
-        cos, sin = tick.state.q[2:4]
-        x, y = centre
-        record.pressure_b.append(np.array([cos * x + sin * y, cos * y - sin * x]))
-
     priorities = Priorities(cumulative(levels)[None], np.ones(1))
-    drive.follow(reference_at, priorities, round(seconds * RATE), 8, watch)
+    ticks = round(seconds * RATE)
+    record.motion = drive.follow(reference_at, priorities, ticks, 2, record.see)
     drive.close()
-    return record, drive
+    return record
 
 
 @pytest.mark.slow
@@ -105,8 +108,8 @@ def test_a_joint_driven_beyond_its_range(joint: int, side: int) -> None:
         posture[joint] += side * 8.0
         return rest._replace(posture=posture)
 
-    record, drive = run(beyond, ARM_ONLY, 4, ControllerConfig(gains=gains))
-    limits = drive.limits
+    record = run(beyond, BASE_AND_POSTURE, 4, ControllerConfig(gains=gains))
+    limits = record.limits
     arm, speed = record.arm, np.abs(record.velocity[:, 2:])
     assert (arm < limits.upper).all()
     assert (arm > limits.lower).all()
@@ -127,8 +130,8 @@ def test_joints_reach_their_speed_limit_and_no_more() -> None:
         return rest._replace(posture=posture)
 
     gains = Gains(posture_rate=12)
-    record, drive = run(swing, ARM_ONLY, 9, ControllerConfig(gains=gains))
-    fastest = np.abs(record.velocity[:, 2]).max() / drive.limits.speed[2]
+    record = run(swing, BASE_AND_POSTURE, 9, ControllerConfig(gains=gains))
+    fastest = np.abs(record.velocity[:, 2]).max() / record.limits.speed[2]
     assert 0.96 < fastest <= 1
 
 
@@ -147,7 +150,7 @@ def test_a_weak_arm_keeps_its_torque(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr("marl_mm.envs.drive.robot_limits", lambda config: weak)
     gains = Gains(posture_rate=12)
-    record, _ = run(wave, ARM_ONLY, 6, ControllerConfig(gains=gains))
+    record = run(wave, BASE_AND_POSTURE, 6, ControllerConfig(gains=gains))
     share = np.abs(record.torque) / weak.torque
     assert share.max() <= 1
     assert share.max() > 0.99
@@ -157,8 +160,8 @@ def test_base_speed_and_acceleration() -> None:
     def dash(k: int, rest: Reference) -> Reference:
         return rest._replace(base_speed=3.0 if (k // 480) % 2 == 0 else -3.0)
 
-    record, drive = run(dash, BASE_ONLY, 6)
-    speed, limits = np.abs(record.velocity[:, 0]), drive.limits
+    record = run(dash, BASE_AND_POSTURE, 6)
+    speed, limits = np.abs(record.velocity[:, 0]), record.limits
     assert 0.97 < speed.max() <= limits.speed[0]
     acceleration = np.abs(record.acceleration[:, 0])
     assert 0.9 * limits.acceleration[0] < acceleration.max()
@@ -170,8 +173,8 @@ def test_base_yaw_rate_and_acceleration() -> None:
         return rest._replace(base_heading=3.0 if (k // 480) % 2 == 0 else -0.1)
 
     gains = Gains(heading_rate=12)
-    record, drive = run(turn, BASE_ONLY, 6, ControllerConfig(gains=gains))
-    rate, limits = np.abs(record.velocity[:, 1]), drive.limits
+    record = run(turn, BASE_AND_POSTURE, 6, ControllerConfig(gains=gains))
+    rate, limits = np.abs(record.velocity[:, 1]), record.limits
     assert 0.96 * limits.speed[1] < rate.max() <= limits.speed[1]
     acceleration = np.abs(record.acceleration[:, 1])
     assert 0.9 * limits.acceleration[1] < acceleration.max()
@@ -185,10 +188,10 @@ def test_wheel_speed() -> None:
         return rest._replace(base_speed=3.0, base_heading=0.02 * k)
 
     gains = Gains(heading_rate=8)
-    record, drive = run(curve, BASE_ONLY, 5, ControllerConfig(gains=gains))
+    record = run(curve, BASE_AND_POSTURE, 5, ControllerConfig(gains=gains))
     forward, turning = record.velocity[:, 0], record.velocity[:, 1]
     rim = np.abs(forward) + np.abs(WHEEL_ARM * turning)
-    most = drive.limits.wheel_speed * WHEEL_RADIUS
+    most = record.limits.wheel_speed * WHEEL_RADIUS
     assert 0.97 * most < rim.max() <= most
 
 
@@ -198,10 +201,10 @@ def test_keep_out_plane() -> None:
     def into_the_column(k: int, rest: Reference) -> Reference:
         return rest._replace(ee_position_w=np.array([0.0, 0.1, 0.6]))
 
-    record, drive = run(into_the_column, REACHING_LEVELS, 4)
+    record = run(into_the_column, REACHING_LEVELS, 4)
     ahead = []
     for tick in record.ticks:
-        terms = drive.model.evaluate(tick.state)
+        terms = record.drive.model.evaluate(tick.state)
         ahead.append(tick.state.q[2:4] @ (terms.position_w[:2] - tick.state.q[:2]))
     plane = LimitConfig().keep_out
     assert min(ahead) > plane - 0.005
@@ -227,7 +230,7 @@ def test_zero_moment_point(on: bool) -> None:
         ahead = (k // 360) % 2 == 0
         return rest._replace(base_speed=0.8 if ahead else -0.8, posture=posture)
 
-    record, _ = run(dash, BASE_ONLY, 6, ControllerConfig(limits=limits), TOP_HEAVY)
+    record = run(dash, BASE_AND_POSTURE, 6, ControllerConfig(limits=limits), TOP_HEAVY)
     margins = [support_margin(point) for point in record.pressure_b[24:]]
     if on:
         assert min(margins) > margin - 0.005
@@ -235,26 +238,28 @@ def test_zero_moment_point(on: bool) -> None:
         assert min(margins) < margin - 0.01
 
 
+def test_tipping_over_is_seen() -> None:
+    """A base with its mass up high brakes: the point leaves the support, it tilts."""
+
+    def dash(k: int, rest: Reference) -> Reference:
+        return rest._replace(base_speed=0.9 if k < 200 else -0.9)
+
+    tall = RobotConfig(base_mass=40.0, base_com_b=(0.0, 0.0, 2.2))
+    motion = run(dash, BASE_AND_POSTURE, 1.5, robot=tall).motion
+    assert motion.zmp_margin < 0
+    assert motion.tilt > 0.02
+    assert abs(motion.base_pitch) == pytest.approx(motion.tilt, rel=0.2)
+
+
 def test_wheels_grip() -> None:
-    """Flung targets at every second: the wheels do not slip away."""
+    """Targets flung every second: no slip, no tilt, and the model stays true."""
     rng = np.random.default_rng(0)
     targets = rng.uniform((0.4, -0.8, 0.3), (1.2, 0.8, 1.1), (6, 3))
 
     def fling(k: int, rest: Reference) -> Reference:
-        return rest._replace(ee_position_w=targets[k // 240])
+        return rest._replace(ee_position_w=targets[k // RATE])
 
-    controller = ControllerConfig()
-    drive = Drive(RobotConfig(), SimulationConfig(), controller)
-    start = drive.reset()
-    terms = drive.model.evaluate(start)
-    rotation = np.ascontiguousarray(terms.rotation_w).copy()
-    posture = np.array(RobotConfig().initial_joints)
-
-    def reference_at(k: int, state: RobotState) -> Reference:
-        return fling(k, Reference(targets[0], rotation, state.q[:2], 0.0, 0.0, posture))
-
-    motion = drive.follow(reference_at, drive.controller.priorities(0.0), 6 * RATE, 1)
-    drive.close()
+    motion = run(fling, REACHING_LEVELS, 6).motion
     assert motion.wheel_slip < 0.05
     assert motion.tilt < 1e-3
     assert motion.model_ee_error < 1e-3

@@ -148,7 +148,7 @@ def test_the_command_resumes_to_the_same_bytes(
         resume = ["sweep-alpha", "--out", str(cut), *ARGUMENTS, "--resume"]
         assert main(resume) == 0
     assert not set(ran) & set(done)
-    for name in ("episodes.csv", "alpha.csv", "worth.csv", "alpha.md"):
+    for name in ("episodes.csv.gz", "alpha.csv", "worth.csv", "alpha.md"):
         assert (cut / name).read_bytes() == (whole / name).read_bytes(), name
     for name in ("response.png", "pareto.png", "config.json"):
         assert (cut / name).stat().st_size > 100

@@ -65,6 +65,7 @@ class Step(NamedTuple):
     terminated: bool
     truncated: bool
     info: dict[str, Any]
+    """Named and with units in ``marl_mm.episode.INFO``."""
 
 
 class ReachCore:

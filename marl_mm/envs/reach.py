@@ -30,6 +30,8 @@ def goal_observation(state: np.ndarray) -> GoalObservation:
 class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
     """Goal environment, ``gymnasium.make("marl_mm/Reach-v0")``.
 
+    ``info`` of a step is listed with its units in ``marl_mm.episode.INFO``.
+
     Args:
         task: A registered task's name.
         overrides: Fields of its ``ReachConfig`` to replace, JSON-serialisable.
