@@ -191,6 +191,20 @@ def test_alpha_outside_its_range_is_refused(
         controller.tick(*situation(np.random.default_rng(4)), alpha)
 
 
+def test_a_solver_that_is_not_installed_is_refused(
+    limits: RobotLimits, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("marl_mm.control.wbc.find_spec", lambda name: None)
+    with pytest.raises(UsageError, match=r"pip install .*bench"):
+        WholeBodyController(limits, ControllerConfig(solver="daqp"))
+
+
+@pytest.mark.parametrize("response", [0.5, 11.0])
+def test_an_odd_response_is_refused(response: float) -> None:
+    with pytest.raises(UsageError, match="response is"):
+        ControllerConfig(response=response)
+
+
 def test_unknown_names_are_refused() -> None:
     with pytest.raises(UsageError, match="'active-set', 'proxqp', 'daqp'"):
         ControllerConfig(solver="osqp")  # type: ignore[arg-type]

@@ -6,6 +6,7 @@ first: 1 a stable base, 0 an accurate hand (Eq. 4).
 """
 
 from collections.abc import Iterator
+from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -99,11 +100,18 @@ class WholeBodyController:
         robot: Limits of the robot.
         config: Form, solver and gains.
         rate: Ticks per second.
+
+    Raises:
+        UsageError: If the solver is not installed.
     """
 
     def __init__(
         self, robot: RobotLimits, config: ControllerConfig, rate: float = 240.0
     ) -> None:
+        if config.solver == "daqp" and find_spec("daqp") is None:
+            raise UsageError(
+                'solver "daqp" needs the package daqp: pip install "marl-mm[bench]"'
+            )
         self.config = config
         self._rate = float(rate)
         self._robot = robot
