@@ -26,7 +26,8 @@ class PdConfig:
     "room": from 1 down to ``alpha`` as the hand nears its own base."""
 
     alpha: float = 0.5
-    """The constant, or the rule's lowest value; 0 accurate hand ... 1 stable base."""
+    """The constant, or the rule's lowest value; 0 accurate hand ... 1 stable base. At
+    0.5 stability has three quarters of the hierarchy."""
 
     room_start: float = 0.64
     """Hand ahead of the base at which rule "room" leaves 1 [m]."""

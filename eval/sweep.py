@@ -77,6 +77,8 @@ def _rows(cell: Cell, episode: Episode) -> Iterable[Row]:
             "form": cell.form,
             "rule": cell.pd.alpha_rule,
             "alpha": cell.pd.alpha,
+            "seed": cell.seed,
+            "max_steps": cell.max_steps,
             "goal": episode.index,
             "direction": episode.direction,
             "success": int(episode.success),
@@ -166,7 +168,7 @@ def responses(summaries: Sequence[Row]) -> list[Response]:
             key=lambda row: row["alpha"],
         )
         steps = np.array([row["steps"] for row in back])
-        shares = np.diff(steps) / (steps[-1] - steps[0])
+        shares = np.diff(steps) / max(steps[-1] - steps[0], 1e-9)
         hand = np.array([row["d_mm"] for row in ahead])
         found.append(
             Response(

@@ -40,14 +40,21 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
 
 
 @cache
-def _cache_folder() -> Path:
-    """The first place that can be written to, with the sources' fingerprint."""
+def source_fingerprint() -> str:
+    """Of all sources that compiled code is made of, and of numba; 16 hex digits."""
     package = Path(__file__).resolve().parent
     digest = hashlib.sha256(numba.__version__.encode())
     for pattern in _SOURCES:
         for path in sorted(package.glob(pattern)):
             digest.update(path.read_bytes())
-    name = f"numba-{digest.hexdigest()[:16]}"
+    return digest.hexdigest()[:16]
+
+
+@cache
+def _cache_folder() -> Path:
+    """The first place that can be written to, with the sources' fingerprint."""
+    package = Path(__file__).resolve().parent
+    name = f"numba-{source_fingerprint()}"
     for parent in (package / "__pycache__", Path.home() / ".cache" / "marl_mm"):
         folder = parent / name
         try:

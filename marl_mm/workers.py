@@ -14,9 +14,6 @@ from marl_mm.interrupts import deaf_to_interrupts
 T = TypeVar("T")
 R = TypeVar("R")
 
-_AHEAD = 4
-"""Items handed out per worker beyond the one awaited."""
-
 
 def ordered_map(
     function: Callable[[T], R],
@@ -24,6 +21,7 @@ def ordered_map(
     workers: int,
     initializer: Callable[..., None] | None = None,
     arguments: tuple[Any, ...] = (),
+    ahead: int = 4,
 ) -> Iterator[R]:
     """Results in the order of ``items``, which may be endless.
 
@@ -33,6 +31,8 @@ def ordered_map(
         workers: Processes; 1 runs in this one.
         initializer: Called once in every process.
         arguments: Of the initializer.
+        ahead: Items handed out per worker beyond the one awaited; an interrupt waits
+            for those that have begun.
 
     Raises:
         UsageError: If ``workers`` is not positive.
@@ -50,7 +50,7 @@ def ordered_map(
     pending: deque[Future[R]] = deque()
     try:
         with deaf_to_interrupts():  # the workers start here, and inherit it
-            for item in islice(remaining, workers * _AHEAD):
+            for item in islice(remaining, workers * ahead):
                 pending.append(pool.submit(function, item))
         while pending:
             result = pending.popleft().result()

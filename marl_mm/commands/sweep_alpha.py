@@ -13,6 +13,7 @@ from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands.options import available_cores, check_positive, check_seed
 from marl_mm.commands.parser import parse_options
 from marl_mm.control.config import FORMS, Form
+from marl_mm.envs.config import config_dict, reach_config
 from marl_mm.errors import UsageError
 from marl_mm.eval.figures import alpha_pareto, alpha_response
 from marl_mm.eval.metrics import Row
@@ -27,12 +28,15 @@ from marl_mm.eval.sweep import (
 )
 from marl_mm.eval.tables import sweep_markdown, write_csv
 from marl_mm.files import new_folder, refuse_existing, write_json
+from marl_mm.jit import source_fingerprint
 from marl_mm.progress import progress_bar
 from marl_mm.versions import versions
 from marl_mm.workers import ordered_map
 
 RULES = (PdConfig(alpha_rule="direction"), PdConfig(alpha_rule="room"))
 """State-dependent alphas, compared with every fixed one on SmoothReach-v0."""
+
+SMOOTH = "SmoothReach-v0"
 
 FINE = 0.05
 """Step of the fixed alphas they are compared with."""
@@ -85,6 +89,8 @@ def main(arguments: Sequence[str]) -> None:
     options = parse_options(SweepAlpha, "marl-mm sweep-alpha", arguments)
     check_positive(goals=options.goals, workers=options.workers)
     check_seed(options.seed)
+    if options.goals % 2 or options.worth_goals % 2:
+        raise UsageError("--goals and --worth-goals are half ahead, half behind: even")
     if options.alphas < 2:
         raise UsageError(f"--alphas is {options.alphas}, expected >= 2")
     if options.worth_goals < 0:
@@ -97,7 +103,7 @@ def main(arguments: Sequence[str]) -> None:
     rows, worth_rows = _run(options)
     summary = summarize_cells(rows)
     answer = responses(summary)
-    worth = worth_of_a_rule(worth_rows, "SmoothReach-v0") if worth_rows else []
+    worth = worth_of_a_rule(worth_rows, SMOOTH) if worth_rows else []
     with new_folder(options.out) as folder:
         write_csv(folder / "episodes.csv.gz", [*rows, *worth_rows])
         write_csv(folder / "alpha.csv", summary)
@@ -145,7 +151,7 @@ def _run(options: SweepAlpha) -> tuple[list[Row], list[Row]]:
     with progress_bar("sweep-alpha", len(cells)) as advance:
         advance(len(rows), "")
         try:
-            results = ordered_map(run_cell, missing, options.workers)
+            results = ordered_map(run_cell, missing, options.workers, ahead=1)
             for cell, found in zip(missing, results, strict=True):
                 rows[cell] = found
                 value = {"cell": _cell_key(cell), "rows": found}
@@ -157,7 +163,8 @@ def _run(options: SweepAlpha) -> tuple[list[Row], list[Row]]:
                 "--resume goes on from there"
             ) from None
     kept = [row for cell in sweep for row in rows[cell] if row["task"] in options.tasks]
-    return kept, [row for cell in worth for row in rows[cell]]
+    smooth = [row for cell in worth for row in rows[cell] if row["task"] == SMOOTH]
+    return kept, smooth
 
 
 def _cells(options: SweepAlpha) -> list[Cell]:
@@ -172,7 +179,7 @@ def _cells(options: SweepAlpha) -> list[Cell]:
 
 
 def _worth_cells(options: SweepAlpha) -> list[Cell]:
-    if not options.worth_goals or "SmoothReach-v0" not in options.tasks:
+    if not options.worth_goals or SMOOTH not in options.tasks:
         return []
     alphas = np.arange(0, 1 + FINE / 2, FINE).round(6).tolist()
     policies = [*(PdConfig(alpha=alpha) for alpha in alphas), *RULES]
@@ -181,6 +188,7 @@ def _worth_cells(options: SweepAlpha) -> list[Cell]:
 
 
 def _cells_folder(out: Path) -> Path:
+    out = out.absolute()
     return out.with_name(f".{out.name}.cells")
 
 
@@ -191,7 +199,10 @@ def _cell_name(cell: Cell) -> str:
 
 
 def _cell_key(cell: Cell) -> dict[str, Any]:
-    return {**cell.to_json(), "versions": versions()}
+    """All that the rows depend on: settings, config, sources of the controller."""
+    config = config_dict(reach_config(cell.task, {"controller": {"form": cell.form}}))
+    sources = source_fingerprint()
+    return {**cell.to_json(), "config": config, "sources": sources, **versions()}
 
 
 def _read_cell(folder: Path, cell: Cell) -> list[Row] | None:

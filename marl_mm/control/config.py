@@ -1,7 +1,8 @@
 """The controller's numbers: gains, solver, limits' shape.
 
-Defaults are those that held in closed loop over 2,000 episodes of a prototype with the
-same mathematics: 8 goals, 11 alphas, 24 variations, without one failed level.
+Gains and damping are those that held in closed loop over 2,000 episodes of a prototype
+(8 goals, 11 alphas, 24 variations, without one failed level); what was added since says
+why. ``marl-mm bench abuse`` and ``sweep-alpha`` measure them.
 """
 
 from dataclasses import dataclass, field
@@ -69,7 +70,7 @@ class HierarchyConfig(NamedTuple):
 
     weighted: bool = True
     """Weight a task by how much its psi rises at a level. Without this, and with rho 0,
-    the recursion is Eq. 2 and 3 of the paper to the letter: form "rhp-literal"."""
+    each level is the plain least squares of Eq. 3: form "rhp-literal"."""
 
     margin: float = 1e-8
     """Levels below the first contain x = 0 with this to spare."""
@@ -123,12 +124,11 @@ class ControllerConfig:
 
     form: Form = "blend"
     """"blend" mixes the two strict hierarchies; "rhp" is one fractional hierarchy, the
-    paper's idea repaired; "rhp-literal" is the paper's to the letter, to compare."""
+    paper's idea repaired; "rhp-literal" is Eq. 2 and 3 as they stand, to compare."""
 
     solver: Solver = "active-set"
-    """"active-set" is compiled. "proxqp" is the readable reference: 20 times slower
-    and, in closed loop, not reproducible to the last bit. "daqp" is the same with an
-    exact solver (optional extra ``bench``)."""
+    """"active-set" is compiled. "proxqp" is the readable reference, 40 times slower;
+    "daqp" is the same with another solver (optional extra ``bench``)."""
 
     response: float = 2.0
     """Stability's share in the hierarchy is 1 - (1 - alpha) ** this. At 1 it is alpha
@@ -151,3 +151,13 @@ class ControllerConfig:
                 )
         if not 1 <= self.response <= 10:
             raise UsageError(f"response is {self.response}, expected 1 to 10")
+        _check_positive("hierarchy", self.hierarchy, ("damping", "projector_damping"))
+        names = ("horizon", "speed_share", "keep_out_rate", "traction")
+        _check_positive("limits", self.limits, names)
+
+
+def _check_positive(group: str, numbers: NamedTuple, names: tuple[str, ...]) -> None:
+    for name in names:
+        value = getattr(numbers, name)
+        if not value > 0:
+            raise UsageError(f"controller {group}.{name} is {value}, expected > 0")

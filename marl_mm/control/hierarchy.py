@@ -100,7 +100,9 @@ def solve_hierarchy(
             )
             if isinstance(found, int):
                 failures, cause = failures + 1, found
-                feasible = feasible and level > 0
+                if level == 0:
+                    feasible = False
+                    break
                 x = np.zeros(VARIABLES)
             else:
                 x = found

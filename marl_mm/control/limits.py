@@ -1,4 +1,4 @@
-"""Every limit as rows d <= C u <= d_bar, each of which the box alone can meet.
+"""Every limit as rows d <= C u <= d_bar.
 
 Torque rows come first (7), then one box row per variable (9), then the keep-out plane,
 then the rim speed of both drive wheels, then the ground's forces on them and, where
@@ -149,6 +149,8 @@ def keep_out_bias(state: RobotState, terms: ModelTerms) -> float:
     ahead = heading @ (terms.position_w[:2] - state.q[:2])
     sideways = lateral @ terms.jacobian[:2, 3:] @ state.v[3:]
     bias = heading @ terms.bias_acceleration[:2]
+    # The base's own acceleration along its heading at u = 0: a slipping base's turn.
+    bias += turning * state.v[1]
     return float(bias + turning * turning * ahead + 2 * turning * sideways)
 
 

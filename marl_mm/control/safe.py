@@ -22,9 +22,11 @@ def braking_acceleration(state: RobotState, limits: Bounds) -> np.ndarray:
     return braking
 
 
-def broken_row(u: np.ndarray, limits: Bounds) -> int:
+def broken_row(u: np.ndarray, limits: Bounds) -> int | None:
     """The limit that u is furthest outside of, by the acceleration it would take."""
     value = limits.matrix @ u
     excess = np.maximum(limits.lower - value, value - limits.upper)
     norm = np.linalg.norm(limits.matrix, axis=1)
-    return int(np.argmax(excess / np.maximum(norm, 1e-9)))
+    distance = excess / np.maximum(norm, 1e-9)
+    worst = int(np.argmax(distance))
+    return worst if distance[worst] > 0 else None

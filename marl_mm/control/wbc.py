@@ -170,6 +170,11 @@ class WholeBodyController:
         Raises:
             NonFiniteStateError: If the state holds, or the solution would hold, a NaN.
         """
+        if self._limits.zmp and not terms.wrench.any():
+            raise UsageError(
+                "limits.zmp is on, but the model gives no wrench: "
+                "RobotModel(config, balance=True)"
+            )
         if self.config.solver == "active-set":
             command, finite = self._compiled(state, terms, reference, priorities)
         else:
@@ -244,8 +249,9 @@ class WholeBodyController:
             u = braking_acceleration(state, limits)
         torque = limits.matrix[TORQUE_ROWS] @ u + terms.nonlinear[3:]
         causes = [solution.cause for solution in solutions if solution.failures]
-        if not feasible:
-            causes.append(broken_row(u, limits))
+        broken = None if feasible else broken_row(u, limits)
+        if broken is not None:
+            causes.append(broken)
         return Command(
             u,
             np.clip(torque, -self._robot.torque, self._robot.torque),

@@ -199,7 +199,7 @@ def _keep_out(
         speed += row[2 + j] * v[3 + j]
         sideways += (cos * dy - sin * dx) * v[3 + j]
     bias = cos * terms.bias_acceleration[0] + sin * terms.bias_acceleration[1]
-    bias += v[2] * v[2] * ahead + 2 * v[2] * sideways
+    bias += v[2] * v[1] + v[2] * v[2] * ahead + 2 * v[2] * sideways
     rate, most = config.keep_out_rate, config.keep_out_acceleration
     bound = -2 * rate * speed - rate * rate * (ahead - config.keep_out) - bias
     lower[KEEP_OUT], upper[KEEP_OUT] = clip(bound, -most, most), UNBOUNDED

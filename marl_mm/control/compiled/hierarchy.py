@@ -58,7 +58,6 @@ def solve_hierarchy(
     high = np.empty(limits)
     order = np.empty(TASK_ROWS, np.int64)
     share = np.empty(TASK_ROWS)
-    feasible = True
     for level in range(psi.shape[0]):
         count = _handled_rows(psi, level, order, share)
         if count == 0:
@@ -122,7 +121,8 @@ def solve_hierarchy(
             if code != SOLVED:
                 counters[FAILURES] += 1
                 counters[CAUSE] = code
-                feasible &= level > 0
+                if level == 0:
+                    return False
                 x[:] = 0.0
             _times_column(projector, x, step)
         for i in range(N):
@@ -131,7 +131,7 @@ def solve_hierarchy(
             for a in range(count):
                 _times(jacobian, order[a], projector, row)
                 _deflate(projector, row, share[a], config.projector_damping)
-    return feasible
+    return True
 
 
 @jit
