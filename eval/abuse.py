@@ -17,8 +17,8 @@ from marl_mm.envs.core import ReachCore
 from marl_mm.envs.drive import Drive, Tick
 from marl_mm.layout import ALPHA, DELTA
 from marl_mm.progress import Advance, silent
-from marl_mm.robot.description import WHEEL_RADIUS
-from marl_mm.robot.model import ACTUATED
+from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig
+from marl_mm.robot.model import ACTUATED, RobotModel
 from marl_mm.sim.config import RATE
 
 REACH = 10.0
@@ -33,11 +33,13 @@ class Watcher:
 
     Args:
         drive: The robot that is watched.
+        robot: Its mass properties.
         keep_out: Plane of the controller's limits [m].
     """
 
-    def __init__(self, drive: Drive, keep_out: float) -> None:
+    def __init__(self, drive: Drive, robot: RobotConfig, keep_out: float) -> None:
         self._drive, self._keep_out = drive, keep_out
+        self._model = RobotModel(robot)  # the drive's own is at the next state already
         self.worst: dict[str, float] = {}
         self.begin()
 
@@ -53,10 +55,16 @@ class Watcher:
         speed = np.abs(velocity) / limits.speed - 1
         rim = np.abs(velocity[0] + np.array([-WHEEL_ARM, WHEEL_ARM]) * velocity[1])
         commanded = np.abs(command.acceleration) / limits.acceleration - 1
+        terms = self._model.evaluate(state)
+        # What u takes, before the command is clipped to what the joint can give.
+        inertia = terms.mass_matrix[3:, ACTUATED]
+        torque = inertia @ command.acceleration + terms.nonlinear[3:]
+        ahead = state.q[2:4] @ (terms.position_w[:2] - state.q[:2])
         excess = {
+            "keep_out_m": np.array([self._keep_out - ahead]),
             "joint_position_rad": np.maximum(arm - limits.upper, limits.lower - arm),
             "joint_velocity_share": speed[2:],
-            "joint_torque_share": np.abs(command.torque) / limits.torque - 1,
+            "joint_torque_share": np.abs(torque) / limits.torque - 1,
             "base_speed_share": speed[:1],
             "base_yaw_rate_share": speed[1:2],
             "wheel_speed_share": rim / (limits.wheel_speed * WHEEL_RADIUS) - 1,
@@ -71,9 +79,6 @@ class Watcher:
             self._last = velocity
         for name, values in excess.items():
             self._see(name, float(values.max()))
-        if tick.number % 8 == 0:
-            hand = self._drive.world.grasp_position_w()[:2] - state.q[:2]
-            self._see("keep_out_m", self._keep_out - float(state.q[2:4] @ hand))
 
     def _see(self, name: str, excess: float) -> None:
         self.worst[name] = max(self.worst.get(name, -np.inf), excess)
@@ -91,13 +96,13 @@ def abuse(
         advance: Told the finished ticks.
 
     Returns:
-        ``worst``, the largest excess over each limit (a share of it, or in its unit;
-        negative: kept), counts of levels, QPs, failures and safe commands, extremes of
-        stability, and the longest tick of the controller [us].
+        ``worst_excess``, the largest excess over each limit (a share of it, or in its
+        unit; negative: kept), counts of levels, QPs, failures and safe commands,
+        extremes of stability, and the longest tick of the controller [us].
     """
     core = ReachCore(config)
     drive = core.drive
-    watcher = Watcher(drive, config.controller.limits.keep_out)
+    watcher = Watcher(drive, config.robot, config.controller.limits.keep_out)
     rng = np.random.default_rng(seed)
     done = levels = qps = 0
     reasons: dict[str, int] = {}

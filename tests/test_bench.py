@@ -34,14 +34,17 @@ def test_abuse_in_closed_loop_keeps_the_limits(form: Form) -> None:
     for name in (
         "joint_position_rad",
         "joint_velocity_share",
-        "joint_torque_share",
         "base_speed_share",
         "base_yaw_rate_share",
         "wheel_speed_share",
     ):
         assert worst[name] <= 0, name
     assert worst["commanded_acceleration_share"] < 1e-3
-    assert worst["keep_out_m"] < 0.02
+    assert worst["joint_torque_share"] < 1e-6
+    assert worst["keep_out_m"] < 0.01
+    # Over single ticks, where a flung arm takes the load off a wheel, which slips.
+    assert worst["measured_joint_acceleration_share"] < 0.3
+    assert worst["measured_base_acceleration_share"] < 0.3
     assert result["ticks"] == 24_000
     assert result["failed_levels"] == sum(result["reasons"].values()) == 0
     assert result["safe_ticks"] == 0

@@ -112,6 +112,7 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         (["play", "base-turn", "--angle", "400"], "--angle is 400.0, expected -180"),
         (["play", "arm-reach", "--seconds", "0"], "--seconds is 0.0, expected 0.1"),
         (["sweep-alpha", "--alphas", "1"], "--alphas is 1, expected >= 2"),
+        (["sweep-alpha", "--goals", "3"], "half ahead, half behind: even"),
         (["sweep-alpha", "--tasks", "Fly-v0"], "--tasks is Fly-v0, expected some of"),
         (["quickstart", "--workers", "-1"], "--workers is -1"),
         (["datasets", "show", "marl_mm/reach/no-v0"], "no dataset"),

@@ -201,26 +201,64 @@ def test_strict_ends_equal_the_damped_oracle_in_every_variable(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("psi", "levels"), ENDS, ids=END_NAMES)
+def test_what_the_default_damping_costs(
+    situation: Draw, psi: np.ndarray, levels: tuple[int, ...]
+) -> None:
+    """With the projector damped as it runs, u itself differs; what it achieves hardly.
+
+    A direction that a higher level holds weakly is closed by n^2 / (n^2 + 1e-3) only,
+    and u may use it: by up to tens of rad/s^2 in an ill-conditioned state. The residual
+    of every level above the posture is hardly worse than the oracle's: by less than 0.1
+    (m/s^2, rad/s^2) in 99 % of the states, by 0.24 at most when this was written.
+    """
+    excess = []
+    config = HierarchyConfig()
+    for tasks, rows in problems(situation, LIMITS, seed=29, count=STATES):
+        u, counters = compiled_solution((tasks, rows), psi, config)
+        assert counters[compiled.FAILURES] == 0
+        expected = cascade(tasks, levels, rows, config.damping)
+        more = level_residuals(tasks, levels, u)
+        excess.append(more - level_residuals(tasks, levels, expected))
+    above_posture = np.array(excess)[:, :3].max(axis=1)
+    assert above_posture.max() < 0.5
+    assert np.quantile(above_posture, 0.99) < 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("psi", "levels"), ENDS, ids=END_NAMES)
 def test_with_damping_towards_zero_it_is_the_lexicographic_optimum(
     situation: Draw, psi: np.ndarray, levels: tuple[int, ...]
 ) -> None:
     """A thousandth of the default damping: no failed level, and the oracle's u.
 
-    Where the oracle's own rank decision and damping leave u undetermined, the level
-    residuals still meet.
+    Where the oracle's rank decision leaves u undetermined, the residuals still meet:
+    level by level to 1e-2, but for less than one state in a hundred, there to 0.1.
     """
     config = HierarchyConfig(damping=1e-6, projector_damping=1e-12)
-    distances, first = [], []
+    distances, worse = [], []
     for tasks, rows in problems(situation, LIMITS, seed=7, count=STATES):
         u, counters = compiled_solution((tasks, rows), psi, config)
         assert counters[compiled.FAILURES] == 0
         expected = cascade(tasks, levels, rows, 1e-9)
         distances.append(np.abs(u - expected).max())
-        excess = level_residuals(tasks, levels, u)
-        excess -= level_residuals(tasks, levels, expected)
-        first.append(excess[0] / np.linalg.norm(expected))
+        worse.append(lexicographic_excess(tasks, levels, u, expected, 1e-2))
     assert np.median(distances) < 1e-3  # of accelerations up to 20
-    assert max(first) <= np.sqrt(config.damping)  # what damping may cost
+    assert np.quantile(worse, 0.99) == 0
+    assert max(worse) < 0.1
+
+
+def lexicographic_excess(
+    tasks: list[Task],
+    levels: tuple[int, ...],
+    u: np.ndarray,
+    other: np.ndarray,
+    tolerance: float,
+) -> float:
+    """How much worse u is at the first level where the two differ; 0 if it is not."""
+    difference = level_residuals(tasks, levels, u)
+    difference -= level_residuals(tasks, levels, other)
+    differs = np.nonzero(np.abs(difference) > tolerance)[0]
+    return max(float(difference[differs[0]]), 0.0) if len(differs) else 0.0
 
 
 @pytest.mark.slow
@@ -240,17 +278,16 @@ def test_daqps_own_hierarchy_agrees_or_is_worse(
     for tasks, rows in problems(situation, LIMITS, seed=5, count=STATES):
         native = native_hierarchy(tasks, levels, rows)
         expected = cascade(tasks, levels, rows, 1e-9)
+        u, counters = compiled_solution((tasks, rows), psi, config)
+        assert counters[compiled.FAILURES] == 0
         if np.abs(native - expected).max() < 1e-3:
-            u, _ = compiled_solution((tasks, rows), psi, config)
             ours.append(np.abs(u - native).max())
-            continue
-        gain = level_residuals(tasks, levels, expected)
-        gain -= level_residuals(tasks, levels, native)
-        differs = np.nonzero(np.abs(gain) > 1e-5)[0]
-        better += len(differs) > 0 and gain[differs[0]] > 0
+        else:
+            better += lexicographic_excess(tasks, levels, expected, native, 1e-5) > 0
     assert better <= STATES / 100
     assert len(ours) >= STATES / 10
     assert np.median(ours) < 1e-3
+    assert np.quantile(ours, 0.9) < 0.1
 
 
 joints = st.lists(st.floats(0, 1), min_size=7, max_size=7)
@@ -286,6 +323,7 @@ def situation_of(
     offset=offsets,
     end=st.sampled_from(ENDS),
     keep=st.integers(1, 3),
+    closed=st.booleans(),
 )
 def test_a_lower_level_never_worsens_a_higher_one(
     joints: list[float],
@@ -293,17 +331,24 @@ def test_a_lower_level_never_worsens_a_higher_one(
     offset: list[float],
     end: tuple[np.ndarray, tuple[int, ...]],
     keep: int,
+    closed: bool,
 ) -> None:
-    """Levels below the first ``keep`` leave their residuals as they are."""
+    """Levels below the first ``keep`` leave their residuals as they are.
+
+    To 1e-3 with a projector that closes; to 0.1 m/s^2 with the default one, which is
+    damped by 1e-3.
+    """
     psi, levels = end
-    config = HierarchyConfig(projector_damping=1e-12)
+    config = HierarchyConfig()
+    if closed:
+        config = config._replace(projector_damping=1e-12)
     problem = situation_of(joints, speeds, offset)
     whole, _ = compiled_solution(problem, psi, config)
     part, _ = compiled_solution(problem, psi[:keep], config)
     np.testing.assert_allclose(
         level_residuals(problem[0], levels, whole)[:keep],
         level_residuals(problem[0], levels, part)[:keep],
-        atol=1e-3,
+        atol=1e-3 if closed else 0.1,
     )
 
 

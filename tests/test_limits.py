@@ -120,6 +120,7 @@ def test_keep_out_row_and_bias_are_derivatives(limits: RobotLimits) -> None:
     step = 1e-5
     for _ in range(10):
         velocity = np.array([*rng.uniform(-0.5, 0.5, 1), *rng.uniform(-1.5, 1.5, 8)])
+        aside = rng.uniform(-0.2, 0.2)  # of a base that slips
         joints = np.array(RobotConfig().initial_joints) + rng.normal(0, 0.3, 7)
         yaw = rng.uniform(-3, 3)
 
@@ -128,12 +129,14 @@ def test_keep_out_row_and_bias_are_derivatives(limits: RobotLimits) -> None:
             yaw: float = yaw,
             joints: np.ndarray = joints,
             velocity: np.ndarray = velocity,
+            aside: float = aside,
         ) -> tuple[float, RobotState, ModelTerms]:
             turned, middle = yaw + time * velocity[1], yaw + time * velocity[1] / 2
-            way = time * velocity[0] * np.array([np.cos(middle), np.sin(middle)])
+            cos, sin = np.cos(middle), np.sin(middle)
+            way = time * np.array([[cos, -sin], [sin, cos]]) @ [velocity[0], aside]
             arm = joints + time * velocity[2:]
             v = np.zeros(10)
-            v[ACTUATED] = velocity
+            v[ACTUATED], v[1] = velocity, aside
             q = np.array([*way, np.cos(turned), np.sin(turned), *arm])
             state = RobotState(q, v)
             terms = model.evaluate(state)

@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 
 from marl_mm.control.config import ControllerConfig, Gains, LimitConfig
-from marl_mm.control.limits import WHEEL_ARM
 from marl_mm.control.priorities import LEFT_OUT, REACHING_LEVELS, cumulative
 from marl_mm.control.tasks.task import Reference
 from marl_mm.control.wbc import Priorities
-from marl_mm.envs.drive import Drive, Motion, Tick
+from marl_mm.envs.config import reach_config
+from marl_mm.envs.drive import Drive, Motion, Tick, wheel_slip
+from marl_mm.eval.abuse import abuse
 from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig
 from marl_mm.robot.model import ACTUATED, RobotState, support_margin
+from marl_mm.sim.bullet import BulletWorld
 from marl_mm.sim.config import RATE, SimulationConfig
 
 BASE_AND_POSTURE = (1, 1, LEFT_OUT, LEFT_OUT, 2)
@@ -39,9 +41,11 @@ class Record:
         self.limits = drive.limits
         self.ticks: list[Tick] = []
         self.pressure_b: list[np.ndarray] = []
+        self.rims: list[tuple[float, float]] = []
 
     def see(self, tick: Tick) -> None:
         self.ticks.append(tick)
+        self.rims.append(self.drive.world.wheel_rates())
         points, forces = self.drive.world.ground_forces()
         x, y = forces @ points[:, :2] / forces.sum() - tick.state.q[:2]
         cos, sin = tick.state.q[2:4]
@@ -61,7 +65,13 @@ class Record:
 
     @property
     def torque(self) -> np.ndarray:
-        return np.array([tick.command.torque for tick in self.ticks])
+        """M u + h of the arm, before the command is clipped, shape (ticks, 7)."""
+        torques = []
+        for tick in self.ticks:
+            terms = self.drive.model.evaluate(tick.state)
+            inertia = terms.mass_matrix[3:, ACTUATED]
+            torques.append(inertia @ tick.command.acceleration + terms.nonlinear[3:])
+        return np.array(torques)
 
 
 def run(
@@ -70,10 +80,12 @@ def run(
     seconds: float,
     controller: ControllerConfig | None = None,
     robot: RobotConfig | None = None,
+    simulation: SimulationConfig | None = None,
 ) -> Record:
     """Follow the start posture, changed tick by tick; forces under the robot, too."""
     robot = robot or RobotConfig()
-    drive = Drive(robot, SimulationConfig(), controller or ControllerConfig())
+    simulation = simulation or SimulationConfig()
+    drive = Drive(robot, simulation, controller or ControllerConfig())
     start = drive.reset()
     terms = drive.model.evaluate(start)
     rest = Reference(
@@ -116,7 +128,7 @@ def test_a_joint_driven_beyond_its_range(joint: int, side: int) -> None:
     bound = limits.upper if side > 0 else limits.lower
     assert abs(arm[-1, joint] - bound[joint]) < 0.03, "it was not driven there"
     assert (speed <= limits.speed[2:]).all()
-    assert (np.abs(record.torque) <= limits.torque).all()
+    assert (np.abs(record.torque) <= limits.torque + 1e-6).all()
     share = np.abs(record.acceleration[:, 2:]) / limits.acceleration[2:]
     assert share.max() < MEASURED
 
@@ -136,10 +148,10 @@ def test_joints_reach_their_speed_limit_and_no_more() -> None:
 
 
 def test_a_weak_arm_keeps_its_torque(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Joint 2 at 60 % of its torque lifts the arm: the QP's torque rows are active."""
+    """At 80 % of its torque it swings up and down: the QP's torque rows are active."""
     robot = RobotConfig()
     drive = Drive(robot, SimulationConfig(), ControllerConfig())
-    weak = drive.limits._replace(torque=0.6 * drive.limits.torque)
+    weak = drive.limits._replace(torque=0.8 * drive.limits.torque)
     drive.close()
 
     def wave(k: int, rest: Reference) -> Reference:
@@ -152,8 +164,8 @@ def test_a_weak_arm_keeps_its_torque(monkeypatch: pytest.MonkeyPatch) -> None:
     gains = Gains(posture_rate=12)
     record = run(wave, BASE_AND_POSTURE, 6, ControllerConfig(gains=gains))
     share = np.abs(record.torque) / weak.torque
-    assert share.max() <= 1
-    assert share.max() > 0.99
+    assert record.motion.safe_ticks == 0
+    assert 0.99 < share.max() <= 1 + 1e-6
 
 
 def test_base_speed_and_acceleration() -> None:
@@ -189,10 +201,8 @@ def test_wheel_speed() -> None:
 
     gains = Gains(heading_rate=8)
     record = run(curve, BASE_AND_POSTURE, 5, ControllerConfig(gains=gains))
-    forward, turning = record.velocity[:, 0], record.velocity[:, 1]
-    rim = np.abs(forward) + np.abs(WHEEL_ARM * turning)
-    most = record.limits.wheel_speed * WHEEL_RADIUS
-    assert 0.97 * most < rim.max() <= most
+    rates, most = np.abs(record.rims), record.limits.wheel_speed
+    assert 0.97 * most < rates.max() <= most
 
 
 def test_keep_out_plane() -> None:
@@ -259,6 +269,40 @@ def test_wheels_grip() -> None:
         return rest._replace(ee_position_w=targets[k // RATE])
 
     motion = run(fling, REACHING_LEVELS, 6).motion
-    assert motion.wheel_slip < 0.05
+    assert motion.wheel_slip < 0.02
     assert motion.tilt < 1e-3
     assert motion.model_ee_error < 1e-3
+
+
+@pytest.mark.slow
+def test_traction_rows_are_what_keeps_the_joints_accelerations() -> None:
+    """Without them the base gives way under a flung arm, in single ticks by a third."""
+    excess = {}
+    for traction in (LimitConfig().traction, 1e6):
+        limits = {"controller": {"limits": {"traction": traction}}}
+        result = abuse(reach_config("Reach-v0", limits), 12_000, seed=6)
+        worst = result["worst_excess"]
+        excess[traction] = worst["measured_joint_acceleration_share"]
+    assert excess[LimitConfig().traction] < 0.15
+    assert excess[1e6] > 0.3
+
+
+def test_slip_by_hand() -> None:
+    """Rims at 1.0 and 1.5 m/s over a base that moves at 1.2 and turns at 0.5 rad/s."""
+    v = np.zeros(10)
+    v[0], v[2] = 1.2, 0.5
+    state = RobotState(np.zeros(11), v)
+    rates = (1.0 / WHEEL_RADIUS, 1.5 / WHEEL_RADIUS)
+    expected = 1.5 - (1.2 + 0.5 * 0.2226)
+    assert wheel_slip(state, rates) == pytest.approx(expected)
+
+
+def test_spinning_wheels_are_seen() -> None:
+    """On ice the wheels reach 0.5 m/s at once, and the base does not."""
+    world = BulletWorld(RobotConfig(), SimulationConfig(wheel_friction=0.02))
+    world.reset()
+    for _ in range(24):
+        world.command(0.5, 0.0, np.zeros(7))
+        world.step()
+    assert wheel_slip(world.read(), world.wheel_rates()) > 0.3
+    world.close()

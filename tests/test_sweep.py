@@ -10,8 +10,10 @@ import pytest
 from marl_mm.cli import main
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands import sweep_alpha
+from marl_mm.control.config import FORMS
 from marl_mm.control.priorities import stability_share
 from marl_mm.eval.metrics import Row, bootstrap_interval
+from marl_mm.eval.readme import RESULTS, read_rows
 from marl_mm.eval.sweep import (
     Cell,
     responses,
@@ -172,3 +174,32 @@ def test_alpha_trades_the_hand_for_the_base(form: str) -> None:
     assert (np.diff([one["steps"] for one in back]) > 0).all()
     assert (np.diff([one["base_jerk_rms"] for one in back]) < 0).all()
     assert sum(one["qp_failures"] for one in back) == 0
+
+
+COMMITTED = RESULTS / "alpha"
+
+
+def test_committed_response_is_even_and_monotone() -> None:
+    """No tenth of alpha makes more than 40 % of the steps; d_mm rises, d_mp falls."""
+    summary = read_rows(COMMITTED / "alpha.csv")
+    assert {row["form"] for row in summary} == set(FORMS)
+    assert all(row["goals"] >= 24 for row in summary)  # of each direction
+    noise = 5e-4  # [m]
+    for response in responses(summary):
+        if response.form == "rhp-literal":
+            assert response.largest_share > 0.9, "a switch"
+            continue
+        assert response.largest_share <= 0.4
+        assert response.d_mm_falls < noise
+        assert response.d_mp_rises < noise
+        assert response.hump < 1e-3
+
+
+def test_committed_rules_beat_every_fixed_alpha() -> None:
+    rows = read_rows(COMMITTED / "worth.csv")
+    assert {row["rule"] for row in rows} == {"direction", "room"}
+    fixed = {row["fixed_alpha"] for row in rows}
+    assert fixed == {round(0.05 * i, 2) for i in range(21)}
+    for row in rows:
+        assert row["goals"] >= 96
+        assert row["interval"][0] > 0

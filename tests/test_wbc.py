@@ -1,6 +1,7 @@
 """The controller's promises at its edge: finite, bounded, refusing nonsense."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from marl_mm.control.config import (
     Form,
     Gains,
     HierarchyConfig,
+    LimitConfig,
     Solver,
 )
 from marl_mm.control.tasks.task import Reference
@@ -41,6 +43,7 @@ def test_both_solvers_give_the_same_command(
         other = readable.tick(state, terms, reference, alpha)
         np.testing.assert_allclose(one.acceleration, other.acceleration, atol=1e-4)
         np.testing.assert_allclose(one.torque, other.torque, atol=1e-3)
+        np.testing.assert_allclose(one.base_speed, other.base_speed, atol=1e-6)
         assert one.levels == other.levels
 
 
@@ -189,6 +192,28 @@ def test_alpha_outside_its_range_is_refused(
     controller = WholeBodyController(limits, ControllerConfig())
     with pytest.raises(UsageError, match="alpha"):
         controller.tick(*situation(np.random.default_rng(4)), alpha)
+
+
+def test_the_zmp_limit_needs_a_model_that_knows_of_it(
+    situation: Draw, limits: RobotLimits
+) -> None:
+    config = ControllerConfig(limits=LimitConfig(zmp=True))
+    controller = WholeBodyController(limits, config)
+    with pytest.raises(UsageError, match="balance=True"):
+        controller.tick(*situation(np.random.default_rng(9)), 0.5)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"limits": LimitConfig(traction=-5.0)},
+        {"limits": LimitConfig(horizon=0.0)},
+        {"hierarchy": HierarchyConfig(projector_damping=0.0)},
+    ],
+)
+def test_numbers_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(UsageError, match="expected > 0"):
+        ControllerConfig(**wrong)
 
 
 def test_a_solver_that_is_not_installed_is_refused(

@@ -165,11 +165,21 @@ class Drive:
         ee_x, ee_y, ee_z = self.world.grasp_position_w()
         error = sqrt((x - ee_x) ** 2 + (y - ee_y) ** 2 + (z - ee_z) ** 2)
         roll, pitch = self.world.attitude()
-        left, right = self.world.wheel_rates()
-        forward, turn = state.v[0].item(), WHEEL_ARM * state.v[2].item()
-        slip = max(
-            abs(WHEEL_RADIUS * left - forward + turn),
-            abs(WHEEL_RADIUS * right - forward - turn),
-        )
+        slip = wheel_slip(state, self.world.wheel_rates())
         margin = support_margin(self.model.zmp_b(state, command.acceleration))
         return margin, hypot(roll, pitch), pitch, slip, error
+
+
+def wheel_slip(state: RobotState, rates: tuple[float, float]) -> float:
+    """Larger speed of the two rims over the ground along their way [m/s].
+
+    Args:
+        state: Of the base.
+        rates: Of the left and the right wheel [rad/s].
+    """
+    left, right = rates
+    forward, turn = state.v[0].item(), WHEEL_ARM * state.v[2].item()
+    slip_left = abs(WHEEL_RADIUS * left - forward + turn)
+    slip_right = abs(WHEEL_RADIUS * right - forward - turn)
+    slip: float = max(slip_left, slip_right)
+    return slip
