@@ -4,21 +4,14 @@
 test holds that this changes nothing.
 """
 
-import csv
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-from marl_mm.eval.metrics import Row
+from marl_mm.eval.bench_tables import abuse_table, bench_table
+from marl_mm.eval.rows import read_rows
 from marl_mm.eval.sweep import responses
-from marl_mm.eval.tables import (
-    abuse_table,
-    alpha_table,
-    bench_table,
-    response_table,
-    worth_table,
-)
+from marl_mm.eval.sweep_tables import alpha_table, response_table, worth_table
 from marl_mm.files import new_file
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -33,31 +26,6 @@ def filled(text: str) -> str:
         if found:
             text = before + begin + make() + end + rest.partition(end)[2]
     return text
-
-
-def read_rows(path: Path) -> list[Row]:
-    """Rows of a CSV file of ours, numbers as numbers, intervals as pairs."""
-    with path.open(newline="") as file:
-        return [_typed(row) for row in csv.DictReader(file)]
-
-
-def _typed(row: dict[str, str]) -> Row:
-    values = {name: _number(text) for name, text in row.items()}
-    for name in [name for name in values if name.endswith("_low")]:
-        stem = name.removesuffix("_low")
-        values[stem] = [values.pop(name), values.pop(f"{stem}_high")]
-    return values
-
-
-def _number(text: str) -> Any:
-    try:
-        return int(text)
-    except ValueError:
-        pass
-    try:
-        return float(text)
-    except ValueError:
-        return text
 
 
 def _alpha() -> str:

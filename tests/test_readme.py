@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from marl_mm.cli import main
-from marl_mm.eval.readme import TABLES, filled, read_rows
-from marl_mm.eval.tables import write_csv
+from marl_mm.eval.readme import TABLES, filled
+from marl_mm.eval.rows import read_rows, write_csv
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()

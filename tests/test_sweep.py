@@ -13,7 +13,8 @@ from marl_mm.commands import sweep_alpha
 from marl_mm.control.config import FORMS
 from marl_mm.control.priorities import stability_share
 from marl_mm.eval.metrics import Row, bootstrap_interval
-from marl_mm.eval.readme import RESULTS, read_rows
+from marl_mm.eval.readme import RESULTS
+from marl_mm.eval.rows import read_rows
 from marl_mm.eval.sweep import (
     Cell,
     responses,

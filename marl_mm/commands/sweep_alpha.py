@@ -17,6 +17,7 @@ from marl_mm.envs.config import config_dict, reach_config
 from marl_mm.errors import UsageError
 from marl_mm.eval.figures import alpha_pareto, alpha_response
 from marl_mm.eval.metrics import Row
+from marl_mm.eval.rows import write_csv
 from marl_mm.eval.sweep import (
     RUNS,
     SHORT,
@@ -26,7 +27,7 @@ from marl_mm.eval.sweep import (
     summarize_cells,
     worth_of_a_rule,
 )
-from marl_mm.eval.tables import sweep_markdown, write_csv
+from marl_mm.eval.sweep_tables import sweep_markdown
 from marl_mm.files import new_folder, refuse_existing, write_json
 from marl_mm.jit import source_fingerprint
 from marl_mm.progress import progress_bar

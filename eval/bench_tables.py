@@ -1,0 +1,80 @@
+"""What benchmark and abuse found, as Markdown."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from marl_mm.eval.tables import markdown_table
+
+ABUSE = {
+    "joint_position_rad": ("joint position", "{:+.4f} rad"),
+    "joint_velocity_share": ("joint velocity", "{:+.1%}"),
+    "joint_torque_share": ("joint torque", "{:+.1%}"),
+    "commanded_acceleration_share": ("acceleration, commanded", "{:+.2%}"),
+    "measured_joint_acceleration_share": (
+        "joint acceleration, over one tick of the simulator",
+        "{:+.1%}",
+    ),
+    "measured_base_acceleration_share": (
+        "base acceleration, over one tick of the simulator",
+        "{:+.1%}",
+    ),
+    "base_speed_share": ("base speed", "{:+.1%}"),
+    "base_yaw_rate_share": ("base yaw rate", "{:+.1%}"),
+    "wheel_speed_share": ("wheel speed", "{:+.1%}"),
+    "keep_out_m": ("keep-out plane", "{:+.4f} m"),
+}
+"""Limits watched by ``marl-mm bench abuse``: name and format of the worst excess."""
+
+
+def abuse_table(results: Mapping[str, Mapping[str, Any]]) -> str:
+    """Worst excess over each limit per form, as Markdown; negative: never reached."""
+    lines = [
+        (name, *(form.format(one["worst_excess"][key]) for one in results.values()))
+        for key, (name, form) in ABUSE.items()
+    ]
+    counts = (
+        ("ticks", "ticks", "{}"),
+        ("levels solved", "levels", "{}"),
+        ("levels that failed", "failed_levels", "{}"),
+        ("ticks that only braked", "safe_ticks", "{}"),
+        ("least ZMP margin", "least_zmp_margin_m", "{:.3f} m"),
+        ("largest tilt", "largest_tilt_rad", "{:.5f} rad"),
+        ("largest wheel slip", "largest_wheel_slip_m_s", "{:.4f} m/s"),
+        ("model's hand off the simulator's", "largest_model_ee_error_m", "{:.5f} m"),
+        ("longest tick of the controller", "longest_controller_tick_us", "{:.0f} us"),
+    )
+    lines += [
+        (name, *(form.format(one[key]) for one in results.values()))
+        for name, key, form in counts
+    ]
+    return markdown_table(("worst excess over a limit", *results), lines)
+
+
+def bench_table(result: Mapping[str, Any]) -> str:
+    """Parts of a tick and other solvers on the same states, as Markdown."""
+    names = {
+        "tick": "whole tick",
+        "simulation": "PyBullet's step",
+        "io": "reading and commanding PyBullet",
+        "controller": "controller: model and solving",
+        "model": "model (Pinocchio)",
+        "solve": "solving, Python included",
+        "assembly": "assembly (compiled)",
+        "levels": "levels without QPs (compiled)",
+        "qp": "QPs (compiled)",
+    }
+    others = {
+        "compiled": "compiled form, on the same states",
+        "numpy_proxqp": "numpy and ProxQP",
+        "numpy_daqp": "numpy and DAQP",
+        "pink_weighted_qp": "Pink: one weighted QP, no torques",
+    }
+    step = result["us"]["simulation"]["median"]
+    lines = []
+    for table, part in ((names, result["us"]), (others, result["references_us"])):
+        for key, name in table.items():
+            if key in part:
+                median, p99 = part[key]["median"], part[key]["p99"]
+                ratio = f"{median / step:.2f}"
+                lines.append((name, f"{median:.1f}", f"{p99:.0f}", ratio))
+    return markdown_table(("part", "median [us]", "p99 [us]", "of a step"), lines)

@@ -1,0 +1,64 @@
+"""Rows of results as CSV, and back."""
+
+import csv
+import gzip
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from marl_mm.eval.metrics import Row
+from marl_mm.files import new_file
+
+
+def write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """Rows as CSV, compressed if the name ends in .gz.
+
+    Numbers have six significant digits, intervals two columns.
+    """
+    flat = [_spread(row) for row in rows]
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, fieldnames=list(flat[0]))
+    writer.writeheader()
+    writer.writerows(flat)
+    data = text.getvalue().encode()
+    if path.suffix == ".gz":
+        data = gzip.compress(data, mtime=0)  # no clock in the bytes
+    with new_file(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def _spread(row: Row) -> dict[str, str]:
+    flat: dict[str, str] = {}
+    for name, value in row.items():
+        if isinstance(value, list | tuple):
+            for end, one in zip(("low", "high"), value, strict=True):
+                flat[f"{name}_{end}"] = f"{one:.6g}"
+        else:
+            flat[name] = f"{value:.6g}" if isinstance(value, float) else str(value)
+    return flat
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Rows of a CSV file of ours, numbers as numbers, intervals as pairs."""
+    with path.open(newline="") as file:
+        return [_typed(row) for row in csv.DictReader(file)]
+
+
+def _typed(row: dict[str, str]) -> Row:
+    values = {name: _number(text) for name, text in row.items()}
+    for name in [name for name in values if name.endswith("_low")]:
+        stem = name.removesuffix("_low")
+        values[stem] = [values.pop(name), values.pop(f"{stem}_high")]
+    return values
+
+
+def _number(text: str) -> Any:
+    try:
+        return int(text)
+    except ValueError:
+        pass
+    try:
+        return float(text)
+    except ValueError:
+        return text
