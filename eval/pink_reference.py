@@ -1,7 +1,7 @@
 """The same tasks as one weighted QP by Pink: what a user of a library would write.
 
-Pink solves differential inverse kinematics: velocities, no torques and no strict
-priorities. It is here for its cost, not for its result.
+Pink solves differential inverse kinematics: velocities, no torques, no strict
+priorities, and here a base that may slide sideways. It is here for its cost.
 """
 
 from typing import Any

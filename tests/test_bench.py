@@ -19,7 +19,8 @@ def test_parts_of_a_tick_belong_together() -> None:
     for spread in result["us"].values():
         assert spread["median"] <= spread["p99"] <= spread["max"]
     references = result["references_us"]
-    assert {"compiled", "numpy_proxqp", "numpy_daqp"} <= set(references)
+    names = {"compiled", "numpy_proxqp", "numpy_daqp", "pink_weighted_qp"}
+    assert set(references) == names
     assert references["compiled"]["median"] < references["numpy_proxqp"]["median"]
     assert set(result["infeasible_us"]) == {"compiled", "numpy_proxqp"}
 

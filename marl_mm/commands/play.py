@@ -31,7 +31,8 @@ class Play:
 
     policy: tyro.conf.Positional[str]
     """Run folder, checkpoint file, "pd" or "random"; or a test of the robot alone:
-    "arm-reach" (the base stands) or "base-turn" (the arm rests)."""
+    "arm-reach" (the base stands) or "base-turn" (the arm rests). These two take no
+    goal and no task, and hold the arm's posture tightly."""
 
     video: Path = Path("episode.mp4")
     """Where to write the film: .mp4 or .gif."""
@@ -139,19 +140,22 @@ def _play_demo(options: Play) -> None:
         print(json.dumps(drift._asdict(), indent=2))
         return
     where = "" if options.gui else f"{options.video}: "
-    if options.policy == "arm-reach":
-        text = (
-            f"hand {1e3 * drift.position_error:.2f} mm from its target; the base "
-            f"drifted {1e3 * drift.base_drift:.1f} mm and "
+    print(where + _told(drift))
+
+
+def _told(drift: Drift) -> str:
+    base = f"the base drifted {1e3 * drift.base_drift:.1f} mm"
+    if drift.position_error is not None and drift.heading_drift is not None:
+        reached = "reached its target" if drift.position_error < 0.01 else "fell short"
+        return (
+            f"the hand {reached}, {1e3 * drift.position_error:.2f} mm off; {base} and "
             f"{math.degrees(drift.heading_drift):.2f} deg at most"
         )
-    else:
-        text = (
-            f"base {math.degrees(drift.heading_error):.2f} deg from its angle; it "
-            f"drifted {1e3 * drift.base_drift:.1f} mm, a joint of the arm "
-            f"{math.degrees(drift.arm_drift):.2f} deg at most"
-        )
-    print(where + text)
+    return (
+        f"the base ended {math.degrees(drift.heading_error or 0):.2f} deg off its "
+        f"angle; {base}, a joint of the arm {math.degrees(drift.arm_drift or 0):.2f} "
+        "deg at most"
+    )
 
 
 def _run_demo(options: Play, drive: Drive, watch: Watch) -> Drift:

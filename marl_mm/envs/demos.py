@@ -27,22 +27,25 @@ DEMOS = ("arm-reach", "base-turn")
 
 
 class Drift(NamedTuple):
-    """Where the robot ended, and how far what should rest has moved at most."""
+    """Where the robot ended, and how far what should rest has moved at most.
 
-    position_error: float
-    """End-effector to its target at the end, or 0 where it has none [m]."""
+    None where a thing has no target, or is not meant to rest.
+    """
 
-    heading_error: float
+    position_error: float | None
+    """End-effector to its target at the end [m]."""
+
+    heading_error: float | None
     """Heading to its target at the end [rad]."""
 
     base_drift: float
     """Of the base's origin from its start [m]."""
 
-    heading_drift: float
-    """Of the heading from its start, where it should rest [rad]."""
+    heading_drift: float | None
+    """Of the heading from its start [rad]."""
 
-    arm_drift: float
-    """Of any joint from its start, where the arm should rest [rad]."""
+    arm_drift: float | None
+    """Of any joint from its start [rad]."""
 
 
 def arm_reach(
@@ -60,9 +63,8 @@ def arm_reach(
     reference = rest._replace(ee_position_w=np.asarray(target_w, dtype=float))
     states = _follow(drive, STABILITY, lambda k, state: reference, seconds, watch)
     error = drive.world.grasp_position_w() - reference.ee_position_w
-    return _drift(start, states)._replace(
-        position_error=float(np.linalg.norm(error)), arm_drift=0.0
-    )
+    drift = _drift(start, states)
+    return drift._replace(position_error=float(np.linalg.norm(error)), arm_drift=None)
 
 
 def base_turn(
@@ -83,7 +85,7 @@ def base_turn(
     )
     error = drive.state.yaw - angle
     error = float(np.abs(np.arctan2(np.sin(error), np.cos(error))))
-    return _drift(start, states)._replace(heading_error=error, heading_drift=0.0)
+    return _drift(start, states)._replace(heading_error=error, heading_drift=None)
 
 
 def demo_drive(visual: bool = False, gui: bool = False) -> Drive:
@@ -129,8 +131,8 @@ def _drift(start: RobotState, states: list[RobotState]) -> Drift:
     q = np.array([state.q for state in states]) - start.q
     yaw = np.array([state.yaw for state in states]) - start.yaw
     return Drift(
-        0.0,
-        float(abs(yaw[-1])),
+        None,
+        None,
         float(np.linalg.norm(q[:, :2], axis=1).max()),
         float(np.abs(np.arctan2(np.sin(yaw), np.cos(yaw))).max()),
         float(np.abs(q[:, 4:]).max()),
