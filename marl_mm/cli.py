@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.interrupts import terminate_as_interrupt
 
 COMMANDS = {
     "quickstart": "collect, train and evaluate in a few minutes, with a report",
@@ -27,7 +28,7 @@ INTERRUPTED = 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``marl-mm`` and return its exit code: 0, 1 failure, 2 usage, 130 Ctrl-C."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    signal.signal(signal.SIGTERM, _interrupt)
+    signal.signal(signal.SIGTERM, terminate_as_interrupt)
     try:
         code = _run(words)
         sys.stdout.flush()
@@ -43,14 +44,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return MarlMmError.exit_code
     except KeyboardInterrupt as error:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is ending already
+        for number in (signal.SIGINT, signal.SIGTERM):  # it is ending already
+            signal.signal(number, signal.SIG_IGN)
         _complain(str(error) or "interrupted")
         return INTERRUPTED
-
-
-def _interrupt(number: int, frame: object) -> None:
-    """A supervisor's SIGTERM ends a command as Ctrl-C does: workers and files too."""
-    signal.raise_signal(signal.SIGINT)
 
 
 def _run(words: list[str]) -> int:

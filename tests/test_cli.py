@@ -336,3 +336,26 @@ def test_stdout_of_json_is_nothing_but_json(datasets_home: Path) -> None:
     )
     assert json.loads(output.stdout)[0]["policy"] == "random"
     assert "pybullet" not in output.stderr
+
+
+@pytest.mark.slow
+def test_sigterm_ends_a_job_that_ignores_ctrl_c() -> None:
+    """As jobs do that a script has started in the background."""
+    code = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN);"
+        "from marl_mm.cli import main;"
+        "print('begun', flush=True); sys.exit(main(sys.argv[1:]))"
+    )
+    job = subprocess.Popen(
+        [sys.executable, "-c", code, "bench", "abuse", "--ticks", "100000000"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert job.stdout is not None and job.stdout.readline() == "begun\n"
+    with pytest.raises(subprocess.TimeoutExpired):
+        job.wait(8)  # imports, compiles, runs
+    job.terminate()
+    _, complaint = job.communicate(timeout=30)
+    assert job.returncode == 130
+    assert complaint.strip().endswith("marl-mm: interrupted")
