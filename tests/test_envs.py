@@ -13,7 +13,7 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm.envs import parallel_env
-from marl_mm.envs.config import TASKS
+from marl_mm.envs.config import TASKS, reach_config
 from marl_mm.envs.core import ReachCore
 from marl_mm.envs.reach import ReachEnv
 from marl_mm.episode import INFO
@@ -180,6 +180,24 @@ def test_the_hand_goes_where_the_action_says(core: ReachCore) -> None:
         step.state[:3] - state[:3], (0.1, 0.05, -0.05), atol=0.01
     )
     assert step.info["d_mm"] < 0.01
+
+
+def test_a_switch_can_be_overridden_and_nothing_else_is_one() -> None:
+    config = reach_config("Reach-v0", {"controller": {"limits": {"zmp": True}}})
+    assert config.controller.limits.zmp is True
+    for wrong in ({"zmp": 1}, {"traction": True}):
+        with pytest.raises(UsageError, match=r"controller\.limits\."):
+            reach_config("Reach-v0", {"controller": {"limits": wrong}})
+
+
+def test_the_zmp_limit_runs_in_the_environment() -> None:
+    limits = {"controller": {"limits": {"zmp": True, "zmp_margin": 0.05}}}
+    core = ReachCore(reach_config("Reach-v0", {**limits, **QUICK}))
+    core.reset(np.random.default_rng(0))
+    info = core.step(np.array([-1.0, 0.0, 0.0, 0.5])).info
+    core.close()
+    assert info["zmp_margin"] > 0.05
+    assert info["qp_failures"] == 0
 
 
 def test_info_is_what_its_list_says_and_plausible(core: ReachCore) -> None:

@@ -47,7 +47,7 @@ class BenchAbuse:
     """Drive the robot into its limits at random, and tell how far each was passed."""
 
     ticks: int = 240_000
-    """Controller ticks of 1/240 s."""
+    """Controller ticks of 1/240 s; rounded up to whole steps of 240."""
 
     seed: int = 0
     """Of targets and alphas."""

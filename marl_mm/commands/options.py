@@ -17,12 +17,13 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def named_policy(name: str, pd: PdConfig) -> Policy:
+def named_policy(name: str, pd: PdConfig, others: tuple[str, ...] = ()) -> Policy:
     """A scripted policy by name, or the policy of a run folder.
 
     Args:
         name: ``pd``, ``random`` or a path.
         pd: Gains and alpha of ``pd``.
+        others: What else the command takes in this place.
 
     Raises:
         UsageError: If it is neither.
@@ -34,8 +35,8 @@ def named_policy(name: str, pd: PdConfig) -> Policy:
         return RandomPolicy(RandomConfig())
     if not Path(name).exists():
         raise UsageError(
-            f"no policy {name!r}: expected {', '.join(SCRIPTED)}, a run folder or a "
-            "checkpoint file"
+            f"no policy {name!r}: expected {', '.join((*SCRIPTED, *others))}, a run "
+            "folder or a checkpoint file"
         )
     from marl_mm.algorithms.policy import load_policy  # torch takes a second to import
 

@@ -89,7 +89,7 @@ def main(arguments: Sequence[str]) -> None:
     if options.policy in DEMOS:
         _play_demo(options)
         return
-    policy = named_policy(options.policy, options.pd)
+    policy = named_policy(options.policy, options.pd, DEMOS)
     config = reach_config(options.task, {"max_steps": options.max_steps})
     plan = goal_set(config, 2, options.seed)[options.direction == "backward"]
     with progress_bar(f"play {policy.name}", options.max_steps) as advance:

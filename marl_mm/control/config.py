@@ -147,10 +147,12 @@ class ControllerConfig:
         ):
             if value not in choices:
                 raise UsageError(
-                    f"controller {name} is {value!r}, expected one of {choices}"
+                    f"controller.{name} is {value!r}, expected one of {choices}"
                 )
         if not 1 <= self.response <= 10:
-            raise UsageError(f"response is {self.response}, expected 1 to 10")
+            raise UsageError(
+                f"controller.response is {self.response}, expected 1 to 10"
+            )
         _check_positive("hierarchy", self.hierarchy, ("damping", "projector_damping"))
         names = ("horizon", "speed_share", "keep_out_rate", "traction")
         _check_positive("limits", self.limits, names)
@@ -160,4 +162,4 @@ def _check_positive(group: str, numbers: NamedTuple, names: tuple[str, ...]) -> 
     for name in names:
         value = getattr(numbers, name)
         if not value > 0:
-            raise UsageError(f"controller {group}.{name} is {value}, expected > 0")
+            raise UsageError(f"controller.{group}.{name} is {value}, expected > 0")

@@ -169,10 +169,11 @@ def _like(current: Any, value: Any, name: str) -> Any:
             raise UsageError(f"{name} is {value!r}, expected {len(current)} numbers")
         pairs = zip(current, value, strict=True)
         return tuple(_like(one, other, name) for one, other in pairs)
-    if isinstance(current, float) and isinstance(value, int | float):
+    truth = isinstance(value, bool)
+    if isinstance(current, float) and isinstance(value, int | float) and not truth:
         if math.isfinite(value):
             return float(value)
-    elif isinstance(value, type(current)) and not isinstance(value, bool):
+    elif isinstance(value, type(current)) and truth == isinstance(current, bool):
         return value
     kind = "a finite number" if isinstance(current, float) else type(current).__name__
     raise UsageError(f"{name} is {value!r}, expected {kind}")
