@@ -146,6 +146,10 @@ def test_where_limits_contradict_each_other_it_brakes_and_says_why(
     assert command.reason is not None
     assert f"torque of arm joint {joint + 1}: out of reach" in command.reason
     velocity = state.v[ACTUATED]
+    others = [i for i in range(7) if i != joint]
+    needed = loaded.mass_matrix[3:, ACTUATED] @ command.acceleration
+    needed += loaded.nonlinear[3:]
+    assert (np.abs(needed)[others] <= limits.torque[others] + 1e-6).all()
     braking = np.sign(velocity) * command.acceleration
     assert (braking <= 1e-3).all(), "nothing speeds up"
     assert (np.abs(command.acceleration) <= limits.acceleration + 1e-3).all()
@@ -153,6 +157,22 @@ def test_where_limits_contradict_each_other_it_brakes_and_says_why(
     carried = loaded.mass_matrix[3:, ACTUATED] @ command.acceleration
     expected = np.clip(carried + loaded.nonlinear[3:], -limits.torque, limits.torque)
     np.testing.assert_allclose(command.torque, expected, atol=1e-9)
+
+
+def test_both_forms_brake_alike(situation: Draw, limits: RobotLimits) -> None:
+    rng = np.random.default_rng(10)
+    for _ in range(20):
+        state, terms, reference = situation(rng)
+        loaded = overloaded(terms, int(rng.integers(7)))
+        one, other = (
+            WholeBodyController(limits, ControllerConfig(solver=solver)).tick(
+                state, loaded, reference, 0.5
+            )
+            for solver in ("active-set", "daqp")
+        )
+        assert one.safe and other.safe
+        np.testing.assert_allclose(one.acceleration, other.acceleration, atol=1e-9)
+        assert one.reason == other.reason
 
 
 def test_an_ordinary_command_has_no_reason(

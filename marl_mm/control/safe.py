@@ -1,12 +1,12 @@
 """The safe command, for states in which no acceleration meets all limits.
 
-Base and joints brake within the box; the torques carry the arm's weight as always, as
-far as they reach.
+Base and joints brake within the box, no harder than the torques allow beside carrying
+the arm: all braking is scaled alike, since a clipped torque would throw other joints.
 """
 
 import numpy as np
 
-from marl_mm.control.limits import BOX_ROWS, Bounds
+from marl_mm.control.limits import BOX, BOX_ROWS, TORQUE, Bounds
 from marl_mm.robot.model import ACTUATED, RobotState
 
 BRAKING_RATE = 10.0
@@ -19,7 +19,13 @@ def braking_acceleration(state: RobotState, limits: Bounds) -> np.ndarray:
     braking: np.ndarray = np.clip(
         wanted, limits.lower[BOX_ROWS], limits.upper[BOX_ROWS]
     )
-    return braking
+    share = 1.0
+    for row in range(TORQUE, BOX):
+        torque = limits.matrix[row] @ braking
+        room = limits.upper[row] if torque > 0 else limits.lower[row]
+        if room * torque > 0:  # else the weight alone is too much, braking or not
+            share = min(share, room / torque)
+    return share * braking
 
 
 def broken_row(u: np.ndarray, limits: Bounds) -> int | None:

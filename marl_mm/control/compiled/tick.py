@@ -95,6 +95,16 @@ def tick(
         for j in range(N):
             velocity = state_.v[0 if j == 0 else j + 1]
             u[j] = clip(-BRAKING_RATE * velocity, lower[BOX + j], upper[BOX + j])
+        share = 1.0
+        for i in range(BOX):
+            value = 0.0
+            for j in range(N):
+                value += matrix[i, j] * u[j]
+            room = upper[i] if value > 0 else lower[i]
+            if room * value > 0:
+                share = min(share, room / value)
+        for j in range(N):
+            u[j] *= share
         worst = 0.0
         for i in range(rows):
             norm = value = 0.0
