@@ -178,6 +178,11 @@ def read_until(terminal: int, text: str | None) -> str:
     return shown
 
 
+def listen_to_ctrl_c() -> None:
+    """Also where these tests run in a background job, which ignores it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_ctrl_c_leaves_the_episodes_until_then(
@@ -195,6 +200,7 @@ def test_ctrl_c_leaves_the_episodes_until_then(
         },
         stdout=subprocess.DEVNULL,
         stderr=stderr,
+        preexec_fn=listen_to_ctrl_c,
         start_new_session=True,
     )
     os.close(stderr)
