@@ -1,4 +1,4 @@
-"""Decentralised actors: each with its own observation and its place in the action."""
+"""Actors: each with its own observation and its place in the joint action."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -7,7 +7,14 @@ import numpy as np
 import torch
 
 from marl_mm.algorithms.networks import ActionScale, Actor, Normalizer
-from marl_mm.layout import ACTION_HIGH, ACTION_LOW, AGENTS, AgentLayout
+from marl_mm.layout import (
+    ACTION_HIGH,
+    ACTION_LOW,
+    AGENTS,
+    JOINT,
+    STATE,
+    AgentLayout,
+)
 
 
 class AgentActor:
@@ -21,10 +28,17 @@ class AgentActor:
     def __init__(self, layout: AgentLayout, actor: Actor) -> None:
         self.layout = layout
         self.actor = actor
+        self._entries = torch.tensor(layout.observation)
         entries = list(layout.action)
         self.scale = ActionScale(
             torch.tensor(ACTION_LOW)[entries], torch.tensor(ACTION_HIGH)[entries]
         )
+
+    def own(self, state: torch.Tensor) -> torch.Tensor:
+        """What the agent sees of joint states, shapes (..., 10) to (..., d)."""
+        if len(self._entries) == len(STATE):
+            return state
+        return state.index_select(-1, self._entries)
 
     @torch.no_grad()
     def act(self, observation: np.ndarray) -> np.ndarray:
@@ -37,10 +51,10 @@ class AgentActor:
 def actors_from(
     states: Mapping[str, Any], hidden: Sequence[int]
 ) -> dict[str, AgentActor]:
-    """Trained actors from their networks' states, without any dataset."""
+    """Trained actors from their networks' states, of one joint agent or of several."""
     agents = {}
-    for agent in AGENTS:
-        blank = Normalizer(torch.zeros(1, len(agent.observation)), floor=1.0)
+    for agent in (JOINT,) if JOINT.name in states else AGENTS:
+        blank = Normalizer.blank(len(agent.observation))
         actor = Actor(blank, len(agent.action), hidden)
         actor.load_state_dict(states[agent.name])
         agents[agent.name] = AgentActor(agent, actor.eval())

@@ -14,15 +14,29 @@ class AlgorithmConfig(Protocol):
         """Gradient steps in all."""
 
 
-class Algorithm(Protocol):
-    """An offline algorithm in training."""
+class Resumable(Protocol):
+    """What a checkpoint keeps."""
 
     name: str
-    step: int
-    """Updates made."""
-
     agents: dict[str, AgentActor]
     """The actors as they are now."""
+
+    @property
+    def config(self) -> Any:
+        """Its hyper-parameters, a frozen dataclass."""
+
+    def state(self) -> dict[str, Any]:
+        """Everything that acting and resuming bit-equally need."""
+
+    def load_state(self, state: Mapping[str, Any]) -> None:
+        """Continue from another run's state."""
+
+
+class Algorithm(Resumable, Protocol):
+    """An offline algorithm in training."""
+
+    step: int
+    """Updates made."""
 
     @property
     def config(self) -> AlgorithmConfig:
@@ -30,9 +44,3 @@ class Algorithm(Protocol):
 
     def update(self) -> dict[str, float]:
         """One gradient step; what it measured."""
-
-    def state(self) -> dict[str, Any]:
-        """Everything that acting and resuming bit-equally need."""
-
-    def load_state(self, state: Mapping[str, Any]) -> None:
-        """Continue from another run's state."""

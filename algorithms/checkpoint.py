@@ -7,13 +7,18 @@ from typing import Any
 import torch
 
 from marl_mm.algorithms.actors import AgentActor, actors_from
-from marl_mm.algorithms.algorithm import Algorithm
+from marl_mm.algorithms.algorithm import Resumable
 from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.files import new_file
 from marl_mm.layout import ACTION_HIGH, ACTION_LOW, AGENTS
 
 FILE = "checkpoint.pt"
-KNOWN = ("mabc",)
+"""The last state of a run."""
+
+BEST = "best.pt"
+"""The best policy of an online run, by its evaluations."""
+
+KNOWN = ("mabc", "ddpg", "ddpg-her", "maddpg", "maddpg-her")
 """Algorithms whose checkpoints this version can load."""
 
 _FORMAT = "marl_mm checkpoint 1"
@@ -28,16 +33,26 @@ def agents_layout() -> dict[str, Any]:
     }
 
 
-def save_checkpoint(path: Path, algorithm: Algorithm) -> None:
+def save_checkpoint(path: Path, algorithm: Resumable) -> None:
     """Write an algorithm's state with its config and layout, atomically."""
+    _save(path, algorithm, algorithm.state())
+
+
+def save_policy(path: Path, algorithm: Resumable) -> None:
+    """Write what acting needs, and no more, as a checkpoint."""
+    actors = {name: a.actor.state_dict() for name, a in algorithm.agents.items()}
+    _save(path, algorithm, {"actors": actors})
+
+
+def _save(path: Path, algorithm: Resumable, state: dict[str, Any]) -> None:
     with new_file(path) as temporary:
         torch.save(
             {
                 "format": _FORMAT,
                 "algorithm": algorithm.name,
-                "config": asdict(algorithm.config),  # type: ignore[call-overload]
+                "config": asdict(algorithm.config),
                 "layout": agents_layout(),
-                "state": algorithm.state(),
+                "state": state,
             },
             temporary,
         )

@@ -73,7 +73,7 @@ class Mabc:
                 agent.name: AgentActor(
                     agent,
                     Actor(
-                        Normalizer(
+                        Normalizer.of(
                             self._data[agent.name].observation, config.std_floor
                         ),
                         len(agent.action),

@@ -8,21 +8,41 @@ from torch import nn
 
 
 class Normalizer(nn.Module):
-    """Shifts and scales observations by statistics of the data, kept as buffers.
+    """Shifts and scales observations by statistics kept as buffers.
 
     Args:
-        data: Observations, shape (n, d).
-        floor: Least standard deviation: the base hardly moves along y, and what hardly
-            varies in the data must not be blown up.
+        mean: Of the observations, shape (d,).
+        std: Their standard deviations, shape (d,).
     """
 
     mean: torch.Tensor
     std: torch.Tensor
 
-    def __init__(self, data: torch.Tensor, floor: float) -> None:
+    def __init__(self, mean: torch.Tensor, std: torch.Tensor) -> None:
         super().__init__()
-        self.register_buffer("mean", data.mean(dim=0))
-        self.register_buffer("std", data.std(dim=0, correction=0).clamp_min(floor))
+        self.register_buffer("mean", mean.clone())
+        self.register_buffer("std", std.clone())
+
+    @classmethod
+    def blank(cls, width: int) -> "Normalizer":
+        """One that changes nothing yet, for observations of shape (..., width)."""
+        return cls(torch.zeros(width), torch.ones(width))
+
+    @classmethod
+    def of(cls, data: torch.Tensor, floor: float) -> "Normalizer":
+        """From observations, shape (n, d).
+
+        Args:
+            data: The observations.
+            floor: Least standard deviation: the base hardly moves along y, and what
+                hardly varies in the data must not be blown up.
+        """
+        return cls(data.mean(dim=0), data.std(dim=0, correction=0).clamp_min(floor))
+
+    def set(self, mean: torch.Tensor, std: torch.Tensor) -> None:
+        """Take other statistics, in place."""
+        self.mean.copy_(mean)
+        self.std.copy_(std)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Shapes (..., d) to (..., d)."""
@@ -42,17 +62,45 @@ class Actor(nn.Module):
         self, normalizer: Normalizer, actions: int, hidden: Sequence[int]
     ) -> None:
         super().__init__()
-        widths = [normalizer.mean.shape[0], *hidden]
-        layers: list[nn.Module] = [normalizer]
-        for width, following in pairwise(widths):
-            layers += [nn.Linear(width, following), nn.ReLU()]
-        layers += [nn.Linear(widths[-1], actions), nn.Tanh()]
-        self.layers = nn.Sequential(*layers)
+        self.normalizer = normalizer
+        width = normalizer.mean.shape[0]
+        self.layers = nn.Sequential(*perceptron([width, *hidden, actions]))
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Shapes (..., d) to (..., k), in [-1, 1]."""
-        action: torch.Tensor = self.layers(observation)
-        return action
+        return torch.tanh(self.layers(self.normalizer(observation)))
+
+
+class Critic(nn.Module):
+    """Value of a joint action at a joint state.
+
+    Args:
+        normalizer: Of the states, shape (..., d).
+        actions: Number of action entries k, in [-1, 1].
+        hidden: Units of the hidden layers.
+    """
+
+    def __init__(
+        self, normalizer: Normalizer, actions: int, hidden: Sequence[int]
+    ) -> None:
+        super().__init__()
+        self.normalizer = normalizer
+        width = normalizer.mean.shape[0] + actions
+        self.layers = nn.Sequential(*perceptron([width, *hidden, 1]))
+
+    def forward(self, state: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        """Shapes (..., d) and (..., k) to (...)."""
+        inputs = torch.cat([self.normalizer(state), action], dim=-1)
+        value: torch.Tensor = self.layers(inputs).squeeze(-1)
+        return value
+
+
+def perceptron(widths: Sequence[int]) -> list[nn.Module]:
+    """Linear layers between these widths, ReLU between them."""
+    layers: list[nn.Module] = []
+    for width, following in pairwise(widths):
+        layers += [nn.Linear(width, following), nn.ReLU()]
+    return layers[:-1]
 
 
 class ActionScale:

@@ -87,6 +87,14 @@ class Dataset:
             digest.update(array.tobytes())
         return digest.hexdigest()[:16]
 
+    def identity(self) -> dict[str, str]:
+        """Which dataset it is, for the config of a run."""
+        return {
+            "id": self.metadata["dataset_id"],
+            "path": str(self.location.folder),
+            "fingerprint": self.fingerprint,
+        }
+
     def joint(self) -> Transitions:
         """Joint state (10) and joint action (4)."""
         return self._joint

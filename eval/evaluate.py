@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from marl_mm.envs.config import reach_config
-from marl_mm.envs.rollout import run_episodes
+from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import UsageError
 from marl_mm.eval.goals import goal_set
 from marl_mm.eval.metrics import Row, episode_row, summarize_directions
@@ -76,14 +76,27 @@ def evaluate(
     Raises:
         UsageError: If ``episodes`` is not positive or ``seed`` is negative.
     """
+    with Rollouts(reach_config(task, overrides), workers) as rollouts:
+        return evaluate_with(rollouts, policy, episodes, seed, task, overrides, advance)
+
+
+def evaluate_with(
+    rollouts: Rollouts,
+    policy: Policy,
+    episodes: int,
+    seed: int,
+    task: str,
+    overrides: Mapping[str, Any] | None = None,
+    advance: Advance = silent,
+) -> Evaluation:
+    """``evaluate`` in environments of that task which are there already."""
     if episodes < 1:
         raise UsageError(f"episodes is {episodes}, expected >= 1")
     if seed < 0:
         raise UsageError(f"seed is {seed}, expected >= 0")
-    config = reach_config(task, overrides)
     rows: list[Row] = []
-    plans = goal_set(config, episodes, seed)
-    for episode in run_episodes(config, policy, plans, workers):
+    plans = goal_set(reach_config(task, overrides), episodes, seed)
+    for episode in rollouts.run(policy, plans):
         rows.append(episode_row(episode))
         reached = sum(row["success"] for row in rows)
         advance(1, f"{reached}/{len(rows)} reached")

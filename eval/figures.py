@@ -15,7 +15,7 @@ COLORS = {"forward": "#1b6ca8", "backward": "#c8553d", "all": "#333333"}
 
 
 def learning_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
-    """Loss per agent and success rate over updates, from a run's metrics."""
+    """Loss per agent and success rate over updates, from an offline run's metrics."""
     figure = Figure(figsize=(9, 3.2), layout="constrained")
     loss, success = figure.subplots(1, 2)
     for key in sorted({k for row in metrics for k in row if k.startswith("loss/")}):
@@ -24,15 +24,48 @@ def learning_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
         loss.semilogy(steps, [row[key] for row in rows], label=key.split("/")[1])
     loss.set(xlabel="updates", ylabel="behaviour cloning loss")
     loss.legend(frameon=False)
-    for direction in ("all", "forward", "backward"):
-        key = f"success/{direction}"
-        rows = [row for row in metrics if key in row]
-        steps = [row["step"] for row in rows]
-        rates = [100 * row[key] for row in rows]
-        success.plot(steps, rates, "o-", ms=3, label=direction, color=COLORS[direction])
+    _over_directions(success, metrics, "step", "success", 100)
     success.set(xlabel="updates", ylabel="goals reached [%]", ylim=(-3, 103))
     success.legend(frameon=False)
-    _save(figure, path)
+    save(figure, path)
+
+
+def online_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
+    """Success rate, return, Q and alpha over episodes, from an online run's metrics."""
+    figure = Figure(figsize=(12, 3.0), layout="constrained")
+    success, returns, value, alpha = figure.subplots(1, 4)
+    _over_directions(success, metrics, "episode", "success", 100)
+    success.set(ylabel="goals reached [%]", ylim=(-3, 103))
+    _over_directions(returns, metrics, "episode", "return")
+    returns.set(ylabel="return")
+    rows = [row for row in metrics if "q/data" in row]
+    for key, label in (("q/policy", "of the policy"), ("q/data", "of the data")):
+        value.plot(
+            [row["episode"] for row in rows], [row[key] for row in rows], label=label
+        )
+    value.set(ylabel="Q")
+    value.legend(frameon=False)
+    _over_directions(alpha, metrics, "episode", "alpha")
+    alpha.set(ylabel="alpha (1 = stable base)", ylim=(-0.03, 1.03))
+    for axis in (success, returns, value, alpha):
+        axis.set_xlabel("episodes")
+    success.legend(frameon=False)
+    save(figure, path)
+
+
+def _over_directions(
+    axis: Any,
+    metrics: Sequence[dict[str, Any]],
+    clock: str,
+    name: str,
+    scale: float = 1.0,
+) -> None:
+    """Evaluations on a learning curve, a line per direction."""
+    for direction in ("all", "forward", "backward"):
+        rows = [row for row in metrics if f"{name}/{direction}" in row]
+        values = [scale * row[f"{name}/{direction}"] for row in rows]
+        times = [row[clock] for row in rows]
+        axis.plot(times, values, "o-", ms=3, label=direction, color=COLORS[direction])
 
 
 def alpha_over_time(episodes: dict[str, Sequence[Episode]], path: Path) -> None:
@@ -54,7 +87,7 @@ def alpha_over_time(episodes: dict[str, Sequence[Episode]], path: Path) -> None:
     axes[0][0].set(ylabel="alpha (1 = stable base)")
     axes[1][0].set(ylabel="distance to goal [m]")
     axes[0][0].legend(frameon=False)
-    _save(figure, path)
+    save(figure, path)
 
 
 FORM_COLORS = {"blend": "#1b6ca8", "rhp": "#c8553d", "rhp-literal": "#8a8a8a"}
@@ -89,7 +122,7 @@ def alpha_response(summaries: Sequence[Row], path: Path) -> None:
     for axis in axes[1]:
         axis.set_xlabel("alpha", fontsize=8)
     axes[0][0].legend(frameon=False, fontsize=7)
-    _save(figure, path)
+    save(figure, path)
 
 
 def alpha_pareto(summaries: Sequence[Row], path: Path) -> None:
@@ -118,7 +151,7 @@ def alpha_pareto(summaries: Sequence[Row], path: Path) -> None:
             ylabel="hand behind its target, d_mm [cm]",
         )
     axes[0][0].legend(frameon=False)
-    _save(figure, path)
+    save(figure, path)
 
 
 def _first_task(summaries: Sequence[Row]) -> str:
@@ -142,6 +175,7 @@ def _over_alpha(
     return sorted(rows, key=lambda row: float(row["alpha"]))
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG; it appears whole or not at all."""
     with new_file(path) as temporary:
         figure.savefig(temporary, dpi=130)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import imageio_ffmpeg
 import numpy as np
@@ -14,6 +14,7 @@ from marl_mm.envs.drive import Tick
 from marl_mm.envs.rollout import EpisodePlan, run_episode
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
+from marl_mm.eval.goals import goal_set
 from marl_mm.files import new_file
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
@@ -99,6 +100,45 @@ def film_episode(
         return episode, film.frames
     finally:
         core.close()
+
+
+class TwoWays(NamedTuple):
+    """An episode ahead and one behind, filmed."""
+
+    episodes: list[Episode]
+    frames: list[np.ndarray]
+    """Of both, one after the other."""
+
+    strips: list[tuple[str, list[tuple[str, np.ndarray]]]]
+    """For ``film_strip``: five pictures an episode, with the step in the corner."""
+
+
+def film_both_ways(
+    config: ReachConfig, policy: Policy, seed: int, fps: int, advance: Advance = silent
+) -> TwoWays:
+    """Film a policy on a seed's first goal ahead and on its first one behind.
+
+    Args:
+        config: The task.
+        policy: Who acts.
+        seed: Of the goals.
+        fps: Frames per simulated second.
+        advance: Told the steps; both episodes together count twice the task's most.
+    """
+    result = TwoWays([], [], [])
+    for plan, direction in zip(
+        goal_set(config, 2, seed), ("forward", "backward"), strict=True
+    ):
+        episode, frames = film_episode(
+            config, policy, plan, Camera(), fps, advance=advance
+        )
+        advance(config.max_steps - len(episode), "")
+        ends = [round(share * (len(frames) - 1)) for share in (0, 0.25, 0.5, 0.75, 1)]
+        pictures = [(f"step {i // fps}", frames[i]) for i in ends]
+        result.episodes.append(episode)
+        result.frames.extend(frames)
+        result.strips.append((f"{direction}: {len(episode)} steps", pictures))
+    return result
 
 
 def write_video(path: Path, frames: Sequence[np.ndarray], fps: int) -> None:

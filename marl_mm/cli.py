@@ -13,11 +13,12 @@ COMMANDS = {
     "quickstart": "collect, train and evaluate in a few minutes, with a report",
     "collect": "collect a dataset with a scripted policy: pd, random",
     "datasets": "list datasets, show what is in one",
-    "train": "train a policy from a dataset: mabc",
+    "train": "train a policy: from a dataset, or online",
     "eval": "evaluate runs and scripted policies on fixed goals",
     "play": "film an episode, or watch it in a window",
     "sweep-alpha": "what alpha does: tables and figures over alpha, form and task",
-    "bench": "measure the controller against the simulator",
+    "ablate": "reproduce figures and tables, training the runs they need",
+    "bench": "measure the controller, and the speed of training",
 }
 """Each command is a module of ``marl_mm.commands``, imported when it is called."""
 

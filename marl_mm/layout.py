@@ -52,3 +52,6 @@ AGENTS = (
     AgentLayout("balance", (0, 1, 2, 3, 4, 5, 6), (3,)),
 )
 """In the order of their actions in the joint action."""
+
+JOINT = AgentLayout("joint", tuple(range(len(STATE))), tuple(range(len(ACTION))))
+"""One agent that sees and sets everything, for algorithms that know no agents."""

@@ -12,7 +12,8 @@ from marl_mm.algorithms.checkpoint import FILE, read_checkpoint, save_checkpoint
 from marl_mm.algorithms.mabc import Mabc, MabcConfig
 from marl_mm.algorithms.networks import ActionScale, Normalizer
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
-from marl_mm.algorithms.train import read_metrics, resume, train
+from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.algorithms.train import resume, train
 from marl_mm.datasets.dataset import Dataset, Transitions
 from marl_mm.datasets.location import locate
 from marl_mm.envs.parallel import split_state
@@ -240,7 +241,7 @@ def test_bad_hyper_parameters_are_refused(bad: dict[str, object]) -> None:
 
 def test_normalizer_by_hand_and_its_floor() -> None:
     data = torch.tensor([[1.0, 5.0], [3.0, 5.0]])
-    normalizer = Normalizer(data, floor=0.01)
+    normalizer = Normalizer.of(data, floor=0.01)
     result = normalizer(torch.tensor([[4.0, 5.1]]))
     torch.testing.assert_close(result, torch.tensor([[2.0, 10.0]]), atol=1e-4, rtol=0)
 

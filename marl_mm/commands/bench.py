@@ -1,8 +1,9 @@
-"""marl-mm bench: what a controller tick costs, and what random abuse does to limits."""
+"""marl-mm bench: what a controller tick and an update cost, what abuse does."""
 
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from importlib.util import find_spec
 from typing import Any
 
 from rich.console import Console
@@ -59,19 +60,39 @@ class BenchAbuse:
     """Print JSON."""
 
 
+@dataclass(frozen=True)
+class BenchTrain:
+    """Count gradient updates per second of DDPG+HER and MADDPG+HER on one thread.
+
+    Beside them, in turns: Stable-Baselines3's DDPG+HER with the same network, batch and
+    hindsight (optional extra "bench").
+    """
+
+    updates: int = 2_000
+    """Of each algorithm, rounded down to hundreds."""
+
+    seed: int = 0
+    """Of networks and episodes."""
+
+    json: bool = False
+    """Print JSON."""
+
+
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm bench``."""
-    options = parse_subcommand(
-        {"control": BenchControl, "abuse": BenchAbuse},
+    _, options = parse_subcommand(
+        {"control": BenchControl, "abuse": BenchAbuse, "train": BenchTrain},
         "marl-mm bench",
-        "Measure the controller: its time, or its limits.",
+        "Measure the controller's time and limits, and the speed of training.",
         arguments,
     )
     check_seed(options.seed)
     if isinstance(options, BenchControl):
         result = _control(options)
-    else:
+    elif isinstance(options, BenchAbuse):
         result = _abuse(options)
+    else:
+        result = _train(options)
     result["options"] = {k: v for k, v in asdict(options).items() if k != "json"}
     result["versions"] = versions()
     if options.json:
@@ -95,6 +116,15 @@ def _abuse(options: BenchAbuse) -> dict[str, Any]:
     config = reach_config("Reach-v0", {"controller": {"form": options.form}})
     with progress_bar("bench abuse", options.ticks) as advance:
         return abuse(config, options.ticks, options.seed, advance)
+
+
+def _train(options: BenchTrain) -> dict[str, Any]:
+    from marl_mm.eval.bench_train import bench_train  # torch takes a second to import
+
+    check_positive(updates=options.updates)
+    sb3 = find_spec("stable_baselines3") is not None
+    with progress_bar("bench train", options.updates) as advance:
+        return bench_train(options.updates, options.seed, sb3, advance)
 
 
 def _add_rows(table: Table, values: Mapping[str, Any], prefix: str) -> None:

@@ -73,7 +73,7 @@ class Random(CollectOptions):
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm collect``."""
-    command = parse_subcommand(
+    _, command = parse_subcommand(
         {"pd": Pd, "random": Random},
         "marl-mm collect",
         "Collect a dataset with a scripted policy.",

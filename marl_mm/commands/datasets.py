@@ -38,7 +38,7 @@ class Show:
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm datasets``."""
-    command: List | Show = parse_subcommand(
+    _, command = parse_subcommand(
         {"list": List, "show": Show},
         "marl-mm datasets",
         "List datasets and show what is in them.",

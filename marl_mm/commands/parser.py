@@ -2,9 +2,9 @@
 
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stderr
-from typing import Any, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar, Union
 
 import tyro
 
@@ -22,23 +22,49 @@ def parse_options(options: type[T], prog: str, arguments: Sequence[str]) -> T:
     return _in_one_line(lambda: tyro.cli(options, prog=prog, args=arguments), prog)
 
 
+class Subcommand(NamedTuple):
+    """A subcommand whose options have other defaults than their class."""
+
+    default: Any
+    """The options if nothing is said."""
+
+    description: str
+
+
 def parse_subcommand(
-    commands: dict[str, Callable[..., Any]],
+    commands: Mapping[str, type | Subcommand],
     prog: str,
     description: str,
     arguments: Sequence[str],
-) -> Any:
-    """The options of whichever subcommand the arguments name.
+) -> tuple[str, Any]:
+    """The subcommand that the arguments name, and its options.
+
+    Args:
+        commands: Dataclasses of options by name.
+        prog: How the command is called.
+        description: Of all subcommands together.
+        arguments: The command line behind ``prog``.
 
     Raises:
         UsageError: If they name none, or are not its options.
     """
-    return _in_one_line(
-        lambda: tyro.extras.subcommand_cli_from_dict(
-            commands, prog=prog, description=description, args=arguments
-        ),
-        prog,
+    kinds = [_kind(name, command) for name, command in commands.items()]
+    union: Any = Union[tuple(kinds)]  # noqa: UP007
+
+    def parse() -> Any:
+        return tyro.cli(union, prog=prog, description=description, args=arguments)
+
+    options = _in_one_line(parse, prog)
+    return arguments[0], options
+
+
+def _kind(name: str, command: type | Subcommand) -> Any:
+    if isinstance(command, type):
+        return Annotated[command, tyro.conf.subcommand(name)]
+    about = tyro.conf.subcommand(
+        name, default=command.default, description=command.description
     )
+    return Annotated[type(command.default), about]
 
 
 def _in_one_line(parse: Callable[[], T], prog: str) -> T:

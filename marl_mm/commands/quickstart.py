@@ -21,7 +21,7 @@ from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.commands.collect import collect_dataset
 from marl_mm.commands.options import available_cores, check_positive, check_seed
 from marl_mm.commands.parser import parse_options
-from marl_mm.commands.train import TrainMabc, train_run
+from marl_mm.commands.train_offline import TrainMabc, train_offline
 from marl_mm.datasets.card import card
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import locate
@@ -31,11 +31,10 @@ from marl_mm.eval.evaluate import Evaluation, evaluate
 from marl_mm.eval.figures import alpha_over_time
 from marl_mm.eval.goals import goal_set
 from marl_mm.eval.tables import evaluation_markdown, evaluation_table, markdown_table
-from marl_mm.eval.video import film_episode, film_strip, write_video
+from marl_mm.eval.video import film_both_ways, film_strip, write_video
 from marl_mm.files import new_file, refuse_existing, write_json
 from marl_mm.policy import Policy
 from marl_mm.progress import progress_bar
-from marl_mm.sim.config import Camera
 
 EXPERT = PdConfig(alpha_rule="room")
 """The PD agent whose episodes are collected: alpha falls as the hand runs out of room,
@@ -157,7 +156,7 @@ def _train(options: Quickstart, size: Size) -> Evaluation:
         config=MabcConfig(updates=size.updates),
     )
     dataset = load_dataset(options.out.resolve() / "dataset")
-    return train_run(dataset, training, options.seed, options.out / "mabc")
+    return train_offline(dataset, training, options.seed, options.out / "mabc")
 
 
 def _evaluate(policy: Policy, options: Quickstart, size: Size) -> Evaluation:
@@ -183,19 +182,10 @@ def _picture(options: Quickstart) -> None:
         },
         out / "alpha.png",
     )
-    strips, film = [], []
-    for plan, direction in zip(plans, ("forward", "backward"), strict=True):
-        with progress_bar(f"film {direction}", config.max_steps) as advance:
-            episode, frames = film_episode(
-                config, learned, plan, Camera(), FPS, advance=advance
-            )
-            advance(config.max_steps - len(episode), "")
-        film += frames
-        ends = [round(share * (len(frames) - 1)) for share in (0, 0.25, 0.5, 0.75, 1)]
-        label = f"{direction}: {len(episode)} steps"
-        strips.append((label, [(f"step {i // FPS}", frames[i]) for i in ends]))
-    write_video(out / "mabc.mp4", film, FPS)
-    film_strip(out / "mabc.png", strips)
+    with progress_bar("film mabc", 2 * config.max_steps) as advance:
+        both = film_both_ways(config, learned, options.seed, FPS, advance)
+    write_video(out / "mabc.mp4", both.frames, FPS)
+    film_strip(out / "mabc.png", both.strips)
 
 
 def _report(

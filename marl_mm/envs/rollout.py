@@ -6,7 +6,7 @@ draws from its own seed, and results come back in the order of the plans.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from gymnasium.utils import seeding
@@ -16,9 +16,9 @@ from marl_mm.envs.core import ReachCore, Step
 from marl_mm.envs.drive import Watch
 from marl_mm.episode import INFO, Episode
 from marl_mm.policy import Policy
-from marl_mm.workers import ordered_map
+from marl_mm.workers import Workers
 
-Purpose = Literal["collect", "evaluate"]
+Purpose = Literal["collect", "evaluate", "train"]
 PURPOSES: tuple[Purpose, ...] = get_args(Purpose)
 
 
@@ -76,48 +76,64 @@ def run_episode(
     )
 
 
-def run_episodes(
-    config: ReachConfig, policy: Policy, plans: Iterable[EpisodePlan], workers: int = 1
-) -> Iterator[Episode]:
-    """Run episodes and yield them in the order of ``plans``, which may be endless.
+class Rollouts:
+    """Environments of one task that are kept for many policies, in a ``with`` block.
 
     Args:
         config: The task.
-        policy: Who acts; it is copied into each worker.
-        plans: What to run.
         workers: Processes; 1 runs in this one.
 
     Raises:
         UsageError: If ``workers`` is not positive.
-        MarlMmError: If a worker process dies.
     """
-    if workers == 1:
-        yield from _run_here(config, policy, plans)
-    else:
-        arguments = (config, policy)
-        yield from ordered_map(_run_in_worker, plans, workers, _start_worker, arguments)
+
+    def __init__(self, config: ReachConfig, workers: int = 1) -> None:
+        self._core = ReachCore(config) if workers == 1 else None
+        self._pool = (
+            None if workers == 1 else Workers(workers, _start_worker, (config,))
+        )
+
+    def __enter__(self) -> "Rollouts":
+        return self
+
+    def __exit__(self, *exception: Any) -> None:
+        if self._core is not None:
+            self._core.close()
+        if self._pool is not None:
+            self._pool.__exit__(*exception)
+
+    def run(self, policy: Policy, plans: Iterable[EpisodePlan]) -> Iterator[Episode]:
+        """Episodes in the order of ``plans``, which may be endless.
+
+        Raises:
+            MarlMmError: If a worker process dies.
+        """
+        if self._core is not None:
+            for plan in plans:
+                yield run_episode(self._core, policy, plan)
+        if self._pool is not None:
+            yield from self._pool.map(
+                _run_in_worker, ((policy, plan) for plan in plans)
+            )
 
 
-def _run_here(
-    config: ReachConfig, policy: Policy, plans: Iterable[EpisodePlan]
+def run_episodes(
+    config: ReachConfig, policy: Policy, plans: Iterable[EpisodePlan], workers: int = 1
 ) -> Iterator[Episode]:
-    core = ReachCore(config)
-    try:
-        for plan in plans:
-            yield run_episode(core, policy, plan)
-    finally:
-        core.close()
+    """Run episodes and yield them in the order of ``plans``; see ``Rollouts``."""
+    with Rollouts(config, workers) as rollouts:
+        yield from rollouts.run(policy, plans)
 
 
-_worker: tuple[ReachCore, Policy] | None = None
-"""A worker process's own environment and policy."""
+_core: ReachCore | None = None
+"""A worker process's own environment."""
 
 
-def _start_worker(config: ReachConfig, policy: Policy) -> None:
-    global _worker
-    _worker = ReachCore(config), policy
+def _start_worker(config: ReachConfig) -> None:
+    global _core
+    _core = ReachCore(config)
 
 
-def _run_in_worker(plan: EpisodePlan) -> Episode:
-    assert _worker is not None
-    return run_episode(*_worker, plan)
+def _run_in_worker(item: tuple[Policy, EpisodePlan]) -> Episode:
+    assert _core is not None
+    return run_episode(_core, *item)

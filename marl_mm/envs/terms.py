@@ -4,6 +4,8 @@ The same functions serve the environments and relabelling in hindsight: distance
 success depend on the goal, the other terms come from ``info``.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from marl_mm.envs.config import ReachConfig
@@ -41,3 +43,22 @@ def reach_reward(
     hand = config.ee_error_weight * d_mm
     base = config.base_error_weight * d_mp
     return np.asarray(goal - hand - base - config.jerk_weight * base_jerk_rms)
+
+
+def judge(
+    achieved: np.ndarray,
+    desired: np.ndarray,
+    costs: Mapping[str, np.ndarray],
+    config: ReachConfig,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Reward and termination of steps by other goals, shapes (n, 3) to (n,).
+
+    Args:
+        achieved: End-effector after the step [m].
+        desired: Goal to judge it by [m].
+        costs: The step's ``d_mm``, ``d_mp`` and ``base_jerk_rms``.
+        config: The task.
+    """
+    distance = goal_distance(achieved, desired)
+    terms = costs["d_mm"], costs["d_mp"], costs["base_jerk_rms"]
+    return reach_reward(distance, *terms, config), reached(distance, config)

@@ -1,0 +1,346 @@
+"""DDPG, with and without hindsight (paper, Algorithm 1; Lillicrap 2016).
+
+One actor and one critic on the joint state and action:
+critic loss (Q(s, a) - r - gamma (1 - terminated) Q'(s', pi'(s')))^2,
+actor loss -Q(s, pi(s)). With hindsight (HER, Andrychowicz 2017) most transitions are
+replayed with a goal that their episode came to later.
+"""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch.nn import functional
+from torch.optim.swa_utils import get_ema_multi_avg_fn
+
+from marl_mm.algorithms.actors import AgentActor
+from marl_mm.algorithms.demonstrations import Demonstrations
+from marl_mm.algorithms.explore import Explorer
+from marl_mm.algorithms.networks import Actor, Critic, Normalizer
+from marl_mm.algorithms.policy import LearnedPolicy
+from marl_mm.algorithms.replay import Batch, Judge, Replay, concatenated
+from marl_mm.algorithms.statistics import RunningStatistics
+from marl_mm.episode import Episode
+from marl_mm.errors import UsageError
+from marl_mm.layout import ACTION, ALPHA, JOINT, STATE, AgentLayout
+
+# --- Config ------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class DdpgConfig:
+    """Hyper-parameters; the paper's where it names them (Table 2)."""
+
+    episodes: int = 2_000
+    """Episodes in all: 100 epochs of 20 (Table 2)."""
+
+    hindsight: int = 4
+    """Relabelled transitions per original one; 0 is plain DDPG (Andrychowicz 2017)."""
+
+    updates_per_episode: int = 40
+    """Gradient steps per episode."""
+
+    episodes_per_cycle: int = 4
+    """Episodes that one policy runs, in parallel if there are workers, between
+    updates."""
+
+    warm_up: int = 1_000
+    """Steps with random actions before the first update."""
+
+    capacity: int = 50_000
+    """Steps in the replay."""
+
+    noise: float = 0.1
+    """Standard deviation of the exploration's Gaussian noise, of half the action's
+    range (Table 2)."""
+
+    random_share: float = 0.0
+    """Share of exploring steps that act uniformly at random."""
+
+    batch_size: int = 256
+    """Transitions per update (Table 2)."""
+
+    actor_learning_rate: float = 1e-3
+    """Of Adam (Table 2)."""
+
+    critic_learning_rate: float = 1e-3
+    """Of Adam (Table 2)."""
+
+    discount: float = 0.95
+    """gamma (Table 2)."""
+
+    target_rate: float = 0.005
+    """tau, the share of the networks that goes into their targets (Table 2)."""
+
+    action_penalty: float = 0.0
+    """Weight of the actions' mean square in the actor's loss, against saturation."""
+
+    hidden: tuple[int, ...] = (128, 128)
+    """Units of the hidden layers of actor and critic; the paper is silent."""
+
+    std_floor: float = 0.01
+    """Least standard deviation an observation is scaled by."""
+
+    demonstration_share: float = 0.25
+    """Share of a batch that comes from demonstrations, if there are any."""
+
+    demonstration_successes: float = 0.75
+    """Share of those that comes from successful episodes."""
+
+    def __post_init__(self) -> None:
+        for name in (
+            "episodes",
+            "updates_per_episode",
+            "episodes_per_cycle",
+            "capacity",
+            "batch_size",
+            "actor_learning_rate",
+            "critic_learning_rate",
+            "target_rate",
+            "std_floor",
+        ):
+            if not getattr(self, name) > 0:
+                raise UsageError(f"{name} is {getattr(self, name)}, expected > 0")
+        for name in ("hindsight", "warm_up", "noise", "action_penalty"):
+            if not getattr(self, name) >= 0:
+                raise UsageError(f"{name} is {getattr(self, name)}, expected >= 0")
+        for name in (
+            "random_share",
+            "discount",
+            "target_rate",
+            "demonstration_share",
+            "demonstration_successes",
+        ):
+            if not 0 <= getattr(self, name) <= 1:
+                raise UsageError(f"{name} is {getattr(self, name)}, expected 0 to 1")
+        if not self.hidden or min(self.hidden) < 1:
+            raise UsageError(f"hidden is {self.hidden}, expected positive widths")
+        if self.warm_up > self.capacity:
+            raise UsageError(
+                f"warm_up is {self.warm_up}, expected at most capacity, {self.capacity}"
+            )
+
+
+class Ddpg:
+    """Learns from the episodes it is shown.
+
+    Args:
+        config: Hyper-parameters.
+        judge: The task's reward and termination.
+        seed: Of initial weights and batches.
+        demonstrations: Episodes of others to learn from as well.
+    """
+
+    layouts: ClassVar[tuple[AgentLayout, ...]] = (JOINT,)
+    base_name: ClassVar[str] = "ddpg"
+
+    def __init__(
+        self,
+        config: DdpgConfig,
+        judge: Judge,
+        seed: int,
+        demonstrations: Sequence[Episode] = (),
+    ) -> None:
+        self.config = config
+        self.name = self.base_name + "-her" * (config.hindsight > 0)
+        self.episodes = self.env_steps = self.updates = 0
+        self.replay = Replay(config.capacity, config.hindsight, judge)
+        self._demonstrations = Demonstrations(
+            demonstrations, config.demonstration_successes, config.hindsight, judge
+        )
+        self._rng = np.random.default_rng(seed)
+        self._statistics = RunningStatistics(len(STATE), config.std_floor)
+        # --- Networks --------------------------------------------------------
+        with torch.random.fork_rng():
+            torch.manual_seed(seed)
+            self.critic = Critic(
+                Normalizer.blank(len(STATE)), len(ACTION), config.hidden
+            )
+            self.agents = {
+                layout.name: AgentActor(
+                    layout,
+                    Actor(
+                        Normalizer.blank(len(layout.observation)),
+                        len(layout.action),
+                        config.hidden,
+                    ),
+                )
+                for layout in self.layouts
+            }
+        self._target_critic = deepcopy(self.critic)
+        self._target_agents = deepcopy(self.agents)
+        actors = [p for a in self.agents.values() for p in a.actor.parameters()]
+        self._critic_optimizer = torch.optim.Adam(
+            self.critic.parameters(), lr=config.critic_learning_rate, fused=True
+        )
+        self._actor_optimizer = torch.optim.Adam(
+            actors, lr=config.actor_learning_rate, fused=True
+        )
+        self._online = [*self.critic.parameters(), *actors]
+        self._targets = [
+            *self._target_critic.parameters(),
+            *(p for a in self._target_agents.values() for p in a.actor.parameters()),
+        ]
+        self._follow = get_ema_multi_avg_fn(1 - config.target_rate)  # type: ignore[no-untyped-call]
+
+    # --- Experience ----------------------------------------------------------
+
+    @property
+    def warm(self) -> bool:
+        """Whether there is enough experience to learn from."""
+        return self.env_steps >= self.config.warm_up
+
+    def behaviour(self) -> Explorer:
+        """Who runs the next episodes: at random until ``warm``, then with noise."""
+        config = self.config
+        share = config.random_share if self.warm else 1.0
+        return Explorer(LearnedPolicy(self.name, self.agents), config.noise, share)
+
+    def observe(self, episode: Episode) -> None:
+        """Take an episode into replay and input statistics."""
+        self.replay.add(episode)
+        self.episodes += 1
+        self.env_steps += len(episode)
+        self._statistics.add(episode.states)
+
+    # --- Update --------------------------------------------------------------
+
+    def learn(self, updates: int) -> dict[str, float]:
+        """Many updates; their mean losses."""
+        self._set_statistics()
+        sums: dict[str, float] = {}
+        for batch in self._batches(updates):
+            for key, value in self.update(batch).items():
+                sums[key] = sums.get(key, 0.0) + value
+        return {key: value / updates for key, value in sums.items()}
+
+    def update(self, batch: Batch) -> dict[str, float]:
+        """One gradient step of critic and actor; their losses."""
+        self.updates += 1
+        state, next_state = batch.observation, batch.next_observation
+
+        with torch.no_grad():
+            next_action = joint_action(self._target_agents, next_state)
+            next_value = self._target_critic(next_state, next_action)
+            alive = 1 - batch.terminated
+            target = batch.reward + self.config.discount * alive * next_value
+
+        critic_loss = functional.mse_loss(self.critic(state, batch.action), target)
+        descend(self._critic_optimizer, critic_loss)
+
+        actor_loss = self._actor_loss(batch)
+        descend(self._actor_optimizer, actor_loss)
+
+        self._follow(self._targets, self._online, None)
+        return {"loss/critic": critic_loss.item(), "loss/actor": actor_loss.item()}
+
+    def _actor_loss(self, batch: Batch) -> torch.Tensor:
+        action = joint_action(self.agents, batch.observation)
+        value = self.critic(batch.observation, action)
+        loss: torch.Tensor = -value.mean()
+        return loss + self.config.action_penalty * action.square().mean()
+
+    def _batches(self, count: int) -> Iterator[Batch]:
+        """Batches, drawn many at a time: relabelling costs hardly more for many."""
+        size = self.config.batch_size
+        share = self.config.demonstration_share if self._demonstrations else 0.0
+        shown = round(share * size)
+        while count:
+            many = min(count, _DRAWN_TOGETHER)
+            own = self.replay.sample(many * (size - shown), self._rng)
+            parts = [own.split(size - shown)]
+            if shown:
+                others = self._demonstrations.sample(many * shown, self._rng)
+                parts.append(others.split(shown))
+            for batches in zip(*parts, strict=True):
+                yield concatenated(batches)
+            count -= many
+
+    def _set_statistics(self) -> None:
+        """Bring the input statistics of all networks up to the experience."""
+        mean, std = self._statistics.mean, self._statistics.std
+        for critic in (self.critic, self._target_critic):
+            critic.normalizer.set(mean, std)
+        for agent in (*self.agents.values(), *self._target_agents.values()):
+            entries = list(agent.layout.observation)
+            agent.actor.normalizer.set(mean[entries], std[entries])
+
+    @torch.no_grad()
+    def diagnose(self) -> dict[str, float]:
+        """What critic and actor do on a batch of the replay."""
+        rng = np.random.default_rng(self.updates)
+        batch = self.replay.sample(_DIAGNOSED, rng)
+        action = joint_action(self.agents, batch.observation)
+        taken = self.critic(batch.observation, batch.action)
+        return {
+            "q/data": taken.mean().item(),
+            "q/policy": self.critic(batch.observation, action).mean().item(),
+            "action/saturation": (action.abs() > _SATURATED).float().mean().item(),
+            "action/alpha": ((action[:, ALPHA] + 1) / 2).mean().item(),
+        }
+
+    # --- State ---------------------------------------------------------------
+
+    def state(self) -> dict[str, Any]:
+        """Everything that a checkpoint needs to act and to resume bit-equally."""
+        return {
+            "episodes": self.episodes,
+            "env_steps": self.env_steps,
+            "updates": self.updates,
+            "actors": {n: a.actor.state_dict() for n, a in self.agents.items()},
+            "critic": self.critic.state_dict(),
+            "target_actors": {
+                n: a.actor.state_dict() for n, a in self._target_agents.items()
+            },
+            "target_critic": self._target_critic.state_dict(),
+            "actor_optimizer": self._actor_optimizer.state_dict(),
+            "critic_optimizer": self._critic_optimizer.state_dict(),
+            "statistics": self._statistics.state(),
+            "replay": self.replay.state(),
+            "rng": json.dumps(self._rng.bit_generator.state),
+        }
+
+    def load_state(self, state: Mapping[str, Any]) -> None:
+        """Continue from another run's ``state``."""
+        self.episodes, self.env_steps = state["episodes"], state["env_steps"]
+        self.updates = state["updates"]
+        for name, agent in self.agents.items():
+            agent.actor.load_state_dict(state["actors"][name])
+            target = self._target_agents[name].actor
+            target.load_state_dict(state["target_actors"][name])
+        self.critic.load_state_dict(state["critic"])
+        self._target_critic.load_state_dict(state["target_critic"])
+        self._actor_optimizer.load_state_dict(state["actor_optimizer"])
+        self._critic_optimizer.load_state_dict(state["critic_optimizer"])
+        self._statistics.load_state(state["statistics"])
+        self.replay.load_state(state["replay"])
+        self._rng.bit_generator.state = json.loads(state["rng"])
+
+
+_DRAWN_TOGETHER = 40
+"""Batches drawn from the replay at once."""
+
+_DIAGNOSED = 1_024
+"""Transitions that diagnostics look at."""
+
+_SATURATED = 0.98
+"""Beyond this an action counts as saturated, in [-1, 1] coordinates."""
+
+
+def joint_action(agents: Mapping[str, AgentActor], state: torch.Tensor) -> torch.Tensor:
+    """All actors' actions at joint states, shapes (n, 10) to (n, 4), in [-1, 1]."""
+    parts = [agent.actor(agent.own(state)) for agent in agents.values()]
+    return torch.cat(parts, dim=-1)
+
+
+def descend(optimizer: torch.optim.Optimizer, loss: torch.Tensor) -> None:
+    """One step of an optimizer, which leaves all other networks' gradients alone."""
+    parameters = optimizer.param_groups[0]["params"]
+    gradients = torch.autograd.grad(loss, parameters)
+    for parameter, gradient in zip(parameters, gradients, strict=True):
+        parameter.grad = gradient
+    optimizer.step()

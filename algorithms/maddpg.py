@@ -1,0 +1,52 @@
+"""MADDPG, with and without hindsight (Lowe 2017): DDPG with an actor per agent.
+
+Actors see their own observations only; the critic, in training only, sees the joint
+state and action. The agents share their reward, so one critic and one batch serve both:
+actor loss of agent i: -Q(s, (pi_i(o_i), a_-i)).
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import torch
+
+from marl_mm.algorithms.ddpg import Ddpg, DdpgConfig
+from marl_mm.algorithms.replay import Batch
+from marl_mm.layout import AGENTS, AgentLayout
+
+# --- Config ------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class MaddpgConfig(DdpgConfig):
+    """Hyper-parameters: those of DDPG, and what the agents take each other to do."""
+
+    others: Literal["replay", "policy"] = "policy"
+    """What the other agent's action is in an actor's loss: the one in the replay (Lowe
+    2017) or the one it would take now."""
+
+
+class Maddpg(Ddpg):
+    """Learns decentralised actors with a centralised critic; see ``Ddpg``."""
+
+    layouts: ClassVar[tuple[AgentLayout, ...]] = AGENTS
+    base_name: ClassVar[str] = "maddpg"
+    config: MaddpgConfig
+
+    # --- Update --------------------------------------------------------------
+
+    def _actor_loss(self, batch: Batch) -> torch.Tensor:
+        if self.config.others == "policy":
+            return super()._actor_loss(batch)
+        losses = [self._agent_loss(name, batch) for name in self.agents]
+        return sum(losses, torch.zeros(()))
+
+    def _agent_loss(self, name: str, batch: Batch) -> torch.Tensor:
+        """Loss of one agent while the others act as they did."""
+        agent = self.agents[name]
+        own: torch.Tensor = agent.actor(agent.own(batch.observation))
+        action = batch.action.clone()
+        action[:, list(agent.layout.action)] = own
+        value = self.critic(batch.observation, action)
+        loss: torch.Tensor = -value.mean()
+        return loss + self.config.action_penalty * own.square().mean()

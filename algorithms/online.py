@@ -1,0 +1,198 @@
+"""The loop of online learning: run episodes, learn from them, evaluate, keep.
+
+It fills a run folder as ``marl_mm.algorithms.train`` does, and keeps the best policy
+beside the last one in ``best.pt``.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import torch
+
+from marl_mm.algorithms.algorithm import Resumable
+from marl_mm.algorithms.checkpoint import BEST, FILE, save_checkpoint, save_policy
+from marl_mm.algorithms.explore import Explorer
+from marl_mm.algorithms.policy import LearnedPolicy
+from marl_mm.algorithms.runlog import Row, RunLog
+from marl_mm.algorithms.train import Evaluate
+from marl_mm.episode import Episode
+from marl_mm.errors import UsageError
+from marl_mm.layout import ALPHA
+from marl_mm.progress import Advance, silent
+
+RunEpisodes = Callable[[Explorer, Iterable[int]], Iterator[Episode]]
+"""Runs training episodes of these numbers; the loop knows nothing of environments."""
+
+LEARNT = 0.5
+"""Success rate from which on a run can be flat: before, it may not have begun."""
+
+
+class OnlineConfig(Protocol):
+    """Hyper-parameters, a frozen dataclass."""
+
+    @property
+    def episodes(self) -> int:
+        """Episodes in all."""
+
+    @property
+    def episodes_per_cycle(self) -> int:
+        """Episodes between updates."""
+
+    @property
+    def updates_per_episode(self) -> int:
+        """Gradient steps per episode."""
+
+
+class OnlineAlgorithm(Resumable, Protocol):
+    """An algorithm that learns from the episodes it is shown."""
+
+    episodes: int
+    """Shown so far."""
+
+    env_steps: int
+    updates: int
+
+    @property
+    def config(self) -> OnlineConfig:
+        """Its hyper-parameters."""
+
+    @property
+    def warm(self) -> bool:
+        """Whether there is enough experience to learn from."""
+
+    def behaviour(self) -> Explorer:
+        """Who runs the next episodes."""
+
+    def observe(self, episode: Episode) -> None:
+        """Take an episode."""
+
+    def learn(self, updates: int) -> dict[str, float]:
+        """Many updates; their mean losses."""
+
+    def diagnose(self) -> dict[str, float]:
+        """What there is to know of actors and critic now."""
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """When the loop looks at what has been learnt."""
+
+    epoch: int = 20
+    """Episodes between checkpoints and rows of metrics (Table 2)."""
+
+    evaluate_every: int = 2
+    """Epochs between evaluations."""
+
+    patience: int = 500
+    """Episodes without a better success rate after which training ends, once it has
+    been over one half; 0 trains all episodes."""
+
+    def __post_init__(self) -> None:
+        for name in ("epoch", "evaluate_every"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"{name} is {getattr(self, name)}, expected >= 1")
+        if self.patience < 0:
+            raise UsageError(f"patience is {self.patience}, expected >= 0")
+
+
+def train_online(
+    algorithm: OnlineAlgorithm,
+    run: Path,
+    run_episodes: RunEpisodes,
+    evaluate: Evaluate,
+    schedule: Schedule,
+    advance: Advance = silent,
+) -> None:
+    """Train until the config's number of episodes, or until the success rate is flat.
+
+    Args:
+        algorithm: Fresh, or resumed by ``marl_mm.algorithms.train.resume``.
+        run: Its folder.
+        run_episodes: Runs training episodes; episode i must not depend on how many are
+            run together.
+        evaluate: Measures a policy: ``success/all``, ``return/all`` and more.
+        schedule: When.
+        advance: Told the episodes.
+
+    Raises:
+        KeyboardInterrupt: After Ctrl-C, saying which checkpoint there is.
+    """
+    torch.set_num_threads(1)  # small batches: a second thread only costs
+    total = algorithm.config.episodes
+    advance(algorithm.episodes, "")
+    with RunLog(run, "episode", since=algorithm.episodes) as log:
+        saved = algorithm.episodes
+        try:
+            while saved < total and not is_flat(log.rows, schedule.patience):
+                end = min(saved + schedule.epoch, total)
+                row = _epoch(algorithm, run_episodes, end)
+                number = end // schedule.epoch
+                if number % schedule.evaluate_every == 0 or end == total:
+                    policy = LearnedPolicy(algorithm.name, algorithm.agents)
+                    row |= evaluate(policy)
+                    if _merit(row) > max(map(_merit, log.rows), default=(-1.0,)):
+                        save_policy(run / BEST, algorithm)
+                log.add(row)
+                save_checkpoint(run / FILE, algorithm)
+                advance(end - saved, _note(log.rows))
+                saved = end
+        except KeyboardInterrupt:
+            kept = f"{run} holds the checkpoint of episode {saved}: go on with --resume"
+            nothing = "before the first checkpoint: start again with --overwrite"
+            raise KeyboardInterrupt(f"stopped; {kept if saved else nothing}") from None
+
+
+def _epoch(algorithm: OnlineAlgorithm, run_episodes: RunEpisodes, end: int) -> Row:
+    """Episodes up to number ``end``, with the updates between them; its metrics."""
+    config = algorithm.config
+    episodes: list[Episode] = []
+    losses: list[dict[str, float]] = []
+    while algorithm.episodes < end:
+        cycle = min(config.episodes_per_cycle, end - algorithm.episodes)
+        numbers = range(algorithm.episodes, algorithm.episodes + cycle)
+        for episode in run_episodes(algorithm.behaviour(), numbers):
+            algorithm.observe(episode)
+            episodes.append(episode)
+        if algorithm.warm:
+            losses.append(algorithm.learn(cycle * config.updates_per_episode))
+    return {
+        "episode": end,
+        "env_steps": algorithm.env_steps,
+        "updates": algorithm.updates,
+        "train/return": _mean([episode.episode_return for episode in episodes]),
+        "train/success": _mean([episode.success for episode in episodes]),
+        "train/steps": _mean([len(episode) for episode in episodes]),
+        "train/alpha": _mean([e.actions[:, ALPHA].mean() for e in episodes]),
+        **{key: _mean([one[key] for one in losses]) for key in (losses or [{}])[0]},
+        **(algorithm.diagnose() if losses else {}),
+    }
+
+
+def is_flat(rows: Sequence[Row], patience: int) -> bool:
+    """Whether the success rate has not risen for ``patience`` episodes."""
+    measured = [row for row in rows if "success/all" in row]
+    if not measured or not patience:
+        return False
+    best = max(measured, key=lambda row: (row["success/all"], -row["episode"]))
+    waited = measured[-1]["episode"] - best["episode"]
+    return bool(best["success/all"] > LEARNT and waited >= patience)
+
+
+def _merit(row: Row) -> tuple[float, ...]:
+    """Success first, then return; less than anything where nothing was measured."""
+    if "success/all" not in row:
+        return (-1.0,)
+    return row["success/all"], row["return/all"]
+
+
+def _note(rows: Sequence[Row]) -> str:
+    evaluated = [row["success/all"] for row in rows if "success/all" in row]
+    note = f"exploring {100 * rows[-1]['train/success']:.0f} %"
+    return note + (f", evaluated {100 * evaluated[-1]:.0f} %" if evaluated else "")
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values))

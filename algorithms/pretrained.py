@@ -1,0 +1,71 @@
+"""The agent that ships with the package: DDPG with hindsight on ``Reach-v0``.
+
+Its folder holds ``policy.safetensors`` (the actor), ``config.json`` (hyper-parameters,
+seed and versions of the run), ``metrics.jsonl`` (its learning curve) and ``eval.json``.
+"""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+
+from marl_mm.algorithms.actors import actors_from
+from marl_mm.algorithms.checkpoint import BEST, read_checkpoint
+from marl_mm.algorithms.policy import LearnedPolicy
+from marl_mm.algorithms.runlog import METRICS
+from marl_mm.errors import CheckpointError
+from marl_mm.files import new_folder
+
+NAME = "pretrained"
+FOLDER = Path(__file__).parent / "pretrained_agent"
+"""Where it ships."""
+
+_WEIGHTS = "policy.safetensors"
+
+
+def ship(run: Path, folder: Path) -> None:
+    """Make a shippable folder of an online run's best policy.
+
+    Args:
+        run: A finished run.
+        folder: To write; replaced if it exists.
+    """
+    checkpoint = read_checkpoint(run / BEST)
+    tensors = {
+        f"{agent}/{key}": value.contiguous()
+        for agent, state in checkpoint["state"]["actors"].items()
+        for key, value in state.items()
+    }
+    config = json.loads((run / "config.json").read_text())
+    if config.get("dataset"):
+        del config["dataset"]["path"]  # of the machine it was trained on
+    with new_folder(folder) as new:
+        save_file(tensors, new / _WEIGHTS)
+        (new / "config.json").write_text(json.dumps(config, indent=2) + "\n")
+        shutil.copy(run / METRICS, new / METRICS)
+        evaluation = json.loads((run / "eval_best.json").read_text())
+        evaluation["policy_config"] = {}
+        (new / "eval.json").write_text(json.dumps(evaluation, indent=1) + "\n")
+
+
+def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
+    """The shipped agent.
+
+    Raises:
+        CheckpointError: If its files are missing or damaged.
+    """
+    try:
+        config = json.loads((folder / "config.json").read_text())
+        tensors = load_file(folder / _WEIGHTS)
+        states: dict[str, dict[str, Any]] = {}
+        for name, value in tensors.items():
+            agent, _, key = name.partition("/")
+            states.setdefault(agent, {})[key] = value
+        agents = actors_from(states, config["hidden"])
+    except (OSError, ValueError, KeyError, RuntimeError, SafetensorError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise CheckpointError(f"{folder} is damaged ({reason:.80})") from error
+    return LearnedPolicy(NAME, agents, NAME)

@@ -1,0 +1,167 @@
+"""Replay of whole episodes, with goals exchanged in hindsight (Andrychowicz 2017).
+
+The goal of a transition drawn for relabelling becomes where the end-effector was at the
+end of a later step of its own episode (strategy ``future``), and reward and termination
+are computed anew.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+
+from marl_mm.episode import Episode
+from marl_mm.errors import UsageError
+from marl_mm.layout import ACTION, ACTION_HIGH, ACTION_LOW, EE, GOAL, STATE
+
+COSTS = ("d_mm", "d_mp", "base_jerk_rms")
+"""What of a step's info its reward depends on, apart from the goal."""
+
+Judge = Callable[
+    [np.ndarray, np.ndarray, Mapping[str, np.ndarray]], tuple[np.ndarray, np.ndarray]
+]
+"""Reward and termination, shape (n,), of steps that ended with the end-effector at the
+first positions, shape (n, 3) [m], by goals, shape (n, 3) [m], and costs by name."""
+
+
+class Batch(NamedTuple):
+    """Transitions, float32; actions in normalised coordinates."""
+
+    observation: torch.Tensor
+    """Joint states, shape (n, 10)."""
+
+    action: torch.Tensor
+    """Joint actions in [-1, 1], shape (n, 4)."""
+
+    reward: torch.Tensor
+    """Shape (n,)."""
+
+    next_observation: torch.Tensor
+    """Shape (n, 10)."""
+
+    terminated: torch.Tensor
+    """1 where the goal was reached, shape (n,)."""
+
+    def split(self, size: int) -> list["Batch"]:
+        """Batches of ``size`` transitions each."""
+        parts = zip(*(torch.split(column, size) for column in self), strict=True)
+        return [Batch(*part) for part in parts]
+
+    def take(self, order: np.ndarray) -> "Batch":
+        """The transitions of these numbers."""
+        index = torch.from_numpy(order)
+        return Batch(*(column[index] for column in self))
+
+
+def concatenated(batches: Sequence[Batch]) -> Batch:
+    """Batches one after the other."""
+    if len(batches) == 1:
+        return batches[0]
+    return Batch(*(torch.cat(columns) for columns in zip(*batches, strict=True)))
+
+
+class Replay:
+    """The latest episodes, at most ``capacity`` steps of them.
+
+    Args:
+        capacity: Steps; the oldest episodes go, whole.
+        hindsight: Relabelled transitions per original one, the paper's k.
+        judge: The task's own reward and termination.
+    """
+
+    def __init__(self, capacity: int, hindsight: int, judge: Judge) -> None:
+        self._capacity = capacity
+        self._share = hindsight / (hindsight + 1)
+        self._judge = judge
+        # Rings: step s, counted from the first ever, is in row s % capacity.
+        # float64, so that a reward computed again is the step's own to the bit.
+        self._state = np.zeros((capacity, len(STATE)))
+        self._next_state = np.zeros((capacity, len(STATE)))
+        self._action = np.zeros((capacity, len(ACTION)), np.float32)
+        self._reward = np.zeros(capacity)
+        self._terminated = np.zeros(capacity, bool)
+        self._costs = {name: np.zeros(capacity) for name in COSTS}
+        self._end = np.zeros(capacity, np.int64)
+        """Step number at which each step's episode ends."""
+
+        self._oldest = self._total = 0
+
+    def __len__(self) -> int:
+        return self._total - self._oldest
+
+    def add(self, episode: Episode) -> None:
+        """Take an episode, and let the oldest go if there is no room.
+
+        Raises:
+            UsageError: If the episode alone is longer than the capacity.
+        """
+        count = len(episode)
+        if count > self._capacity:
+            raise UsageError(
+                f"an episode has {count} steps, but the replay's capacity is "
+                f"{self._capacity}: raise it"
+            )
+        while len(self) + count > self._capacity:
+            self._oldest = int(self._end[self._oldest % self._capacity]) + 1
+        rows = np.arange(self._total, self._total + count) % self._capacity
+        low, high = np.array(ACTION_LOW), np.array(ACTION_HIGH)
+        self._state[rows] = episode.states[:-1]
+        self._next_state[rows] = episode.states[1:]
+        self._action[rows] = 2 * (episode.actions - low) / (high - low) - 1
+        self._reward[rows] = episode.rewards
+        self._terminated[rows] = episode.terminated
+        for name, values in self._costs.items():
+            values[rows] = episode.info[name]
+        self._end[rows] = self._total + count - 1
+        self._total += count
+
+    def sample(self, size: int, rng: np.random.Generator) -> Batch:
+        """Transitions drawn uniformly, a share of them relabelled."""
+        steps = rng.integers(self._oldest, self._total, size)
+        relabelled = rng.random(size) < self._share
+        later = rng.random(size)
+        rows = steps % self._capacity
+        state, next_state = self._state[rows], self._next_state[rows]
+        reward, terminated = self._reward[rows], self._terminated[rows]
+
+        chosen = np.flatnonzero(relabelled)
+        step, end = steps[chosen], self._end[rows[chosen]]
+        future = step + (later[chosen] * (end + 1 - step)).astype(np.int64)
+        goal = self._next_state[future % self._capacity][:, EE]
+        state[chosen, GOAL], next_state[chosen, GOAL] = goal, goal
+        costs = {name: values[rows[chosen]] for name, values in self._costs.items()}
+        reward[chosen], terminated[chosen] = self._judge(
+            next_state[chosen][:, EE], goal, costs
+        )
+        return Batch(
+            torch.from_numpy(state.astype(np.float32)),
+            torch.from_numpy(self._action[rows]),
+            torch.from_numpy(reward.astype(np.float32)),
+            torch.from_numpy(next_state.astype(np.float32)),
+            torch.from_numpy(terminated.astype(np.float32)),
+        )
+
+    def state(self) -> dict[str, Any]:
+        """Its contents, for a checkpoint."""
+        rows = np.arange(self._oldest, self._total) % self._capacity
+        contents = {name: torch.from_numpy(a[rows]) for name, a in self._arrays()}
+        return {"oldest": self._oldest, "total": self._total, **contents}
+
+    def load_state(self, state: Mapping[str, Any]) -> None:
+        """Continue with another replay's ``state``."""
+        self._oldest, self._total = state["oldest"], state["total"]
+        rows = np.arange(self._oldest, self._total) % self._capacity
+        for name, array in self._arrays():
+            array[rows] = state[name].numpy()
+
+    def _arrays(self) -> list[tuple[str, np.ndarray]]:
+        return [
+            ("state", self._state),
+            ("next_state", self._next_state),
+            ("action", self._action),
+            ("reward", self._reward),
+            ("terminated", self._terminated),
+            ("end", self._end),
+            *self._costs.items(),
+        ]

@@ -1,0 +1,143 @@
+"""The learnt alpha: what it is over time, and what it is worth.
+
+Worth: the return of a trained agent against the same agent with its alpha held at one
+value, on the same goals.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from marl_mm.envs.config import reach_config
+from marl_mm.envs.rollout import Rollouts
+from marl_mm.episode import Episode
+from marl_mm.eval.goals import goal_set
+from marl_mm.eval.metrics import Row, bootstrap_interval
+from marl_mm.layout import ALPHA
+from marl_mm.policy import Policy
+from marl_mm.progress import Advance, silent
+
+ALPHAS = tuple(round(0.1 * i, 1) for i in range(11))
+"""The fixed ones."""
+
+LEARNT = "learnt"
+
+
+class FixedAlpha:
+    """A policy whose alpha is held.
+
+    Args:
+        policy: Who sets the rest of the action.
+        alpha: 0 accurate hand ... 1 stable base.
+    """
+
+    def __init__(self, policy: Policy, alpha: float) -> None:
+        self._policy, self._alpha = policy, alpha
+        self.name = f"{policy.name}, alpha {alpha:g}"
+
+    def describe(self) -> dict[str, Any]:
+        """The alpha, and the policy's own settings."""
+        return {"alpha": self._alpha, **self._policy.describe()}
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """A new episode of the policy, too."""
+        self._policy.begin(rng)
+
+    def act(self, state: np.ndarray) -> np.ndarray:
+        """The policy's action with the held alpha."""
+        action = self._policy.act(state).copy()
+        action[ALPHA] = self._alpha
+        return action
+
+
+def worth_rows(
+    policy: Policy,
+    task: str,
+    goals: int,
+    seed: int,
+    workers: int,
+    advance: Advance = silent,
+) -> tuple[list[Row], list[Episode]]:
+    """Returns per goal, with the learnt alpha and with each fixed one.
+
+    Args:
+        policy: A trained agent.
+        task: What it was trained on.
+        goals: How many, half ahead.
+        seed: Of the goals.
+        workers: Processes.
+        advance: Told the episodes.
+
+    Returns:
+        Rows of ``alpha`` (a number or ``learnt``), goal, direction, success and return;
+        and the episodes with the learnt alpha.
+    """
+    config = reach_config(task)
+    plans = goal_set(config, goals, seed)
+    rows: list[Row] = []
+    learnt: list[Episode] = []
+    with Rollouts(config, workers) as rollouts:
+        actors: list[tuple[float | str, Policy]] = [(LEARNT, policy)]
+        actors += [(alpha, FixedAlpha(policy, alpha)) for alpha in ALPHAS]
+        for alpha, actor in actors:
+            for episode in rollouts.run(actor, plans):
+                rows.append(
+                    {
+                        "task": task,
+                        "alpha": alpha,
+                        "goal": episode.index,
+                        "direction": episode.direction,
+                        "success": int(episode.success),
+                        "steps": len(episode),
+                        "return": episode.episode_return,
+                    }
+                )
+                if alpha == LEARNT:
+                    learnt.append(episode)
+                advance(1, f"{task} alpha {alpha}")
+    return rows, learnt
+
+
+def summarize_worth(rows: Sequence[Row]) -> list[Row]:
+    """One row per fixed alpha: how much better the learnt one is, goal by goal."""
+    learnt = _returns(rows, LEARNT)
+    summaries = []
+    for alpha in ALPHAS:
+        own = [row for row in rows if row["alpha"] == alpha]
+        difference = learnt - _returns(rows, alpha)
+        summaries.append(
+            {
+                "task": own[0]["task"],
+                "alpha": alpha,
+                "goals": len(own),
+                "success": float(np.mean([row["success"] for row in own])),
+                "return": float(np.mean([row["return"] for row in own])),
+                "learnt_return": float(np.mean(learnt)),
+                "difference": float(np.mean(difference)),
+                "difference_interval": bootstrap_interval(difference),
+                "better_on": int((difference > 0).sum()),
+            }
+        )
+    return summaries
+
+
+def alpha_steps(task: str, episodes: Sequence[Episode]) -> Iterator[Row]:
+    """Alpha at each step of the episodes that come to it, by direction."""
+    for direction in ("forward", "backward"):
+        own = [e.actions[:, ALPHA] for e in episodes if e.direction == direction]
+        for step in range(max(map(len, own), default=0)):
+            values = [alphas[step] for alphas in own if len(alphas) > step]
+            yield {
+                "task": task,
+                "direction": direction,
+                "step": step + 1,
+                "episodes": len(values),
+                "mean": float(np.mean(values)),
+                "std": float(np.std(values)),
+            }
+
+
+def _returns(rows: Sequence[Row], alpha: float | str) -> np.ndarray:
+    own = [row for row in rows if row["alpha"] == alpha]
+    return np.array([row["return"] for row in sorted(own, key=lambda r: r["goal"])])

@@ -1,0 +1,93 @@
+"""Gradient updates per second of online learning, beside Stable-Baselines3's.
+
+Both learn from as many random episodes of the same task, with the same network, batch
+and hindsight; they take turns, so that a noisy machine is as noisy for both.
+"""
+
+from dataclasses import replace
+from functools import partial
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import torch
+
+from marl_mm.algorithms.ddpg import Ddpg
+from marl_mm.algorithms.maddpg import Maddpg, MaddpgConfig
+from marl_mm.algorithms.presets import preset
+from marl_mm.envs.config import reach_config
+from marl_mm.envs.rollout import EpisodePlan, Rollouts, episode_seed
+from marl_mm.envs.terms import judge
+from marl_mm.progress import Advance, silent
+
+TASK = "Reach-v0"
+
+_EPISODES = 40
+"""Random episodes in the replays."""
+
+_TURN = 100
+"""Updates until it is the other's turn."""
+
+
+def bench_train(
+    updates: int, seed: int = 0, sb3: bool = True, advance: Advance = silent
+) -> dict[str, Any]:
+    """Updates per second of each, and ours over SB3's.
+
+    Args:
+        updates: Of each algorithm, in turns.
+        seed: Of networks and episodes.
+        sb3: Whether to time Stable-Baselines3, too.
+        advance: Told the updates.
+    """
+    torch.set_num_threads(1)
+    config = reach_config(TASK)
+    rewards = partial(judge, config=config)
+    ours = {
+        "ddpg-her": Ddpg(preset("ddpg-her"), rewards, seed),
+        "maddpg-her": _maddpg(rewards, seed),
+    }
+    plans = [EpisodePlan(i, episode_seed(seed, i, "train")) for i in range(_EPISODES)]
+    explorer = Ddpg(replace(preset("ddpg-her"), warm_up=10**4), rewards, seed)
+    with Rollouts(config) as rollouts:
+        for episode in rollouts.run(explorer.behaviour(), plans):
+            for algorithm in ours.values():
+                algorithm.observe(episode)
+    learners = {name: algorithm.learn for name, algorithm in ours.items()}
+    if sb3:
+        learners["sb3-ddpg-her"] = _sb3(seed)
+    rates: dict[str, list[float]] = {name: [] for name in learners}
+    advance(0, "random episodes")
+    for turn in range(-1, max(1, updates // _TURN)):
+        for name, learn in learners.items():
+            begin = perf_counter()
+            learn(_TURN)
+            rate = _TURN / (perf_counter() - begin)
+            if turn >= 0:  # the first one warms caches
+                rates[name].append(rate)
+        advance(_TURN if turn >= 0 else 0, "")
+    medians = {name: float(np.median(values)) for name, values in rates.items()}
+    result: dict[str, Any] = {"updates_per_second": medians}
+    if sb3:
+        for name in ours:
+            ratios = np.array(rates[name]) / np.array(rates["sb3-ddpg-her"])
+            result[f"{name}_over_sb3"] = float(np.median(ratios))
+    return result
+
+
+def _maddpg(rewards: Any, seed: int) -> Maddpg:
+    config = preset("maddpg-her")
+    assert isinstance(config, MaddpgConfig)
+    return Maddpg(config, rewards, seed)
+
+
+def _sb3(seed: int) -> Any:
+    from stable_baselines3.common.logger import configure
+
+    from marl_mm.eval.sb3_reference import sb3_model
+
+    config = preset("ddpg-her")
+    model = sb3_model(TASK, replace(config, warm_up=config.capacity), seed)
+    model.set_logger(configure(None, []))
+    model.learn(total_timesteps=_EPISODES * 25)
+    return partial(model.train, batch_size=config.batch_size)

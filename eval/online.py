@@ -1,0 +1,195 @@
+"""What online runs show: learning curves, episodes to a success rate, evaluations.
+
+Functions of run folders ``RUNS/SETTING/SEED`` and of the rows read from them.
+"""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from marl_mm.algorithms.presets import Preset
+from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.errors import UsageError
+from marl_mm.eval.metrics import CONFIDENCE, Row, success_interval
+
+LEVELS = (0.70, 0.95)
+"""Success rates to which episodes are counted; the paper's own ends at 70 %."""
+
+CHECKPOINTS = {"last": "eval.json", "best": "eval_best.json"}
+"""Evaluations of a run, by checkpoint."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One way to learn online, run with several seeds."""
+
+    name: str
+    """Of its folder and in tables."""
+
+    about: str
+    """In tables."""
+
+    algorithm: str = "ddpg-her"
+    preset: Preset = "tuned"
+    task: str = "Reach-v0"
+    demonstrations: bool = False
+    """Whether it replays episodes of the PD agent, too."""
+
+    changes: dict[str, Any] = field(default_factory=dict)
+    """Of the preset's hyper-parameters."""
+
+    library: str = "marl_mm"
+    """``marl_mm``, or ``sb3`` for Stable-Baselines3."""
+
+
+SETTINGS = (
+    Setting("ddpg", "DDPG", "ddpg"),
+    Setting("ddpg-her", "DDPG + HER"),
+    Setting("maddpg-her", "MADDPG + HER", "maddpg-her"),
+    Setting("ddpg-paper", "DDPG, Table 2", "ddpg", "paper"),
+    Setting("ddpg-her-paper", "DDPG + HER, Table 2", "ddpg-her", "paper"),
+    Setting("sb3-ddpg-her", "Stable-Baselines3, DDPG + HER", library="sb3"),
+    Setting("ddpg-demonstrations", "DDPG, PD's", "ddpg", demonstrations=True),
+    Setting("ddpg-her-demonstrations", "DDPG + HER, PD's", demonstrations=True),
+    Setting("ddpg-her-smooth", "DDPG + HER", task="SmoothReach-v0"),
+)
+"""What the tables and figures of online learning are made of."""
+
+
+def curve_rows(runs: Path, setting: str, seed: int) -> list[Row]:
+    """A run's learning curve: one row per evaluation."""
+    run = runs / setting / str(seed)
+    keys = (
+        "episode",
+        "env_steps",
+        "updates",
+        "success/all",
+        "success/forward",
+        "success/backward",
+        "return/all",
+        "alpha/forward",
+        "alpha/backward",
+        "train/return",
+        "train/success",
+        "q/data",
+        "q/policy",
+        "action/saturation",
+    )
+    rows = [row for row in read_metrics(run) if "success/all" in row]
+    if not rows:
+        raise UsageError(f"{run} has no evaluations: train it first")
+    head: Row = {"setting": setting, "seed": seed}
+    return [
+        head | {k.replace("/", "_"): row.get(k, float("nan")) for k in keys}
+        for row in rows
+    ]
+
+
+def evaluation_rows(runs: Path, setting: str, seed: int) -> Iterator[Row]:
+    """A run's evaluations of its last and its best policy: one row per goal."""
+    for checkpoint, file in CHECKPOINTS.items():
+        path = runs / setting / str(seed) / file
+        if not path.exists():
+            raise UsageError(f"{path} is missing: train the run to its end first")
+        for row in json.loads(path.read_text())["episodes"]:
+            yield {
+                "setting": setting,
+                "seed": seed,
+                "checkpoint": checkpoint,
+                "goal": row["index"],
+                "direction": row["direction"],
+                "success": int(row["success"]),
+                "steps": row["steps"],
+                "return": row["return"],
+                "d_mm": row["d_mm"],
+                "d_mp": row["d_mp"],
+                "base_jerk_rms": row["base_jerk_rms"],
+                "alpha": row["alpha"],
+            }
+
+
+def episodes_to(curve: Sequence[Row], level: float) -> int | None:
+    """Episodes until an evaluation first showed a success rate; None if none did."""
+    reached = [row["episode"] for row in curve if row["success_all"] >= level]
+    return min(reached, default=None)
+
+
+def summarize_settings(
+    curves: Sequence[Row], evaluations: Sequence[Row], names: Sequence[str]
+) -> list[Row]:
+    """One row per setting: success at the end and at best, episodes to each level."""
+    rows = []
+    for name in names:
+        own = [row for row in curves if row["setting"] == name]
+        seeds = sorted({row["seed"] for row in own})
+        by_seed = [[row for row in own if row["seed"] == seed] for seed in seeds]
+        row: Row = {"setting": name, "seeds": len(seeds)}
+        for checkpoint in CHECKPOINTS:
+            goals = [
+                one
+                for one in evaluations
+                if (one["setting"], one["checkpoint"]) == (name, checkpoint)
+            ]
+            rates = [
+                np.mean([one["success"] for one in goals if one["seed"] == seed])
+                for seed in seeds
+            ]
+            row[f"success_{checkpoint}"] = float(np.mean(rates))
+            row[f"success_{checkpoint}_std"] = float(np.std(rates))
+            successes = sum(one["success"] for one in goals)
+            row[f"success_{checkpoint}_interval"] = success_interval(
+                successes, len(goals)
+            )
+            row[f"return_{checkpoint}"] = float(
+                np.mean([one["return"] for one in goals])
+            )
+        for level in LEVELS:
+            counts = [episodes_to(curve, level) for curve in by_seed]
+            row |= _counted(f"to_{round(100 * level)}", counts)
+        row["episodes"] = max(curve[-1]["episode"] for curve in by_seed)
+        rows.append(row)
+    return rows
+
+
+def _counted(name: str, counts: Sequence[int | None]) -> Row:
+    """Each seed's count, their mean and Student's interval; nan if one is missing."""
+    row: Row = {f"{name}_seeds": " ".join(str(count or "-") for count in counts)}
+    known = [count for count in counts if count is not None]
+    complete = len(known) == len(counts)
+    row[name] = float(np.mean(known)) if complete else float("nan")
+    row[f"{name}_interval"] = (
+        mean_interval(known) if complete and len(known) > 1 else (np.nan, np.nan)
+    )
+    return row
+
+
+def mean_interval(values: Sequence[float]) -> tuple[float, float]:
+    """Student's 95 % interval of a mean of few values."""
+    spread = np.std(values, ddof=1) / np.sqrt(len(values))
+    width = student.ppf((1 + CONFIDENCE) / 2, len(values) - 1) * spread
+    return float(np.mean(values) - width), float(np.mean(values) + width)
+
+
+def on_a_grid(
+    curves: Sequence[Row], setting: str, key: str, clock: str = "episode"
+) -> tuple[np.ndarray, np.ndarray]:
+    """Every seed's curve at common times.
+
+    A run that ended when it was flat keeps its last value. Returns the times, shape
+    (t,), and values, shape (seeds, t).
+    """
+    own = [row for row in curves if row["setting"] == setting]
+    seeds = sorted({row["seed"] for row in own})
+    times = np.unique([row[clock] for row in own])
+    values = []
+    for seed in seeds:
+        rows = [row for row in own if row["seed"] == seed]
+        values.append(
+            np.interp(times, [row[clock] for row in rows], [row[key] for row in rows])
+        )
+    return times, np.stack(values)

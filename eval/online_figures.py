@@ -1,0 +1,80 @@
+"""Figures of online learning, as PNG: the paper's Figs 4 and 5; the learnt alpha."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from marl_mm.eval.figures import COLORS, save
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.online import on_a_grid
+
+PAPER_COLORS = ("#c8553d", "#2e7d4f", "#1b6ca8", "#8a6fb0", "#8a8a8a", "#c9a227")
+"""Red without, green with hindsight, as in the paper; then others."""
+
+
+def seed_curves(
+    curves: Sequence[Row],
+    labels: Mapping[str, str],
+    key: str,
+    ylabel: str,
+    path: Path,
+    scale: float = 1.0,
+) -> None:
+    """Mean and standard deviation over seeds, a line per setting.
+
+    Args:
+        curves: Rows of ``curve_rows``.
+        labels: Settings to draw, and what to call them.
+        key: Column to draw.
+        ylabel: Its name and unit.
+        path: Of the PNG.
+        scale: Factor of the values.
+    """
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    axis: Any = figure.subplots()
+    for (setting, label), color in zip(labels.items(), PAPER_COLORS, strict=False):
+        times, values = on_a_grid(curves, setting, key)
+        mean = scale * values.mean(axis=0)
+        std = scale * values.std(axis=0)
+        seeds = f"{label} ({len(values)} seed{'s' * (len(values) > 1)})"
+        axis.plot(times, mean, color=color, label=seeds)
+        axis.fill_between(
+            times, mean - std, mean + std, color=color, alpha=0.2, linewidth=0
+        )
+    axis.set(xlabel="training episodes", ylabel=ylabel)
+    axis.legend(frameon=False)
+    save(figure, path)
+
+
+def alpha_figure(steps: Sequence[Row], worth: Sequence[Row], path: Path) -> None:
+    """Above: alpha over time by direction. Below: the return with alpha held."""
+    tasks = sorted({row["task"] for row in steps})
+    figure = Figure(figsize=(4.4 * len(tasks), 6.0), layout="constrained")
+    axes: Any = figure.subplots(2, len(tasks), squeeze=False)
+    for column, task in enumerate(tasks):
+        above, below = axes[0][column], axes[1][column]
+        for direction in ("forward", "backward"):
+            own = [r for r in steps if (r["task"], r["direction"]) == (task, direction)]
+            time = np.array([row["step"] for row in own])
+            mean = np.array([row["mean"] for row in own])
+            std = np.array([row["std"] for row in own])
+            color = COLORS[direction]
+            above.plot(time, mean, "o-", ms=3, color=color, label=direction)
+            above.fill_between(
+                time, mean - std, mean + std, color=color, alpha=0.2, linewidth=0
+            )
+        above.set(title=task, xlabel="time [s]", ylim=(-0.05, 1.05))
+        own = [row for row in worth if row["task"] == task]
+        alphas = [row["alpha"] for row in own]
+        returns = [row["return"] for row in own]
+        below.plot(alphas, returns, "o-", ms=3, color=COLORS["all"], label="held")
+        if own:
+            below.axhline(own[0]["learnt_return"], color="#2e7d4f", label="learnt")
+        below.set(xlabel="alpha, held", ylabel="return")
+    axes[0][0].set_ylabel("learnt alpha (1 = stable base)")
+    axes[0][0].legend(frameon=False)
+    axes[1][0].legend(frameon=False)
+    save(figure, path)

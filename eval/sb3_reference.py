@@ -1,0 +1,98 @@
+"""Stable-Baselines3's DDPG with hindsight on our task, to measure ours against.
+
+Network, batch, rates and updates per episode are those of a ``DdpgConfig``; what SB3
+does not have (input statistics, random steps, a penalty on actions) it does without.
+The only import of Stable-Baselines3, which is optional (extra ``bench``).
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+from stable_baselines3 import DDPG, HerReplayBuffer
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.noise import NormalActionNoise
+
+from marl_mm.algorithms.ddpg import DdpgConfig
+from marl_mm.envs.reach import goal_observation
+from marl_mm.layout import ACTION
+
+NAME = "sb3-ddpg-her"
+
+
+class Sb3Policy:
+    """A model of SB3 behind the interface of every policy; deterministic."""
+
+    name = NAME
+
+    def __init__(self, model: DDPG) -> None:
+        self._model = model
+
+    def describe(self) -> dict[str, Any]:
+        """Nothing: the run's config says it."""
+        return {}
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Nothing to remember between episodes."""
+
+    def act(self, state: np.ndarray) -> np.ndarray:
+        """Joint action, shape (4,), float32."""
+        action, _ = self._model.predict(goal_observation(state), deterministic=True)
+        return np.asarray(action, np.float32)
+
+
+def sb3_model(task: str, config: DdpgConfig, seed: int) -> DDPG:
+    """SB3's DDPG+HER with our hyper-parameters, on the CPU."""
+    return DDPG(
+        "MultiInputPolicy",
+        gymnasium.make(f"marl_mm/{task}"),
+        learning_rate=config.actor_learning_rate,
+        buffer_size=config.capacity,
+        learning_starts=config.warm_up,
+        batch_size=config.batch_size,
+        tau=config.target_rate,
+        gamma=config.discount,
+        train_freq=(1, "episode"),
+        gradient_steps=config.updates_per_episode,
+        action_noise=NormalActionNoise(
+            np.zeros(len(ACTION)), np.full(len(ACTION), config.noise)
+        ),
+        replay_buffer_class=HerReplayBuffer,
+        replay_buffer_kwargs={
+            "n_sampled_goal": config.hindsight,
+            "goal_selection_strategy": "future",
+            "copy_info_dict": True,  # the reward needs d_mm, d_mp and jerk
+        },
+        policy_kwargs={"net_arch": list(config.hidden)},
+        seed=seed,
+        device="cpu",
+    )
+
+
+def learn_sb3(model: DDPG, every: int, look: Callable[[int, int], bool]) -> None:
+    """Train until a look at the model says that it is enough.
+
+    Args:
+        model: From ``sb3_model``.
+        every: Episodes between looks.
+        look: Told the episodes and the environment's steps so far; whether to go on.
+    """
+
+    class Looking(BaseCallback):
+        """Counts episodes; SB3 knows steps only. Looks after an episode's updates."""
+
+        episodes = looked = 0
+
+        def _on_step(self) -> bool:
+            self.episodes += int(self.locals["dones"].sum())
+            return self.go_on
+
+        go_on = True
+
+        def _on_rollout_start(self) -> None:
+            if self.episodes % every == 0 and self.episodes > self.looked:
+                self.looked = self.episodes
+                self.go_on = look(self.episodes, self.num_timesteps)
+
+    model.learn(total_timesteps=10**9, callback=Looking())

@@ -1,0 +1,303 @@
+"""marl-mm ablate: figures and tables of the paper, and ours, from raw run folders.
+
+Runs that a target needs and that are not there are trained first; finished ones are
+kept, interrupted ones go on.
+"""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from marl_mm.algorithms.checkpoint import BEST, FILE
+from marl_mm.algorithms.online import Schedule
+from marl_mm.algorithms.policy import load_policy
+from marl_mm.algorithms.pretrained import ship
+from marl_mm.collectors.pd import PdConfig
+from marl_mm.commands.collect import collect_dataset
+from marl_mm.commands.options import available_cores, check_positive, check_seed
+from marl_mm.commands.parser import Subcommand, parse_subcommand
+from marl_mm.commands.runs import BEST_EVALUATION, EVALUATION
+from marl_mm.commands.train_online import (
+    TrainDdpg,
+    online_options,
+    train_online_run,
+)
+from marl_mm.commands.train_sb3 import train_sb3_run
+from marl_mm.datasets.location import locate
+from marl_mm.envs.config import reach_config
+from marl_mm.errors import UsageError
+from marl_mm.eval.alpha_study import ALPHAS, alpha_steps, summarize_worth, worth_rows
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.online import (
+    SETTINGS,
+    Setting,
+    curve_rows,
+    evaluation_rows,
+    summarize_settings,
+)
+from marl_mm.eval.online_figures import alpha_figure, seed_curves
+from marl_mm.eval.online_tables import online_markdown
+from marl_mm.eval.rows import write_csv
+from marl_mm.eval.video import film_both_ways, film_strip
+from marl_mm.files import new_file, refuse_existing
+from marl_mm.progress import progress_bar
+
+COMPARED = ("ddpg", "ddpg-her", "maddpg-her")
+"""Settings in Figs 4 and 5."""
+
+DEMONSTRATIONS = "demonstrations"
+"""Dataset of the PD agent, in the folder of the runs."""
+
+FPS = 8
+"""Pictures per simulated second, of which Fig. 6 takes five an episode."""
+
+
+@dataclass(frozen=True)
+class Ablate:
+    """What every target needs."""
+
+    runs: Path = Path("runs/online")
+    """Folder of the raw runs, RUNS/SETTING/SEED; missing ones are trained."""
+
+    out: Path = Path("runs/online/results")
+    """Folder of figures and tables."""
+
+    seeds: tuple[int, ...] = (0, 1, 2)
+    """Runs per setting."""
+
+    settings: tuple[str, ...] = ()
+    """For "runs" and "online": those named; default all."""
+
+    budget: Literal["full", "smoke"] = "full"
+    """"smoke": hardly any training, to see that everything works."""
+
+    workers: int = field(default_factory=available_cores)
+    """Processes that run episodes; the result does not depend on it."""
+
+    overwrite: bool = False
+    """Replace figures and tables that exist; runs are never replaced."""
+
+    json: bool = False
+    """Print the table as JSON ("online" and "alpha")."""
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the command line of ``marl-mm ablate``."""
+    target, options = parse_subcommand(
+        {name: Subcommand(Ablate(), about) for name, (about, _) in TARGETS.items()},
+        "marl-mm ablate",
+        "Reproduce figures and tables, training the runs they need.",
+        arguments,
+    )
+    check_positive(workers=options.workers)
+    check_seed(*options.seeds)
+    known = [setting.name for setting in SETTINGS]
+    unknown = [name for name in options.settings if name not in known]
+    if unknown:
+        raise UsageError(f"no setting {unknown[0]!r}: expected {', '.join(known)}")
+    if not options.seeds:
+        raise UsageError("--seeds names no seed, expected at least one")
+    TARGETS[target][1](options)
+
+
+def _settings(options: Ablate) -> list[Setting]:
+    if not options.settings:
+        return list(SETTINGS)
+    return [setting for setting in SETTINGS if setting.name in options.settings]
+
+
+def _train(options: Ablate, names: Sequence[str]) -> None:
+    """Train what is missing of these settings."""
+    for setting in SETTINGS:
+        for seed in options.seeds if setting.name in names else ():
+            run = options.runs / setting.name / str(seed)
+            if (run / EVALUATION).exists() and (run / BEST_EVALUATION).exists():
+                continue
+            training = _training(options, setting, run)
+            if setting.library == "sb3":
+                train_sb3_run(training, seed, run)
+            else:
+                train_online_run(training, seed, run)
+
+
+def _training(options: Ablate, setting: Setting, run: Path) -> TrainDdpg:
+    """Options of one setting's runs."""
+    demonstrations = None
+    if setting.demonstrations:
+        demonstrations = str(_demonstrations(options))
+    small = options.budget == "smoke"
+    training = online_options(
+        setting.algorithm,
+        setting.preset,
+        task=setting.task,
+        demonstrations=demonstrations,
+        eval_episodes=4 if small else 200,
+        curve_episodes=2 if small else 50,
+        workers=options.workers,
+        resume=(run / FILE).exists(),
+        overwrite=True,  # of a folder without a checkpoint
+        schedule=Schedule(epoch=4) if small else Schedule(),
+    )
+    changes = dict(setting.changes)
+    if small:
+        changes |= {"episodes": 8, "warm_up": 30, "updates_per_episode": 5}
+    return replace(training, config=replace(training.config, **changes))
+
+
+def _demonstrations(options: Ablate) -> Path:
+    """A dataset of the PD agent that knows alpha's rule, collected once."""
+    path = (options.runs / DEMONSTRATIONS).resolve()
+    if not path.exists():
+        steps = 100 if options.budget == "smoke" else 2_000
+        collection = collect_dataset(
+            locate(str(path)),
+            PdConfig(alpha_rule="room"),
+            "Reach-v0",
+            steps,
+            seed=0,
+            workers=options.workers,
+        )
+        if not collection.complete:
+            raise KeyboardInterrupt(f"stopped; delete {path} and start again")
+    return path
+
+
+# --- Targets -----------------------------------------------------------------
+
+
+def _runs(options: Ablate) -> None:
+    names = [setting.name for setting in _settings(options)]
+    _train(options, names)
+    print(f"{options.runs}: {', '.join(names)}; seeds {_listed(options.seeds)}")
+
+
+def _online(options: Ablate) -> None:
+    files = ("online.csv", "online.md", "curves.csv.gz", "evaluations.csv.gz")
+    _refuse(options, *files)
+    settings = _settings(options)
+    names = [setting.name for setting in settings]
+    _train(options, names)
+    curves, evaluations = _curves(options, names), _evaluations(options, names)
+    summary = summarize_settings(curves, evaluations, names)
+    text = online_markdown(summary, settings)
+    write_csv(options.out / "curves.csv.gz", curves)
+    write_csv(options.out / "evaluations.csv.gz", evaluations)
+    write_csv(options.out / "online.csv", summary)
+    with new_file(options.out / "online.md") as temporary:
+        temporary.write_text(text)
+    print(json.dumps(summary, indent=2) if options.json else text)
+
+
+def _fig4(options: Ablate) -> None:
+    _compare(options, "fig4.png", "return_all", "return of the evaluation", 1)
+
+
+def _fig5(options: Ablate) -> None:
+    _compare(options, "fig5.png", "success_all", "goals reached [%]", 100)
+
+
+def _compare(options: Ablate, name: str, key: str, label: str, scale: float) -> None:
+    _refuse(options, name)
+    _train(options, COMPARED)
+    labels = {one.name: one.about for one in SETTINGS if one.name in COMPARED}
+    curves = _curves(options, COMPARED)
+    seed_curves(curves, labels, key, label, options.out / name, scale)
+    print(f"{options.out / name}: {', '.join(labels.values())}")
+
+
+def _fig6(options: Ablate) -> None:
+    _refuse(options, "fig6.png")
+    _train(options, ["ddpg-her"])
+    run = _best_run(options, "ddpg-her")
+    config = reach_config()
+    with progress_bar("fig6", 2 * config.max_steps) as advance:
+        both = film_both_ways(config, load_policy(run / BEST), 0, FPS, advance)
+    film_strip(options.out / "fig6.png", both.strips)
+    told = [f"{len(one)} steps {one.direction}" for one in both.episodes]
+    print(f"{options.out / 'fig6.png'}: {run}, {', '.join(told)}")
+
+
+def _alpha(options: Ablate) -> None:
+    _refuse(options, "alpha.png", "alpha_steps.csv", "alpha_worth.csv")
+    names = ("ddpg-her", "ddpg-her-smooth")
+    _train(options, names)
+    goals = 4 if options.budget == "smoke" else 100
+    steps: list[Row] = []
+    summaries: list[Row] = []
+    for name in names:
+        run = _best_run(options, name)
+        task = json.loads((run / "config.json").read_text())["task"]
+        total = goals * (1 + len(ALPHAS))
+        with progress_bar(f"alpha {task}", total) as advance:
+            # Seeds 0 and 1 are the runs' own evaluations.
+            rows, learnt = worth_rows(
+                load_policy(run / BEST), task, goals, 2, options.workers, advance
+            )
+        steps += alpha_steps(task, learnt)
+        summaries += summarize_worth(rows)
+    write_csv(options.out / "alpha_steps.csv", steps)
+    write_csv(options.out / "alpha_worth.csv", summaries)
+    alpha_figure(steps, summaries, options.out / "alpha.png")
+    if options.json:
+        print(json.dumps(summaries, indent=2))
+    for task in sorted({row["task"] for row in summaries} if not options.json else ()):
+        own = [row for row in summaries if row["task"] == task]
+        best = max(own, key=lambda row: float(row["return"]))
+        low, high = best["difference_interval"]
+        print(
+            f"{task}: learnt alpha returns {best['learnt_return']:.2f}, the best held "
+            f"one ({best['alpha']:g}) {best['return']:.2f}; difference "
+            f"{best['difference']:.2f} [{low:.2f}, {high:.2f}] on {best['goals']} goals"
+        )
+
+
+def _pretrained(options: Ablate) -> None:
+    folder = options.out / "pretrained"
+    refuse_existing(folder, options.overwrite)
+    _train(options, ["ddpg-her"])
+    run = _best_run(options, "ddpg-her")
+    ship(run, folder)
+    print(f"{folder}: the best policy of {run}")
+
+
+TARGETS: dict[str, tuple[str, Callable[[Ablate], None]]] = {
+    "runs": ("Train the runs of all targets, and draw nothing.", _runs),
+    "online": ("Table: success, and episodes to 70 and 95 %, per setting.", _online),
+    "fig4": ("Fig. 4: return over episodes, with and without hindsight.", _fig4),
+    "fig5": ("Fig. 5: success over episodes, with and without hindsight.", _fig5),
+    "fig6": ("Fig. 6: film strips of the trained agent, ahead and behind.", _fig6),
+    "alpha": ("What alpha the trained agents choose, and what it is worth.", _alpha),
+    "pretrained": ("The agent that ships: the best DDPG + HER run.", _pretrained),
+}
+"""What can be made: for helps, and how."""
+
+
+def _curves(options: Ablate, names: Sequence[str]) -> list[Row]:
+    cells = [(name, seed) for name in names for seed in options.seeds]
+    return [row for cell in cells for row in curve_rows(options.runs, *cell)]
+
+
+def _evaluations(options: Ablate, names: Sequence[str]) -> list[Row]:
+    cells = [(name, seed) for name in names for seed in options.seeds]
+    return [row for cell in cells for row in evaluation_rows(options.runs, *cell)]
+
+
+def _best_run(options: Ablate, name: str) -> Path:
+    """The seed whose best policy was best by its learning curve's own goals."""
+    curves = _curves(options, [name])
+
+    def merit(row: Row) -> tuple[Any, ...]:
+        return row["success_all"], row["return_all"], -row["seed"]
+
+    return options.runs / name / str(max(curves, key=merit)["seed"])
+
+
+def _refuse(options: Ablate, *names: str) -> None:
+    for name in names:
+        refuse_existing(options.out / name, options.overwrite)
+
+
+def _listed(values: Sequence[int]) -> str:
+    return ", ".join(map(str, values))

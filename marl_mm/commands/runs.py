@@ -1,0 +1,164 @@
+"""What training commands share: a run's folder, its config, its evaluation."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from marl_mm.algorithms.checkpoint import BEST, FILE
+from marl_mm.algorithms.policy import load_policy
+from marl_mm.algorithms.runlog import METRICS
+from marl_mm.algorithms.train import refuse_difference
+from marl_mm.commands.options import available_cores, check_positive, check_seed
+from marl_mm.errors import CheckpointError, UsageError
+from marl_mm.eval.evaluate import Evaluation, evaluate
+from marl_mm.files import refuse_existing, write_json
+from marl_mm.progress import progress_bar
+
+EVALUATION = "eval.json"
+BEST_EVALUATION = "eval_best.json"
+CURVE = "learning_curve.png"
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """What every algorithm needs."""
+
+    out: Path | None = None
+    """Folder of the runs; seed s goes to OUT/s; default runs/ALGORITHM."""
+
+    seeds: tuple[int, ...] = (0,)
+    """One run each: initial weights, batches, episodes."""
+
+    eval_episodes: int = 100
+    """Goals of the evaluation after training, kept in eval.json."""
+
+    eval_seed: int = 0
+    """Of those goals; the learning curve has goals of its own, of the next seed."""
+
+    workers: int = field(default_factory=available_cores)
+    """Processes that run episodes; the result does not depend on it."""
+
+    resume: bool = False
+    """Go on where runs were stopped; seeds that have none start."""
+
+    overwrite: bool = False
+    """Start anew where a run exists."""
+
+    json: bool = False
+    """Print the final evaluations as JSON."""
+
+
+def check_options(options: TrainOptions, out: Path) -> None:
+    """Raise for options that make no sense, whatever the algorithm.
+
+    Raises:
+        UsageError: Naming the option.
+    """
+    check_positive(eval_episodes=options.eval_episodes, workers=options.workers)
+    check_seed(*options.seeds, options.eval_seed)
+    if not options.seeds:
+        raise UsageError("--seeds names no seed, expected at least one")
+    if options.resume and not any(
+        (out / str(s) / FILE).exists() for s in options.seeds
+    ):
+        raise UsageError(f"no checkpoint in {out} to resume from")
+
+
+def check_run(
+    run: Path,
+    config: dict[str, Any],
+    options: TrainOptions,
+    ignored: Sequence[str] = (),
+) -> None:
+    """Raise before any work is done for what would stop a run.
+
+    Args:
+        run: Its folder.
+        config: What it will be made of.
+        options: Whether it may be there already.
+        ignored: Keys of the config in which a run that is resumed may differ.
+
+    Raises:
+        UsageError: If the run exists.
+        CheckpointError: If the run to resume was made with something else.
+    """
+    if not options.resume:
+        refuse_existing(run, options.overwrite)
+        return
+    if not (run / FILE).exists():
+        return  # stopped before its first checkpoint, or before its turn
+    try:
+        theirs = json.loads((run / "config.json").read_text())
+    except (OSError, ValueError) as error:
+        raise CheckpointError(f"cannot read {run / 'config.json'}: {error}") from error
+    mine = json.loads(json.dumps(config))
+    for key in ("packages", *ignored):
+        mine.pop(key, None)
+    for one in (theirs, mine):  # a dataset may have moved
+        if one.get("dataset"):
+            one["dataset"].pop("path", None)
+    refuse_difference(run, theirs, mine)
+
+
+def start_run(run: Path, config: dict[str, Any]) -> None:
+    """A run folder with its config; what an older run left there goes."""
+    run.mkdir(parents=True, exist_ok=True)
+    names = (FILE, BEST, METRICS, EVALUATION, BEST_EVALUATION, CURVE)
+    for path in (*(run / name for name in names), *run.glob("events.out.tfevents.*")):
+        path.unlink(missing_ok=True)
+    write_json(run / "config.json", config)
+
+
+def evaluate_run(
+    run: Path, options: TrainOptions, task: str, checkpoint: str, result: str
+) -> Evaluation:
+    """Evaluate a trained run and keep the result beside it.
+
+    Raises:
+        KeyboardInterrupt: After Ctrl-C, saying how to go on.
+    """
+    policy = load_policy(run / checkpoint)
+    label = f"eval {Path(checkpoint).stem}"
+    try:
+        with progress_bar(label, options.eval_episodes) as advance:
+            evaluation = evaluate(
+                policy,
+                options.eval_episodes,
+                options.eval_seed,
+                task,
+                workers=options.workers,
+                advance=advance,
+            )
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"stopped; {run} is trained: evaluate it with --resume"
+        ) from None
+    write_json(run / result, evaluation.to_json())
+    return evaluation
+
+
+def curve_point(evaluation: Evaluation) -> dict[str, float]:
+    """What a learning curve keeps of an evaluation."""
+    point: dict[str, float] = {}
+    for name, part in evaluation.summary.items():
+        point[f"success/{name}"] = part["success_rate"]
+        point[f"return/{name}"] = part["return"]
+        point[f"alpha/{name}"] = part["alpha"]
+    return point
+
+
+def told(run: Path, evaluation: Evaluation, best: Evaluation | None = None) -> str:
+    """One line about a run's success."""
+    text = f"{run}: {_told(evaluation)}"
+    return text if best is None else f"{text}; best checkpoint {_told(best)}"
+
+
+def _told(evaluation: Evaluation) -> str:
+    everything = evaluation.summary["all"]
+    low, high = (100 * bound for bound in everything["interval"])
+    return (
+        f"{100 * evaluation.success_rate:.1f} % of {everything['episodes']} goals "
+        f"reached, 95 % interval [{low:.1f}, {high:.1f}]"
+    )

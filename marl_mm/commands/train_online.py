@@ -1,0 +1,180 @@
+"""Runs that learn from episodes of their own."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from marl_mm.algorithms.checkpoint import BEST, FILE
+from marl_mm.algorithms.ddpg import Ddpg, DdpgConfig
+from marl_mm.algorithms.explore import Explorer
+from marl_mm.algorithms.maddpg import Maddpg, MaddpgConfig
+from marl_mm.algorithms.online import Schedule, train_online
+from marl_mm.algorithms.policy import LearnedPolicy
+from marl_mm.algorithms.presets import Preset, preset
+from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.algorithms.train import resume
+from marl_mm.commands.options import check_positive
+from marl_mm.commands.runs import (
+    BEST_EVALUATION,
+    CURVE,
+    EVALUATION,
+    TrainOptions,
+    check_run,
+    curve_point,
+    evaluate_run,
+    start_run,
+)
+from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.envs.config import reach_config
+from marl_mm.envs.rollout import EpisodePlan, Rollouts, episode_seed
+from marl_mm.envs.terms import judge
+from marl_mm.episode import Episode
+from marl_mm.errors import UsageError
+from marl_mm.eval.evaluate import Evaluation, evaluate_with
+from marl_mm.eval.figures import online_curve
+from marl_mm.progress import progress_bar
+from marl_mm.versions import versions
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainOnline(TrainOptions):
+    """What every online algorithm needs."""
+
+    task: str = "Reach-v0"
+    """To learn: Reach-v0, SmoothReach-v0 or PreciseReach-v0."""
+
+    preset: Preset = "tuned"
+    """Hyper-parameters that the defaults below are of: ours, or the paper's Table 2."""
+
+    demonstrations: str | None = None
+    """Dataset, id or path, whose episodes are replayed, too."""
+
+    curve_episodes: int = 50
+    """Goals per point of the learning curve."""
+
+    schedule: Annotated[Schedule, tyro.conf.arg(name="")] = field(
+        default_factory=Schedule
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainDdpg(TrainOnline):
+    """One agent that sees and sets everything (paper, Algorithm 1)."""
+
+    config: Annotated[DdpgConfig, tyro.conf.arg(name="")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainMaddpg(TrainDdpg):
+    """Two decentralised actors, one centralised critic (Lowe 2017)."""
+
+    config: Annotated[MaddpgConfig, tyro.conf.arg(name="")]
+
+
+ONLINE = {
+    "ddpg": "DDPG: one agent that sees and sets everything (paper, Algorithm 1).",
+    "ddpg-her": "DDPG that replays most steps with goals reached later (HER).",
+    "maddpg": "MADDPG: two decentralised actors, one centralised critic (Lowe 2017).",
+    "maddpg-her": "MADDPG that replays most steps with goals reached later (HER).",
+}
+"""Algorithms, and what helps say of them."""
+
+
+def online_options(algorithm: str, name: Preset = "tuned", **changes: Any) -> TrainDdpg:
+    """The options of an online algorithm, with some replaced."""
+    config = preset(algorithm, name)
+    if isinstance(config, MaddpgConfig):
+        return TrainMaddpg(config=config, preset=name, **changes)
+    return TrainDdpg(config=config, preset=name, **changes)
+
+
+def check_online(algorithm: str, options: TrainDdpg) -> None:
+    """Raise before any work is done for options that make no sense.
+
+    Raises:
+        UsageError: Naming the option.
+    """
+    check_positive(curve_episodes=options.curve_episodes)
+    reach_config(options.task)
+    hindsight = options.config.hindsight
+    if (hindsight > 0) != algorithm.endswith("-her"):
+        other = algorithm.removesuffix("-her") + "-her" * (hindsight > 0)
+        raise UsageError(f"--hindsight is {hindsight} with {algorithm}: use {other}")
+
+
+def check_online_run(options: TrainDdpg, seed: int, run: Path) -> None:
+    """Raise before any work is done for what would stop a run; see ``check_run``."""
+    # More episodes or patience only continue a run.
+    ignored = ("episodes", "patience", "preset")
+    check_run(
+        run, _run_config(options, _demonstrations(options), seed), options, ignored
+    )
+
+
+def train_online_run(
+    options: TrainDdpg, seed: int, run: Path
+) -> tuple[Evaluation, Evaluation]:
+    """Train one seed into a run folder; evaluations of its last and its best policy."""
+    check_online_run(options, seed, run)
+    demonstrations = _demonstrations(options)
+    task = reach_config(options.task)
+    kind = Maddpg if isinstance(options.config, MaddpgConfig) else Ddpg
+    algorithm = kind(
+        options.config,
+        partial(judge, config=task),
+        seed,
+        demonstrations.episodes if demonstrations else (),
+    )
+    if options.resume and (run / FILE).exists():
+        resume(algorithm, run, ("episodes",))
+    else:
+        start_run(run, _run_config(options, demonstrations, seed))
+
+    with Rollouts(task, options.workers) as rollouts:
+
+        def run_episodes(policy: Explorer, numbers: Iterable[int]) -> Iterator[Episode]:
+            plans = [EpisodePlan(i, episode_seed(seed, i, "train")) for i in numbers]
+            return rollouts.run(policy, plans)
+
+        def point(policy: LearnedPolicy) -> dict[str, float]:
+            goals = options.eval_seed + 1  # not those of the final evaluation
+            count = options.curve_episodes
+            return curve_point(
+                evaluate_with(rollouts, policy, count, goals, options.task)
+            )
+
+        total = options.config.episodes
+        with progress_bar(f"{algorithm.name} {seed}", total) as advance:
+            train_online(algorithm, run, run_episodes, point, options.schedule, advance)
+    online_curve(read_metrics(run), run / CURVE)
+    return (
+        evaluate_run(run, options, options.task, FILE, EVALUATION),
+        evaluate_run(run, options, options.task, BEST, BEST_EVALUATION),
+    )
+
+
+def _demonstrations(options: TrainOnline) -> Dataset | None:
+    return load_dataset(options.demonstrations) if options.demonstrations else None
+
+
+def _run_config(
+    options: TrainDdpg, demonstrations: Dataset | None, seed: int
+) -> dict[str, Any]:
+    """What a run is made of; ``config.json``."""
+    base = "maddpg" if isinstance(options.config, MaddpgConfig) else "ddpg"
+    return {
+        "algorithm": base + "-her" * (options.config.hindsight > 0),
+        "preset": options.preset,
+        "seed": seed,
+        "task": options.task,
+        "dataset": demonstrations.identity() if demonstrations else None,
+        "curve_episodes": options.curve_episodes,
+        "eval_seed": options.eval_seed,
+        "packages": versions(),
+        **asdict(options.schedule),
+        **asdict(options.config),
+    }
