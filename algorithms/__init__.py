@@ -1,4 +1,4 @@
-"""Offline algorithms: from a dataset to a policy that needs nothing but itself."""
+"""Algorithms: from a dataset or an environment to a policy that needs only itself."""
 
 from marl_mm.algorithms.policy import load_policy
 

@@ -76,7 +76,7 @@ class DdpgConfig:
     target_rate: float = 0.005
     """tau, the share of the networks that goes into their targets (Table 2)."""
 
-    action_penalty: float = 0.0
+    action_penalty: float = 0.1
     """Weight of the actions' mean square in the actor's loss, against saturation."""
 
     hidden: tuple[int, ...] = (128, 128)

@@ -9,11 +9,11 @@ import numpy as np
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.checkpoint import read_checkpoint, restored_agents
 from marl_mm.errors import UsageError
-from marl_mm.layout import ACTION, STATE
+from marl_mm.layout import ACTION, JOINT, STATE
 
 
 class LearnedPolicy:
-    """Decentralised actors, each on its own observation.
+    """Actors, each on its own observation.
 
     Args:
         name: How tables call it.
@@ -54,7 +54,16 @@ class LearnedPolicy:
     def act_agents(
         self, observations: Mapping[str, np.ndarray]
     ) -> dict[str, np.ndarray]:
-        """Each agent's action at its own observation, as PettingZoo wants them."""
+        """Each agent's action at its own observation, as PettingZoo wants them.
+
+        Raises:
+            UsageError: If one joint actor sees and sets everything.
+        """
+        if JOINT.name in self._agents:
+            raise UsageError(
+                f"{self.name} has one joint actor, which needs the joint state: use "
+                "act(env.state()), or train maddpg-her"
+            )
         return {name: self._agents[name].act(o) for name, o in observations.items()}
 
 
@@ -71,6 +80,8 @@ def joint_state(observation: np.ndarray | Mapping[str, np.ndarray]) -> np.ndarra
 
 def load_policy(path: str | Path) -> LearnedPolicy:
     """The policy of a run folder or a checkpoint file.
+
+    The shipped one is ``marl_mm.algorithms.pretrained.load_pretrained()``.
 
     Raises:
         UsageError: If there is no such file.

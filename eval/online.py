@@ -47,6 +47,12 @@ class Setting:
     """``marl_mm``, or ``sb3`` for Stable-Baselines3."""
 
 
+def _departure(name: str, about: str, **changes: Any) -> Setting:
+    """The tuned preset with one hyper-parameter back at Table 2's or the plain one."""
+    changes["episodes"] = 400
+    return Setting(f"ddpg-her-{name}", f"DDPG + HER, {about}", changes=changes)
+
+
 SETTINGS = (
     Setting("ddpg", "DDPG", "ddpg"),
     Setting("ddpg-her", "DDPG + HER"),
@@ -57,6 +63,17 @@ SETTINGS = (
     Setting("ddpg-demonstrations", "DDPG, PD's", "ddpg", demonstrations=True),
     Setting("ddpg-her-demonstrations", "DDPG + HER, PD's", demonstrations=True),
     Setting("ddpg-her-smooth", "DDPG + HER", task="SmoothReach-v0"),
+    Setting(
+        "ddpg-penalty",
+        "DDPG, no action penalty",
+        "ddpg",
+        changes={"action_penalty": 0.0},
+    ),
+    _departure("penalty", "no action penalty", action_penalty=0.0),
+    _departure("warm-up", "warm-up 5,000", warm_up=5_000),
+    _departure("capacity", "replay of 5,000", capacity=5_000),
+    _departure("updates", "25 updates an episode", updates_per_episode=25),
+    _departure("cycle", "1 episode a cycle", episodes_per_cycle=1),
 )
 """What the tables and figures of online learning are made of."""
 

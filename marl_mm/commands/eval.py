@@ -28,7 +28,7 @@ class Eval:
     """Evaluate runs and scripted policies on fixed goals."""
 
     policies: tyro.conf.Positional[tuple[str, ...]]
-    """Run folders, checkpoint files, "pd" or "random"."""
+    """Run folders, checkpoint files, "pretrained", "pd" or "random"."""
 
     episodes: int = 100
     """Goals, half ahead and half behind."""
@@ -62,7 +62,9 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm eval``."""
     options = parse_options(Eval, "marl-mm eval", arguments)
     if not options.policies:
-        raise UsageError("no policy given, expected run folders, pd or random")
+        raise UsageError(
+            "no policy given, expected run folders, pretrained, pd or random"
+        )
     check_positive(episodes=options.episodes, workers=options.workers)
     check_seed(options.seed)
     overrides = {}

@@ -8,7 +8,7 @@ from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.errors import UsageError
 from marl_mm.policy import Policy
 
-SCRIPTED = ("pd", "random")
+NAMED = ("pretrained", "pd", "random")
 """Policies that need no run folder."""
 
 
@@ -18,10 +18,10 @@ def available_cores() -> int:
 
 
 def named_policy(name: str, pd: PdConfig, others: tuple[str, ...] = ()) -> Policy:
-    """A scripted policy by name, or the policy of a run folder.
+    """A policy by name, or that of a run folder.
 
     Args:
-        name: ``pd``, ``random`` or a path.
+        name: ``pretrained``, ``pd``, ``random`` or a path.
         pd: Gains and alpha of ``pd``.
         others: What else the command takes in this place.
 
@@ -33,9 +33,13 @@ def named_policy(name: str, pd: PdConfig, others: tuple[str, ...] = ()) -> Polic
         return PdPolicy(pd)
     if name == "random":
         return RandomPolicy(RandomConfig())
+    if name == "pretrained":
+        from marl_mm.algorithms.pretrained import load_pretrained
+
+        return load_pretrained()
     if not Path(name).exists():
         raise UsageError(
-            f"no policy {name!r}: expected {', '.join((*SCRIPTED, *others))}, a run "
+            f"no policy {name!r}: expected {', '.join((*NAMED, *others))}, a run "
             "folder or a checkpoint file"
         )
     from marl_mm.algorithms.policy import load_policy  # torch takes a second to import

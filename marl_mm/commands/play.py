@@ -30,7 +30,7 @@ class Play:
     """Film an episode, or watch it in a window."""
 
     policy: tyro.conf.Positional[str]
-    """Run folder, checkpoint file, "pd" or "random"; or a test of the robot alone:
+    """Run folder, checkpoint file, "pretrained", "pd" or "random"; or the robot alone:
     "arm-reach" (the base stands) or "base-turn" (the arm rests). These two take no
     goal and no task, and hold the arm's posture tightly."""
 

@@ -1,0 +1,416 @@
+"""The online loop: interrupted and resumed, flat, best; and what its runs show."""
+
+import json
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from marl_mm.algorithms.checkpoint import BEST, FILE
+from marl_mm.algorithms.ddpg import Ddpg, DdpgConfig
+from marl_mm.algorithms.explore import Explorer
+from marl_mm.algorithms.maddpg import Maddpg, MaddpgConfig
+from marl_mm.algorithms.online import Schedule, is_flat, train_online
+from marl_mm.algorithms.policy import LearnedPolicy, load_policy
+from marl_mm.algorithms.pretrained import load_pretrained, ship
+from marl_mm.algorithms.runlog import RunLog, read_metrics
+from marl_mm.algorithms.train import resume
+from marl_mm.cli import main
+from marl_mm.envs.config import reach_config
+from marl_mm.envs.terms import judge
+from marl_mm.episode import Episode
+from marl_mm.errors import CheckpointError, UsageError
+from marl_mm.eval.alpha_study import ALPHAS, LEARNT, FixedAlpha, summarize_worth
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.online import (
+    SETTINGS,
+    curve_rows,
+    episodes_to,
+    mean_interval,
+    on_a_grid,
+    summarize_settings,
+)
+from marl_mm.eval.online_tables import online_table
+
+MakeEpisode = Callable[..., Episode]
+RunEpisodes = Callable[[Explorer, Iterable[int]], Iterator[Episode]]
+JUDGE = partial(judge, config=reach_config())
+SCHEDULE = Schedule(epoch=5, evaluate_every=1, patience=0)
+CONFIG = DdpgConfig(
+    episodes=30,
+    updates_per_episode=2,
+    warm_up=30,
+    capacity=100,
+    batch_size=16,
+    hidden=(8, 8),
+)
+
+
+@pytest.fixture
+def run_episodes(make_episode: MakeEpisode) -> RunEpisodes:
+    """Episodes of their number and of what the policy does, without a simulator."""
+
+    def run(policy: Explorer, numbers: Iterable[int]) -> Iterator[Episode]:
+        for number in numbers:
+            episode = make_episode(number, steps=4)
+            policy.begin(np.random.default_rng(number))
+            actions = np.stack([policy.act(state) for state in episode.states[:-1]])
+            yield replace(episode, actions=actions)
+
+    return run
+
+
+def weighed(policy: LearnedPolicy) -> dict[str, float]:
+    """A deterministic function of the policy in place of an evaluation."""
+    action = policy.act(np.ones(10))
+    rate = float(abs(action[0]))
+    return {"success/all": rate, "return/all": float(action[1])}
+
+
+def files(run: Path) -> dict[str, object]:
+    """What a run's folder says, without clocks and containers."""
+
+    def plain(value: object) -> object:
+        if isinstance(value, torch.Tensor):
+            return value.numpy().tobytes()
+        if isinstance(value, dict):
+            return {key: plain(one) for key, one in value.items()}
+        if isinstance(value, list | tuple):
+            return [plain(one) for one in value]
+        return value
+
+    contents: dict[str, object] = {"metrics": (run / "metrics.jsonl").read_bytes()}
+    for name in (FILE, BEST):
+        contents[name] = plain(torch.load(run / name, weights_only=True))
+    return contents
+
+
+@pytest.mark.parametrize(
+    ("kind", "config"), [(Ddpg, CONFIG), (Maddpg, MaddpgConfig(**vars(CONFIG)))]
+)
+def test_an_interrupted_and_resumed_run_equals_an_uninterrupted_one(
+    kind: type[Ddpg], config: DdpgConfig, run_episodes: RunEpisodes, tmp_path: Path
+) -> None:
+    """Stopped by a real KeyboardInterrupt in the middle of an epoch, then resumed."""
+    whole, stopped = tmp_path / "whole", tmp_path / "stopped"
+    whole.mkdir()
+    stopped.mkdir()
+    train_online(kind(config, JUDGE, 3), whole, run_episodes, weighed, SCHEDULE)
+
+    def interrupted(policy: Explorer, numbers: Iterable[int]) -> Iterator[Episode]:
+        for episode in run_episodes(policy, numbers):
+            if episode.index == 17:
+                raise KeyboardInterrupt
+            yield episode
+
+    cut = kind(config, JUDGE, 3)
+    with pytest.raises(KeyboardInterrupt, match="episode 15: go on with --resume"):
+        train_online(cut, stopped, interrupted, weighed, SCHEDULE)
+    assert cut.episodes > 15  # it had gone further than its checkpoint
+    again = kind(config, JUDGE, 3)
+    resume(again, stopped)
+    assert again.episodes == 15
+    train_online(again, stopped, run_episodes, weighed, SCHEDULE)
+    assert files(whole) == files(stopped)
+
+
+def test_a_crash_between_log_and_checkpoint_leaves_no_double_rows(
+    run_episodes: RunEpisodes, tmp_path: Path
+) -> None:
+    train_online(
+        Ddpg(replace(CONFIG, episodes=10), JUDGE, 0),
+        tmp_path,
+        run_episodes,
+        weighed,
+        SCHEDULE,
+    )
+    with RunLog(tmp_path, "episode", since=10) as log:
+        log.add({"episode": 15, "success/all": 1.0, "return/all": 0.0})
+    with (tmp_path / "metrics.jsonl").open("a") as file:
+        file.write('{"episode": 20, "succ')  # cut off
+    again = Ddpg(replace(CONFIG, episodes=20), JUDGE, 0)
+    resume(again, tmp_path, ("episodes",))
+    train_online(again, tmp_path, run_episodes, weighed, SCHEDULE)
+    assert [row["episode"] for row in read_metrics(tmp_path)] == [5, 10, 15, 20]
+
+
+def test_the_best_policy_is_kept(run_episodes: RunEpisodes, tmp_path: Path) -> None:
+    """Of equals the first one."""
+    rates = iter([0.2, 0.9, 0.9, 0.3, 0.9, 0.1])
+    seen: list[np.ndarray] = []
+
+    def rated(policy: LearnedPolicy) -> dict[str, float]:
+        seen.append(policy.act(np.ones(10)))
+        return {"success/all": next(rates), "return/all": 0.0}
+
+    train_online(Ddpg(CONFIG, JUDGE, 0), tmp_path, run_episodes, rated, SCHEDULE)
+    np.testing.assert_array_equal(
+        load_policy(tmp_path / BEST).act(np.ones(10)), seen[1]
+    )
+    np.testing.assert_array_equal(load_policy(tmp_path).act(np.ones(10)), seen[-1])
+
+
+def test_metrics_name_what_a_user_looks_for(
+    run_episodes: RunEpisodes, tmp_path: Path
+) -> None:
+    train_online(Ddpg(CONFIG, JUDGE, 0), tmp_path, run_episodes, weighed, SCHEDULE)
+    first, *_, last = read_metrics(tmp_path)
+    assert first["updates"] == 0 and "loss/critic" not in first  # warming up
+    assert {
+        "train/return",
+        "train/success",
+        "train/alpha",
+        "loss/critic",
+        "loss/actor",
+        "q/data",
+        "q/policy",
+        "action/saturation",
+        "action/alpha",
+    } < last.keys()
+    assert last["env_steps"] == 4 * 30
+    assert list(tmp_path.glob("events.out.tfevents.*"))
+
+
+def test_flat_is_no_better_success_rate_for_long_once_something_was_learnt() -> None:
+    def rows(*rates: float) -> list[Row]:
+        return [
+            {"episode": 100 * (i + 1), "success/all": rate}
+            for i, rate in enumerate(rates)
+        ]
+
+    assert not is_flat(rows(0.0, 0.0, 0.0, 0.0), 200)  # has not begun
+    assert not is_flat(rows(0.4, 0.6, 0.6), 200)
+    assert is_flat(rows(0.4, 0.6, 0.6, 0.5), 200)
+    assert not is_flat(rows(0.4, 0.6, 0.7, 0.5), 200)
+    assert not is_flat(rows(0.9, 0.9, 0.9, 0.9), 0)
+    assert not is_flat([], 200)
+
+
+def test_a_flat_run_ends_early(run_episodes: RunEpisodes, tmp_path: Path) -> None:
+    algorithm = Ddpg(CONFIG, JUDGE, 0)
+    flat = replace(SCHEDULE, patience=10)
+    train_online(
+        algorithm,
+        tmp_path,
+        run_episodes,
+        lambda policy: {"success/all": 1.0, "return/all": 0.0},
+        flat,
+    )
+    assert algorithm.episodes == 15
+
+
+# --- What runs show ----------------------------------------------------------
+
+
+def curve(setting: str, seed: int, rates: list[float]) -> list[Row]:
+    return [
+        {
+            "setting": setting,
+            "seed": seed,
+            "episode": 20 * (i + 1),
+            "success_all": rate,
+        }
+        for i, rate in enumerate(rates)
+    ]
+
+
+def goals(setting: str, seed: int, successes: list[int]) -> list[Row]:
+    return [
+        {
+            "setting": setting,
+            "seed": seed,
+            "checkpoint": checkpoint,
+            "success": success,
+            "return": 2.0 * success,
+        }
+        for checkpoint in ("last", "best")
+        for success in successes
+    ]
+
+
+def test_episodes_to_a_level_by_hand() -> None:
+    rows = curve("a", 0, [0.1, 0.7, 0.6, 0.96])
+    assert episodes_to(rows, 0.70) == 40
+    assert episodes_to(rows, 0.95) == 80
+    assert episodes_to(rows, 0.99) is None
+
+
+def test_a_summary_by_hand() -> None:
+    curves = curve("ddpg", 0, [0.1, 0.7, 0.96]) + curve("ddpg", 1, [0.8, 0.9, 0.9])
+    evaluations = goals("ddpg", 0, [1, 1, 1, 1]) + goals("ddpg", 1, [1, 0, 1, 0])
+    (row,) = summarize_settings(curves, evaluations, ["ddpg"])
+    assert row["seeds"] == 2
+    assert row["success_last"] == 0.75 and row["success_last_std"] == 0.25
+    assert row["return_best"] == 1.5
+    assert row["to_70"] == 30 and row["to_70_seeds"] == "40 20"
+    assert np.isnan(row["to_95"]) and row["to_95_seeds"] == "60 -"
+    table = online_table([row], SETTINGS)
+    assert "| 30 [-97, 157] (40, 20) | (60, -) |" in table  # t(1) = 12.7, s = 14.1
+
+
+def test_the_interval_of_three_by_hand() -> None:
+    """t(2, 0.975) = 4.303; standard error of 1, 2, 3 is 1 / sqrt(3)."""
+    assert mean_interval([1, 2, 3]) == pytest.approx((2 - 2.484, 2 + 2.484), abs=1e-3)
+
+
+def test_curves_of_unequal_length_meet_on_a_grid() -> None:
+    curves = curve("a", 0, [0.0, 1.0]) + curve("a", 1, [0.5, 0.5, 0.7])
+    times, values = on_a_grid(curves, "a", "success_all")
+    np.testing.assert_array_equal(times, [20, 40, 60])
+    np.testing.assert_array_equal(values, [[0, 1, 1], [0.5, 0.5, 0.7]])
+
+
+def test_a_run_that_was_not_trained_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="has no evaluations: train it first"):
+        curve_rows(tmp_path, "ddpg", 0)
+
+
+def test_the_worth_of_alpha_by_hand() -> None:
+    alphas: list[float | str] = [LEARNT, *ALPHAS]
+    rows = [
+        {
+            "task": "t",
+            "alpha": alpha,
+            "goal": goal,
+            "success": 1,
+            "return": 3.0 if isinstance(alpha, str) else goal + alpha,
+        }
+        for alpha in alphas
+        for goal in (0, 1)
+    ]
+    worth = {row["alpha"]: row for row in summarize_worth(rows)}
+    assert worth[0.5]["difference"] == 2.0  # 3 - 0.5 and 3 - 1.5
+    assert worth[0.5]["difference_interval"] == (1.5, 2.5)
+    assert worth[0.5]["better_on"] == 2
+
+
+def test_a_held_alpha_changes_nothing_else() -> None:
+    policy = LearnedPolicy("ddpg", Ddpg(CONFIG, JUDGE, 0).agents)
+    state = np.random.default_rng(0).normal(size=10)
+    held = FixedAlpha(policy, 0.25)
+    held.begin(np.random.default_rng(0))
+    action = held.act(state)
+    assert action[3] == 0.25
+    np.testing.assert_array_equal(action[:3], policy.act(state)[:3])
+
+
+# --- Command line ------------------------------------------------------------
+
+TINY = [
+    *("--episodes", "8", "--warm-up", "30", "--updates-per-episode", "3"),
+    *("--epoch", "4", "--evaluate-every", "1", "--curve-episodes", "2"),
+    *("--eval-episodes", "2", "--capacity", "500"),
+]
+
+
+@pytest.mark.slow
+def test_training_does_not_depend_on_workers_or_interruptions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On the real robot: one process, two processes, and stopped after an epoch."""
+    monkeypatch.chdir(tmp_path)
+    for name, workers in (("one", "1"), ("two", "2")):
+        words = ["train", "ddpg-her", *TINY, "--out", name, "--workers", workers]
+        assert main(words) == 0
+    assert files(Path("one/0")) == files(Path("two/0"))
+    half = [word if word != "8" else "4" for word in TINY]
+    assert main(["train", "ddpg-her", *half, "--out", "cut", "--workers", "1"]) == 0
+    words = ["train", "ddpg-her", *TINY, "--out", "cut", "--workers", "1"]
+    assert main([*words, "--resume"]) == 0
+    theirs, ours = files(Path("one/0")), files(Path("cut/0"))
+    assert theirs == ours
+    for name in ("eval.json", "eval_best.json"):
+        a, b = (
+            json.loads(Path(f"{run}/0/{name}").read_text()) for run in ("one", "cut")
+        )
+        assert a["episodes"] == b["episodes"]
+    capsys.readouterr()
+    assert main(words) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert main([*words, "--resume", "--noise", "0.3"]) == 1
+    assert "noise = 0.1, got 0.3" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_agents_of_maddpg_act_in_the_parallel_environment(tmp_path: Path) -> None:
+    from marl_mm.envs import parallel_env
+
+    words = ["train", "maddpg-her", *TINY, "--out", str(tmp_path), "--workers", "1"]
+    assert main(words) == 0
+    policy = load_policy(tmp_path / "0")
+    env = parallel_env("Reach-v0")
+    observations, _ = env.reset(seed=0)
+    joint = policy.act(env.state())
+    actions = policy.act_agents(observations)
+    np.testing.assert_array_equal(np.concatenate(list(actions.values())), joint)
+    env.step(actions)
+    env.close()
+
+
+def test_usage_of_train_online(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for words, message in (
+        (["ddpg", "--hindsight", "4"], "--hindsight is 4 with ddpg: use ddpg-her"),
+        (["ddpg", "--preset", "mine"], "--preset is 'mine', expected one of tuned"),
+        (["ddpg", "--task", "Fly-v0"], "unknown task 'Fly-v0'"),
+        (["ddpg", "--noise", "-1"], "noise is -1.0, expected >= 0"),
+        (["ddpg", "--epoch", "0"], "epoch is 0, expected >= 1"),
+        (["ddpg", "--resume"], "no checkpoint in runs/ddpg to resume from"),
+        (["ddpg", "--demonstrations", "marl_mm/reach/none-v0"], "none-v0"),
+        (["ddpg", "--curve-episodes", "0"], "--curve-episodes is 0"),
+    ):
+        assert main(["train", *words]) == 2, words
+        assert message in capsys.readouterr().err
+    assert not Path("runs").exists()
+
+
+def test_the_paper_preset_shows_in_the_help(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["train", "ddpg-her", "--preset", "paper", "--help"])
+    assert "(default: 5000)" in " ".join(capsys.readouterr().out.split())
+
+
+# --- The agent that ships ----------------------------------------------------
+
+
+def test_the_pretrained_agent_is_small_whole_and_acts() -> None:
+    from marl_mm.algorithms.pretrained import FOLDER
+
+    assert sum(path.stat().st_size for path in FOLDER.iterdir()) < 1_000_000
+    assert {path.name for path in FOLDER.iterdir()} >= {
+        "policy.safetensors",
+        "config.json",
+        "metrics.jsonl",
+        "eval.json",
+    }
+    evaluation = json.loads((FOLDER / "eval.json").read_text())
+    assert evaluation["success_rate"] >= 0.95
+    config = json.loads((FOLDER / "config.json").read_text())
+    assert config["algorithm"] == "ddpg-her" and "seed" in config
+    action = load_pretrained().act(np.zeros(10))
+    assert action.shape == (4,) and np.isfinite(action).all()
+
+
+def test_a_shipped_run_acts_as_its_best_policy(
+    run_episodes: RunEpisodes, tmp_path: Path
+) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    algorithm = Ddpg(CONFIG, JUDGE, 0)
+    (run / "config.json").write_text(json.dumps({"hidden": list(CONFIG.hidden)}))
+    (run / "eval_best.json").write_text("{}")
+    train_online(algorithm, run, run_episodes, weighed, SCHEDULE)
+    ship(run, tmp_path / "shipped")
+    shipped, best = load_pretrained(tmp_path / "shipped"), load_policy(run / BEST)
+    for state in np.random.default_rng(0).normal(size=(20, 10)):
+        np.testing.assert_array_equal(shipped.act(state), best.act(state))
+    weights = tmp_path / "shipped" / "policy.safetensors"
+    weights.write_bytes(weights.read_bytes()[:-100])
+    with pytest.raises(CheckpointError, match="damaged"):
+        load_pretrained(tmp_path / "shipped")

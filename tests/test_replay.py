@@ -1,0 +1,173 @@
+"""Replay and hindsight: relabelled transitions against a brute-force recomputation."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+
+from marl_mm.algorithms.demonstrations import Demonstrations
+from marl_mm.algorithms.replay import COSTS, Batch, Replay
+from marl_mm.envs.config import TASKS, reach_config
+from marl_mm.envs.reach import ReachEnv
+from marl_mm.envs.terms import judge
+from marl_mm.episode import Episode
+from marl_mm.errors import UsageError
+from marl_mm.layout import EE, GOAL
+
+MakeEpisode = Callable[..., Episode]
+JUDGE = partial(judge, config=reach_config("SmoothReach-v0"))
+
+
+def near(episode: Episode, scale: float = 0.05) -> Episode:
+    """The episode with its hands so close together that many goals count as reached."""
+    episode.states[:, EE] *= scale
+    return episode
+
+
+@pytest.fixture
+def some(make_episode: MakeEpisode) -> list[Episode]:
+    return [near(make_episode(i, steps=3 + i % 5)) for i in range(12)]
+
+
+def filled(episodes: list[Episode], hindsight: int, capacity: int = 1000) -> Replay:
+    replay = Replay(capacity, hindsight, JUDGE)
+    for episode in episodes:
+        replay.add(episode)
+    return replay
+
+
+def origin(batch: Batch, row: int, episodes: list[Episode]) -> tuple[Episode, int]:
+    """The episode and step a transition is of, found by its goal-free observation."""
+    observation = batch.observation[row, :7].numpy()
+    for episode in episodes:
+        known = episode.states[:-1, :7].astype(np.float32)
+        found = np.flatnonzero((known == observation).all(axis=1))
+        if len(found):
+            return episode, int(found[0])
+    raise AssertionError("a transition of no episode")
+
+
+@pytest.mark.parametrize("task", list(TASKS))
+def test_relabelled_transitions_equal_a_brute_force_recomputation(
+    some: list[Episode], task: str
+) -> None:
+    """Every goal is the original or a later hand of the same episode; reward and
+    termination are what the environment says of the step with that goal."""
+    config = reach_config(task)
+    env = ReachEnv(task)
+    replay = Replay(1000, 4, partial(judge, config=config))
+    for episode in some:
+        replay.add(episode)
+    batch = replay.sample(2000, np.random.default_rng(0))
+    relabelled = ended = 0
+    for row in range(2000):
+        episode, step = origin(batch, row, some)
+        goal = batch.observation[row, GOAL].numpy()
+        np.testing.assert_array_equal(batch.next_observation[row, GOAL].numpy(), goal)
+        later = episode.states[step + 1 :, EE].astype(np.float32)
+        source = np.flatnonzero((later == goal).all(axis=1))
+        if not len(source):
+            original = episode.states[step, GOAL].astype(np.float32)
+            np.testing.assert_array_equal(goal, original)
+            assert batch.reward[row] == np.float32(episode.rewards[step])
+            assert batch.terminated[row] == episode.terminated[step]
+            continue
+        relabelled += 1
+        exact = episode.states[step + 1 + source[0], EE]
+        hand = episode.states[step + 1, EE]
+        info = {name: episode.info[name][step] for name in COSTS}
+        reward = env.compute_reward(hand, exact, info)
+        ends = env.compute_terminated(hand, exact, info)
+        assert batch.reward[row] == np.float32(reward)
+        assert batch.terminated[row] == ends
+        ended += bool(ends)
+        if source[0] == 0:
+            assert ends, "the goal is where the step itself ended"
+    env.close()
+    assert 0.77 < relabelled / 2000 < 0.83  # k = 4 of 5
+    assert 0 < ended < relabelled
+
+
+def test_future_goals_are_uniform_over_the_rest_of_the_episode(
+    make_episode: MakeEpisode,
+) -> None:
+    episode = make_episode(0, steps=4)
+    batch = filled([episode], hindsight=10**9).sample(8000, np.random.default_rng(1))
+    first = batch.observation[:, 0].numpy() == np.float32(episode.states[0, 0])
+    goals = batch.observation[first][:, 7].numpy()
+    counts = [(goals == np.float32(x)).sum() for x in episode.states[1:, 0]]
+    assert sum(counts) == first.sum()
+    np.testing.assert_allclose(np.array(counts) / first.sum(), 0.25, atol=0.04)
+
+
+def test_without_hindsight_everything_is_as_it_happened(some: list[Episode]) -> None:
+    batch = filled(some, hindsight=0).sample(500, np.random.default_rng(0))
+    for row in range(500):
+        episode, step = origin(batch, row, some)
+        np.testing.assert_array_equal(
+            batch.observation[row].numpy(), episode.states[step].astype(np.float32)
+        )
+        assert batch.reward[row] == np.float32(episode.rewards[step])
+        alpha = 2 * episode.actions[step, 3] - 1
+        assert batch.action[row, 3] == pytest.approx(alpha, abs=1e-6)
+
+
+def test_the_oldest_episodes_go_whole(make_episode: MakeEpisode) -> None:
+    episodes = [make_episode(i, steps=5) for i in range(10)]
+    replay = filled(episodes, hindsight=4, capacity=23)
+    assert len(replay) == 20
+    batch = replay.sample(2000, np.random.default_rng(0))
+    seen = {origin(batch, row, episodes)[0].index for row in range(2000)}
+    assert seen == {6, 7, 8, 9}
+
+
+def test_an_episode_longer_than_the_replay_is_refused(
+    make_episode: MakeEpisode,
+) -> None:
+    with pytest.raises(UsageError, match="has 5 steps, but the replay's capacity is 4"):
+        filled([make_episode(0, steps=5)], hindsight=0, capacity=4)
+
+
+def test_a_restored_replay_gives_the_same_batches(make_episode: MakeEpisode) -> None:
+    """After the ring has gone round, and for episodes that come later."""
+    episodes = [make_episode(i, steps=5) for i in range(12)]
+    replay = filled(episodes[:9], hindsight=4, capacity=23)
+    other = Replay(23, 4, JUDGE)
+    other.load_state(replay.state())
+    for episode in episodes[9:]:
+        replay.add(episode)
+        other.add(episode)
+        ours, theirs = (r.sample(64, np.random.default_rng(3)) for r in (replay, other))
+        assert all(torch.equal(a, b) for a, b in zip(ours, theirs, strict=True))
+
+
+def test_judge_is_the_environments_own(some: list[Episode]) -> None:
+    """Bit-equal to what ``compute_reward`` and ``compute_terminated`` say."""
+    env = ReachEnv("SmoothReach-v0")
+    for episode in some:
+        hands, goals = episode.states[1:, EE], episode.states[:-1, EE]
+        costs: Mapping[str, np.ndarray] = {name: episode.info[name] for name in COSTS}
+        reward, ends = JUDGE(hands, goals, costs)
+        np.testing.assert_array_equal(reward, env.compute_reward(hands, goals, costs))
+        np.testing.assert_array_equal(ends, env.compute_terminated(hands, goals, costs))
+    env.close()
+
+
+def test_demonstrations_keep_the_ratio_of_successes(make_episode: MakeEpisode) -> None:
+    good = [make_episode(i, steps=5, success=True) for i in range(2)]
+    bad = [make_episode(i, steps=5, success=False) for i in range(2, 10)]
+    demonstrations = Demonstrations(good + bad, 0.75, 0, JUDGE)
+    batch = demonstrations.sample(4000, np.random.default_rng(0))
+    share = np.mean([origin(batch, row, good + bad)[0].success for row in range(4000)])
+    assert share == pytest.approx(0.75, abs=0.03)
+    halves = [batch.reward[:2000].mean(), batch.reward[2000:].mean()]
+    assert halves[0] == pytest.approx(float(halves[1]), abs=0.2)  # order is random
+
+
+def test_demonstrations_of_one_kind_and_of_none(make_episode: MakeEpisode) -> None:
+    bad = [make_episode(i, steps=5, success=False) for i in range(3)]
+    only = Demonstrations(bad, 0.75, 0, JUDGE)
+    assert len(only.sample(9, np.random.default_rng(0)).reward) == 9
+    assert not Demonstrations([], 0.75, 0, JUDGE)
