@@ -249,13 +249,14 @@ class Ddpg:
         size = self.config.batch_size
         share = self.config.demonstration_share if self._demonstrations else 0.0
         shown = round(share * size)
+        sources = (self.replay, size - shown), (self._demonstrations, shown)
         while count:
             many = min(count, _DRAWN_TOGETHER)
-            own = self.replay.sample(many * (size - shown), self._rng)
-            parts = [own.split(size - shown)]
-            if shown:
-                others = self._demonstrations.sample(many * shown, self._rng)
-                parts.append(others.split(shown))
+            parts = [
+                source.sample(many * part, self._rng).split(part)
+                for source, part in sources
+                if part
+            ]
             for batches in zip(*parts, strict=True):
                 yield concatenated(batches)
             count -= many

@@ -19,7 +19,7 @@ from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.runlog import Row, RunLog
 from marl_mm.algorithms.train import Evaluate
 from marl_mm.episode import Episode
-from marl_mm.errors import UsageError
+from marl_mm.errors import DivergedError, UsageError
 from marl_mm.layout import ALPHA
 from marl_mm.progress import Advance, silent
 
@@ -119,6 +119,7 @@ def train_online(
 
     Raises:
         KeyboardInterrupt: After Ctrl-C, saying which checkpoint there is.
+        DivergedError: If a loss is not finite; the last checkpoint is left as it is.
     """
     torch.set_num_threads(1)  # small batches: a second thread only costs
     total = algorithm.config.episodes
@@ -143,6 +144,9 @@ def train_online(
             kept = f"{run} holds the checkpoint of episode {saved}: go on with --resume"
             nothing = "before the first checkpoint: start again with --overwrite"
             raise KeyboardInterrupt(f"stopped; {kept if saved else nothing}") from None
+        except DivergedError as error:
+            kept = f"the checkpoint of episode {saved}" if saved else "no checkpoint"
+            raise DivergedError(f"{error}; {run} holds {kept}") from None
 
 
 def _epoch(algorithm: OnlineAlgorithm, run_episodes: RunEpisodes, end: int) -> Row:
@@ -158,6 +162,12 @@ def _epoch(algorithm: OnlineAlgorithm, run_episodes: RunEpisodes, end: int) -> R
             episodes.append(episode)
         if algorithm.warm:
             losses.append(algorithm.learn(cycle * config.updates_per_episode))
+            for key, value in losses[-1].items():
+                if not np.isfinite(value):
+                    raise DivergedError(
+                        f"{key} is {value} after {algorithm.updates} updates: lower "
+                        "the learning rates"
+                    )
     return {
         "episode": end,
         "env_steps": algorithm.env_steps,

@@ -22,15 +22,16 @@ from marl_mm.progress import Advance, silent
 
 TASK = "Reach-v0"
 
-_EPISODES = 40
-"""Random episodes in the replays."""
-
 _TURN = 100
 """Updates until it is the other's turn."""
 
 
 def bench_train(
-    updates: int, seed: int = 0, sb3: bool = True, advance: Advance = silent
+    updates: int,
+    seed: int = 0,
+    sb3: bool = True,
+    episodes: int = 40,
+    advance: Advance = silent,
 ) -> dict[str, Any]:
     """Updates per second of each, and ours over SB3's.
 
@@ -38,6 +39,7 @@ def bench_train(
         updates: Of each algorithm, in turns.
         seed: Of networks and episodes.
         sb3: Whether to time Stable-Baselines3, too.
+        episodes: Random ones in the replays.
         advance: Told the updates.
     """
     torch.set_num_threads(1)
@@ -47,7 +49,7 @@ def bench_train(
         "ddpg-her": Ddpg(preset("ddpg-her"), rewards, seed),
         "maddpg-her": _maddpg(rewards, seed),
     }
-    plans = [EpisodePlan(i, episode_seed(seed, i, "train")) for i in range(_EPISODES)]
+    plans = [EpisodePlan(i, episode_seed(seed, i, "train")) for i in range(episodes)]
     explorer = Ddpg(replace(preset("ddpg-her"), warm_up=10**4), rewards, seed)
     with Rollouts(config) as rollouts:
         for episode in rollouts.run(explorer.behaviour(), plans):
@@ -55,7 +57,7 @@ def bench_train(
                 algorithm.observe(episode)
     learners = {name: algorithm.learn for name, algorithm in ours.items()}
     if sb3:
-        learners["sb3-ddpg-her"] = _sb3(seed)
+        learners["sb3-ddpg-her"] = _sb3(seed, episodes)
     rates: dict[str, list[float]] = {name: [] for name in learners}
     advance(0, "random episodes")
     for turn in range(-1, max(1, updates // _TURN)):
@@ -81,7 +83,7 @@ def _maddpg(rewards: Any, seed: int) -> Maddpg:
     return Maddpg(config, rewards, seed)
 
 
-def _sb3(seed: int) -> Any:
+def _sb3(seed: int, episodes: int) -> Any:
     from stable_baselines3.common.logger import configure
 
     from marl_mm.eval.sb3_reference import sb3_model
@@ -89,5 +91,5 @@ def _sb3(seed: int) -> Any:
     config = preset("ddpg-her")
     model = sb3_model(TASK, replace(config, warm_up=config.capacity), seed)
     model.set_logger(configure(None, []))
-    model.learn(total_timesteps=_EPISODES * 25)
+    model.learn(total_timesteps=25 * episodes)
     return partial(model.train, batch_size=config.batch_size)

@@ -60,8 +60,10 @@ SETTINGS = (
     Setting("ddpg-paper", "DDPG, Table 2", "ddpg", "paper"),
     Setting("ddpg-her-paper", "DDPG + HER, Table 2", "ddpg-her", "paper"),
     Setting("sb3-ddpg-her", "Stable-Baselines3, DDPG + HER", library="sb3"),
-    Setting("ddpg-demonstrations", "DDPG, PD's", "ddpg", demonstrations=True),
-    Setting("ddpg-her-demonstrations", "DDPG + HER, PD's", demonstrations=True),
+    Setting("ddpg-demonstrations", "DDPG, demonstrations", "ddpg", demonstrations=True),
+    Setting(
+        "ddpg-her-demonstrations", "DDPG + HER, demonstrations", demonstrations=True
+    ),
     Setting("ddpg-her-smooth", "DDPG + HER", task="SmoothReach-v0"),
     Setting(
         "ddpg-penalty",
@@ -190,6 +192,24 @@ def mean_interval(values: Sequence[float]) -> tuple[float, float]:
     spread = np.std(values, ddof=1) / np.sqrt(len(values))
     width = student.ppf((1 + CONFIDENCE) / 2, len(values) - 1) * spread
     return float(np.mean(values) - width), float(np.mean(values) + width)
+
+
+def success_at(curves: Sequence[Row], setting: str, env_steps: int) -> list[float]:
+    """Every seed's success rate at its last evaluation within so many steps.
+
+    A run that ended when it was flat keeps its last one; 0 before the first.
+    """
+    own = [row for row in curves if row["setting"] == setting]
+    rates = []
+    for seed in sorted({row["seed"] for row in own}):
+        known = [0.0]
+        known += [
+            row["success_all"]
+            for row in own
+            if row["seed"] == seed and row["env_steps"] <= env_steps
+        ]
+        rates.append(known[-1])
+    return rates
 
 
 def on_a_grid(

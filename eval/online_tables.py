@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.online import LEVELS, Setting
+from marl_mm.eval.online import LEVELS, Setting, success_at
 from marl_mm.eval.tables import markdown_table
 
 ONLINE_HEADER = (
@@ -40,8 +40,32 @@ def online_table(summary: Sequence[Row], settings: Sequence[Setting]) -> str:
     return markdown_table(ONLINE_HEADER, lines)
 
 
-def online_markdown(summary: Sequence[Row], settings: Sequence[Setting]) -> str:
-    """The table with what its columns mean."""
+SB3 = ("ddpg-her", "maddpg-her", "sb3-ddpg-her")
+"""Compared at equal steps of the environment."""
+
+STEPS = (1_500, 2_000, 3_000, 4_000, 6_000, 8_000)
+
+
+def steps_table(curves: Sequence[Row], settings: Sequence[Setting]) -> str:
+    """Success by steps of the environment, beside Stable-Baselines3, as Markdown."""
+    lines = []
+    for setting in settings:
+        if setting.name not in SB3:
+            continue
+        line = [setting.about]
+        for steps in STEPS:
+            rates = success_at(curves, setting.name, steps)
+            listed = ", ".join(f"{100 * rate:.0f}" for rate in rates)
+            line.append(f"{100 * sum(rates) / len(rates):.0f} ({listed})")
+        lines.append(line)
+    header = ("goals reached [%] after", *(f"{steps:,} steps" for steps in STEPS))
+    return markdown_table(header, lines)
+
+
+def online_markdown(
+    summary: Sequence[Row], settings: Sequence[Setting], curves: Sequence[Row]
+) -> str:
+    """The tables with what their columns mean."""
     return f"""# Online learning
 
 Made by `marl-mm ablate online`. Success: mean and standard deviation over seeds of the
@@ -50,7 +74,11 @@ seeds. Episodes: until an evaluation on 50 other goals first showed the rate, me
 seeds, Student's 95 % interval and every seed's count. The last column is where the
 longest run ended: after 2,000 episodes, or 500 after its best success rate.
 
-{online_table(summary, settings)}"""
+{online_table(summary, settings)}
+At equal steps of the environment: the last evaluation on 50 goals within them, mean
+over seeds and every seed.
+
+{steps_table(curves, settings)}"""
 
 
 def _success(row: Row, checkpoint: str) -> str:

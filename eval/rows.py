@@ -40,8 +40,13 @@ def _spread(row: Row) -> dict[str, str]:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Rows of a CSV file of ours, numbers as numbers, intervals as pairs."""
-    with path.open(newline="") as file:
+    """Rows of a CSV file of ours, compressed or not, with numbers and pairs."""
+    opened = (
+        gzip.open(path, "rt", newline="")
+        if path.suffix == ".gz"
+        else path.open(newline="")
+    )
+    with opened as file:
         return [_typed(row) for row in csv.DictReader(file)]
 
 

@@ -33,6 +33,10 @@ class CheckpointError(MarlMmError):
     """A checkpoint is damaged or belongs to something else."""
 
 
+class DivergedError(MarlMmError):
+    """Training produced a NaN or an infinity."""
+
+
 class InvalidActionError(MarlMmError, ValueError):
     """An action of the wrong shape, or with a NaN or an infinity in it."""
 

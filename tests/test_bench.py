@@ -6,6 +6,7 @@ from marl_mm.control.config import Form
 from marl_mm.envs.config import reach_config
 from marl_mm.eval.abuse import abuse
 from marl_mm.eval.bench import bench_control
+from marl_mm.eval.bench_train import bench_train
 
 
 @pytest.mark.slow
@@ -58,3 +59,14 @@ def test_abuse_is_seeded() -> None:
     one, other = (abuse(config, 300, seed=1) for _ in range(2))
     del one["longest_controller_tick_us"], other["longest_controller_tick_us"]
     assert one == other
+
+
+@pytest.mark.slow
+def test_bench_train_times_ours_and_theirs_in_turns() -> None:
+    result = bench_train(100, episodes=3)
+    names = {"ddpg-her", "maddpg-her", "sb3-ddpg-her"}
+    assert result["updates_per_second"].keys() == names
+    assert all(rate > 0 for rate in result["updates_per_second"].values())
+    assert result["ddpg-her_over_sb3"] > 0
+    alone = bench_train(100, sb3=False, episodes=3)
+    assert alone["updates_per_second"].keys() == names - {"sb3-ddpg-her"}

@@ -23,7 +23,7 @@ from marl_mm.cli import main
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.terms import judge
 from marl_mm.episode import Episode
-from marl_mm.errors import CheckpointError, UsageError
+from marl_mm.errors import CheckpointError, DivergedError, UsageError
 from marl_mm.eval.alpha_study import ALPHAS, LEARNT, FixedAlpha, summarize_worth
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.online import (
@@ -201,6 +201,23 @@ def test_a_flat_run_ends_early(run_episodes: RunEpisodes, tmp_path: Path) -> Non
         flat,
     )
     assert algorithm.episodes == 15
+
+
+def test_a_diverging_run_ends_with_its_last_checkpoint(
+    run_episodes: RunEpisodes, tmp_path: Path
+) -> None:
+    """A NaN among the rewards, as from a damaged dataset or a bug in a reward."""
+
+    def poisoned(policy: Explorer, numbers: Iterable[int]) -> Iterator[Episode]:
+        for episode in run_episodes(policy, numbers):
+            bad = episode.index == 22
+            yield replace(episode, rewards=episode.rewards * (np.nan if bad else 1))
+
+    algorithm = Ddpg(replace(CONFIG, hindsight=0, batch_size=256), JUDGE, 0)
+    with pytest.raises(DivergedError, match=r"loss/critic is nan .* episode 20"):
+        train_online(algorithm, tmp_path, poisoned, weighed, SCHEDULE)
+    assert np.isfinite(load_policy(tmp_path).act(np.ones(10))).all()
+    assert [row["episode"] for row in read_metrics(tmp_path)] == [5, 10, 15, 20]
 
 
 # --- What runs show ----------------------------------------------------------

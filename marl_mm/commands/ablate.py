@@ -13,7 +13,7 @@ from typing import Any, Literal
 from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.online import Schedule
 from marl_mm.algorithms.policy import load_policy
-from marl_mm.algorithms.pretrained import ship
+from marl_mm.algorithms.pretrained import FOLDER, ship
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands.collect import collect_dataset
 from marl_mm.commands.options import available_cores, check_positive, check_seed
@@ -115,11 +115,16 @@ def _train(options: Ablate, names: Sequence[str]) -> None:
             run = options.runs / setting.name / str(seed)
             if (run / EVALUATION).exists() and (run / BEST_EVALUATION).exists():
                 continue
-            training = _training(options, setting, run)
-            if setting.library == "sb3":
-                train_sb3_run(training, seed, run)
-            else:
-                train_online_run(training, seed, run)
+            try:
+                training = _training(options, setting, run)
+                if setting.library == "sb3":
+                    train_sb3_run(training, seed, run)
+                else:
+                    train_online_run(training, seed, run)
+            except KeyboardInterrupt:
+                raise KeyboardInterrupt(
+                    f"stopped in {run}; the same command again goes on from there"
+                ) from None
 
 
 def _training(options: Ablate, setting: Setting, run: Path) -> TrainDdpg:
@@ -133,7 +138,7 @@ def _training(options: Ablate, setting: Setting, run: Path) -> TrainDdpg:
         setting.preset,
         task=setting.task,
         demonstrations=demonstrations,
-        eval_episodes=4 if small else 200,
+        eval_episodes=2 if small else 200,
         curve_episodes=2 if small else 50,
         workers=options.workers,
         resume=(run / FILE).exists(),
@@ -181,7 +186,7 @@ def _online(options: Ablate) -> None:
     _train(options, names)
     curves, evaluations = _curves(options, names), _evaluations(options, names)
     summary = summarize_settings(curves, evaluations, names)
-    text = online_markdown(summary, settings)
+    text = online_markdown(summary, settings, curves)
     write_csv(options.out / "curves.csv.gz", curves)
     write_csv(options.out / "evaluations.csv.gz", evaluations)
     write_csv(options.out / "online.csv", summary)
@@ -198,11 +203,29 @@ def _fig5(options: Ablate) -> None:
     _compare(options, "fig5.png", "success_all", "goals reached [%]", 100)
 
 
-def _compare(options: Ablate, name: str, key: str, label: str, scale: float) -> None:
+def _demonstrated(options: Ablate) -> None:
+    _compare(
+        options,
+        "demonstrations.png",
+        "success_all",
+        "goals reached [%]",
+        100,
+        ("ddpg", "ddpg-her", "ddpg-demonstrations", "ddpg-her-demonstrations"),
+    )
+
+
+def _compare(
+    options: Ablate,
+    name: str,
+    key: str,
+    label: str,
+    scale: float,
+    settings: Sequence[str] = COMPARED,
+) -> None:
     _refuse(options, name)
-    _train(options, COMPARED)
-    labels = {one.name: one.about for one in SETTINGS if one.name in COMPARED}
-    curves = _curves(options, COMPARED)
+    _train(options, settings)
+    labels = {one.name: one.about for one in SETTINGS if one.name in settings}
+    curves = _curves(options, settings)
     seed_curves(curves, labels, key, label, options.out / name, scale)
     print(f"{options.out / name}: {', '.join(labels.values())}")
 
@@ -223,7 +246,7 @@ def _alpha(options: Ablate) -> None:
     _refuse(options, "alpha.png", "alpha_steps.csv", "alpha_worth.csv")
     names = ("ddpg-her", "ddpg-her-smooth")
     _train(options, names)
-    goals = 4 if options.budget == "smoke" else 100
+    goals = 2 if options.budget == "smoke" else 100
     steps: list[Row] = []
     summaries: list[Row] = []
     for name in names:
@@ -254,7 +277,7 @@ def _alpha(options: Ablate) -> None:
 
 
 def _pretrained(options: Ablate) -> None:
-    folder = options.out / "pretrained"
+    folder = options.out / FOLDER.name
     refuse_existing(folder, options.overwrite)
     _train(options, ["ddpg-her"])
     run = _best_run(options, "ddpg-her")
@@ -268,6 +291,7 @@ TARGETS: dict[str, tuple[str, Callable[[Ablate], None]]] = {
     "fig4": ("Fig. 4: return over episodes, with and without hindsight.", _fig4),
     "fig5": ("Fig. 5: success over episodes, with and without hindsight.", _fig5),
     "fig6": ("Fig. 6: film strips of the trained agent, ahead and behind.", _fig6),
+    "demonstrations": ("Success over episodes with a dataset beside.", _demonstrated),
     "alpha": ("What alpha the trained agents choose, and what it is worth.", _alpha),
     "pretrained": ("The agent that ships: the best DDPG + HER run.", _pretrained),
 }

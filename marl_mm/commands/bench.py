@@ -124,7 +124,7 @@ def _train(options: BenchTrain) -> dict[str, Any]:
     check_positive(updates=options.updates)
     sb3 = find_spec("stable_baselines3") is not None
     with progress_bar("bench train", options.updates) as advance:
-        return bench_train(options.updates, options.seed, sb3, advance)
+        return bench_train(options.updates, options.seed, sb3, advance=advance)
 
 
 def _add_rows(table: Table, values: Mapping[str, Any], prefix: str) -> None:

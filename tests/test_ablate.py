@@ -1,0 +1,69 @@
+"""marl-mm ablate: from nothing to tables and figures, with hardly any training."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from marl_mm.algorithms.pretrained import load_pretrained
+from marl_mm.cli import main
+from marl_mm.eval.online import SETTINGS
+from marl_mm.eval.rows import read_rows
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("runs")
+
+
+def ablate(runs: Path, out: Path, target: str, *more: str) -> int:
+    words = ["--runs", str(runs), "--out", str(out), "--budget", "smoke"]
+    return main(["ablate", target, *words, "--seeds", "0", "--workers", "1", *more])
+
+
+@pytest.mark.slow
+def test_every_target_from_raw_runs(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    compared = ["ddpg", "ddpg-her", "maddpg-her"]
+    assert ablate(runs, tmp_path, "online", "--settings", *compared) == 0
+    assert "| DDPG + HER | Reach-v0 | 1 |" in capsys.readouterr().out
+    summary = read_rows(tmp_path / "online.csv")
+    assert [row["setting"] for row in summary] == compared
+    evaluations = read_rows(tmp_path / "evaluations.csv.gz")
+    assert len(evaluations) == 3 * 2 * 2  # settings, checkpoints, goals
+    trained = {path: path.stat().st_mtime_ns for path in runs.rglob("*")}
+    for target, file in (
+        ("fig4", "fig4.png"),
+        ("fig5", "fig5.png"),
+        ("fig6", "fig6.png"),
+    ):
+        assert ablate(runs, tmp_path, target) == 0
+        assert (tmp_path / file).stat().st_size > 5_000
+    assert ablate(runs, tmp_path, "pretrained") == 0
+    shipped = load_pretrained(tmp_path / "pretrained_agent")
+    assert shipped.name == "pretrained"
+    assert {path: path.stat().st_mtime_ns for path in runs.rglob("*")} == trained
+    capsys.readouterr()
+    assert ablate(runs, tmp_path, "fig4") == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_worth_of_alpha_from_raw_runs(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert ablate(runs, tmp_path, "alpha", "--json") == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert {row["task"] for row in rows} == {"Reach-v0", "SmoothReach-v0"}
+    steps = read_rows(tmp_path / "alpha_steps.csv")
+    assert {row["direction"] for row in steps} == {"forward", "backward"}
+    assert (tmp_path / "alpha.png").exists()
+
+
+def test_settings_are_named_once_and_unknown_ones_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert len({setting.name for setting in SETTINGS}) == len(SETTINGS)
+    assert ablate(tmp_path, tmp_path, "online", "--settings", "ddgp") == 2
+    assert "no setting 'ddgp': expected ddpg, ddpg-her" in capsys.readouterr().err
