@@ -6,7 +6,6 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 from multiprocessing import get_context
-from types import TracebackType
 from typing import Any, TypeVar
 
 from marl_mm.errors import MarlMmError, UsageError
@@ -47,12 +46,7 @@ class Workers:
     def __enter__(self) -> "Workers":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         if self._pool is not None:
             # At most a few items are in flight; an interrupted wait would hang at exit.
             with deaf_to_interrupts():

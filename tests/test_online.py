@@ -9,6 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import (
+    EventAccumulator,
+)
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.ddpg import Ddpg, DdpgConfig
@@ -172,7 +175,19 @@ def test_metrics_name_what_a_user_looks_for(
         "action/alpha",
     } < last.keys()
     assert last["env_steps"] == 4 * 30
-    assert list(tmp_path.glob("events.out.tfevents.*"))
+
+
+def test_tensorboard_shows_what_the_metrics_say(
+    run_episodes: RunEpisodes, tmp_path: Path
+) -> None:
+    train_online(Ddpg(CONFIG, JUDGE, 0), tmp_path, run_episodes, weighed, SCHEDULE)
+    events = EventAccumulator(str(tmp_path))
+    events.Reload()
+    shown = [(event.step, event.value) for event in events.Scalars("success/all")]
+    metrics = [
+        (r["episode"], np.float32(r["success/all"])) for r in read_metrics(tmp_path)
+    ]
+    assert shown == metrics
 
 
 def test_flat_is_no_better_success_rate_for_long_once_something_was_learnt() -> None:

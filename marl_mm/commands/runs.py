@@ -111,6 +111,12 @@ def start_run(run: Path, config: dict[str, Any]) -> None:
     write_json(run / "config.json", config)
 
 
+def continue_run(run: Path, changes: dict[str, Any]) -> None:
+    """Note in a run's config what it goes on with."""
+    config = json.loads((run / "config.json").read_text())
+    write_json(run / "config.json", config | changes)
+
+
 def evaluate_run(
     run: Path, options: TrainOptions, task: str, checkpoint: str, result: str
 ) -> Evaluation:

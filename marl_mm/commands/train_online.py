@@ -24,6 +24,7 @@ from marl_mm.commands.runs import (
     EVALUATION,
     TrainOptions,
     check_run,
+    continue_run,
     curve_point,
     evaluate_run,
     start_run,
@@ -92,6 +93,10 @@ def online_options(algorithm: str, name: Preset = "tuned", **changes: Any) -> Tr
     return TrainDdpg(config=config, preset=name, **changes)
 
 
+_CONTINUED = ("episodes", "patience")
+"""What may be another when a run is resumed: more of it only continues."""
+
+
 def check_online(algorithm: str, options: TrainDdpg) -> None:
     """Raise before any work is done for options that make no sense.
 
@@ -108,11 +113,8 @@ def check_online(algorithm: str, options: TrainDdpg) -> None:
 
 def check_online_run(options: TrainDdpg, seed: int, run: Path) -> None:
     """Raise before any work is done for what would stop a run; see ``check_run``."""
-    # More episodes or patience only continue a run.
-    ignored = ("episodes", "patience", "preset")
-    check_run(
-        run, _run_config(options, _demonstrations(options), seed), options, ignored
-    )
+    config = _run_config(options, _demonstrations(options), seed)
+    check_run(run, config, options, ("preset", *_CONTINUED))
 
 
 def train_online_run(
@@ -131,6 +133,8 @@ def train_online_run(
     )
     if options.resume and (run / FILE).exists():
         resume(algorithm, run, ("episodes",))
+        config = _run_config(options, demonstrations, seed)
+        continue_run(run, {name: config[name] for name in _CONTINUED})
     else:
         start_run(run, _run_config(options, demonstrations, seed))
 

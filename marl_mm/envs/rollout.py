@@ -6,7 +6,7 @@ draws from its own seed, and results come back in the order of the plans.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from gymnasium.utils import seeding
@@ -96,7 +96,7 @@ class Rollouts:
     def __enter__(self) -> "Rollouts":
         return self
 
-    def __exit__(self, *exception: Any) -> None:
+    def __exit__(self, *exception: object) -> None:
         if self._core is not None:
             self._core.close()
         if self._pool is not None:
