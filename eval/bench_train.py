@@ -1,7 +1,8 @@
-"""Gradient updates per second of online learning, beside Stable-Baselines3's.
+"""Online learning beside Stable-Baselines3's: updates per second, success by steps.
 
-Both learn from as many random episodes of the same task, with the same network, batch
-and hindsight; they take turns, so that a noisy machine is as noisy for both.
+For the updates, both learn from as many random episodes of the same task, with the same
+network, batch and hindsight, and take turns, so that a noisy machine is as noisy for
+both.
 """
 
 from dataclasses import replace
@@ -14,10 +15,13 @@ import torch
 
 from marl_mm.algorithms.ddpg import Ddpg
 from marl_mm.algorithms.maddpg import Maddpg, MaddpgConfig
+from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.presets import preset
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.rollout import EpisodePlan, Rollouts, episode_seed
 from marl_mm.envs.terms import judge
+from marl_mm.eval.evaluate import evaluate_with
+from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
 
 TASK = "Reach-v0"
@@ -75,6 +79,60 @@ def bench_train(
             ratios = np.array(rates[name]) / np.array(rates["sb3-ddpg-her"])
             result[f"{name}_over_sb3"] = float(np.median(ratios))
     return result
+
+
+def bench_success(
+    env_steps: int,
+    seed: int = 0,
+    goals: int = 100,
+    sb3: bool = True,
+    advance: Advance = silent,
+) -> dict[str, float]:
+    """Success rate after training from nothing for so many steps of the environment.
+
+    Args:
+        env_steps: Of each; the last episode is whole.
+        seed: Of networks and episodes.
+        goals: Of the evaluation, half ahead.
+        sb3: Whether to train Stable-Baselines3, too.
+        advance: Told the environment's steps.
+    """
+    torch.set_num_threads(1)
+    config = reach_config(TASK)
+    hyper = preset("ddpg-her")
+    ours = Ddpg(hyper, partial(judge, config=config), seed)
+    success = {}
+    with Rollouts(config) as rollouts:
+
+        def rate(policy: Policy) -> float:
+            return evaluate_with(rollouts, policy, goals, seed, TASK).success_rate
+
+        while ours.env_steps < env_steps:
+            first = ours.episodes
+            plans = [
+                EpisodePlan(i, episode_seed(seed, i, "train"))
+                for i in range(first, first + hyper.episodes_per_cycle)
+            ]
+            for episode in rollouts.run(ours.behaviour(), plans):
+                ours.observe(episode)
+                advance(len(episode), ours.name)
+            if ours.warm:
+                ours.learn(hyper.updates_per_episode * len(plans))
+        success[ours.name] = rate(LearnedPolicy(ours.name, ours.agents))
+        if sb3:
+            from marl_mm.eval.sb3_reference import NAME, Sb3Policy, learn_sb3, sb3_model
+
+            model, told = sb3_model(TASK, hyper, seed), 0
+
+            def look(episode: int, steps: int) -> bool:
+                nonlocal told
+                advance(steps - told, NAME)
+                told = steps
+                return steps < env_steps
+
+            learn_sb3(model, 1, look)
+            success[NAME] = rate(Sb3Policy(model))
+    return success
 
 
 def _maddpg(rewards: Any, seed: int) -> Maddpg:

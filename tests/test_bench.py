@@ -6,7 +6,7 @@ from marl_mm.control.config import Form
 from marl_mm.envs.config import reach_config
 from marl_mm.eval.abuse import abuse
 from marl_mm.eval.bench import bench_control
-from marl_mm.eval.bench_train import bench_train
+from marl_mm.eval.bench_train import bench_success, bench_train
 
 
 @pytest.mark.slow
@@ -70,3 +70,12 @@ def test_bench_train_times_ours_and_theirs_in_turns() -> None:
     assert result["ddpg-her_over_sb3"] > 0
     alone = bench_train(100, sb3=False, episodes=3)
     assert alone["updates_per_second"].keys() == names - {"sb3-ddpg-her"}
+
+
+@pytest.mark.slow
+def test_bench_train_compares_success_after_equal_steps() -> None:
+    told: list[int] = []
+    success = bench_success(60, goals=2, advance=lambda done, note: told.append(done))
+    assert success.keys() == {"ddpg-her", "sb3-ddpg-her"}
+    assert all(0 <= rate <= 1 for rate in success.values())
+    assert 2 * 60 <= sum(told) < 2 * 60 + 5 * 25  # whole cycles, whole episodes

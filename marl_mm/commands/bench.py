@@ -13,6 +13,7 @@ from marl_mm.commands.options import check_positive, check_seed
 from marl_mm.commands.parser import parse_subcommand
 from marl_mm.control.config import Form, Solver
 from marl_mm.envs.config import reach_config
+from marl_mm.errors import UsageError
 from marl_mm.eval.abuse import abuse
 from marl_mm.eval.bench import bench_control
 from marl_mm.progress import progress_bar
@@ -71,6 +72,10 @@ class BenchTrain:
     updates: int = 2_000
     """Of each algorithm, rounded down to hundreds."""
 
+    env_steps: int = 0
+    """Also train ours and theirs from nothing for so many steps of the environment, and
+    compare their success; 3,000 take about three minutes, 0 leaves it out."""
+
     seed: int = 0
     """Of networks and episodes."""
 
@@ -119,12 +124,25 @@ def _abuse(options: BenchAbuse) -> dict[str, Any]:
 
 
 def _train(options: BenchTrain) -> dict[str, Any]:
-    from marl_mm.eval.bench_train import bench_train  # torch takes a second to import
+    from marl_mm.eval.bench_train import (  # torch takes a second to import
+        bench_success,
+        bench_train,
+    )
 
     check_positive(updates=options.updates)
+    if options.env_steps < 0:
+        raise UsageError(f"--env-steps is {options.env_steps}, expected >= 0")
     sb3 = find_spec("stable_baselines3") is not None
-    with progress_bar("bench train", options.updates) as advance:
-        return bench_train(options.updates, options.seed, sb3, advance=advance)
+    learners = 3 if sb3 else 2
+    with progress_bar("bench train", learners * options.updates) as advance:
+        result = bench_train(options.updates, options.seed, sb3, advance=advance)
+    if options.env_steps:
+        total = options.env_steps * (2 if sb3 else 1)
+        with progress_bar("bench success", total) as advance:
+            result["success"] = bench_success(
+                options.env_steps, options.seed, sb3=sb3, advance=advance
+            )
+    return result
 
 
 def _add_rows(table: Table, values: Mapping[str, Any], prefix: str) -> None:
