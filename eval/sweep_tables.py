@@ -125,6 +125,10 @@ def sweep_markdown(
         "step. Steps to the goal, 50 where it was missed; the return is that of the "
         "registered task, which ends after 25. Pairs are backward, forward.\n",
         "## How evenly the robot answers, going backward\n",
+        "The share of the steps' growth from alpha 0 to 1 that one tenth of alpha "
+        "makes at most; how much d_mm falls or d_mp rises from one alpha to the next "
+        "at most, where it should do the opposite; and how much worse the hand is "
+        "ahead at some alpha than at both ends.\n",
         response_table(responses),
     ]
     if worth:

@@ -104,7 +104,10 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         (["collect", "pd", "--dataset", "marl_mm/reach/pd"], "without its version"),
         (["eval"], "no policy given"),
         (["collect", "random", "--dataset", "/dev/null/x"], "cannot write"),
-        (["eval", "nowhere"], "no policy 'nowhere': expected pd, random, a run folder"),
+        (
+            ["eval", "nowhere"],
+            "no policy 'nowhere': expected pretrained, pd, random, a run folder",
+        ),
         (["eval", "pd", "--episodes", "0"], "--episodes is 0"),
         (["play", "pd", "--video", "x.avi"], ".mp4 or .gif"),
         (["bench", "control", "--steps", "-1"], "--steps is -1"),

@@ -54,7 +54,8 @@ def parse_subcommand(
     def parse() -> Any:
         return tyro.cli(union, prog=prog, description=description, args=arguments)
 
-    options = _in_one_line(parse, prog)
+    known = arguments and arguments[0] in commands
+    options = _in_one_line(parse, f"{prog} {arguments[0]}" if known else prog)
     return arguments[0], options
 
 
