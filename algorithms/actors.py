@@ -1,5 +1,6 @@
 """Actors: each with its own observation and its place in the joint action."""
 
+import pickle
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -34,6 +35,10 @@ class AgentActor:
             torch.tensor(ACTION_LOW)[entries], torch.tensor(ACTION_HIGH)[entries]
         )
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """By value: torch would share weights that go on learning between processes."""
+        return _revived, (self.layout, pickle.dumps(self.actor))
+
     def own(self, state: torch.Tensor) -> torch.Tensor:
         """What the agent sees of joint states, shapes (..., 10) to (..., d)."""
         if len(self._entries) == len(STATE):
@@ -46,6 +51,10 @@ class AgentActor:
         inputs = torch.as_tensor(observation, dtype=torch.float32)
         action: np.ndarray = self.scale.denormalize(self.actor(inputs)).numpy()
         return action
+
+
+def _revived(layout: AgentLayout, actor: bytes) -> AgentActor:
+    return AgentActor(layout, pickle.loads(actor))
 
 
 def actors_from(

@@ -33,7 +33,11 @@ from marl_mm.layout import ACTION, ALPHA, JOINT, STATE, AgentLayout
 
 @dataclass(frozen=True)
 class DdpgConfig:
-    """Hyper-parameters; the paper's where it names them (Table 2)."""
+    """Hyper-parameters; those without a source in brackets are ours.
+
+    What each of ours that departs from Table 2 is worth stands in
+    ``eval/results/online/online.md``.
+    """
 
     episodes: int = 2_000
     """Episodes in all: 100 epochs of 20 (Table 2)."""
@@ -42,17 +46,17 @@ class DdpgConfig:
     """Relabelled transitions per original one; 0 is plain DDPG (Andrychowicz 2017)."""
 
     updates_per_episode: int = 40
-    """Gradient steps per episode."""
+    """Gradient steps per episode; the paper's Algorithm 1 makes one per step, 25."""
 
     episodes_per_cycle: int = 4
     """Episodes that one policy runs, in parallel if there are workers, between
     updates."""
 
     warm_up: int = 1_000
-    """Steps with random actions before the first update."""
+    """Steps with random actions before the first update; 5,000 in Table 2."""
 
     capacity: int = 50_000
-    """Steps in the replay."""
+    """Steps in the replay; 5,000 in Table 2."""
 
     noise: float = 0.1
     """Standard deviation of the exploration's Gaussian noise, of half the action's

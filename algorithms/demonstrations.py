@@ -30,12 +30,12 @@ class Demonstrations:
         self._parts: list[tuple[Replay, float]] = []
         for success, share in kinds:
             own = [episode for episode in episodes if episode.success == success]
-            if own and share:
+            if own:
                 replay = Replay(sum(map(len, own)), hindsight, judge)
                 for episode in own:
                     replay.add(episode)
                 self._parts.append((replay, share))
-        if len(self._parts) == 1:
+        if len(self._parts) == 1:  # one kind only
             self._parts = [(self._parts[0][0], 1.0)]
 
     def __bool__(self) -> bool:

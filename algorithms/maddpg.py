@@ -2,7 +2,8 @@
 
 Actors see their own observations only; the critic, in training only, sees the joint
 state and action. The agents share their reward, so one critic and one batch serve both:
-actor loss of agent i: -Q(s, (pi_i(o_i), a_-i)).
+actor loss of agent i: -Q(s, (pi_i(o_i), a_-i)), where a_-i is what the others would do
+now or, as in the source, what they did.
 """
 
 from dataclasses import dataclass

@@ -129,16 +129,16 @@ def train_online(
         try:
             while saved < total and not is_flat(log.rows, schedule.patience):
                 end = min(saved + schedule.epoch, total)
-                row = _epoch(algorithm, run_episodes, end)
+                row = _epoch(algorithm, run_episodes, end, advance)
                 number = end // schedule.epoch
                 if number % schedule.evaluate_every == 0 or end == total:
                     policy = LearnedPolicy(algorithm.name, algorithm.agents)
                     row |= evaluate(policy)
-                    if _merit(row) > max(map(_merit, log.rows), default=(-1.0,)):
+                    if merit(row) > max(map(merit, log.rows), default=(-1.0,)):
                         save_policy(run / BEST, algorithm)
                 log.add(row)
                 save_checkpoint(run / FILE, algorithm)
-                advance(end - saved, _note(log.rows))
+                advance(0, _note(log.rows))
                 saved = end
         except KeyboardInterrupt:
             kept = f"{run} holds the checkpoint of episode {saved}: go on with --resume"
@@ -149,7 +149,9 @@ def train_online(
             raise DivergedError(f"{error}; {run} holds {kept}") from None
 
 
-def _epoch(algorithm: OnlineAlgorithm, run_episodes: RunEpisodes, end: int) -> Row:
+def _epoch(
+    algorithm: OnlineAlgorithm, run_episodes: RunEpisodes, end: int, advance: Advance
+) -> Row:
     """Episodes up to number ``end``, with the updates between them; its metrics."""
     config = algorithm.config
     episodes: list[Episode] = []
@@ -160,6 +162,7 @@ def _epoch(algorithm: OnlineAlgorithm, run_episodes: RunEpisodes, end: int) -> R
         for episode in run_episodes(algorithm.behaviour(), numbers):
             algorithm.observe(episode)
             episodes.append(episode)
+            advance(1, "")
         if algorithm.warm:
             losses.append(algorithm.learn(cycle * config.updates_per_episode))
             for key, value in losses[-1].items():
@@ -191,7 +194,7 @@ def is_flat(rows: Sequence[Row], patience: int) -> bool:
     return bool(best["success/all"] > LEARNT and waited >= patience)
 
 
-def _merit(row: Row) -> tuple[float, ...]:
+def merit(row: Row) -> tuple[float, ...]:
     """Success first, then return; less than anything where nothing was measured."""
     if "success/all" not in row:
         return (-1.0,)

@@ -9,7 +9,7 @@ from marl_mm.algorithms.maddpg import MaddpgConfig
 Preset = Literal["tuned", "paper"]
 
 _PAPER = {
-    "updates_per_episode": 25,  # one per step (Algorithm 1)
+    "updates_per_episode": 25,  # one per step of a whole episode (Algorithm 1)
     "episodes_per_cycle": 1,
     "warm_up": 5_000,  # Table 2
     "capacity": 5_000,  # Table 2

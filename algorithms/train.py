@@ -104,7 +104,8 @@ def refuse_difference(run: Path, theirs: dict[str, Any], mine: dict[str, Any]) -
         if theirs.get(key) != value:
             raise CheckpointError(
                 f"{run} was trained with {key} = {theirs.get(key)}, got {value}: "
-                "resume with the same, or start anew with --overwrite"
+                "go on with the same, or start anew in another folder or with "
+                "--overwrite"
             )
 
 

@@ -100,26 +100,32 @@ def worth_rows(
 
 
 def summarize_worth(rows: Sequence[Row]) -> list[Row]:
-    """One row per fixed alpha: how much better the learnt one is, goal by goal."""
+    """One row per task, seed and fixed alpha: how much better the learnt one is.
+
+    The difference is paired, goal by goal; its interval is by bootstrap over goals.
+    """
+    cells = sorted({(row["task"], row["seed"]) for row in rows})
+    return [one for cell in cells for one in _summarize_agent(rows, *cell)]
+
+
+def _summarize_agent(rows: Sequence[Row], task: str, seed: int) -> Iterator[Row]:
+    rows = [row for row in rows if (row["task"], row["seed"]) == (task, seed)]
     learnt = _returns(rows, LEARNT)
-    summaries = []
     for alpha in ALPHAS:
         own = [row for row in rows if row["alpha"] == alpha]
         difference = learnt - _returns(rows, alpha)
-        summaries.append(
-            {
-                "task": own[0]["task"],
-                "alpha": alpha,
-                "goals": len(own),
-                "success": float(np.mean([row["success"] for row in own])),
-                "return": float(np.mean([row["return"] for row in own])),
-                "learnt_return": float(np.mean(learnt)),
-                "difference": float(np.mean(difference)),
-                "difference_interval": bootstrap_interval(difference),
-                "better_on": int((difference > 0).sum()),
-            }
-        )
-    return summaries
+        yield {
+            "task": task,
+            "seed": seed,
+            "alpha": alpha,
+            "goals": len(own),
+            "success": float(np.mean([row["success"] for row in own])),
+            "return": float(np.mean([row["return"] for row in own])),
+            "learnt_return": float(np.mean(learnt)),
+            "difference": float(np.mean(difference)),
+            "difference_interval": bootstrap_interval(difference),
+            "better_on": int((difference > 0).sum()),
+        }
 
 
 def alpha_steps(task: str, episodes: Sequence[Episode]) -> Iterator[Row]:

@@ -55,6 +55,7 @@ def bench_train(
     }
     plans = [EpisodePlan(i, episode_seed(seed, i, "train")) for i in range(episodes)]
     explorer = Ddpg(replace(preset("ddpg-her"), warm_up=10**4), rewards, seed)
+    advance(0, "random episodes")
     with Rollouts(config) as rollouts:
         for episode in rollouts.run(explorer.behaviour(), plans):
             for algorithm in ours.values():
@@ -63,7 +64,6 @@ def bench_train(
     if sb3:
         learners["sb3-ddpg-her"] = _sb3(seed, episodes)
     rates: dict[str, list[float]] = {name: [] for name in learners}
-    advance(0, "random episodes")
     for turn in range(-1, max(1, updates // _TURN)):
         for name, learn in learners.items():
             begin = perf_counter()
@@ -130,7 +130,7 @@ def bench_success(
                 told = steps
                 return steps < env_steps
 
-            learn_sb3(model, 1, look)
+            learn_sb3(model, look)
             success[NAME] = rate(Sb3Policy(model))
     return success
 

@@ -71,6 +71,12 @@ SETTINGS = (
         "ddpg",
         changes={"action_penalty": 0.0},
     ),
+    Setting(
+        "maddpg-her-others",
+        "MADDPG + HER, others' replayed actions",
+        "maddpg-her",
+        changes={"others": "replay", "episodes": 400},
+    ),
     _departure("penalty", "no action penalty", action_penalty=0.0),
     _departure("warm-up", "warm-up 5,000", warm_up=5_000),
     _departure("capacity", "replay of 5,000", capacity=5_000),

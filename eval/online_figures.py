@@ -50,7 +50,10 @@ def seed_curves(
 
 
 def alpha_figure(steps: Sequence[Row], worth: Sequence[Row], path: Path) -> None:
-    """Above: alpha over time by direction. Below: the return with alpha held."""
+    """Above: alpha over time by direction. Below: the return with alpha held.
+
+    A line per seed.
+    """
     tasks = sorted({row["task"] for row in steps})
     figure = Figure(figsize=(4.4 * len(tasks), 6.0), layout="constrained")
     axes: Any = figure.subplots(2, len(tasks), squeeze=False)
@@ -58,21 +61,26 @@ def alpha_figure(steps: Sequence[Row], worth: Sequence[Row], path: Path) -> None
         above, below = axes[0][column], axes[1][column]
         for direction in ("forward", "backward"):
             own = [r for r in steps if (r["task"], r["direction"]) == (task, direction)]
-            time = np.array([row["step"] for row in own])
-            mean = np.array([row["mean"] for row in own])
-            std = np.array([row["std"] for row in own])
-            color = COLORS[direction]
-            above.plot(time, mean, "o-", ms=3, color=color, label=direction)
-            above.fill_between(
-                time, mean - std, mean + std, color=color, alpha=0.2, linewidth=0
-            )
+            for number, seed in enumerate(sorted({row["seed"] for row in own})):
+                line = [row for row in own if row["seed"] == seed]
+                time = np.array([row["step"] for row in line])
+                mean = np.array([row["mean"] for row in line])
+                std = np.array([row["std"] for row in line])
+                color, label = COLORS[direction], None if number else direction
+                above.plot(time, mean, "o-", ms=3, color=color, label=label)
+                above.fill_between(
+                    time, mean - std, mean + std, color=color, alpha=0.15, linewidth=0
+                )
         above.set(title=task, xlabel="time [s]", ylim=(-0.05, 1.05))
         own = [row for row in worth if row["task"] == task]
-        alphas = [row["alpha"] for row in own]
-        returns = [row["return"] for row in own]
-        below.plot(alphas, returns, "o-", ms=3, color=COLORS["all"], label="held")
-        if own:
-            below.axhline(own[0]["learnt_return"], color="#2e7d4f", label="learnt")
+        for number, seed in enumerate(sorted({row["seed"] for row in own})):
+            line = [row for row in own if row["seed"] == seed]
+            labels = (None, None) if number else ("held", "learnt")
+            alphas = [row["alpha"] for row in line]
+            returns = [row["return"] for row in line]
+            below.plot(alphas, returns, "o-", ms=3, color="#333333", label=labels[0])
+            learnt = line[0]["learnt_return"]
+            below.axhline(learnt, color="#2e7d4f", label=labels[1])
         below.set(xlabel="alpha, held", ylabel="return")
     axes[0][0].set_ylabel("learnt alpha (1 = stable base)")
     axes[0][0].legend(frameon=False)

@@ -40,6 +40,38 @@ def online_table(summary: Sequence[Row], settings: Sequence[Setting]) -> str:
     return markdown_table(ONLINE_HEADER, lines)
 
 
+def worth_of_alpha(summary: Sequence[Row]) -> str:
+    """The learnt alpha against the best one held, an agent a row, as Markdown."""
+    header = (
+        "task",
+        "seed",
+        "goals",
+        "return, alpha learnt",
+        "best alpha held",
+        "its return",
+        "difference [95 % interval]",
+        "better on",
+    )
+    lines = []
+    for task, seed in sorted({(row["task"], row["seed"]) for row in summary}):
+        own = [row for row in summary if (row["task"], row["seed"]) == (task, seed)]
+        best = max(own, key=lambda row: float(row["return"]))
+        low, high = best["difference_interval"]
+        lines.append(
+            (
+                task,
+                str(seed),
+                str(best["goals"]),
+                f"{best['learnt_return']:.2f}",
+                f"{best['alpha']:g}",
+                f"{best['return']:.2f}",
+                f"{best['difference']:.2f} [{low:.2f}, {high:.2f}]",
+                f"{best['better_on']}/{best['goals']}",
+            )
+        )
+    return markdown_table(header, lines)
+
+
 SB3 = ("ddpg-her", "maddpg-her", "sb3-ddpg-her")
 """Compared at equal steps of the environment."""
 
@@ -48,9 +80,10 @@ STEPS = (1_500, 2_000, 3_000, 4_000, 6_000, 8_000)
 
 def steps_table(curves: Sequence[Row], settings: Sequence[Setting]) -> str:
     """Success by steps of the environment, beside Stable-Baselines3, as Markdown."""
+    known = {row["setting"] for row in curves}
     lines = []
     for setting in settings:
-        if setting.name not in SB3:
+        if setting.name not in SB3 or setting.name not in known:
             continue
         line = [setting.about]
         for steps in STEPS:
@@ -70,15 +103,33 @@ def online_markdown(
 
 Made by `marl-mm ablate online`. Success: mean and standard deviation over seeds of the
 share of 200 goals, the same for all, and Wilson's 95 % interval over the goals of all
-seeds. Episodes: until an evaluation on 50 other goals first showed the rate, mean over
-seeds, Student's 95 % interval and every seed's count. The last column is where the
-longest run ended: after 2,000 episodes, or 500 after its best success rate.
+seeds together, which says how well these agents do and not how much agents differ: for
+that there is the deviation. Episodes: until an evaluation on 50 other goals first had
+the rate, mean over seeds, Student's 95 % interval and every seed's count. The last
+column is where the longest run ended: after 2,000 episodes, or 500 after its best
+success rate.
 
 {online_table(summary, settings)}
+{_hindsight(summary)}
 At equal steps of the environment: the last evaluation on 50 goals within them, mean
 over seeds and every seed.
 
 {steps_table(curves, settings)}"""
+
+
+def _hindsight(summary: Sequence[Row]) -> str:
+    """How many of plain DDPG's episodes to 70 % it takes with hindsight, in words."""
+    rows = {row["setting"]: row for row in summary}
+    if not {"ddpg", "ddpg-her"} <= rows.keys():
+        return ""
+    ours, plain = (rows[name] for name in ("ddpg-her", "ddpg"))
+    if math.isnan(ours["to_70"]) or math.isnan(plain["to_70"]):
+        return ""
+    disjoint = ours["to_70_interval"][1] < plain["to_70_interval"][0]
+    return (
+        f"With hindsight DDPG comes to 70 % in {ours['to_70'] / plain['to_70']:.2f} of "
+        f"the episodes; the intervals {'are disjoint' if disjoint else 'overlap'}.\n"
+    )
 
 
 def _success(row: Row, checkpoint: str) -> str:

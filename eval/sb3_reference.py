@@ -1,7 +1,8 @@
 """Stable-Baselines3's DDPG with hindsight on our task, to measure ours against.
 
 Network, batch, rates and updates per episode are those of a ``DdpgConfig``; what SB3
-does not have (input statistics, random steps, a penalty on actions) it does without.
+does not have (input statistics, a penalty on actions) it does without. Of relabelled
+transitions it recomputes the reward, but not whether they ended the episode.
 The only import of Stable-Baselines3, which is optional (extra ``bench``).
 """
 
@@ -70,28 +71,27 @@ def sb3_model(task: str, config: DdpgConfig, seed: int) -> DDPG:
     )
 
 
-def learn_sb3(model: DDPG, every: int, look: Callable[[int, int], bool]) -> None:
+def learn_sb3(model: DDPG, look: Callable[[int, int], bool]) -> None:
     """Train until a look at the model says that it is enough.
 
     Args:
         model: From ``sb3_model``.
-        every: Episodes between looks.
-        look: Told the episodes and the environment's steps so far; whether to go on.
+        look: Called after each episode and its updates with the episodes and the
+            environment's steps so far; whether to go on.
     """
 
     class Looking(BaseCallback):
-        """Counts episodes; SB3 knows steps only. Looks after an episode's updates."""
+        """Counts episodes; SB3 knows steps only."""
 
         episodes = looked = 0
+        go_on = True
 
         def _on_step(self) -> bool:
             self.episodes += int(self.locals["dones"].sum())
             return self.go_on
 
-        go_on = True
-
         def _on_rollout_start(self) -> None:
-            if self.episodes % every == 0 and self.episodes > self.looked:
+            if self.episodes > self.looked:
                 self.looked = self.episodes
                 self.go_on = look(self.episodes, self.num_timesteps)
 

@@ -30,12 +30,15 @@ def progress_bar(label: str, total: int) -> Iterator[Advance]:
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}"),
         console=Console(stderr=True),
+        speed_estimate_period=600,  # an evaluation between may take a minute
     )
     with bar:
         task = bar.add_task(label, total=total, note="")
 
         def advance(done: int, note: str) -> None:
-            bar.update(task, advance=done, note=note)
+            bar.update(task, advance=done)
+            if note:
+                bar.update(task, note=note)
 
         yield advance
 

@@ -47,6 +47,29 @@ def test_every_target_from_raw_runs(
     capsys.readouterr()
     assert ablate(runs, tmp_path, "fig4") == 2
     assert "exists already" in capsys.readouterr().err
+    assert ablate(runs, tmp_path / "x", "fig4", "--budget", "full") == 1
+    assert "was trained with" in capsys.readouterr().err  # smoke is no result
+
+
+@pytest.mark.slow
+def test_stable_baselines3_and_demonstrations_in_the_same_tables(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings = ["ddpg-her-demonstrations", "sb3-ddpg-her"]
+    assert ablate(runs, tmp_path, "online", "--settings", *settings) == 0
+    curves = read_rows(tmp_path / "curves.csv.gz")
+    episodes = {
+        name: [row["episode"] for row in curves if row["setting"] == name]
+        for name in settings
+    }
+    assert episodes == {name: [8] for name in settings}  # epochs of 4, every second
+    metadata = runs / "demonstrations/data/metadata.json"
+    metadata.write_text(
+        metadata.read_text().replace('"complete": true', '"complete": false')
+    )
+    capsys.readouterr()
+    assert ablate(runs, tmp_path / "y", "runs", "--settings", settings[0]) == 2
+    assert "is not the whole of 100 steps: delete it" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -67,3 +90,5 @@ def test_settings_are_named_once_and_unknown_ones_refused(
     assert len({setting.name for setting in SETTINGS}) == len(SETTINGS)
     assert ablate(tmp_path, tmp_path, "online", "--settings", "ddgp") == 2
     assert "no setting 'ddgp': expected ddpg, ddpg-her" in capsys.readouterr().err
+    assert ablate(tmp_path, tmp_path, "fig4", "--settings", "ddpg") == 2
+    assert "--settings is for runs and online" in capsys.readouterr().err

@@ -143,6 +143,16 @@ def test_one_update_equals_the_hand_written_one(
     ):
         tracked = 0.995 * old + 0.005 * new
         torch.testing.assert_close(theirs.double(), tracked, atol=2e-6, rtol=0)
+    trackers = [
+        p
+        for a in algorithm._target_agents.values()
+        for p in a.actor.layers.parameters()
+    ]
+    before = [w for weights in target_actors for w in weights]
+    for theirs, new, old in zip(trackers, moved, before, strict=True):
+        tracked = 0.995 * old + 0.005 * new
+        torch.testing.assert_close(theirs.double(), tracked, atol=1e-7, rtol=0)
+        assert not torch.equal(new, old)
 
 
 @pytest.mark.parametrize("others", ["policy", "replay"])

@@ -88,7 +88,7 @@ def files(run: Path) -> dict[str, object]:
 
     contents: dict[str, object] = {"metrics": (run / "metrics.jsonl").read_bytes()}
     for name in (FILE, BEST):
-        contents[name] = plain(torch.load(run / name, weights_only=True))
+        contents[name] = plain(torch.load(run / name, weights_only=True)["state"])
     return contents
 
 
@@ -306,6 +306,7 @@ def test_the_worth_of_alpha_by_hand() -> None:
     rows = [
         {
             "task": "t",
+            "seed": 0,
             "alpha": alpha,
             "goal": goal,
             "success": 1,
@@ -367,6 +368,42 @@ def test_training_does_not_depend_on_workers_or_interruptions(
     assert "noise = 0.1, got 0.3" in capsys.readouterr().err
 
 
+def test_demonstrations_take_their_share_of_every_batch(
+    make_episode: MakeEpisode,
+) -> None:
+    """None of it if one asks for that, or all of it."""
+    others = [make_episode(100 + i, steps=5, success=i < 2) for i in range(6)]
+    own = [make_episode(i, steps=5) for i in range(6)]
+    theirs = {float(np.float32(x)) for e in others for x in e.states[:, 0]}
+    for share in (0.0, 0.25, 1.0):
+        config = replace(CONFIG, demonstration_share=share, batch_size=64)
+        algorithm = Ddpg(config, JUDGE, 0, others)
+        for episode in own:
+            algorithm.observe(episode)
+        for batch in algorithm._batches(3):
+            shown = [float(x) in theirs for x in batch.observation[:, 0]]
+            assert np.mean(shown) == share
+        algorithm.learn(2)
+
+
+@pytest.mark.slow
+def test_demonstrations_are_of_the_same_task(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And a run with them is resumed to the same bytes."""
+    monkeypatch.chdir(tmp_path)
+    words = ["collect", "pd", "--steps", "20", "--dataset", "./shown", "--workers", "1"]
+    assert main(words) == 0
+    words = ["train", "ddpg-her", "--demonstrations", "./shown", "--workers", "1"]
+    assert main([*words, "--task", "SmoothReach-v0"]) == 2
+    assert "is of Reach-v0, expected SmoothReach-v0" in capsys.readouterr().err
+    half = [word if word != "8" else "4" for word in TINY]
+    assert main([*words, *TINY, "--out", "whole"]) == 0
+    assert main([*words, *half, "--out", "cut"]) == 0
+    assert main([*words, *TINY, "--out", "cut", "--resume"]) == 0
+    assert files(Path("whole/0")) == files(Path("cut/0"))
+
+
 @pytest.mark.slow
 def test_the_agents_of_maddpg_act_in_the_parallel_environment(tmp_path: Path) -> None:
     from marl_mm.envs import parallel_env
@@ -393,6 +430,9 @@ def test_usage_of_train_online(
         (["ddpg", "--task", "Fly-v0"], "unknown task 'Fly-v0'"),
         (["ddpg", "--noise", "-1"], "noise is -1.0, expected >= 0"),
         (["ddpg", "--epoch", "0"], "epoch is 0, expected >= 1"),
+        (["ddpg", "--seeds", "1", "1"], "--seeds is 1 1, expected each seed once"),
+        (["ddpg", "--resume", "--overwrite"], "contradict each other"),
+        ([], "see marl-mm train --help"),
         (["ddpg", "--resume"], "no checkpoint in runs/ddpg to resume from"),
         (["ddpg", "--demonstrations", "marl_mm/reach/none-v0"], "none-v0"),
         (["ddpg", "--curve-episodes", "0"], "--curve-episodes is 0"),

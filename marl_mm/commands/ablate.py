@@ -5,6 +5,7 @@ kept, interrupted ones go on.
 """
 
 import json
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,15 +17,17 @@ from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.pretrained import FOLDER, ship
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands.collect import collect_dataset
-from marl_mm.commands.options import available_cores, check_positive, check_seed
+from marl_mm.commands.options import available_cores, check_positive, check_seeds
 from marl_mm.commands.parser import Subcommand, parse_subcommand
 from marl_mm.commands.runs import BEST_EVALUATION, EVALUATION
 from marl_mm.commands.train_online import (
     TrainDdpg,
+    check_online_run,
     online_options,
     train_online_run,
 )
-from marl_mm.commands.train_sb3 import train_sb3_run
+from marl_mm.commands.train_sb3 import check_sb3, check_sb3_run, train_sb3_run
+from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import locate
 from marl_mm.envs.config import reach_config
 from marl_mm.errors import UsageError
@@ -38,7 +41,7 @@ from marl_mm.eval.online import (
     summarize_settings,
 )
 from marl_mm.eval.online_figures import alpha_figure, seed_curves
-from marl_mm.eval.online_tables import online_markdown
+from marl_mm.eval.online_tables import online_markdown, worth_of_alpha
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.video import film_both_ways, film_strip
 from marl_mm.files import new_file, refuse_existing
@@ -50,8 +53,8 @@ COMPARED = ("ddpg", "ddpg-her", "maddpg-her")
 DEMONSTRATIONS = "demonstrations"
 """Dataset of the PD agent, in the folder of the runs."""
 
-FPS = 8
-"""Pictures per simulated second, of which Fig. 6 takes five an episode."""
+FPS = 1
+"""Pictures per simulated second and step, of which Fig. 6 takes five an episode."""
 
 
 @dataclass(frozen=True)
@@ -92,13 +95,13 @@ def main(arguments: Sequence[str]) -> None:
         arguments,
     )
     check_positive(workers=options.workers)
-    check_seed(*options.seeds)
+    check_seeds(options.seeds)
     known = [setting.name for setting in SETTINGS]
     unknown = [name for name in options.settings if name not in known]
     if unknown:
         raise UsageError(f"no setting {unknown[0]!r}: expected {', '.join(known)}")
-    if not options.seeds:
-        raise UsageError("--seeds names no seed, expected at least one")
+    if options.settings and target not in ("runs", "online"):
+        raise UsageError(f"--settings is for runs and online; {target} has its own")
     TARGETS[target][1](options)
 
 
@@ -109,40 +112,58 @@ def _settings(options: Ablate) -> list[Setting]:
 
 
 def _train(options: Ablate, names: Sequence[str]) -> None:
-    """Train what is missing of these settings."""
-    for setting in SETTINGS:
-        for seed in options.seeds if setting.name in names else ():
-            run = options.runs / setting.name / str(seed)
-            if (run / EVALUATION).exists() and (run / BEST_EVALUATION).exists():
-                continue
-            try:
-                training = _training(options, setting, run)
-                if setting.library == "sb3":
-                    train_sb3_run(training, seed, run)
-                else:
-                    train_online_run(training, seed, run)
-            except KeyboardInterrupt:
-                raise KeyboardInterrupt(
-                    f"stopped in {run}; the same command again goes on from there"
-                ) from None
+    """Train what is missing of these settings.
 
-
-def _training(options: Ablate, setting: Setting, run: Path) -> TrainDdpg:
-    """Options of one setting's runs."""
+    Raises:
+        UsageError: If Stable-Baselines3 is needed and not installed.
+        CheckpointError: If a run was made with something else.
+    """
+    wanted = [setting for setting in SETTINGS if setting.name in names]
+    if any(setting.library == "sb3" for setting in wanted):
+        check_sb3()
     demonstrations = None
-    if setting.demonstrations:
-        demonstrations = str(_demonstrations(options))
+    if any(setting.demonstrations for setting in wanted):
+        demonstrations = _demonstrations(options)
+    cells = [(setting, seed) for setting in wanted for seed in options.seeds]
+    for setting, seed in cells:
+        run = options.runs / setting.name / str(seed)
+        finished = (run / EVALUATION).exists() and (run / BEST_EVALUATION).exists()
+        training = _training(options, setting, demonstrations, finished, run)
+        sb3 = setting.library == "sb3"
+        if finished:
+            check = check_sb3_run if sb3 else check_online_run
+            check(training, seed, run)
+            continue
+        try:
+            train = train_sb3_run if sb3 else train_online_run
+            train(training, seed, run)
+        except KeyboardInterrupt:
+            again = "starts it again" if sb3 else "goes on from there"
+            raise KeyboardInterrupt(
+                f"stopped in {run}; the same command {again}"
+            ) from None
+
+
+def _training(
+    options: Ablate,
+    setting: Setting,
+    demonstrations: Path | None,
+    finished: bool,
+    run: Path,
+) -> TrainDdpg:
+    """Options of one setting's runs."""
     small = options.budget == "smoke"
+    going = finished or (run / FILE).exists()
     training = online_options(
         setting.algorithm,
         setting.preset,
         task=setting.task,
-        demonstrations=demonstrations,
+        demonstrations=str(demonstrations) if setting.demonstrations else None,
         eval_episodes=2 if small else 200,
         curve_episodes=2 if small else 50,
         workers=options.workers,
-        resume=(run / FILE).exists(),
-        overwrite=True,  # of a folder without a checkpoint
+        resume=going,
+        overwrite=not going,  # of a folder without a checkpoint
         schedule=Schedule(epoch=4) if small else Schedule(),
     )
     changes = dict(setting.changes)
@@ -152,20 +173,29 @@ def _training(options: Ablate, setting: Setting, run: Path) -> TrainDdpg:
 
 
 def _demonstrations(options: Ablate) -> Path:
-    """A dataset of the PD agent that knows alpha's rule, collected once."""
+    """A dataset of the PD agent that knows alpha's rule, collected once.
+
+    Raises:
+        UsageError: If one of another size is there.
+    """
     path = (options.runs / DEMONSTRATIONS).resolve()
-    if not path.exists():
-        steps = 100 if options.budget == "smoke" else 2_000
-        collection = collect_dataset(
-            locate(str(path)),
-            PdConfig(alpha_rule="room"),
-            "Reach-v0",
-            steps,
-            seed=0,
-            workers=options.workers,
-        )
-        if not collection.complete:
-            raise KeyboardInterrupt(f"stopped; delete {path} and start again")
+    steps = 100 if options.budget == "smoke" else 2_000
+    if path.exists():
+        known = load_dataset(path).metadata["marl_mm"]
+        if known["complete"] and known["steps_asked"] == steps:
+            return path
+        raise UsageError(f"{path} is not the whole of {steps} steps: delete it")
+    collection = collect_dataset(
+        locate(str(path)),
+        PdConfig(alpha_rule="room"),
+        "Reach-v0",
+        steps,
+        seed=0,
+        workers=options.workers,
+    )
+    if not collection.complete:
+        shutil.rmtree(path)
+        raise KeyboardInterrupt("stopped; the same command again starts there")
     return path
 
 
@@ -243,37 +273,31 @@ def _fig6(options: Ablate) -> None:
 
 
 def _alpha(options: Ablate) -> None:
-    _refuse(options, "alpha.png", "alpha_steps.csv", "alpha_worth.csv")
+    files = ("alpha.png", "alpha_goals.csv.gz", "alpha_steps.csv", "alpha_worth.csv")
+    _refuse(options, *files)
     names = ("ddpg-her", "ddpg-her-smooth")
     _train(options, names)
     goals = 2 if options.budget == "smoke" else 100
+    rows: list[Row] = []
     steps: list[Row] = []
-    summaries: list[Row] = []
     for name in names:
-        run = _best_run(options, name)
-        task = json.loads((run / "config.json").read_text())["task"]
-        total = goals * (1 + len(ALPHAS))
-        with progress_bar(f"alpha {task}", total) as advance:
-            # Seeds 0 and 1 are the runs' own evaluations.
-            rows, learnt = worth_rows(
-                load_policy(run / BEST), task, goals, 2, options.workers, advance
-            )
-        steps += alpha_steps(task, learnt)
-        summaries += summarize_worth(rows)
+        for seed in options.seeds:
+            run = options.runs / name / str(seed)
+            task = json.loads((run / "config.json").read_text())["task"]
+            total = goals * (1 + len(ALPHAS))
+            with progress_bar(f"{task} {seed}", total) as advance:
+                # Goals of seeds 0 and 1 are the runs' own evaluations.
+                own, learnt = worth_rows(
+                    load_policy(run / BEST), task, goals, 2, options.workers, advance
+                )
+            rows += [{"seed": seed, **row} for row in own]
+            steps += [{"seed": seed, **row} for row in alpha_steps(task, learnt)]
+    summary = summarize_worth(rows)
+    write_csv(options.out / "alpha_goals.csv.gz", rows)
     write_csv(options.out / "alpha_steps.csv", steps)
-    write_csv(options.out / "alpha_worth.csv", summaries)
-    alpha_figure(steps, summaries, options.out / "alpha.png")
-    if options.json:
-        print(json.dumps(summaries, indent=2))
-    for task in sorted({row["task"] for row in summaries} if not options.json else ()):
-        own = [row for row in summaries if row["task"] == task]
-        best = max(own, key=lambda row: float(row["return"]))
-        low, high = best["difference_interval"]
-        print(
-            f"{task}: learnt alpha returns {best['learnt_return']:.2f}, the best held "
-            f"one ({best['alpha']:g}) {best['return']:.2f}; difference "
-            f"{best['difference']:.2f} [{low:.2f}, {high:.2f}] on {best['goals']} goals"
-        )
+    write_csv(options.out / "alpha_worth.csv", summary)
+    alpha_figure(steps, summary, options.out / "alpha.png")
+    print(json.dumps(summary, indent=2) if options.json else worth_of_alpha(summary))
 
 
 def _pretrained(options: Ablate) -> None:

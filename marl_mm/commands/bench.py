@@ -72,7 +72,7 @@ class BenchTrain:
     updates: int = 2_000
     """Of each algorithm, rounded down to hundreds."""
 
-    env_steps: int = 0
+    env_steps: int = 3_000
     """Also train ours and theirs from nothing for so many steps of the environment, and
     compare their success; 3,000 take about three minutes, 0 leaves it out."""
 

@@ -1,6 +1,7 @@
 """What several commands share: defaults, and policies by name."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from marl_mm.collectors.pd import PdConfig, PdPolicy
@@ -57,6 +58,20 @@ def check_positive(**values: float) -> None:
         if value < 1:
             option = name.replace("_", "-")
             raise UsageError(f"--{option} is {value}, expected >= 1")
+
+
+def check_seeds(seeds: Sequence[int]) -> None:
+    """Raise for seeds of runs that are none, negative or named twice.
+
+    Raises:
+        UsageError: Saying which.
+    """
+    if not seeds:
+        raise UsageError("--seeds names no seed, expected at least one")
+    if len(set(seeds)) < len(seeds):
+        listed = " ".join(map(str, seeds))
+        raise UsageError(f"--seeds is {listed}, expected each seed once")
+    check_seed(*seeds)
 
 
 def check_seed(*seeds: int) -> None:

@@ -10,7 +10,12 @@ from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.runlog import METRICS
 from marl_mm.algorithms.train import refuse_difference
-from marl_mm.commands.options import available_cores, check_positive, check_seed
+from marl_mm.commands.options import (
+    available_cores,
+    check_positive,
+    check_seed,
+    check_seeds,
+)
 from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate
 from marl_mm.files import refuse_existing, write_json
@@ -57,9 +62,10 @@ def check_options(options: TrainOptions, out: Path) -> None:
         UsageError: Naming the option.
     """
     check_positive(eval_episodes=options.eval_episodes, workers=options.workers)
-    check_seed(*options.seeds, options.eval_seed)
-    if not options.seeds:
-        raise UsageError("--seeds names no seed, expected at least one")
+    check_seed(options.eval_seed)
+    check_seeds(options.seeds)
+    if options.resume and options.overwrite:
+        raise UsageError("--resume and --overwrite contradict each other: choose one")
     if options.resume and not any(
         (out / str(s) / FILE).exists() for s in options.seeds
     ):
@@ -89,6 +95,17 @@ def check_run(
         return
     if not (run / FILE).exists():
         return  # stopped before its first checkpoint, or before its turn
+    refuse_other(run, config, ignored)
+
+
+def refuse_other(
+    run: Path, config: dict[str, Any], ignored: Sequence[str] = ()
+) -> None:
+    """Raise if a run was made of something else than this config.
+
+    Raises:
+        CheckpointError: Naming the first key that differs.
+    """
     try:
         theirs = json.loads((run / "config.json").read_text())
     except (OSError, ValueError) as error:
@@ -105,7 +122,7 @@ def check_run(
 def start_run(run: Path, config: dict[str, Any]) -> None:
     """A run folder with its config; what an older run left there goes."""
     run.mkdir(parents=True, exist_ok=True)
-    names = (FILE, BEST, METRICS, EVALUATION, BEST_EVALUATION, CURVE)
+    names = (FILE, BEST, METRICS, EVALUATION, BEST_EVALUATION, CURVE, "best.zip")
     for path in (*(run / name for name in names), *run.glob("events.out.tfevents.*")):
         path.unlink(missing_ok=True)
     write_json(run / "config.json", config)
@@ -114,7 +131,10 @@ def start_run(run: Path, config: dict[str, Any]) -> None:
 def continue_run(run: Path, changes: dict[str, Any]) -> None:
     """Note in a run's config what it goes on with."""
     config = json.loads((run / "config.json").read_text())
-    write_json(run / "config.json", config | changes)
+    if config | changes != config:  # evaluations were of where it ended before
+        (run / EVALUATION).unlink(missing_ok=True)
+        (run / BEST_EVALUATION).unlink(missing_ok=True)
+        write_json(run / "config.json", config | changes)
 
 
 def evaluate_run(

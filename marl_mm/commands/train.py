@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast, get_args
 
@@ -45,7 +46,8 @@ def main(arguments: Sequence[str]) -> None:
     )
     results = []
     for run, last, best in trained:
-        results.append({"run": str(run), **last.to_json()})
+        result = {"run": str(run), **last.to_json()}
+        results.append(result | ({"best": best.to_json()} if best else {}))
         if not options.json:
             print(told(run, last, best), flush=True)
     if options.json:
@@ -71,12 +73,12 @@ def _online(name: str, options: Any, runs: dict[int, Path]) -> Any:
 def _preset(arguments: Sequence[str]) -> Preset:
     """The preset that the other options' defaults depend on."""
     name = "tuned"
-    for word, following in zip(arguments, [*arguments[1:], ""], strict=True):
+    for word, following in pairwise([*arguments, ""]):
         if word == "--preset":
             name = following
         elif word.startswith("--preset="):
             name = word.removeprefix("--preset=")
-    if name not in get_args(Preset):
+    if name not in get_args(Preset) and arguments[0] in ONLINE:
         choices = ", ".join(get_args(Preset))
         raise UsageError(f"--preset is {name!r}, expected one of {choices}")
     return cast(Preset, name)

@@ -94,7 +94,8 @@ def online_options(algorithm: str, name: Preset = "tuned", **changes: Any) -> Tr
 
 
 _CONTINUED = ("episodes", "patience")
-"""What may be another when a run is resumed: more of it only continues."""
+"""What may be another when a run is resumed: more of it only continues. (The evaluation
+at the former end stays, and counts.)"""
 
 
 def check_online(algorithm: str, options: TrainDdpg) -> None:
@@ -162,7 +163,16 @@ def train_online_run(
 
 
 def _demonstrations(options: TrainOnline) -> Dataset | None:
-    return load_dataset(options.demonstrations) if options.demonstrations else None
+    if not options.demonstrations:
+        return None
+    dataset = load_dataset(options.demonstrations)
+    task = dataset.metadata["marl_mm"]["task"]
+    if task != options.task:
+        raise UsageError(
+            f"--demonstrations {options.demonstrations} is of {task}, expected "
+            f"{options.task}: their rewards differ"
+        )
+    return dataset
 
 
 def _run_config(

@@ -1,14 +1,17 @@
 """Stable-Baselines3 in a run folder like ours, for the tables (extra ``bench``)."""
 
 from dataclasses import asdict
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
-from marl_mm.algorithms.online import is_flat
+from marl_mm.algorithms.online import is_flat, merit
 from marl_mm.algorithms.runlog import RunLog
 from marl_mm.commands.runs import (
     BEST_EVALUATION,
     EVALUATION,
     curve_point,
+    refuse_other,
     start_run,
 )
 from marl_mm.commands.train_online import TrainDdpg
@@ -20,62 +23,79 @@ from marl_mm.files import write_json
 from marl_mm.progress import progress_bar
 from marl_mm.versions import versions
 
+_NAME = "sb3-ddpg-her"
+
+
+def check_sb3() -> None:
+    """Raise before any work is done if Stable-Baselines3 is not installed.
+
+    Raises:
+        UsageError: Saying how to install it.
+    """
+    if find_spec("stable_baselines3") is None:
+        raise UsageError("stable_baselines3 is missing: pip install 'marl-mm[bench]'")
+
+
+def check_sb3_run(options: TrainDdpg, seed: int, run: Path) -> None:
+    """Raise if a finished run was made with something else.
+
+    Raises:
+        CheckpointError: Naming the first key that differs.
+    """
+    refuse_other(run, _run_config(options, seed))
+
 
 def train_sb3_run(options: TrainDdpg, seed: int, run: Path) -> None:
     """Train Stable-Baselines3's DDPG+HER and evaluate it as ours is.
 
-    It knows no ``--resume``: an interrupted run starts again. The best policy is that
-    of the evaluation with the best success rate, the first one of equals.
-
-    Raises:
-        UsageError: If Stable-Baselines3 is not installed.
+    An interrupted run starts again: it keeps no checkpoints.
     """
-    try:
-        from marl_mm.eval.sb3_reference import NAME, Sb3Policy, learn_sb3, sb3_model
-    except ImportError as error:
-        raise UsageError(
-            f"{error.name} is missing: pip install 'marl-mm[bench]'"
-        ) from error
+    from marl_mm.eval.sb3_reference import Sb3Policy, learn_sb3, sb3_model
+
     config, schedule = options.config, options.schedule
-    values = {
-        "algorithm": NAME,
-        "seed": seed,
-        "task": options.task,
-        "curve_episodes": options.curve_episodes,
-        "eval_seed": options.eval_seed,
-        "packages": versions(),
-        **asdict(schedule),
-        **asdict(config),
-    }
-    start_run(run, values)
+    start_run(run, _run_config(options, seed))
     model = sb3_model(options.task, config, seed)
     policy = Sb3Policy(model)
-    best, best_success = run / "best.zip", -1.0
+    best = run / "best.zip"
     with (
-        Rollouts(reach_config(options.task), 1) as rollouts,
+        Rollouts(reach_config(options.task), options.workers) as rollouts,
         RunLog(run, "episode", since=0) as log,
-        progress_bar(f"{NAME} {seed}", config.episodes) as advance,
+        progress_bar(f"{_NAME} {seed}", config.episodes) as advance,
     ):
 
         def measure(episodes: int, goals: int) -> Evaluation:
             return evaluate_with(rollouts, policy, episodes, goals, options.task)
 
         def look(episode: int, steps: int) -> bool:
-            nonlocal best_success
-            row = {"episode": episode, "env_steps": steps}
-            point = curve_point(measure(options.curve_episodes, options.eval_seed + 1))
-            log.add(row | point)
-            if point["success/all"] > best_success:
-                best_success = point["success/all"]
-                model.save(best)
-            advance(schedule.epoch, f"evaluated {100 * point['success/all']:.0f} %")
-            return episode < config.episodes and not is_flat(
-                log.rows, schedule.patience
-            )
+            advance(1, "")
+            if episode % (schedule.epoch * schedule.evaluate_every) == 0:
+                goals = options.eval_seed + 1
+                point = curve_point(measure(options.curve_episodes, goals))
+                row = {"episode": episode, "env_steps": steps, **point}
+                if merit(row) > max(map(merit, log.rows), default=(-1.0,)):
+                    model.save(best)
+                log.add(row)
+                advance(0, f"evaluated {100 * point['success/all']:.0f} %")
+            flat = is_flat(log.rows, schedule.patience)
+            return episode < config.episodes and not flat
 
-        learn_sb3(model, schedule.epoch, look)
+        learn_sb3(model, look)
         last = measure(options.eval_episodes, options.eval_seed)
-        write_json(run / EVALUATION, last.to_json())
-        model.set_parameters(str(best))
+        if best.exists():
+            model.set_parameters(str(best))
         chosen = measure(options.eval_episodes, options.eval_seed)
-        write_json(run / BEST_EVALUATION, chosen.to_json())
+    write_json(run / EVALUATION, last.to_json())
+    write_json(run / BEST_EVALUATION, chosen.to_json())
+
+
+def _run_config(options: TrainDdpg, seed: int) -> dict[str, Any]:
+    return {
+        "algorithm": _NAME,
+        "seed": seed,
+        "task": options.task,
+        "curve_episodes": options.curve_episodes,
+        "eval_seed": options.eval_seed,
+        "packages": versions(),
+        **asdict(options.schedule),
+        **asdict(options.config),
+    }
