@@ -22,6 +22,7 @@ def seed_curves(
     ylabel: str,
     path: Path,
     scale: float = 1.0,
+    bottom: float | None = None,
 ) -> None:
     """Mean and standard deviation over seeds, a line per setting.
 
@@ -32,6 +33,7 @@ def seed_curves(
         ylabel: Its name and unit.
         path: Of the PNG.
         scale: Factor of the values.
+        bottom: Where the figure cuts off; None shows everything.
     """
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axis: Any = figure.subplots()
@@ -45,6 +47,8 @@ def seed_curves(
             times, mean - std, mean + std, color=color, alpha=0.2, linewidth=0
         )
     axis.set(xlabel="training episodes", ylabel=ylabel)
+    if bottom is not None:
+        axis.set_ylim(bottom=bottom)
     axis.legend(frameon=False)
     save(figure, path)
 

@@ -50,6 +50,9 @@ from marl_mm.progress import progress_bar
 COMPARED = ("ddpg", "ddpg-her", "maddpg-her")
 """Settings in Figs 4 and 5."""
 
+CUT_OFF = -40
+"""Lowest return in Fig. 4: an agent that has learnt nothing can drive off, to -200."""
+
 DEMONSTRATIONS = "demonstrations"
 """Dataset of the PD agent, in the folder of the runs."""
 
@@ -226,22 +229,18 @@ def _online(options: Ablate) -> None:
 
 
 def _fig4(options: Ablate) -> None:
-    _compare(options, "fig4.png", "return_all", "return of the evaluation", 1)
+    label = f"return of the evaluation, cut off at {CUT_OFF}"
+    _compare(options, "fig4.png", "return_all", label, bottom=CUT_OFF)
 
 
 def _fig5(options: Ablate) -> None:
-    _compare(options, "fig5.png", "success_all", "goals reached [%]", 100)
+    _compare(options, "fig5.png", "success_all", "goals reached [%]", scale=100)
 
 
 def _demonstrated(options: Ablate) -> None:
-    _compare(
-        options,
-        "demonstrations.png",
-        "success_all",
-        "goals reached [%]",
-        100,
-        ("ddpg", "ddpg-her", "ddpg-demonstrations", "ddpg-her-demonstrations"),
-    )
+    settings = ("ddpg", "ddpg-her", "ddpg-demonstrations", "ddpg-her-demonstrations")
+    name, label = "demonstrations.png", "goals reached [%]"
+    _compare(options, name, "success_all", label, settings, scale=100)
 
 
 def _compare(
@@ -249,14 +248,16 @@ def _compare(
     name: str,
     key: str,
     label: str,
-    scale: float,
     settings: Sequence[str] = COMPARED,
+    **look: float,
 ) -> None:
+    """Draw one column of the learning curves of some settings."""
     _refuse(options, name)
     _train(options, settings)
     labels = {one.name: one.about for one in SETTINGS if one.name in settings}
-    curves = _curves(options, settings)
-    seed_curves(curves, labels, key, label, options.out / name, scale)
+    seed_curves(
+        _curves(options, settings), labels, key, label, options.out / name, **look
+    )
     print(f"{options.out / name}: {', '.join(labels.values())}")
 
 
