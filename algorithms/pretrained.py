@@ -44,6 +44,7 @@ def ship(run: Path, folder: Path) -> None:
         del config["dataset"]["path"]  # of the machine it was trained on
     with new_folder(folder) as new:
         save_file(tensors, new / _WEIGHTS)
+        (new / _WEIGHTS).chmod(0o644)  # it is written for the owner alone
         (new / "config.json").write_text(json.dumps(config, indent=2) + "\n")
         shutil.copy(run / METRICS, new / METRICS)
         evaluation = json.loads((run / "eval_best.json").read_text())
