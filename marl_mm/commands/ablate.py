@@ -5,30 +5,16 @@ kept, interrupted ones go on.
 """
 
 import json
-import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from marl_mm.algorithms.checkpoint import BEST, FILE
-from marl_mm.algorithms.online import Schedule
+from marl_mm.algorithms.checkpoint import BEST
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.pretrained import FOLDER, ship
-from marl_mm.collectors.pd import PdConfig
-from marl_mm.commands.collect import collect_dataset
-from marl_mm.commands.options import available_cores, check_positive, check_seeds
+from marl_mm.commands.ablate_runs import Ablate, train_missing
+from marl_mm.commands.options import check_positive, check_seeds
 from marl_mm.commands.parser import Subcommand, parse_subcommand
-from marl_mm.commands.runs import BEST_EVALUATION, EVALUATION
-from marl_mm.commands.train_online import (
-    TrainDdpg,
-    check_online_run,
-    online_options,
-    train_online_run,
-)
-from marl_mm.commands.train_sb3 import check_sb3, check_sb3_run, train_sb3_run
-from marl_mm.datasets.dataset import load_dataset
-from marl_mm.datasets.location import locate
 from marl_mm.envs.config import reach_config
 from marl_mm.errors import UsageError
 from marl_mm.eval.alpha_study import ALPHAS, alpha_steps, summarize_worth, worth_rows
@@ -53,40 +39,8 @@ COMPARED = ("ddpg", "ddpg-her", "maddpg-her")
 CUT_OFF = -40
 """Lowest return in Fig. 4: an agent that has learnt nothing can drive off, to -200."""
 
-DEMONSTRATIONS = "demonstrations"
-"""Dataset of the PD agent, in the folder of the runs."""
-
 FPS = 1
 """Pictures per simulated second and step, of which Fig. 6 takes five an episode."""
-
-
-@dataclass(frozen=True)
-class Ablate:
-    """What every target needs."""
-
-    runs: Path = Path("runs/online")
-    """Folder of the raw runs, RUNS/SETTING/SEED; missing ones are trained."""
-
-    out: Path = Path("runs/online/results")
-    """Folder of figures and tables."""
-
-    seeds: tuple[int, ...] = (0, 1, 2)
-    """Runs per setting."""
-
-    settings: tuple[str, ...] = ()
-    """For "runs" and "online": those named; default all."""
-
-    budget: Literal["full", "smoke"] = "full"
-    """"smoke": hardly any training, to see that everything works."""
-
-    workers: int = field(default_factory=available_cores)
-    """Processes that run episodes; the result does not depend on it."""
-
-    overwrite: bool = False
-    """Replace figures and tables that exist; runs are never replaced."""
-
-    json: bool = False
-    """Print the table as JSON ("online" and "alpha")."""
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -114,100 +68,12 @@ def _settings(options: Ablate) -> list[Setting]:
     return [setting for setting in SETTINGS if setting.name in options.settings]
 
 
-def _train(options: Ablate, names: Sequence[str]) -> None:
-    """Train what is missing of these settings.
-
-    Raises:
-        UsageError: If Stable-Baselines3 is needed and not installed.
-        CheckpointError: If a run was made with something else.
-    """
-    wanted = [setting for setting in SETTINGS if setting.name in names]
-    if any(setting.library == "sb3" for setting in wanted):
-        check_sb3()
-    demonstrations = None
-    if any(setting.demonstrations for setting in wanted):
-        demonstrations = _demonstrations(options)
-    cells = [(setting, seed) for setting in wanted for seed in options.seeds]
-    for setting, seed in cells:
-        run = options.runs / setting.name / str(seed)
-        finished = (run / EVALUATION).exists() and (run / BEST_EVALUATION).exists()
-        training = _training(options, setting, demonstrations, finished, run)
-        sb3 = setting.library == "sb3"
-        if finished:
-            check = check_sb3_run if sb3 else check_online_run
-            check(training, seed, run)
-            continue
-        try:
-            train = train_sb3_run if sb3 else train_online_run
-            train(training, seed, run)
-        except KeyboardInterrupt:
-            again = "starts it again" if sb3 else "goes on from there"
-            raise KeyboardInterrupt(
-                f"stopped in {run}; the same command {again}"
-            ) from None
-
-
-def _training(
-    options: Ablate,
-    setting: Setting,
-    demonstrations: Path | None,
-    finished: bool,
-    run: Path,
-) -> TrainDdpg:
-    """Options of one setting's runs."""
-    small = options.budget == "smoke"
-    going = finished or (run / FILE).exists()
-    training = online_options(
-        setting.algorithm,
-        setting.preset,
-        task=setting.task,
-        demonstrations=str(demonstrations) if setting.demonstrations else None,
-        eval_episodes=2 if small else 200,
-        curve_episodes=2 if small else 50,
-        workers=options.workers,
-        resume=going,
-        overwrite=not going,  # of a folder without a checkpoint
-        schedule=Schedule(epoch=4) if small else Schedule(),
-    )
-    changes = dict(setting.changes)
-    if small:
-        changes |= {"episodes": 8, "warm_up": 30, "updates_per_episode": 5}
-    return replace(training, config=replace(training.config, **changes))
-
-
-def _demonstrations(options: Ablate) -> Path:
-    """A dataset of the PD agent that knows alpha's rule, collected once.
-
-    Raises:
-        UsageError: If one of another size is there.
-    """
-    path = (options.runs / DEMONSTRATIONS).resolve()
-    steps = 100 if options.budget == "smoke" else 2_000
-    if path.exists():
-        known = load_dataset(path).metadata["marl_mm"]
-        if known["complete"] and known["steps_asked"] == steps:
-            return path
-        raise UsageError(f"{path} is not the whole of {steps} steps: delete it")
-    collection = collect_dataset(
-        locate(str(path)),
-        PdConfig(alpha_rule="room"),
-        "Reach-v0",
-        steps,
-        seed=0,
-        workers=options.workers,
-    )
-    if not collection.complete:
-        shutil.rmtree(path)
-        raise KeyboardInterrupt("stopped; the same command again starts there")
-    return path
-
-
 # --- Targets -----------------------------------------------------------------
 
 
 def _runs(options: Ablate) -> None:
     names = [setting.name for setting in _settings(options)]
-    _train(options, names)
+    train_missing(options, names)
     print(f"{options.runs}: {', '.join(names)}; seeds {_listed(options.seeds)}")
 
 
@@ -216,7 +82,7 @@ def _online(options: Ablate) -> None:
     _refuse(options, *files)
     settings = _settings(options)
     names = [setting.name for setting in settings]
-    _train(options, names)
+    train_missing(options, names)
     curves, evaluations = _curves(options, names), _evaluations(options, names)
     summary = summarize_settings(curves, evaluations, names)
     text = online_markdown(summary, settings, curves)
@@ -253,7 +119,7 @@ def _compare(
 ) -> None:
     """Draw one column of the learning curves of some settings."""
     _refuse(options, name)
-    _train(options, settings)
+    train_missing(options, settings)
     labels = {one.name: one.about for one in SETTINGS if one.name in settings}
     seed_curves(
         _curves(options, settings), labels, key, label, options.out / name, **look
@@ -263,7 +129,7 @@ def _compare(
 
 def _fig6(options: Ablate) -> None:
     _refuse(options, "fig6.png")
-    _train(options, ["ddpg-her"])
+    train_missing(options, ["ddpg-her"])
     run = _best_run(options, "ddpg-her")
     config = reach_config()
     with progress_bar("fig6", 2 * config.max_steps) as advance:
@@ -277,7 +143,7 @@ def _alpha(options: Ablate) -> None:
     files = ("alpha.png", "alpha_goals.csv.gz", "alpha_steps.csv", "alpha_worth.csv")
     _refuse(options, *files)
     names = ("ddpg-her", "ddpg-her-smooth")
-    _train(options, names)
+    train_missing(options, names)
     goals = 2 if options.budget == "smoke" else 100
     rows: list[Row] = []
     steps: list[Row] = []
@@ -304,7 +170,7 @@ def _alpha(options: Ablate) -> None:
 def _pretrained(options: Ablate) -> None:
     folder = options.out / FOLDER.name
     refuse_existing(folder, options.overwrite)
-    _train(options, ["ddpg-her"])
+    train_missing(options, ["ddpg-her"])
     run = _best_run(options, "ddpg-her")
     ship(run, folder)
     print(f"{folder}: the best policy of {run}")
