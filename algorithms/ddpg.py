@@ -22,11 +22,11 @@ from marl_mm.algorithms.demonstrations import Demonstrations
 from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.networks import Actor, Critic, Normalizer
 from marl_mm.algorithms.policy import LearnedPolicy
-from marl_mm.algorithms.replay import Batch, Judge, Replay, concatenated
+from marl_mm.algorithms.replay import COSTS, Batch, Judge, Replay, concatenated
 from marl_mm.algorithms.statistics import RunningStatistics
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
-from marl_mm.layout import ACTION, ALPHA, JOINT, STATE, AgentLayout
+from marl_mm.layout import ACTION, ALPHA, EE, JOINT, STATE, AgentLayout
 
 # --- Config ------------------------------------------------------------------
 
@@ -79,6 +79,12 @@ class DdpgConfig:
 
     target_rate: float = 0.005
     """tau, the share of the networks that goes into their targets (Table 2)."""
+
+    clip_targets: bool = True
+    """Cut the critic's targets off at the reward of a perfect hit, which no return can
+    pass, as all other rewards are negative (Andrychowicz 2017, appendix A). Without, Q
+    of goals that are never tried grew to 130 in one run of three, and its policy fell
+    from 100 to 60 %."""
 
     action_penalty: float = 0.1
     """Weight of the actions' mean square in the actor's loss, against saturation."""
@@ -153,6 +159,8 @@ class Ddpg:
         self.name = self.base_name + "-her" * (config.hindsight > 0)
         self.episodes = self.env_steps = self.updates = 0
         self.replay = Replay(config.capacity, config.hindsight, judge)
+        hit = np.zeros((1, len(STATE[EE])))
+        self._highest = float(judge(hit, hit, dict.fromkeys(COSTS, np.zeros(1)))[0][0])
         self._demonstrations = Demonstrations(
             demonstrations, config.demonstration_successes, config.hindsight, judge
         )
@@ -232,6 +240,8 @@ class Ddpg:
             next_value = self._target_critic(next_state, next_action)
             alive = 1 - batch.terminated
             target = batch.reward + self.config.discount * alive * next_value
+            if self.config.clip_targets:
+                target = target.clamp_max(self._highest)
 
         critic_loss = functional.mse_loss(self.critic(state, batch.action), target)
         descend(self._critic_optimizer, critic_loss)

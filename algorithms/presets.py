@@ -16,6 +16,7 @@ _PAPER = {
     "noise": 0.1,  # Table 2
     "random_share": 0.0,
     "action_penalty": 0.0,
+    "clip_targets": False,
 }
 """Table 2, and the plain choice where it is silent."""
 
