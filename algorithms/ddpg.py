@@ -36,7 +36,7 @@ class DdpgConfig:
     """Hyper-parameters; those without a source in brackets are ours.
 
     What each of ours that departs from Table 2 is worth stands in
-    ``eval/results/online/online.md``.
+    the table of ``marl-mm ablate online``.
     """
 
     episodes: int = 2_000
