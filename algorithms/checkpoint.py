@@ -45,17 +45,16 @@ def save_policy(path: Path, algorithm: Resumable) -> None:
 
 
 def _save(path: Path, algorithm: Resumable, state: dict[str, Any]) -> None:
-    with new_file(path) as temporary:
-        torch.save(
-            {
-                "format": _FORMAT,
-                "algorithm": algorithm.name,
-                "config": asdict(algorithm.config),
-                "layout": agents_layout(),
-                "state": state,
-            },
-            temporary,
-        )
+    contents = {
+        "format": _FORMAT,
+        "algorithm": algorithm.name,
+        "config": asdict(algorithm.config),
+        "layout": agents_layout(),
+        "state": state,
+    }
+    # Into an open file: given a name, torch would write it into the bytes.
+    with new_file(path) as temporary, temporary.open("wb") as file:
+        torch.save(contents, file)
 
 
 def read_checkpoint(path: Path, algorithm: str | None = None) -> dict[str, Any]:
@@ -71,14 +70,19 @@ def read_checkpoint(path: Path, algorithm: str | None = None) -> dict[str, Any]:
     """
     file = path / FILE if path.is_dir() else path
     if not file.exists():
+        runs = sorted(found.parent for found in path.glob(f"*/{FILE}"))
+        meant = f"; did you mean {runs[0]}?" if runs else ""
         raise UsageError(
             f"no checkpoint at {file}, expected a run folder made by marl-mm train"
+            + meant
         )
     try:
         checkpoint = torch.load(file, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises whatever its unpickler met
         reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise CheckpointError(f"{file} is damaged ({reason:.80})") from error
+        raise CheckpointError(
+            f"{file} is damaged ({reason:.80}){_way_out(file)}"
+        ) from error
     if not isinstance(checkpoint, dict) or checkpoint.get("format") != _FORMAT:
         raise CheckpointError(f"{file} is not a {_FORMAT!r} file")
     missing = {"algorithm", "config", "layout", "state"} - checkpoint.keys()
@@ -110,3 +114,11 @@ def restored_agents(checkpoint: dict[str, Any], path: Path) -> dict[str, AgentAc
     except (KeyError, TypeError, RuntimeError) as error:
         reason = str(error).splitlines()[0]
         raise CheckpointError(f"{path} is damaged ({reason:.80})") from error
+
+
+def _way_out(file: Path) -> str:
+    """What else there is to use, for the message on a damaged checkpoint."""
+    best = file.with_name(BEST)
+    if file != best and best.exists():
+        return f"; the run's best policy, {best}, may be whole"
+    return ""

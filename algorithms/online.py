@@ -203,8 +203,8 @@ def merit(row: Row) -> tuple[float, ...]:
 
 def _note(rows: Sequence[Row]) -> str:
     evaluated = [row["success/all"] for row in rows if "success/all" in row]
-    note = f"exploring {100 * rows[-1]['train/success']:.0f} %"
-    return note + (f", evaluated {100 * evaluated[-1]:.0f} %" if evaluated else "")
+    note = f"reached {100 * rows[-1]['train/success']:.0f} %"
+    return note + (f", eval {100 * evaluated[-1]:.0f} %" if evaluated else "")
 
 
 def _mean(values: Sequence[float]) -> float:

@@ -61,8 +61,8 @@ class LearnedPolicy:
         """
         if JOINT.name in self._agents:
             raise UsageError(
-                f"{self.name} has one joint actor, which needs the joint state: use "
-                "act(env.state()), or train maddpg-her"
+                f"{self.name} has one joint actor, which needs the joint state: step "
+                "with marl_mm.envs.parallel.split_action(policy.act(env.state()))"
             )
         return {name: self._agents[name].act(o) for name, o in observations.items()}
 
@@ -81,12 +81,20 @@ def joint_state(observation: np.ndarray | Mapping[str, np.ndarray]) -> np.ndarra
 def load_policy(path: str | Path) -> LearnedPolicy:
     """The policy of a run folder or a checkpoint file.
 
-    The shipped one is ``marl_mm.algorithms.pretrained.load_pretrained()``.
+    A run folder's is its last one; its best one is in ``best.pt``. ``"pretrained"`` and
+    its folder mean the agent that ships.
 
     Raises:
         UsageError: If there is no such file.
         CheckpointError: If it is damaged.
     """
-    checkpoint = read_checkpoint(Path(path))
-    agents = restored_agents(checkpoint, Path(path))
+    from marl_mm.algorithms import pretrained  # which knows policies
+
+    path = Path(path)
+    if str(path) == pretrained.NAME and not path.exists():
+        return pretrained.load_pretrained()
+    if (path / pretrained.WEIGHTS).exists():
+        return pretrained.load_pretrained(path)
+    checkpoint = read_checkpoint(path)
+    agents = restored_agents(checkpoint, path)
     return LearnedPolicy(checkpoint["algorithm"], agents, str(path))

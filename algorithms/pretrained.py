@@ -23,7 +23,7 @@ NAME = "pretrained"
 FOLDER = Path(__file__).parent / "pretrained_agent"
 """Where it ships."""
 
-_WEIGHTS = "policy.safetensors"
+WEIGHTS = "policy.safetensors"
 
 
 def ship(run: Path, folder: Path) -> None:
@@ -43,8 +43,8 @@ def ship(run: Path, folder: Path) -> None:
     if config.get("dataset"):
         del config["dataset"]["path"]  # of the machine it was trained on
     with new_folder(folder) as new:
-        save_file(tensors, new / _WEIGHTS)
-        (new / _WEIGHTS).chmod(0o644)  # it is written for the owner alone
+        save_file(tensors, new / WEIGHTS)
+        (new / WEIGHTS).chmod(0o644)  # it is written for the owner alone
         (new / "config.json").write_text(json.dumps(config, indent=2) + "\n")
         shutil.copy(run / METRICS, new / METRICS)
         evaluation = json.loads((run / "eval_best.json").read_text())
@@ -60,7 +60,7 @@ def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
     """
     try:
         config = json.loads((folder / "config.json").read_text())
-        tensors = load_file(folder / _WEIGHTS)
+        tensors = load_file(folder / WEIGHTS)
         states: dict[str, dict[str, Any]] = {}
         for name, value in tensors.items():
             agent, _, key = name.partition("/")

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from marl_mm.errors import CheckpointError
 from marl_mm.files import new_file
 
 METRICS = "metrics.jsonl"
@@ -19,30 +20,43 @@ class RunLog:
         clock: Key of a row that counts its progress, ``step`` or ``episode``.
         since: Where the run stands: rows beyond are of an attempt that was cut off
             after its last checkpoint, and go.
+
+    Raises:
+        CheckpointError: If rows are damaged, or end before the checkpoint.
     """
 
     def __init__(self, run: Path, clock: str, since: int) -> None:
-        # It imports protobuf and more, which takes a second.
-        from torch.utils.tensorboard import SummaryWriter
-
-        self._path, self._clock = run / METRICS, clock
+        self._run, self._clock, self._since = run, clock, since
+        self._writer: Any = None
         self.rows = [row for row in read_metrics(run) if row[clock] <= since]
         """All rows of the run so far."""
 
-        with new_file(self._path) as temporary:
+        if since and (not self.rows or self.rows[-1][clock] != since):
+            last = self.rows[-1][clock] if self.rows else "nowhere"
+            raise CheckpointError(
+                f"{run / METRICS} ends at {clock} {last}, the checkpoint beside it at "
+                f"{since}: one was cut off; start anew with --overwrite"
+            )
+        with new_file(run / METRICS) as temporary:
             temporary.write_text("".join(map(_line, self.rows)))
-        self._writer = SummaryWriter(str(run), purge_step=since + 1 if since else None)
 
     def __enter__(self) -> "RunLog":
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._writer.close()
+        if self._writer is not None:
+            self._writer.close()
 
     def add(self, row: Row) -> None:
         """Write a row; its numbers are TensorBoard's scalars, too."""
+        if self._writer is None:
+            # It imports protobuf and more, which takes a second.
+            from torch.utils.tensorboard import SummaryWriter
+
+            purge = self._since + 1 if self._since else None
+            self._writer = SummaryWriter(str(self._run), purge_step=purge)
         self.rows.append(row)
-        with self._path.open("a") as file:
+        with (self._run / METRICS).open("a") as file:
             file.write(_line(row))
         for key, value in row.items():
             if key != self._clock:
@@ -51,12 +65,19 @@ class RunLog:
 
 
 def read_metrics(run: Path) -> list[Row]:
-    """The rows of a run's ``metrics.jsonl``; a last line cut off is left out."""
+    """The rows of a run's ``metrics.jsonl``; a last line cut off is left out.
+
+    Raises:
+        CheckpointError: If another line is damaged.
+    """
     path = run / METRICS
     if not path.exists():
         return []
     lines = path.read_text().splitlines(keepends=True)
-    return [json.loads(line) for line in lines if line.endswith("\n")]
+    try:
+        return [json.loads(line) for line in lines if line.endswith("\n")]
+    except ValueError as error:
+        raise CheckpointError(f"{path} is damaged ({error})") from error
 
 
 def _line(row: Row) -> str:

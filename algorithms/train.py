@@ -98,15 +98,18 @@ def refuse_difference(run: Path, theirs: dict[str, Any], mine: dict[str, Any]) -
     """Raise if a run was made with something else than what resumes it.
 
     Raises:
-        CheckpointError: Naming the first key that differs.
+        CheckpointError: Naming what differs.
     """
-    for key, value in mine.items():
-        if theirs.get(key) != value:
-            raise CheckpointError(
-                f"{run} was trained with {key} = {theirs.get(key)}, got {value}: "
-                "go on with the same, or start anew in another folder or with "
-                "--overwrite"
-            )
+    differences = [
+        f"{key} = {theirs.get(key)} (now {value})"
+        for key, value in mine.items()
+        if theirs.get(key) != value
+    ]
+    if differences:
+        raise CheckpointError(
+            f"{run} was trained with {', '.join(differences)}: go on with the same, or "
+            "start anew in another folder or with --overwrite"
+        )
 
 
 def _comparable(config: dict[str, Any]) -> dict[str, Any]:

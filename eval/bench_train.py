@@ -74,6 +74,8 @@ def bench_train(
         advance(_TURN if turn >= 0 else 0, "")
     medians = {name: float(np.median(values)) for name, values in rates.items()}
     result: dict[str, Any] = {"updates_per_second": medians}
+    if not sb3:
+        result["sb3"] = "not installed: pip install 'marl-mm[bench]'"
     if sb3:
         for name in ours:
             ratios = np.array(rates[name]) / np.array(rates["sb3-ddpg-her"])

@@ -37,6 +37,12 @@ class Evaluation:
         """Share of goals reached."""
         return float(self.summary["all"]["success_rate"])
 
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> "Evaluation":
+        """Back from ``to_json``."""
+        names = ("policy", "policy_config", "task", "overrides", "seed", "episodes")
+        return cls(*(values[name] for name in names))
+
     def to_json(self) -> dict[str, Any]:
         """Everything, JSON-serialisable; the layout of ``eval.json``."""
         everything = self.summary["all"]

@@ -42,7 +42,7 @@ def seed_curves(
         mean = scale * values.mean(axis=0)
         std = scale * values.std(axis=0)
         seeds = f"{label} ({len(values)} seed{'s' * (len(values) > 1)})"
-        axis.plot(times, mean, color=color, label=seeds)
+        axis.plot(times, mean, "o-", ms=2, color=color, label=seeds)
         axis.fill_between(
             times, mean - std, mean + std, color=color, alpha=0.2, linewidth=0
         )

@@ -59,12 +59,22 @@ def evaluation_markdown(evaluations: Sequence[Evaluation]) -> str:
     return markdown_table(HEADER, table_rows(evaluations))
 
 
-def evaluation_table(evaluations: Sequence[Evaluation]) -> Table:
-    """Evaluations as a table for a terminal of 80 columns."""
+def evaluation_table(evaluations: Sequence[Evaluation], width: int = 80) -> Table:
+    """Evaluations as a table for a terminal of so many columns, 80 at least.
+
+    What does not fit is the beginning of a policy's name, never a number.
+    """
+    room = max(width, 80) - _NUMBERS_WIDTH
     table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False)
     for column, name in enumerate(HEADER):
         short = name.split(" [")[0]
         table.add_column(short, justify="left" if column < 2 else "right", no_wrap=True)
-    for row in table_rows(evaluations):
-        table.add_row(*row, end_section=row[1].endswith(_DIRECTIONS[-1]))
+    for name, goals, *numbers in table_rows(evaluations):
+        short = name if len(name) <= room else "…" + name[1 - room :]
+        goals = goals.replace("forward", "ahead").replace("backward", "behind")
+        table.add_row(short, goals, *numbers, end_section=goals.endswith("behind"))
     return table
+
+
+_NUMBERS_WIDTH = 70
+"""Of all columns but the policy's, and of the gaps."""

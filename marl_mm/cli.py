@@ -74,7 +74,7 @@ def _usage() -> str:
     lines = [f"  {name:<{width}}  {text}" for name, text in COMMANDS.items()]
     return (
         "usage: marl-mm COMMAND [OPTIONS]\n\n"
-        "Multi-agent offline reinforcement learning on a mobile manipulator.\n\n"
+        "Multi-agent reinforcement learning on a mobile manipulator.\n\n"
         + "\n".join(lines)
         + "\n\nmarl-mm COMMAND --help tells a command's options, units and defaults."
     )

@@ -22,9 +22,8 @@ def progress_bar(label: str, total: int) -> Iterator[Advance]:
     """A bar for ``total`` units of work; on a pipe, one line when it is done."""
     bar = Progress(
         TextColumn(f"{label:<16}"),
-        BarColumn(),
+        BarColumn(bar_width=6),  # all of it and a note fit into 80 columns
         MofNCompleteColumn(),
-        TextColumn("elapsed"),
         TimeElapsedColumn(),
         TextColumn("left"),
         TimeRemainingColumn(),

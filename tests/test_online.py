@@ -24,6 +24,7 @@ from marl_mm.algorithms.runlog import RunLog, read_metrics
 from marl_mm.algorithms.train import resume
 from marl_mm.cli import main
 from marl_mm.envs.config import reach_config
+from marl_mm.envs.parallel import split_action
 from marl_mm.envs.terms import judge
 from marl_mm.episode import Episode
 from marl_mm.errors import CheckpointError, DivergedError, UsageError
@@ -139,6 +140,21 @@ def test_a_crash_between_log_and_checkpoint_leaves_no_double_rows(
     resume(again, tmp_path, ("episodes",))
     train_online(again, tmp_path, run_episodes, weighed, SCHEDULE)
     assert [row["episode"] for row in read_metrics(tmp_path)] == [5, 10, 15, 20]
+
+
+def test_damaged_or_cut_metrics_are_named(
+    run_episodes: RunEpisodes, tmp_path: Path
+) -> None:
+    algorithm = Ddpg(replace(CONFIG, episodes=10), JUDGE, 0)
+    train_online(algorithm, tmp_path, run_episodes, weighed, SCHEDULE)
+    path = tmp_path / "metrics.jsonl"
+    whole = path.read_text()
+    path.write_text(whole[:40] + "\n" + whole)
+    with pytest.raises(CheckpointError, match=r"metrics\.jsonl is damaged"):
+        RunLog(tmp_path, "episode", since=10)
+    path.write_text(whole[: whole.index("\n") + 1])
+    with pytest.raises(CheckpointError, match="ends at episode 5, the checkpoint"):
+        RunLog(tmp_path, "episode", since=10)
 
 
 def test_the_best_policy_is_kept(run_episodes: RunEpisodes, tmp_path: Path) -> None:
@@ -365,7 +381,19 @@ def test_training_does_not_depend_on_workers_or_interruptions(
     assert main(words) == 2
     assert "exists already" in capsys.readouterr().err
     assert main([*words, "--resume", "--noise", "0.3"]) == 1
-    assert "noise = 0.1, got 0.3" in capsys.readouterr().err
+    assert "noise = 0.1 (now 0.3)" in capsys.readouterr().err
+    kept = Path("cut/0/eval.json").read_bytes()
+    assert main([*words, "--resume", "--eval-episodes", "1"]) == 0
+    assert Path("cut/0/eval.json").read_bytes() == kept
+    capsys.readouterr()
+    fewer = [word if word != "8" else "4" for word in words]
+    assert main([*fewer, "--resume"]) == 2
+    assert "has 8 episodes already, --episodes is 4" in capsys.readouterr().err
+    assert main(["eval", "cut"]) == 2
+    assert "did you mean cut/0?" in capsys.readouterr().err
+    for name in (FILE, BEST):
+        same = Path("one/0", name).read_bytes() == Path("two/0", name).read_bytes()
+        assert same, "whatever the name of the temporary file was"
 
 
 def test_demonstrations_take_their_share_of_every_batch(
@@ -467,6 +495,11 @@ def test_the_pretrained_agent_is_small_whole_and_acts() -> None:
     assert config["algorithm"] == "ddpg-her" and "seed" in config
     action = load_pretrained().act(np.zeros(10))
     assert action.shape == (4,) and np.isfinite(action).all()
+    for name in ("pretrained", FOLDER):
+        np.testing.assert_array_equal(load_policy(name).act(np.zeros(10)), action)
+    split = split_action(action)
+    np.testing.assert_array_equal(split["end_effector"], action[:3])
+    np.testing.assert_array_equal(split["balance"], action[3:])
 
 
 def test_a_shipped_run_acts_as_its_best_policy(

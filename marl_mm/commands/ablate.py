@@ -74,7 +74,9 @@ def _settings(options: Ablate) -> list[Setting]:
 def _runs(options: Ablate) -> None:
     names = [setting.name for setting in _settings(options)]
     train_missing(options, names)
-    print(f"{options.runs}: {', '.join(names)}; seeds {_listed(options.seeds)}")
+    print(
+        f"{options.runs_folder()}: {', '.join(names)}; seeds {_listed(options.seeds)}"
+    )
 
 
 def _online(options: Ablate) -> None:
@@ -86,10 +88,10 @@ def _online(options: Ablate) -> None:
     curves, evaluations = _curves(options, names), _evaluations(options, names)
     summary = summarize_settings(curves, evaluations, names)
     text = online_markdown(summary, settings, curves)
-    write_csv(options.out / "curves.csv.gz", curves)
-    write_csv(options.out / "evaluations.csv.gz", evaluations)
-    write_csv(options.out / "online.csv", summary)
-    with new_file(options.out / "online.md") as temporary:
+    write_csv(options.results("curves.csv.gz"), curves)
+    write_csv(options.results("evaluations.csv.gz"), evaluations)
+    write_csv(options.results("online.csv"), summary)
+    with new_file(options.results("online.md")) as temporary:
         temporary.write_text(text)
     print(json.dumps(summary, indent=2) if options.json else text)
 
@@ -122,9 +124,9 @@ def _compare(
     train_missing(options, settings)
     labels = {one.name: one.about for one in SETTINGS if one.name in settings}
     seed_curves(
-        _curves(options, settings), labels, key, label, options.out / name, **look
+        _curves(options, settings), labels, key, label, options.results(name), **look
     )
-    print(f"{options.out / name}: {', '.join(labels.values())}")
+    print(f"{options.results(name)}: {', '.join(labels.values())}")
 
 
 def _fig6(options: Ablate) -> None:
@@ -134,9 +136,9 @@ def _fig6(options: Ablate) -> None:
     config = reach_config()
     with progress_bar("fig6", 2 * config.max_steps) as advance:
         both = film_both_ways(config, load_policy(run / BEST), 0, FPS, advance)
-    film_strip(options.out / "fig6.png", both.strips)
+    film_strip(options.results("fig6.png"), both.strips)
     told = [f"{len(one)} steps {one.direction}" for one in both.episodes]
-    print(f"{options.out / 'fig6.png'}: {run}, {', '.join(told)}")
+    print(f"{options.results('fig6.png')}: {run}, {', '.join(told)}")
 
 
 def _alpha(options: Ablate) -> None:
@@ -149,7 +151,7 @@ def _alpha(options: Ablate) -> None:
     steps: list[Row] = []
     for name in names:
         for seed in options.seeds:
-            run = options.runs / name / str(seed)
+            run = options.runs_folder() / name / str(seed)
             task = json.loads((run / "config.json").read_text())["task"]
             total = goals * (1 + len(ALPHAS))
             with progress_bar(f"{task} {seed}", total) as advance:
@@ -160,15 +162,15 @@ def _alpha(options: Ablate) -> None:
             rows += [{"seed": seed, **row} for row in own]
             steps += [{"seed": seed, **row} for row in alpha_steps(task, learnt)]
     summary = summarize_worth(rows)
-    write_csv(options.out / "alpha_goals.csv.gz", rows)
-    write_csv(options.out / "alpha_steps.csv", steps)
-    write_csv(options.out / "alpha_worth.csv", summary)
-    alpha_figure(steps, summary, options.out / "alpha.png")
+    write_csv(options.results("alpha_goals.csv.gz"), rows)
+    write_csv(options.results("alpha_steps.csv"), steps)
+    write_csv(options.results("alpha_worth.csv"), summary)
+    alpha_figure(steps, summary, options.results("alpha.png"))
     print(json.dumps(summary, indent=2) if options.json else worth_of_alpha(summary))
 
 
 def _pretrained(options: Ablate) -> None:
-    folder = options.out / FOLDER.name
+    folder = options.results(FOLDER.name)
     refuse_existing(folder, options.overwrite)
     train_missing(options, ["ddpg-her"])
     run = _best_run(options, "ddpg-her")
@@ -190,13 +192,15 @@ TARGETS: dict[str, tuple[str, Callable[[Ablate], None]]] = {
 
 
 def _curves(options: Ablate, names: Sequence[str]) -> list[Row]:
-    cells = [(name, seed) for name in names for seed in options.seeds]
-    return [row for cell in cells for row in curve_rows(options.runs, *cell)]
+    runs, seeds = options.runs_folder(), options.seeds
+    cells = [(name, seed) for name in names for seed in seeds]
+    return [row for cell in cells for row in curve_rows(runs, *cell)]
 
 
 def _evaluations(options: Ablate, names: Sequence[str]) -> list[Row]:
-    cells = [(name, seed) for name in names for seed in options.seeds]
-    return [row for cell in cells for row in evaluation_rows(options.runs, *cell)]
+    runs, seeds = options.runs_folder(), options.seeds
+    cells = [(name, seed) for name in names for seed in seeds]
+    return [row for cell in cells for row in evaluation_rows(runs, *cell)]
 
 
 def _best_run(options: Ablate, name: str) -> Path:
@@ -206,12 +210,12 @@ def _best_run(options: Ablate, name: str) -> Path:
     def merit(row: Row) -> tuple[Any, ...]:
         return row["success_all"], row["return_all"], -row["seed"]
 
-    return options.runs / name / str(max(curves, key=merit)["seed"])
+    return options.runs_folder() / name / str(max(curves, key=merit)["seed"])
 
 
 def _refuse(options: Ablate, *names: str) -> None:
     for name in names:
-        refuse_existing(options.out / name, options.overwrite)
+        refuse_existing(options.results(name), options.overwrite)
 
 
 def _listed(values: Sequence[int]) -> str:

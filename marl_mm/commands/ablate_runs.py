@@ -21,7 +21,7 @@ from marl_mm.commands.train_online import (
 from marl_mm.commands.train_sb3 import check_sb3, check_sb3_run, train_sb3_run
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import locate
-from marl_mm.errors import UsageError
+from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.eval.online import SETTINGS, Setting
 
 DEMONSTRATIONS = "demonstrations"
@@ -32,11 +32,12 @@ DEMONSTRATIONS = "demonstrations"
 class Ablate:
     """What every target needs."""
 
-    runs: Path = Path("runs/online")
-    """Folder of the raw runs, RUNS/SETTING/SEED; missing ones are trained."""
+    runs: Path | None = None
+    """Folder of the raw runs, RUNS/SETTING/SEED; missing ones are trained; default
+    runs/online, or runs/online-smoke."""
 
-    out: Path = Path("runs/online/results")
-    """Folder of figures and tables."""
+    out: Path | None = None
+    """Folder of figures and tables; default RUNS/results."""
 
     seeds: tuple[int, ...] = (0, 1, 2)
     """Runs per setting."""
@@ -56,6 +57,15 @@ class Ablate:
     json: bool = False
     """Print the table as JSON ("online" and "alpha")."""
 
+    def runs_folder(self) -> Path:
+        """``runs`` or its default."""
+        name = "online-smoke" if self.budget == "smoke" else "online"
+        return self.runs or Path("runs") / name
+
+    def results(self, name: str) -> Path:
+        """Where a figure or table goes."""
+        return (self.out or self.runs_folder() / "results") / name
+
 
 def train_missing(options: Ablate, names: Sequence[str]) -> None:
     """Train what is missing of these settings.
@@ -72,13 +82,20 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
         demonstrations = _demonstrations(options)
     cells = [(setting, seed) for setting in wanted for seed in options.seeds]
     for setting, seed in cells:
-        run = options.runs / setting.name / str(seed)
+        run = options.runs_folder() / setting.name / str(seed)
         finished = (run / EVALUATION).exists() and (run / BEST_EVALUATION).exists()
         training = _training(options, setting, demonstrations, finished, run)
         sb3 = setting.library == "sb3"
+        if finished or training.resume:
+            try:
+                check = check_sb3_run if sb3 else check_online_run
+                check(training, seed, run)
+            except CheckpointError as error:
+                before, _, _ = str(error).partition(": go on with the same")
+                raise CheckpointError(
+                    f"{before}: name another folder with --runs, or delete this one"
+                ) from error
         if finished:
-            check = check_sb3_run if sb3 else check_online_run
-            check(training, seed, run)
             continue
         try:
             train = train_sb3_run if sb3 else train_online_run
@@ -124,7 +141,7 @@ def _demonstrations(options: Ablate) -> Path:
     Raises:
         UsageError: If one of another size is there.
     """
-    path = (options.runs / DEMONSTRATIONS).resolve()
+    path = (options.runs_folder() / DEMONSTRATIONS).resolve()
     steps = 100 if options.budget == "smoke" else 2_000
     if path.exists():
         known = load_dataset(path).metadata["marl_mm"]

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import tyro
-from rich.console import Console
 
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands.options import (
@@ -14,11 +13,11 @@ from marl_mm.commands.options import (
     check_positive,
     check_seed,
     named_policy,
+    print_evaluations,
 )
 from marl_mm.commands.parser import parse_options
 from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import evaluate
-from marl_mm.eval.tables import evaluation_table
 from marl_mm.files import refuse_existing, write_json
 from marl_mm.progress import progress_bar
 
@@ -98,4 +97,4 @@ def main(arguments: Sequence[str]) -> None:
     if options.json:
         print(json.dumps(values, indent=2))
     else:
-        Console().print(evaluation_table(evaluations))
+        print_evaluations(evaluations)

@@ -4,9 +4,13 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from rich.console import Console
+
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.errors import UsageError
+from marl_mm.eval.evaluate import Evaluation
+from marl_mm.eval.tables import evaluation_table
 from marl_mm.policy import Policy
 
 NAMED = ("pretrained", "pd", "random")
@@ -34,11 +38,7 @@ def named_policy(name: str, pd: PdConfig, others: tuple[str, ...] = ()) -> Polic
         return PdPolicy(pd)
     if name == "random":
         return RandomPolicy(RandomConfig())
-    if name == "pretrained":
-        from marl_mm.algorithms.pretrained import load_pretrained
-
-        return load_pretrained()
-    if not Path(name).exists():
+    if name != "pretrained" and not Path(name).exists():
         raise UsageError(
             f"no policy {name!r}: expected {', '.join((*NAMED, *others))}, a run "
             "folder or a checkpoint file"
@@ -46,6 +46,15 @@ def named_policy(name: str, pd: PdConfig, others: tuple[str, ...] = ()) -> Polic
     from marl_mm.algorithms.policy import load_policy  # torch takes a second to import
 
     return load_policy(name)
+
+
+def print_evaluations(evaluations: Sequence[Evaluation]) -> None:
+    """A table on the terminal; into a pipe, with names in full."""
+    console = Console()
+    if not console.is_terminal:
+        longest = max(len(evaluation.policy) for evaluation in evaluations)
+        console = Console(width=80 + longest)
+    console.print(evaluation_table(evaluations, console.width))
 
 
 def check_positive(**values: float) -> None:

@@ -48,6 +48,11 @@ def parse_subcommand(
     Raises:
         UsageError: If they name none, or are not its options.
     """
+    word = arguments[0] if arguments else ""
+    if word and not word.startswith("-") and word not in commands:
+        raise UsageError(
+            f"{prog} knows no {word!r}, expected one of {', '.join(commands)}"
+        )
     kinds = [_kind(name, command) for name, command in commands.items()]
     union: Any = Union[tuple(kinds)]  # noqa: UP007
 

@@ -12,14 +12,17 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from rich.console import Console
-
 from marl_mm.algorithms.mabc import MabcConfig
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.commands.collect import collect_dataset
-from marl_mm.commands.options import available_cores, check_positive, check_seed
+from marl_mm.commands.options import (
+    available_cores,
+    check_positive,
+    check_seed,
+    print_evaluations,
+)
 from marl_mm.commands.parser import parse_options
 from marl_mm.commands.train_offline import TrainMabc, train_offline
 from marl_mm.datasets.card import card
@@ -30,7 +33,7 @@ from marl_mm.envs.rollout import run_episodes
 from marl_mm.eval.evaluate import Evaluation, evaluate
 from marl_mm.eval.figures import alpha_over_time
 from marl_mm.eval.goals import goal_set
-from marl_mm.eval.tables import evaluation_markdown, evaluation_table, markdown_table
+from marl_mm.eval.tables import evaluation_markdown, markdown_table
 from marl_mm.eval.video import film_both_ways, film_strip, write_video
 from marl_mm.files import new_file, refuse_existing, write_json
 from marl_mm.policy import Policy
@@ -120,7 +123,7 @@ def main(arguments: Sequence[str]) -> None:
     if options.json:
         print(json.dumps(values, indent=2))
     else:
-        Console().print(evaluation_table(evaluations))
+        print_evaluations(evaluations)
         print(f"{sum(stages.values()):.0f} s; read {out / 'report.md'}")
 
 

@@ -69,7 +69,9 @@ def check_options(options: TrainOptions, out: Path) -> None:
     if options.resume and not any(
         (out / str(s) / FILE).exists() for s in options.seeds
     ):
-        raise UsageError(f"no checkpoint in {out} to resume from")
+        raise UsageError(
+            f"no checkpoint in {out} to resume from: leave out --resume to start"
+        )
 
 
 def check_run(
@@ -140,11 +142,13 @@ def continue_run(run: Path, changes: dict[str, Any]) -> None:
 def evaluate_run(
     run: Path, options: TrainOptions, task: str, checkpoint: str, result: str
 ) -> Evaluation:
-    """Evaluate a trained run and keep the result beside it.
+    """Evaluate a trained run and keep the result beside it, unless it is there.
 
     Raises:
         KeyboardInterrupt: After Ctrl-C, saying how to go on.
     """
+    if options.resume and (run / result).exists():  # nothing was trained since
+        return Evaluation.from_json(json.loads((run / result).read_text()))
     policy = load_policy(run / checkpoint)
     label = f"eval {Path(checkpoint).stem}"
     try:

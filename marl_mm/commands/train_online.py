@@ -134,6 +134,11 @@ def train_online_run(
     )
     if options.resume and (run / FILE).exists():
         resume(algorithm, run, ("episodes",))
+        if algorithm.episodes > options.config.episodes:
+            raise UsageError(
+                f"{run} has {algorithm.episodes} episodes already, --episodes is "
+                f"{options.config.episodes}"
+            )
         config = _run_config(options, demonstrations, seed)
         continue_run(run, {name: config[name] for name in _CONTINUED})
     else:

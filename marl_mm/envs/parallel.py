@@ -31,6 +31,11 @@ def split_state(state: np.ndarray) -> AgentDict:
     return {agent.name: state[..., list(agent.observation)] for agent in AGENTS}
 
 
+def split_action(action: np.ndarray) -> AgentDict:
+    """Each agent's part of the joint action, shape (4,)."""
+    return {agent.name: action[list(agent.action)] for agent in AGENTS}
+
+
 def join_actions(actions: Mapping[str, np.ndarray]) -> np.ndarray:
     """The joint action, shape (4,), of the agents' actions.
 
