@@ -215,7 +215,9 @@ def test_a_relative_datasets_root_works(
 def test_a_run_is_a_folder(run_folder: Path, capsys: Output) -> None:
     names = {path.name for path in run_folder.iterdir()}
     files = {"config.json", "metrics.jsonl", "eval.json", "checkpoint.pt"}
-    assert names == files | {"learning_curve.png"}
+    events = {name for name in names if name.startswith("events.out.tfevents.")}
+    assert len(events) == 1  # TensorBoard's
+    assert names - events == files | {"learning_curve.png"}
     evaluation = json.loads((run_folder / "eval.json").read_text())
     assert len(evaluation["episodes"]) == 2
     assert 0 <= evaluation["success_rate"] <= 1
@@ -233,7 +235,7 @@ def test_train_refuses_and_resumes(run_folder: Path, capsys: Output) -> None:
     assert run(*base) == 2
     assert "exists already" in one_line(capsys)
     assert run(*base, "--resume", "--updates", "200") == 1
-    assert "was trained with updates = 100, got 200" in one_line(capsys)
+    assert "was trained with updates = 100 (now 200)" in one_line(capsys)
     options = ["--updates", "100", "--workers", "1", "--curve-episodes", "1"]
     assert run(*base, "--resume", *options, "--task", "SmoothReach-v0") == 1
     assert "task = Reach-v0, got SmoothReach-v0" in one_line(capsys)
