@@ -238,7 +238,7 @@ def test_train_refuses_and_resumes(run_folder: Path, capsys: Output) -> None:
     assert "was trained with updates = 100 (now 200)" in one_line(capsys)
     options = ["--updates", "100", "--workers", "1", "--curve-episodes", "1"]
     assert run(*base, "--resume", *options, "--task", "SmoothReach-v0") == 1
-    assert "task = Reach-v0, got SmoothReach-v0" in one_line(capsys)
+    assert "task = Reach-v0 (now SmoothReach-v0)" in one_line(capsys)
     assert run(*base, "--resume", *options) == 0
     assert run(*base, "--task", "Fly-v0", "--seeds", "8") == 2
     assert not (run_folder.parent / "8").exists()
