@@ -68,3 +68,9 @@ def actors_from(
         actor.load_state_dict(states[agent.name])
         agents[agent.name] = AgentActor(agent, actor.eval())
     return agents
+
+
+def joint_action(agents: Mapping[str, AgentActor], state: torch.Tensor) -> torch.Tensor:
+    """All actors' actions at joint states, shapes (n, 10) to (n, 4), in [-1, 1]."""
+    parts = [agent.actor(agent.own(state)) for agent in agents.values()]
+    return torch.cat(parts, dim=-1)

@@ -17,10 +17,10 @@ import torch
 from torch.nn import functional
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
-from marl_mm.algorithms.actors import AgentActor
+from marl_mm.algorithms.actors import AgentActor, joint_action
 from marl_mm.algorithms.demonstrations import Demonstrations
 from marl_mm.algorithms.explore import Explorer
-from marl_mm.algorithms.networks import Actor, Critic, Normalizer
+from marl_mm.algorithms.networks import Actor, Critic, Normalizer, descend
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.replay import COSTS, Batch, Judge, Replay, concatenated
 from marl_mm.algorithms.statistics import RunningStatistics
@@ -344,18 +344,3 @@ _DIAGNOSED = 1_024
 
 _SATURATED = 0.98
 """Beyond this an action counts as saturated, in [-1, 1] coordinates."""
-
-
-def joint_action(agents: Mapping[str, AgentActor], state: torch.Tensor) -> torch.Tensor:
-    """All actors' actions at joint states, shapes (n, 10) to (n, 4), in [-1, 1]."""
-    parts = [agent.actor(agent.own(state)) for agent in agents.values()]
-    return torch.cat(parts, dim=-1)
-
-
-def descend(optimizer: torch.optim.Optimizer, loss: torch.Tensor) -> None:
-    """One step of an optimizer, which leaves all other networks' gradients alone."""
-    parameters = optimizer.param_groups[0]["params"]
-    gradients = torch.autograd.grad(loss, parameters)
-    for parameter, gradient in zip(parameters, gradients, strict=True):
-        parameter.grad = gradient
-    optimizer.step()

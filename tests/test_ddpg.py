@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import torch
 
+from marl_mm.algorithms.actors import joint_action
 from marl_mm.algorithms.checkpoint import FILE, save_checkpoint, save_policy
-from marl_mm.algorithms.ddpg import Ddpg, DdpgConfig, joint_action
+from marl_mm.algorithms.ddpg import Ddpg, DdpgConfig
 from marl_mm.algorithms.maddpg import Maddpg, MaddpgConfig
 from marl_mm.algorithms.networks import Actor, Critic
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
