@@ -86,6 +86,11 @@ class DdpgConfig:
     of goals that are never tried grew to 130 in one run of three, and its policy fell
     from 100 to 60 %."""
 
+    layer_norm: bool = True
+    """Whether the critic's hidden layers are normalised, so that values of actions
+    nobody has tried stay in bounds (Ball 2023). Without, DDPG without hindsight
+    diverged: its critic's loss grew ten-thousandfold and success fell to 0."""
+
     action_penalty: float = 0.5
     """Weight of the actions' mean square in the actor's loss, against saturation."""
 
@@ -170,7 +175,10 @@ class Ddpg:
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.critic = Critic(
-                Normalizer.blank(len(STATE)), len(ACTION), config.hidden
+                Normalizer.blank(len(STATE)),
+                len(ACTION),
+                config.hidden,
+                layer_norm=config.layer_norm,
             )
             self.agents = {
                 layout.name: AgentActor(

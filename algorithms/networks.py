@@ -78,15 +78,23 @@ class Critic(nn.Module):
         normalizer: Of the states, shape (..., d).
         actions: Number of action entries k, in [-1, 1].
         hidden: Units of the hidden layers.
+        layer_norm: Whether hidden layers are normalised, which bounds the values of
+            actions that nobody has tried (Ball 2023).
     """
 
     def __init__(
-        self, normalizer: Normalizer, actions: int, hidden: Sequence[int]
+        self,
+        normalizer: Normalizer,
+        actions: int,
+        hidden: Sequence[int],
+        *,
+        layer_norm: bool = False,
     ) -> None:
         super().__init__()
         self.normalizer = normalizer
         width = normalizer.mean.shape[0] + actions
-        self.layers = nn.Sequential(*perceptron([width, *hidden, 1]))
+        widths = [width, *hidden, 1]
+        self.layers = nn.Sequential(*perceptron(widths, layer_norm=layer_norm))
 
     def forward(self, state: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
         """Shapes (..., d) and (..., k) to (...)."""
@@ -95,12 +103,15 @@ class Critic(nn.Module):
         return value
 
 
-def perceptron(widths: Sequence[int]) -> list[nn.Module]:
+def perceptron(widths: Sequence[int], *, layer_norm: bool = False) -> list[nn.Module]:
     """Linear layers between these widths, ReLU between them."""
     layers: list[nn.Module] = []
-    for width, following in pairwise(widths):
-        layers += [nn.Linear(width, following), nn.ReLU()]
-    return layers[:-1]
+    for width, following in pairwise(widths[:-1]):
+        layers.append(nn.Linear(width, following))
+        if layer_norm:
+            layers.append(nn.LayerNorm(following))
+        layers.append(nn.ReLU())
+    return [*layers, nn.Linear(*widths[-2:])]
 
 
 class ActionScale:

@@ -17,6 +17,7 @@ _PAPER = {
     "random_share": 0.0,
     "action_penalty": 0.0,
     "clip_targets": False,
+    "layer_norm": False,
 }
 """Table 2, and the plain choice where it is silent."""
 

@@ -66,6 +66,12 @@ SETTINGS = (
     ),
     Setting("ddpg-her-smooth", "DDPG + HER", task="SmoothReach-v0"),
     Setting(
+        "ddpg-layer-norm",
+        "DDPG, no layer norm",
+        "ddpg",
+        changes={"layer_norm": False, "episodes": 800},
+    ),
+    Setting(
         "ddpg-penalty",
         "DDPG, no action penalty",
         "ddpg",
@@ -77,6 +83,7 @@ SETTINGS = (
         "maddpg-her",
         changes={"others": "replay", "episodes": 400},
     ),
+    _departure("layer-norm", "no layer norm", layer_norm=False),
     _departure("penalty", "no action penalty", action_penalty=0.0),
     _departure("warm-up", "warm-up 5,000", warm_up=5_000),
     _departure("capacity", "replay of 5,000", capacity=5_000),

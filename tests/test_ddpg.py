@@ -30,7 +30,7 @@ SMALL = {"hidden": (16, 16), "batch_size": 32, "warm_up": 0, "capacity": 2000}
 KINDS = (
     (Ddpg, DdpgConfig(**SMALL)),  # type: ignore[arg-type]
     (Maddpg, MaddpgConfig(**SMALL)),  # type: ignore[arg-type]
-    (Maddpg, MaddpgConfig(others="replay", **SMALL)),  # type: ignore[arg-type]
+    (Maddpg, MaddpgConfig(others="replay", layer_norm=False, **SMALL)),  # type: ignore[arg-type]
 )
 
 
@@ -58,11 +58,17 @@ def layers(network: Actor | Critic) -> list[torch.Tensor]:
 
 
 def perceptron(weights: list[torch.Tensor], inputs: torch.Tensor) -> torch.Tensor:
-    """Three linear layers written out."""
-    w1, b1, w2, b2, w3, b3 = weights
-    hidden = (inputs @ w1.T + b1).clamp_min(0)
-    hidden = (hidden @ w2.T + b2).clamp_min(0)
-    return hidden @ w3.T + b3
+    """Three linear layers written out, the hidden ones normalised if there are gains."""
+    *hidden, w3, b3 = weights
+    per_layer = len(hidden) // 2
+    for layer in (hidden[:per_layer], hidden[per_layer:]):
+        inputs = inputs @ layer[0].T + layer[1]
+        if per_layer == 4:
+            off = inputs - inputs.mean(1, keepdim=True)
+            inputs = off / ((off**2).mean(1, keepdim=True) + 1e-5).sqrt()
+            inputs = layer[2] * inputs + layer[3]
+        inputs = inputs.clamp_min(0)
+    return inputs @ w3.T + b3
 
 
 @pytest.mark.parametrize(("kind", "config"), KINDS)
