@@ -111,7 +111,7 @@ def perceptron(widths: Sequence[int], *, layer_norm: bool = False) -> list[nn.Mo
         if layer_norm:
             layers.append(nn.LayerNorm(following))
         layers.append(nn.ReLU())
-    return [*layers, nn.Linear(*widths[-2:])]
+    return [*layers, nn.Linear(widths[-2], widths[-1])]
 
 
 class ActionScale:

@@ -58,7 +58,7 @@ def layers(network: Actor | Critic) -> list[torch.Tensor]:
 
 
 def perceptron(weights: list[torch.Tensor], inputs: torch.Tensor) -> torch.Tensor:
-    """Three linear layers written out, the hidden ones normalised if there are gains."""
+    """Three linear layers written out; hidden ones normalised if there are gains."""
     *hidden, w3, b3 = weights
     per_layer = len(hidden) // 2
     for layer in (hidden[:per_layer], hidden[per_layer:]):
