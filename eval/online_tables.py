@@ -1,7 +1,8 @@
 """What online runs show, as Markdown."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.online import LEVELS, Setting, success_at
@@ -72,8 +73,9 @@ def worth_of_alpha(summary: Sequence[Row]) -> str:
     return markdown_table(header, lines)
 
 
-SB3 = ("ddpg-her", "maddpg-her", "sb3-ddpg-her")
-"""Compared at equal steps of the environment."""
+SB3 = ("ddpg-her", "ddpg-her-layer-norm", "maddpg-her", "sb3-ddpg-her")
+"""Compared at equal steps of the environment; without layer norm ours has the very
+network of Stable-Baselines3."""
 
 STEPS = (1_500, 2_000, 3_000, 4_000, 6_000, 8_000)
 
@@ -92,6 +94,25 @@ def steps_table(curves: Sequence[Row], settings: Sequence[Setting]) -> str:
             line.append(f"{100 * sum(rates) / len(rates):.0f} ({listed})")
         lines.append(line)
     header = ("goals reached [%] after", *(f"{steps:,} steps" for steps in STEPS))
+    return markdown_table(header, lines)
+
+
+def updates_table(result: Mapping[str, Any]) -> str:
+    """Gradient updates per second from ``marl-mm bench train``, as Markdown."""
+    names = {
+        "ddpg-her": "DDPG + HER",
+        "maddpg-her": "MADDPG + HER",
+        "sb3-ddpg-her": "Stable-Baselines3, DDPG + HER",
+    }
+    lines = [
+        (
+            names[name],
+            f"{rate:.0f}",
+            f"{result.get(f'{name}_over_sb3', 1.0):.2f}",
+        )
+        for name, rate in result["updates_per_second"].items()
+    ]
+    header = ("one thread", "updates per second", "over Stable-Baselines3")
     return markdown_table(header, lines)
 
 

@@ -1,8 +1,8 @@
 """Stable-Baselines3's DDPG with hindsight on our task, to measure ours against.
 
-Network, batch, rates and updates per episode are those of a ``DdpgConfig``; what SB3
-does not have (input statistics, a penalty on actions) it does without. Of relabelled
-transitions it recomputes the reward, but not whether they ended the episode.
+Hidden layers, batch, rates and updates per episode are those of a ``DdpgConfig``; SB3
+does without input statistics, layer norm, clipped targets and a penalty on actions. Of
+relabelled transitions it recomputes the reward, but not whether they ended the episode.
 The only import of Stable-Baselines3, which is optional (extra ``bench``).
 """
 

@@ -178,8 +178,10 @@ def _pretrained(options: Ablate) -> None:
     print(f"{folder}: the best policy of {run}")
 
 
+_KNOWN = f"Settings: {', '.join(setting.name for setting in SETTINGS)}."
+
 TARGETS: dict[str, tuple[str, Callable[[Ablate], None]]] = {
-    "runs": ("Train the runs of all targets, and draw nothing.", _runs),
+    "runs": (f"Train runs, and draw nothing. {_KNOWN}", _runs),
     "online": ("Table: success, and episodes to 70 and 95 %, per setting.", _online),
     "fig4": ("Fig. 4: return over episodes, with and without hindsight.", _fig4),
     "fig5": ("Fig. 5: success over episodes, with and without hindsight.", _fig5),

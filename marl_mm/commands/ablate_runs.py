@@ -43,7 +43,7 @@ class Ablate:
     """Runs per setting."""
 
     settings: tuple[str, ...] = ()
-    """For "runs" and "online": those named; default all."""
+    """For "runs" and "online": those named, which "runs --help" lists; default all."""
 
     budget: Literal["full", "smoke"] = "full"
     """"smoke": hardly any training, to see that everything works."""

@@ -65,8 +65,8 @@ class BenchAbuse:
 class BenchTrain:
     """Count gradient updates per second of DDPG+HER and MADDPG+HER on one thread.
 
-    Beside them, in turns: Stable-Baselines3's DDPG+HER with the same network, batch and
-    hindsight (optional extra "bench").
+    Beside them, in turns: Stable-Baselines3's DDPG+HER (optional extra "bench") with
+    the same batch, hidden layers (it has no layer norm) and hindsight.
     """
 
     updates: int = 2_000
