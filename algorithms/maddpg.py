@@ -13,7 +13,7 @@ import torch
 
 from marl_mm.algorithms.ddpg import Ddpg, DdpgConfig
 from marl_mm.algorithms.replay import Batch
-from marl_mm.layout import AGENTS, AgentLayout
+from marl_mm.layout import ACTION, AGENTS, AgentLayout
 
 # --- Config ------------------------------------------------------------------
 
@@ -50,4 +50,5 @@ class Maddpg(Ddpg):
         action[:, list(agent.layout.action)] = own
         value = self.critic(batch.observation, action)
         loss: torch.Tensor = -value.mean()
-        return loss + self.config.action_penalty * own.square().mean()
+        share = own.shape[-1] / len(ACTION)  # together as much as of all at once
+        return loss + self.config.action_penalty * share * own.square().mean()

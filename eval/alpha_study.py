@@ -14,18 +14,21 @@ from marl_mm.envs.rollout import Rollouts
 from marl_mm.episode import Episode
 from marl_mm.eval.goals import goal_set
 from marl_mm.eval.metrics import Row, bootstrap_interval
-from marl_mm.layout import ALPHA
+from marl_mm.layout import ALPHA, MODE
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
 
-ALPHAS = tuple(round(0.1 * i, 1) for i in range(11))
-"""The fixed ones."""
+ALPHAS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.8, 0.9, 1.0)
+"""The fixed ones, closer where the best one lies on ``SmoothReach-v0``."""
 
 LEARNT = "learnt"
 
 
 class FixedAlpha:
-    """A policy whose alpha is held.
+    """A policy whose alpha is held, and which does not notice.
+
+    Where the state has the last alpha, the policy sees the one that it chose itself: a
+    joint actor would otherwise move the hand differently, too.
 
     Args:
         policy: Who sets the rest of the action.
@@ -35,6 +38,7 @@ class FixedAlpha:
     def __init__(self, policy: Policy, alpha: float) -> None:
         self._policy, self._alpha = policy, alpha
         self.name = f"{policy.name}, alpha {alpha:g}"
+        self._chosen: float | None = None
 
     def describe(self) -> dict[str, Any]:
         """The alpha, and the policy's own settings."""
@@ -43,10 +47,15 @@ class FixedAlpha:
     def begin(self, rng: np.random.Generator) -> None:
         """A new episode of the policy, too."""
         self._policy.begin(rng)
+        self._chosen = None
 
     def act(self, state: np.ndarray) -> np.ndarray:
         """The policy's action with the held alpha."""
-        action = self._policy.act(state).copy()
+        seen = state.copy()
+        if self._chosen is not None:
+            seen[MODE] = self._chosen
+        action = self._policy.act(seen).copy()
+        self._chosen = float(action[ALPHA])
         action[ALPHA] = self._alpha
         return action
 
@@ -100,22 +109,23 @@ def worth_rows(
 
 
 def summarize_worth(rows: Sequence[Row]) -> list[Row]:
-    """One row per task, seed and fixed alpha: how much better the learnt one is.
+    """One row per setting, seed and fixed alpha: how much better the learnt one is.
 
     The difference is paired, goal by goal; its interval is by bootstrap over goals.
     """
-    cells = sorted({(row["task"], row["seed"]) for row in rows})
+    cells = dict.fromkeys((row["setting"], row["seed"]) for row in rows)
     return [one for cell in cells for one in _summarize_agent(rows, *cell)]
 
 
-def _summarize_agent(rows: Sequence[Row], task: str, seed: int) -> Iterator[Row]:
-    rows = [row for row in rows if (row["task"], row["seed"]) == (task, seed)]
+def _summarize_agent(rows: Sequence[Row], setting: str, seed: int) -> Iterator[Row]:
+    rows = [row for row in rows if (row["setting"], row["seed"]) == (setting, seed)]
     learnt = _returns(rows, LEARNT)
     for alpha in ALPHAS:
         own = [row for row in rows if row["alpha"] == alpha]
         difference = learnt - _returns(rows, alpha)
         yield {
-            "task": task,
+            "setting": setting,
+            "task": own[0]["task"],
             "seed": seed,
             "alpha": alpha,
             "goals": len(own),

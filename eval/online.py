@@ -5,14 +5,15 @@ Functions of run folders ``RUNS/SETTING/SEED`` and of the rows read from them.
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.stats import t as student
 
-from marl_mm.algorithms.presets import Preset
+from marl_mm.algorithms.ddpg import DdpgConfig
+from marl_mm.algorithms.presets import Preset, preset
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.errors import UsageError
 from marl_mm.eval.metrics import CONFIDENCE, Row, success_interval
@@ -46,6 +47,11 @@ class Setting:
     library: str = "marl_mm"
     """``marl_mm``, or ``sb3`` for Stable-Baselines3."""
 
+    @property
+    def config(self) -> DdpgConfig:
+        """Its hyper-parameters."""
+        return replace(preset(self.algorithm, self.preset), **self.changes)
+
 
 def _departure(name: str, about: str, **changes: Any) -> Setting:
     """The tuned preset with one hyper-parameter back at Table 2's or the plain one."""
@@ -65,14 +71,15 @@ SETTINGS = (
         "ddpg-her-demonstrations", "DDPG + HER, demonstrations", demonstrations=True
     ),
     Setting("ddpg-her-smooth", "DDPG + HER", task="SmoothReach-v0"),
+    Setting("maddpg-her-smooth", "MADDPG + HER", "maddpg-her", task="SmoothReach-v0"),
     Setting(
-        "ddpg-layer-norm",
+        "ddpg-no-layer-norm",
         "DDPG, no layer norm",
         "ddpg",
         changes={"layer_norm": False, "episodes": 800},
     ),
     Setting(
-        "ddpg-penalty",
+        "ddpg-no-penalty",
         "DDPG, no action penalty",
         "ddpg",
         changes={"action_penalty": 0.0},
@@ -83,8 +90,9 @@ SETTINGS = (
         "maddpg-her",
         changes={"others": "replay", "episodes": 400},
     ),
-    _departure("layer-norm", "no layer norm", layer_norm=False),
-    _departure("penalty", "no action penalty", action_penalty=0.0),
+    _departure("no-layer-norm", "no layer norm", layer_norm=False),
+    _departure("no-clip", "targets not cut off", clip_targets=False),
+    _departure("no-penalty", "no action penalty", action_penalty=0.0),
     _departure("warm-up", "warm-up 5,000", warm_up=5_000),
     _departure("capacity", "replay of 5,000", capacity=5_000),
     _departure("updates", "25 updates an episode", updates_per_episode=25),
@@ -145,10 +153,18 @@ def evaluation_rows(runs: Path, setting: str, seed: int) -> Iterator[Row]:
             }
 
 
-def episodes_to(curve: Sequence[Row], level: float) -> int | None:
-    """Episodes until an evaluation first showed a success rate; None if none did."""
-    reached = [row["episode"] for row in curve if row["success_all"] >= level]
-    return min(reached, default=None)
+def episodes_to(curve: Sequence[Row], level: float) -> tuple[int, int] | None:
+    """When a success rate was reached: between these two counts of episodes.
+
+    They are of the last evaluation before the rate was first shown, 0 if there was
+    none, and of the one that showed it; None if none did.
+    """
+    before = 0
+    for row in sorted(curve, key=lambda row: row["episode"]):
+        if row["success_all"] >= level:
+            return before, row["episode"]
+        before = row["episode"]
+    return None
 
 
 def summarize_settings(
@@ -172,7 +188,7 @@ def summarize_settings(
                 for seed in seeds
             ]
             row[f"success_{checkpoint}"] = float(np.mean(rates))
-            row[f"success_{checkpoint}_std"] = float(np.std(rates))
+            row[f"success_{checkpoint}_std"] = deviation(rates)
             successes = sum(one["success"] for one in goals)
             row[f"success_{checkpoint}_interval"] = success_interval(
                 successes, len(goals)
@@ -188,16 +204,28 @@ def summarize_settings(
     return rows
 
 
-def _counted(name: str, counts: Sequence[int | None]) -> Row:
-    """Each seed's count, their mean and Student's interval; nan if one is missing."""
-    row: Row = {f"{name}_seeds": " ".join(str(count or "-") for count in counts)}
+def _counted(name: str, counts: Sequence[tuple[int, int] | None]) -> Row:
+    """Each seed's count, their mean and its interval; nan if one is missing.
+
+    As a count is known to lie between two evaluations only, the interval reaches from
+    the lower end of the earlier ones' to the upper end of the later ones'.
+    """
     known = [count for count in counts if count is not None]
     complete = len(known) == len(counts)
-    row[name] = float(np.mean(known)) if complete else float("nan")
-    row[f"{name}_interval"] = (
-        mean_interval(known) if complete and len(known) > 1 else (np.nan, np.nan)
-    )
+    shown = [str(count[1]) if count else "-" for count in counts]
+    row: Row = {f"{name}_seeds": " ".join(shown)}
+    row[name] = float(np.mean([at for _, at in known])) if complete else np.nan
+    row[f"{name}_interval"] = (np.nan, np.nan)
+    if complete and len(known) > 1:
+        low, _ = mean_interval([before for before, _ in known])
+        _, high = mean_interval([at for _, at in known])
+        row[f"{name}_interval"] = max(0.0, low), high
     return row
+
+
+def deviation(rates: Sequence[float]) -> float:
+    """Standard deviation over seeds, estimated; 0 of a single one."""
+    return float(np.std(rates, ddof=1)) if len(rates) > 1 else 0.0
 
 
 def mean_interval(values: Sequence[float]) -> tuple[float, float]:
@@ -207,21 +235,20 @@ def mean_interval(values: Sequence[float]) -> tuple[float, float]:
     return float(np.mean(values) - width), float(np.mean(values) + width)
 
 
-def success_at(curves: Sequence[Row], setting: str, env_steps: int) -> list[float]:
-    """Every seed's success rate at its last evaluation within so many steps.
+def success_at(curves: Sequence[Row], setting: Setting, env_steps: int) -> list[float]:
+    """Every seed's success rate after so many steps, between its evaluations.
 
-    A run that ended when it was flat keeps its last one; 0 before the first.
+    A run that ended when it was flat keeps its last one; one that ended because it was
+    to has none, nan.
     """
-    own = [row for row in curves if row["setting"] == setting]
+    own = [row for row in curves if row["setting"] == setting.name]
     rates = []
     for seed in sorted({row["seed"] for row in own}):
-        known = [0.0]
-        known += [
-            row["success_all"]
-            for row in own
-            if row["seed"] == seed and row["env_steps"] <= env_steps
-        ]
-        rates.append(known[-1])
+        rows = [row for row in own if row["seed"] == seed]
+        steps = [0, *(row["env_steps"] for row in rows)]
+        successes = [0.0, *(row["success_all"] for row in rows)]
+        cut = rows[-1]["episode"] >= setting.config.episodes and env_steps > steps[-1]
+        rates.append(np.nan if cut else float(np.interp(env_steps, steps, successes)))
     return rates
 
 

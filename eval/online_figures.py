@@ -40,7 +40,7 @@ def seed_curves(
     for (setting, label), color in zip(labels.items(), PAPER_COLORS, strict=False):
         times, values = on_a_grid(curves, setting, key)
         mean = scale * values.mean(axis=0)
-        std = scale * values.std(axis=0)
+        std = scale * values.std(axis=0, ddof=min(1, len(values) - 1))
         seeds = f"{label} ({len(values)} seed{'s' * (len(values) > 1)})"
         axis.plot(times, mean, "o-", ms=2, color=color, label=seeds)
         axis.fill_between(
@@ -53,18 +53,21 @@ def seed_curves(
     save(figure, path)
 
 
-def alpha_figure(steps: Sequence[Row], worth: Sequence[Row], path: Path) -> None:
+def alpha_figure(
+    steps: Sequence[Row], worth: Sequence[Row], labels: Mapping[str, str], path: Path
+) -> None:
     """Above: alpha over time by direction. Below: the return with alpha held.
 
-    A line per seed.
+    A column per setting, a line per seed.
     """
-    tasks = sorted({row["task"] for row in steps})
-    figure = Figure(figsize=(4.4 * len(tasks), 6.0), layout="constrained")
-    axes: Any = figure.subplots(2, len(tasks), squeeze=False)
-    for column, task in enumerate(tasks):
+    settings = list(dict.fromkeys(row["setting"] for row in steps))
+    figure = Figure(figsize=(4.4 * len(settings), 6.0), layout="constrained")
+    axes: Any = figure.subplots(2, len(settings), squeeze=False)
+    for column, setting in enumerate(settings):
         above, below = axes[0][column], axes[1][column]
+        mine = [row for row in steps if row["setting"] == setting]
         for direction in ("forward", "backward"):
-            own = [r for r in steps if (r["task"], r["direction"]) == (task, direction)]
+            own = [row for row in mine if row["direction"] == direction]
             for number, seed in enumerate(sorted({row["seed"] for row in own})):
                 line = [row for row in own if row["seed"] == seed]
                 time = np.array([row["step"] for row in line])
@@ -75,16 +78,17 @@ def alpha_figure(steps: Sequence[Row], worth: Sequence[Row], path: Path) -> None
                 above.fill_between(
                     time, mean - std, mean + std, color=color, alpha=0.15, linewidth=0
                 )
-        above.set(title=task, xlabel="time [s]", ylim=(-0.05, 1.05))
-        own = [row for row in worth if row["task"] == task]
+        title = f"{labels[setting]}, {mine[0]['task']}"
+        above.set(title=title, xlabel="time [s]", ylim=(-0.05, 1.05))
+        own = [row for row in worth if row["setting"] == setting]
         for number, seed in enumerate(sorted({row["seed"] for row in own})):
             line = [row for row in own if row["seed"] == seed]
-            labels = (None, None) if number else ("held", "learnt")
+            names = (None, None) if number else ("held", "learnt")
             alphas = [row["alpha"] for row in line]
             returns = [row["return"] for row in line]
-            below.plot(alphas, returns, "o-", ms=3, color="#333333", label=labels[0])
+            below.plot(alphas, returns, "o-", ms=3, color="#333333", label=names[0])
             learnt = line[0]["learnt_return"]
-            below.axhline(learnt, color="#2e7d4f", label=labels[1])
+            below.axhline(learnt, color="#2e7d4f", label=names[1])
         below.set(xlabel="alpha, held", ylabel="return")
     axes[0][0].set_ylabel("learnt alpha (1 = stable base)")
     axes[0][0].legend(frameon=False)

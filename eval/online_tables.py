@@ -41,9 +41,10 @@ def online_table(summary: Sequence[Row], settings: Sequence[Setting]) -> str:
     return markdown_table(ONLINE_HEADER, lines)
 
 
-def worth_of_alpha(summary: Sequence[Row]) -> str:
+def worth_of_alpha(summary: Sequence[Row], settings: Sequence[Setting]) -> str:
     """The learnt alpha against the best one held, an agent a row, as Markdown."""
     header = (
+        "agent",
         "task",
         "seed",
         "goals",
@@ -54,14 +55,16 @@ def worth_of_alpha(summary: Sequence[Row]) -> str:
         "better on",
     )
     lines = []
-    for task, seed in sorted({(row["task"], row["seed"]) for row in summary}):
-        own = [row for row in summary if (row["task"], row["seed"]) == (task, seed)]
+    about = {setting.name: setting.about for setting in settings}
+    for cell in dict.fromkeys((row["setting"], row["seed"]) for row in summary):
+        own = [row for row in summary if (row["setting"], row["seed"]) == cell]
         best = max(own, key=lambda row: float(row["return"]))
         low, high = best["difference_interval"]
         lines.append(
             (
-                task,
-                str(seed),
+                about[best["setting"]],
+                best["task"],
+                str(best["seed"]),
                 str(best["goals"]),
                 f"{best['learnt_return']:.2f}",
                 f"{best['alpha']:g}",
@@ -73,9 +76,9 @@ def worth_of_alpha(summary: Sequence[Row]) -> str:
     return markdown_table(header, lines)
 
 
-SB3 = ("ddpg-her", "ddpg-her-layer-norm", "maddpg-her", "sb3-ddpg-her")
-"""Compared at equal steps of the environment; without layer norm ours has the very
-network of Stable-Baselines3."""
+SB3 = ("ddpg-her", "ddpg-her-no-layer-norm", "maddpg-her", "sb3-ddpg-her")
+"""Compared at equal steps of the environment; without layer norm ours has the layers of
+Stable-Baselines3."""
 
 STEPS = (1_500, 2_000, 3_000, 4_000, 6_000, 8_000)
 
@@ -89,9 +92,10 @@ def steps_table(curves: Sequence[Row], settings: Sequence[Setting]) -> str:
             continue
         line = [setting.about]
         for steps in STEPS:
-            rates = success_at(curves, setting.name, steps)
+            rates = success_at(curves, setting, steps)
             listed = ", ".join(f"{100 * rate:.0f}" for rate in rates)
-            line.append(f"{100 * sum(rates) / len(rates):.0f} ({listed})")
+            mean = f"{100 * sum(rates) / len(rates):.0f} ({listed})"
+            line.append("-" if any(map(math.isnan, rates)) else mean)
         lines.append(line)
     header = ("goals reached [%] after", *(f"{steps:,} steps" for steps in STEPS))
     return markdown_table(header, lines)
@@ -123,17 +127,18 @@ def online_markdown(
     return f"""# Online learning
 
 Made by `marl-mm ablate online`. Success: mean and standard deviation over seeds of the
-share of 200 goals, the same for all, and Wilson's 95 % interval over the goals of all
-seeds together, which says how well these agents do and not how much agents differ: for
-that there is the deviation. Episodes: until an evaluation on 50 other goals first had
-the rate, mean over seeds, Student's 95 % interval and every seed's count. The last
-column is where the longest run ended: after 2,000 episodes, or 500 after its best
-success rate.
+share of goals reached, the same for all, and Wilson's 95 % interval over the goals of
+all seeds together, which says how well these agents do and not how much agents differ:
+for that there is the deviation. Episodes: until an evaluation on other goals
+first had the rate, mean over seeds, its 95 % interval and every seed's count (-: not
+within the run). The interval is Student's, from the evaluation before to the one that
+had the rate, as it was reached in between. The last column is where the longest run
+ended: 500 episodes after its best success rate, or with as many as it was to have.
 
 {online_table(summary, settings)}
 {_hindsight(summary)}
-At equal steps of the environment: the last evaluation on 50 goals within them, mean
-over seeds and every seed.
+At equal steps of the environment: success [%] between the evaluations of the learning
+curve, mean over seeds and every seed; - beyond the end of runs that were cut short.
 
 {steps_table(curves, settings)}"""
 
@@ -144,8 +149,9 @@ def _hindsight(summary: Sequence[Row]) -> str:
     if not {"ddpg", "ddpg-her"} <= rows.keys():
         return ""
     ours, plain = (rows[name] for name in ("ddpg-her", "ddpg"))
-    if math.isnan(ours["to_70"]) or math.isnan(plain["to_70"]):
-        return ""
+    for row, words in ((ours, "With hindsight"), (plain, "Without hindsight")):
+        if math.isnan(row["to_70"]):
+            return f"{words} not every seed comes to 70 %: {row['to_70_seeds']}.\n"
     disjoint = ours["to_70_interval"][1] < plain["to_70_interval"][0]
     return (
         f"With hindsight DDPG comes to 70 % in {ours['to_70'] / plain['to_70']:.2f} of "

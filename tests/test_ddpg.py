@@ -130,7 +130,7 @@ def test_one_update_equals_the_hand_written_one(
         first = torch.cat([own[0], a[:, 3:]], 1)
         second = torch.cat([a[:, :3], own[1]], 1)
         actor_loss = -values(critic, s, first).mean() - values(critic, s, second).mean()
-        penalty = (own[0] ** 2).mean() + (own[1] ** 2).mean()
+        penalty = (torch.cat(own, 1) ** 2).mean()
         actor_loss = actor_loss + config.action_penalty * penalty
     flat = [w for weights in actors for w in weights]
     moved = stepped(flat, torch.autograd.grad(actor_loss, flat))

@@ -36,9 +36,11 @@ from marl_mm.eval.online import (
     episodes_to,
     mean_interval,
     on_a_grid,
+    success_at,
     summarize_settings,
 )
 from marl_mm.eval.online_tables import online_table
+from marl_mm.layout import MODE
 
 MakeEpisode = Callable[..., Episode]
 RunEpisodes = Callable[[Explorer, Iterable[int]], Iterator[Episode]]
@@ -282,8 +284,9 @@ def goals(setting: str, seed: int, successes: list[int]) -> list[Row]:
 
 def test_episodes_to_a_level_by_hand() -> None:
     rows = curve("a", 0, [0.1, 0.7, 0.6, 0.96])
-    assert episodes_to(rows, 0.70) == 40
-    assert episodes_to(rows, 0.95) == 80
+    assert episodes_to(rows, 0.70) == (20, 40)
+    assert episodes_to(rows, 0.95) == (60, 80)
+    assert episodes_to(rows, 0.05) == (0, 20)
     assert episodes_to(rows, 0.99) is None
 
 
@@ -292,12 +295,35 @@ def test_a_summary_by_hand() -> None:
     evaluations = goals("ddpg", 0, [1, 1, 1, 1]) + goals("ddpg", 1, [1, 0, 1, 0])
     (row,) = summarize_settings(curves, evaluations, ["ddpg"])
     assert row["seeds"] == 2
-    assert row["success_last"] == 0.75 and row["success_last_std"] == 0.25
+    assert row["success_last"] == 0.75
+    assert row["success_last_std"] == pytest.approx(0.25 * 2**0.5)
     assert row["return_best"] == 1.5
     assert row["to_70"] == 30 and row["to_70_seeds"] == "40 20"
     assert np.isnan(row["to_95"]) and row["to_95_seeds"] == "60 -"
     table = online_table([row], SETTINGS)
-    assert "| 30 [-97, 157] (40, 20) | (60, -) |" in table  # t(1) = 12.7, s = 14.1
+    assert "| 30 [0, 157] (40, 20) | (60, -) |" in table  # t(1) = 12.7, s = 14.1
+
+
+def test_an_interval_reaches_back_to_the_evaluation_before() -> None:
+    """Three seeds that showed a rate in the same evaluation do not make it exact."""
+    curves = [row for seed in range(3) for row in curve("ddpg", seed, [0.1, 0.2, 0.8])]
+    evaluations = [row for seed in range(3) for row in goals("ddpg", seed, [1, 0])]
+    (row,) = summarize_settings(curves, evaluations, ["ddpg"])
+    assert row["to_70"] == 60 and row["to_70_interval"] == (40, 60)
+
+
+def test_success_at_equal_steps_lies_between_evaluations() -> None:
+    rows = [
+        {**row, "env_steps": 100 * (i + 1)}
+        for i, row in enumerate(curve("ddpg-her", 0, [0.2, 0.4]))
+    ]
+    setting = next(one for one in SETTINGS if one.name == "ddpg-her")
+    assert success_at(rows, setting, 50) == [pytest.approx(0.1)]
+    assert success_at(rows, setting, 150) == [pytest.approx(0.3)]
+    assert success_at(rows, setting, 900) == [0.4]  # it ended when it was flat
+    short = replace(setting, changes={"episodes": 40})
+    assert success_at(rows, short, 200) == [0.4]
+    assert np.isnan(success_at(rows, short, 201)).all()
 
 
 def test_the_interval_of_three_by_hand() -> None:
@@ -321,6 +347,7 @@ def test_the_worth_of_alpha_by_hand() -> None:
     alphas: list[float | str] = [LEARNT, *ALPHAS]
     rows = [
         {
+            "setting": "s",
             "task": "t",
             "seed": 0,
             "alpha": alpha,
@@ -338,13 +365,19 @@ def test_the_worth_of_alpha_by_hand() -> None:
 
 
 def test_a_held_alpha_changes_nothing_else() -> None:
+    """Nor does the agent see that it is held: its hand would move differently."""
     policy = LearnedPolicy("ddpg", Ddpg(CONFIG, JUDGE, 0).agents)
-    state = np.random.default_rng(0).normal(size=10)
+    states = np.random.default_rng(0).normal(size=(2, 10))
     held = FixedAlpha(policy, 0.25)
-    held.begin(np.random.default_rng(0))
-    action = held.act(state)
-    assert action[3] == 0.25
-    np.testing.assert_array_equal(action[:3], policy.act(state)[:3])
+    for _ in range(2):  # the second episode knows nothing of the first
+        held.begin(np.random.default_rng(0))
+        action = held.act(states[0])
+        free = policy.act(states[0])
+        assert action[3] == 0.25
+        np.testing.assert_array_equal(action[:3], free[:3])
+        unheld = states[1].copy()
+        unheld[MODE] = free[3]
+        np.testing.assert_array_equal(held.act(states[1])[:3], policy.act(unheld)[:3])
 
 
 # --- Command line ------------------------------------------------------------

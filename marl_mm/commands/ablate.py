@@ -5,6 +5,7 @@ kept, interrupted ones go on.
 """
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -54,16 +55,18 @@ def main(arguments: Sequence[str]) -> None:
     check_positive(workers=options.workers)
     check_seeds(options.seeds)
     known = [setting.name for setting in SETTINGS]
-    unknown = [name for name in options.settings if name not in known]
-    if unknown:
-        raise UsageError(f"no setting {unknown[0]!r}: expected {', '.join(known)}")
-    if options.settings and target not in ("runs", "online"):
-        raise UsageError(f"--settings is for runs and online; {target} has its own")
+    if options.settings is not None:
+        unknown = [name for name in options.settings if name not in known]
+        if unknown or not options.settings:
+            missing = f"no setting {unknown[0]!r}" if unknown else "--settings is empty"
+            raise UsageError(f"{missing}: expected {', '.join(known)}")
+        if target not in ("runs", "online"):
+            raise UsageError(f"--settings is for runs and online; {target} has its own")
     TARGETS[target][1](options)
 
 
 def _settings(options: Ablate) -> list[Setting]:
-    if not options.settings:
+    if options.settings is None:
         return list(SETTINGS)
     return [setting for setting in SETTINGS if setting.name in options.settings]
 
@@ -93,7 +96,7 @@ def _online(options: Ablate) -> None:
     write_csv(options.results("online.csv"), summary)
     with new_file(options.results("online.md")) as temporary:
         temporary.write_text(text)
-    print(json.dumps(summary, indent=2) if options.json else text)
+    _print(options, summary, text)
 
 
 def _fig4(options: Ablate) -> None:
@@ -144,7 +147,7 @@ def _fig6(options: Ablate) -> None:
 def _alpha(options: Ablate) -> None:
     files = ("alpha.png", "alpha_goals.csv.gz", "alpha_steps.csv", "alpha_worth.csv")
     _refuse(options, *files)
-    names = ("ddpg-her", "ddpg-her-smooth")
+    names = ("ddpg-her", "ddpg-her-smooth", "maddpg-her-smooth")
     train_missing(options, names)
     goals = 2 if options.budget == "smoke" else 100
     rows: list[Row] = []
@@ -154,19 +157,21 @@ def _alpha(options: Ablate) -> None:
             run = options.runs_folder() / name / str(seed)
             task = json.loads((run / "config.json").read_text())["task"]
             total = goals * (1 + len(ALPHAS))
-            with progress_bar(f"{task} {seed}", total) as advance:
+            with progress_bar(f"{name} {seed}", total) as advance:
                 # Goals of seeds 0 and 1 are the runs' own evaluations.
                 own, learnt = worth_rows(
                     load_policy(run / BEST), task, goals, 2, options.workers, advance
                 )
-            rows += [{"seed": seed, **row} for row in own]
-            steps += [{"seed": seed, **row} for row in alpha_steps(task, learnt)]
+            head: Row = {"setting": name, "seed": seed}
+            rows += [head | row for row in own]
+            steps += [head | row for row in alpha_steps(task, learnt)]
     summary = summarize_worth(rows)
     write_csv(options.results("alpha_goals.csv.gz"), rows)
     write_csv(options.results("alpha_steps.csv"), steps)
     write_csv(options.results("alpha_worth.csv"), summary)
-    alpha_figure(steps, summary, options.results("alpha.png"))
-    print(json.dumps(summary, indent=2) if options.json else worth_of_alpha(summary))
+    labels = {setting.name: setting.about for setting in SETTINGS}
+    alpha_figure(steps, summary, labels, options.results("alpha.png"))
+    _print(options, summary, worth_of_alpha(summary, SETTINGS))
 
 
 def _pretrained(options: Ablate) -> None:
@@ -207,12 +212,24 @@ def _evaluations(options: Ablate, names: Sequence[str]) -> list[Row]:
 
 def _best_run(options: Ablate, name: str) -> Path:
     """The seed whose best policy was best by its learning curve's own goals."""
-    curves = _curves(options, [name])
+    curves = _curves(options, [name])  # max takes the first of equals
+    best = max(curves, key=lambda row: (row["success_all"], row["return_all"]))
+    return options.runs_folder() / name / str(best["seed"])
 
-    def merit(row: Row) -> tuple[Any, ...]:
-        return row["success_all"], row["return_all"], -row["seed"]
 
-    return options.runs_folder() / name / str(max(curves, key=merit)["seed"])
+def _print(options: Ablate, summary: Sequence[Row], text: str) -> None:
+    """The summary as JSON, where null is what could not be measured; or the text."""
+    if not options.json:
+        print(text)
+        return
+    rows = [{name: _or_null(value) for name, value in row.items()} for row in summary]
+    print(json.dumps(rows, indent=2))
+
+
+def _or_null(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_or_null(one) for one in value]
+    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def _refuse(options: Ablate, *names: str) -> None:

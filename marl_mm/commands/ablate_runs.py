@@ -42,7 +42,7 @@ class Ablate:
     seeds: tuple[int, ...] = (0, 1, 2)
     """Runs per setting."""
 
-    settings: tuple[str, ...] = ()
+    settings: tuple[str, ...] | None = None
     """For "runs" and "online": those named, which "runs --help" lists; default all."""
 
     budget: Literal["full", "smoke"] = "full"
