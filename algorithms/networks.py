@@ -88,7 +88,7 @@ class Critic(nn.Module):
         actions: int,
         hidden: Sequence[int],
         *,
-        layer_norm: bool = False,
+        layer_norm: bool,
     ) -> None:
         super().__init__()
         self.normalizer = normalizer

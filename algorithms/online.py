@@ -149,28 +149,50 @@ def train_online(
             raise DivergedError(f"{error}; {run} holds {kept}") from None
 
 
+def run_cycle(
+    algorithm: OnlineAlgorithm,
+    run_episodes: RunEpisodes,
+    end: int,
+    advance: Advance = silent,
+) -> tuple[list[Episode], dict[str, float]]:
+    """Episodes of one policy, up to number ``end`` at most, and the updates after them.
+
+    Returns:
+        The episodes, and the updates' mean losses: none before the warm-up is over.
+
+    Raises:
+        DivergedError: If a loss is not finite.
+    """
+    config = algorithm.config
+    first = algorithm.episodes
+    numbers = range(first, min(first + config.episodes_per_cycle, end))
+    episodes = []
+    for episode in run_episodes(algorithm.behaviour(), numbers):
+        algorithm.observe(episode)
+        episodes.append(episode)
+        advance(1, "")
+    if not algorithm.warm:
+        return episodes, {}
+    losses = algorithm.learn(len(episodes) * config.updates_per_episode)
+    for key, value in losses.items():
+        if not np.isfinite(value):
+            raise DivergedError(
+                f"{key} is {value} after {algorithm.updates} updates: lower the "
+                "learning rates"
+            )
+    return episodes, losses
+
+
 def _epoch(
     algorithm: OnlineAlgorithm, run_episodes: RunEpisodes, end: int, advance: Advance
 ) -> Row:
     """Episodes up to number ``end``, with the updates between them; its metrics."""
-    config = algorithm.config
     episodes: list[Episode] = []
     losses: list[dict[str, float]] = []
     while algorithm.episodes < end:
-        cycle = min(config.episodes_per_cycle, end - algorithm.episodes)
-        numbers = range(algorithm.episodes, algorithm.episodes + cycle)
-        for episode in run_episodes(algorithm.behaviour(), numbers):
-            algorithm.observe(episode)
-            episodes.append(episode)
-            advance(1, "")
-        if algorithm.warm:
-            losses.append(algorithm.learn(cycle * config.updates_per_episode))
-            for key, value in losses[-1].items():
-                if not np.isfinite(value):
-                    raise DivergedError(
-                        f"{key} is {value} after {algorithm.updates} updates: lower "
-                        "the learning rates"
-                    )
+        more, loss = run_cycle(algorithm, run_episodes, end, advance)
+        episodes += more
+        losses += [loss] if loss else []
     return {
         "episode": end,
         "env_steps": algorithm.env_steps,

@@ -2,9 +2,11 @@
 
 For the updates, both learn from as many random episodes of the same task, with the same
 batch, hidden layers and hindsight, and take turns, so that a noisy machine is as noisy
-for both. Ours does more in an update: its critic's layers are normalised.
+for both. Ours does more in an update: its critic's layers are normalised; it is timed
+without that, too.
 """
 
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from time import perf_counter
@@ -13,14 +15,18 @@ from typing import Any
 import numpy as np
 import torch
 
-from marl_mm.algorithms.ddpg import Ddpg
+from marl_mm.algorithms.ddpg import Ddpg, DdpgConfig
+from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.maddpg import Maddpg, MaddpgConfig
+from marl_mm.algorithms.online import run_cycle
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.presets import preset
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.rollout import EpisodePlan, Rollouts, episode_seed
 from marl_mm.envs.terms import judge
+from marl_mm.episode import Episode
 from marl_mm.eval.evaluate import evaluate_with
+from marl_mm.eval.online import SB3
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
 
@@ -47,10 +53,38 @@ def bench_train(
         advance: Told the updates.
     """
     torch.set_num_threads(1)
+    learners = _learners(seed, sb3, episodes, advance)
+    rates: dict[str, list[float]] = {name: [] for name in learners}
+    for turn in range(-1, max(1, updates // _TURN)):
+        for name, learn in learners.items():
+            begin = perf_counter()
+            learn(_TURN)
+            rate = _TURN / (perf_counter() - begin)
+            if turn >= 0:  # the first one warms caches
+                rates[name].append(rate)
+                advance(_TURN, name)
+    medians = {name: float(np.median(values)) for name, values in rates.items()}
+    result: dict[str, Any] = {"updates_per_second": medians}
+    ours = [name for name in rates if name != SB3]
+    if not sb3:
+        result["sb3"] = "not installed: pip install 'marl-mm[bench]'"
+        return result
+    for name in ours:
+        ratios = np.array(rates[name]) / np.array(rates[SB3])
+        result[f"{name}_over_sb3"] = float(np.median(ratios))
+    return result
+
+
+def _learners(
+    seed: int, sb3: bool, episodes: int, advance: Advance
+) -> dict[str, Callable[[int], object]]:
+    """What makes so many updates of each algorithm, after random episodes."""
     config = reach_config(TASK)
     rewards = partial(judge, config=config)
+    plain = replace(preset("ddpg-her"), layer_norm=False)
     ours = {
         "ddpg-her": Ddpg(preset("ddpg-her"), rewards, seed),
+        "ddpg-her-no-layer-norm": Ddpg(plain, rewards, seed),
         "maddpg-her": _maddpg(rewards, seed),
     }
     plans = [EpisodePlan(i, episode_seed(seed, i, "train")) for i in range(episodes)]
@@ -60,27 +94,10 @@ def bench_train(
         for episode in rollouts.run(explorer.behaviour(), plans):
             for algorithm in ours.values():
                 algorithm.observe(episode)
-    learners = {name: algorithm.learn for name, algorithm in ours.items()}
-    if sb3:
-        learners["sb3-ddpg-her"] = _sb3(seed, episodes)
-    rates: dict[str, list[float]] = {name: [] for name in learners}
-    for turn in range(-1, max(1, updates // _TURN)):
-        for name, learn in learners.items():
-            begin = perf_counter()
-            learn(_TURN)
-            rate = _TURN / (perf_counter() - begin)
-            if turn >= 0:  # the first one warms caches
-                rates[name].append(rate)
-        advance(_TURN if turn >= 0 else 0, "")
-    medians = {name: float(np.median(values)) for name, values in rates.items()}
-    result: dict[str, Any] = {"updates_per_second": medians}
-    if not sb3:
-        result["sb3"] = "not installed: pip install 'marl-mm[bench]'"
-    if sb3:
-        for name in ours:
-            ratios = np.array(rates[name]) / np.array(rates["sb3-ddpg-her"])
-            result[f"{name}_over_sb3"] = float(np.median(ratios))
-    return result
+    learners: dict[str, Callable[[int], object]] = {
+        name: algorithm.learn for name, algorithm in ours.items()
+    }
+    return learners | ({SB3: _sb3(seed, episodes)} if sb3 else {})
 
 
 def bench_success(
@@ -89,52 +106,67 @@ def bench_success(
     goals: int = 100,
     sb3: bool = True,
     advance: Advance = silent,
-) -> dict[str, float]:
-    """Success rate after training from nothing for so many steps of the environment.
+) -> dict[str, Any]:
+    """Success after training from nothing for so many steps of the environment.
 
     Args:
-        env_steps: Of each; the last episode is whole.
+        env_steps: Of each; the last episodes are whole.
         seed: Of networks and episodes.
         goals: Of the evaluation, half ahead.
         sb3: Whether to train Stable-Baselines3, too.
         advance: Told the environment's steps.
+
+    Returns:
+        Success rate and its 95 % interval over the goals, by name.
     """
     torch.set_num_threads(1)
-    config = reach_config(TASK)
     hyper = preset("ddpg-her")
-    ours = Ddpg(hyper, partial(judge, config=config), seed)
-    success = {}
-    with Rollouts(config) as rollouts:
+    success: dict[str, Any] = {}
+    with Rollouts(reach_config(TASK)) as rollouts:
 
-        def rate(policy: Policy) -> float:
-            return evaluate_with(rollouts, policy, goals, seed, TASK).success_rate
+        def measure(policy: Policy) -> dict[str, Any]:
+            everything = evaluate_with(rollouts, policy, goals, seed, TASK).summary
+            return {key: everything["all"][key] for key in ("success_rate", "interval")}
 
-        while ours.env_steps < env_steps:
-            first = ours.episodes
-            plans = [
-                EpisodePlan(i, episode_seed(seed, i, "train"))
-                for i in range(first, first + hyper.episodes_per_cycle)
-            ]
-            for episode in rollouts.run(ours.behaviour(), plans):
-                ours.observe(episode)
-                advance(len(episode), ours.name)
-            if ours.warm:
-                ours.learn(hyper.updates_per_episode * len(plans))
-        success[ours.name] = rate(LearnedPolicy(ours.name, ours.agents))
+        ours = _taught(rollouts, hyper, env_steps, seed, advance)
+        success[ours.name] = measure(LearnedPolicy(ours.name, ours.agents))
         if sb3:
-            from marl_mm.eval.sb3_reference import NAME, Sb3Policy, learn_sb3, sb3_model
-
-            model, told = sb3_model(TASK, hyper, seed), 0
-
-            def look(episode: int, steps: int) -> bool:
-                nonlocal told
-                advance(steps - told, NAME)
-                told = steps
-                return steps < env_steps
-
-            learn_sb3(model, look)
-            success[NAME] = rate(Sb3Policy(model))
+            success[SB3] = measure(_sb3_taught(hyper, env_steps, seed, advance))
     return success
+
+
+def _taught(
+    rollouts: Rollouts, hyper: DdpgConfig, env_steps: int, seed: int, advance: Advance
+) -> Ddpg:
+    """Ours, after so many steps."""
+
+    def run_episodes(policy: Explorer, numbers: Iterable[int]) -> Iterator[Episode]:
+        plans = [EpisodePlan(i, episode_seed(seed, i, "train")) for i in numbers]
+        return rollouts.run(policy, plans)
+
+    ours = Ddpg(hyper, partial(judge, config=reach_config(TASK)), seed)
+    while ours.env_steps < env_steps:
+        episodes, _ = run_cycle(ours, run_episodes, hyper.episodes)
+        advance(sum(map(len, episodes)), ours.name)
+    return ours
+
+
+def _sb3_taught(
+    hyper: DdpgConfig, env_steps: int, seed: int, advance: Advance
+) -> Policy:
+    """Stable-Baselines3's, after so many steps."""
+    from marl_mm.eval.sb3_reference import Sb3Policy, learn_sb3, sb3_model
+
+    model, told = sb3_model(TASK, hyper, seed), 0
+
+    def look(episode: int, steps: int) -> bool:
+        nonlocal told
+        advance(steps - told, SB3)
+        told = steps
+        return steps < env_steps
+
+    learn_sb3(model, look)
+    return Sb3Policy(model)
 
 
 def _maddpg(rewards: Any, seed: int) -> Maddpg:

@@ -25,6 +25,10 @@ CHECKPOINTS = {"last": "eval.json", "best": "eval_best.json"}
 """Evaluations of a run, by checkpoint."""
 
 
+SB3 = "sb3-ddpg-her"
+"""The setting that is Stable-Baselines3's."""
+
+
 @dataclass(frozen=True)
 class Setting:
     """One way to learn online, run with several seeds."""
@@ -65,7 +69,7 @@ SETTINGS = (
     Setting("maddpg-her", "MADDPG + HER", "maddpg-her"),
     Setting("ddpg-paper", "DDPG, Table 2", "ddpg", "paper"),
     Setting("ddpg-her-paper", "DDPG + HER, Table 2", "ddpg-her", "paper"),
-    Setting("sb3-ddpg-her", "Stable-Baselines3, DDPG + HER", library="sb3"),
+    Setting(SB3, "Stable-Baselines3, DDPG + HER", library="sb3"),
     Setting("ddpg-demonstrations", "DDPG, demonstrations", "ddpg", demonstrations=True),
     Setting(
         "ddpg-her-demonstrations", "DDPG + HER, demonstrations", demonstrations=True

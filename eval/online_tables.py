@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.online import LEVELS, Setting, success_at
+from marl_mm.eval.online import LEVELS, SB3, Setting, success_at
 from marl_mm.eval.tables import markdown_table
 
 ONLINE_HEADER = (
@@ -76,7 +76,7 @@ def worth_of_alpha(summary: Sequence[Row], settings: Sequence[Setting]) -> str:
     return markdown_table(header, lines)
 
 
-SB3 = ("ddpg-her", "ddpg-her-no-layer-norm", "maddpg-her", "sb3-ddpg-her")
+_AT_EQUAL_STEPS = ("ddpg-her", "ddpg-her-no-layer-norm", "maddpg-her", SB3)
 """Compared at equal steps of the environment; without layer norm ours has the layers of
 Stable-Baselines3."""
 
@@ -88,7 +88,7 @@ def steps_table(curves: Sequence[Row], settings: Sequence[Setting]) -> str:
     known = {row["setting"] for row in curves}
     lines = []
     for setting in settings:
-        if setting.name not in SB3 or setting.name not in known:
+        if setting.name not in _AT_EQUAL_STEPS or setting.name not in known:
             continue
         line = [setting.about]
         for steps in STEPS:
@@ -105,8 +105,9 @@ def updates_table(result: Mapping[str, Any]) -> str:
     """Gradient updates per second from ``marl-mm bench train``, as Markdown."""
     names = {
         "ddpg-her": "DDPG + HER",
+        "ddpg-her-no-layer-norm": "DDPG + HER, no layer norm",
         "maddpg-her": "MADDPG + HER",
-        "sb3-ddpg-her": "Stable-Baselines3, DDPG + HER",
+        SB3: "Stable-Baselines3, DDPG + HER",
     }
     lines = [
         (

@@ -17,15 +17,14 @@ from stable_baselines3.common.noise import NormalActionNoise
 
 from marl_mm.algorithms.ddpg import DdpgConfig
 from marl_mm.envs.reach import goal_observation
+from marl_mm.eval.online import SB3
 from marl_mm.layout import ACTION
-
-NAME = "sb3-ddpg-her"
 
 
 class Sb3Policy:
     """A model of SB3 behind the interface of every policy; deterministic."""
 
-    name = NAME
+    name = SB3
 
     def __init__(self, model: DDPG) -> None:
         self._model = model

@@ -1,5 +1,6 @@
 """Files and folders that appear whole or not at all."""
 
+import fcntl
 import json
 import os
 import shutil
@@ -61,6 +62,31 @@ def new_folder(path: Path) -> Iterator[Path]:
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     shutil.rmtree(previous, ignore_errors=True)
+
+
+@contextmanager
+def only_here(folder: Path, *, wait: bool = False) -> Iterator[None]:
+    """Keep other processes that ask for the same folder out of it; it is created.
+
+    Args:
+        folder: To be written in the block. The operating system lets go of it when the
+            process ends, however it does.
+        wait: Until it is free, instead of raising.
+
+    Raises:
+        UsageError: If another process has it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        yield
+    except BlockingIOError:
+        raise UsageError(
+            f"another process is writing {folder}: wait for it, or choose another"
+        ) from None
+    finally:
+        os.close(descriptor)
 
 
 def write_json(path: Path, value: Any) -> None:

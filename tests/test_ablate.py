@@ -7,6 +7,9 @@ import pytest
 
 from marl_mm.algorithms.pretrained import load_pretrained
 from marl_mm.cli import main
+from marl_mm.commands import ablate_runs
+from marl_mm.commands.train_online import TrainDdpg, train_online_run
+from marl_mm.errors import DivergedError
 from marl_mm.eval.online import SETTINGS
 from marl_mm.eval.rows import read_rows
 
@@ -84,11 +87,29 @@ def test_the_worth_of_alpha_from_raw_runs(
     assert (tmp_path / "alpha.png").exists()
 
 
+@pytest.mark.slow
+def test_a_run_that_diverged_counts_as_it_was_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def diverge(training: TrainDdpg, seed: int, run: Path) -> None:
+        train_online_run(training, seed, run)
+        (run / "eval.json").unlink()
+        (run / "eval_best.json").unlink()
+        raise DivergedError("loss/critic is nan")
+
+    monkeypatch.setattr(ablate_runs, "train_online_run", diverge)
+    assert ablate(tmp_path, tmp_path, "online", "--settings", "ddpg") == 0
+    assert "loss/critic is nan; it counts as it is" in capsys.readouterr().err
+    assert ablate(tmp_path, tmp_path, "runs", "--settings", "ddpg") == 0
+
+
 def test_settings_are_named_once_and_unknown_ones_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert len({setting.name for setting in SETTINGS}) == len(SETTINGS)
     assert ablate(tmp_path, tmp_path, "online", "--settings", "ddgp") == 2
     assert "no setting 'ddgp': expected ddpg, ddpg-her" in capsys.readouterr().err
+    assert ablate(tmp_path, tmp_path, "online", "--settings") == 2
+    assert "--settings is empty: expected ddpg, " in capsys.readouterr().err
     assert ablate(tmp_path, tmp_path, "fig4", "--settings", "ddpg") == 2
     assert "--settings is for runs and online" in capsys.readouterr().err

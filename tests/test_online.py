@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.maddpg import Maddpg, MaddpgConfig
 from marl_mm.algorithms.online import Schedule, is_flat, train_online
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
+from marl_mm.algorithms.presets import preset
 from marl_mm.algorithms.pretrained import load_pretrained, ship
 from marl_mm.algorithms.runlog import RunLog, read_metrics
 from marl_mm.algorithms.train import resume
@@ -40,6 +41,7 @@ from marl_mm.eval.online import (
     summarize_settings,
 )
 from marl_mm.eval.online_tables import online_table
+from marl_mm.files import only_here
 from marl_mm.layout import MODE
 
 MakeEpisode = Callable[..., Episode]
@@ -415,10 +417,16 @@ def test_training_does_not_depend_on_workers_or_interruptions(
     assert "exists already" in capsys.readouterr().err
     assert main([*words, "--resume", "--noise", "0.3"]) == 1
     assert "noise = 0.1 (now 0.3)" in capsys.readouterr().err
-    kept = Path("cut/0/eval.json").read_bytes()
+    kept = Path("cut/0/eval.json")
+    seen = kept.stat().st_mtime_ns
+    assert main([*words, "--resume"]) == 0
+    assert kept.stat().st_mtime_ns == seen  # nothing is evaluated twice
     assert main([*words, "--resume", "--eval-episodes", "1"]) == 0
-    assert Path("cut/0/eval.json").read_bytes() == kept
+    assert len(json.loads(kept.read_text())["episodes"]) == 1  # unless asked for
     capsys.readouterr()
+    with only_here(Path("cut/0")):
+        assert main([*words, "--resume"]) == 2
+    assert "another process is writing cut/0" in capsys.readouterr().err
     fewer = [word if word != "8" else "4" for word in words]
     assert main([*fewer, "--resume"]) == 2
     assert "has 8 episodes already, --episodes is 4" in capsys.readouterr().err
@@ -491,6 +499,10 @@ def test_usage_of_train_online(
         (["ddpg", "--task", "Fly-v0"], "unknown task 'Fly-v0'"),
         (["ddpg", "--noise", "-1"], "noise is -1.0, expected >= 0"),
         (["ddpg", "--epoch", "0"], "epoch is 0, expected >= 1"),
+        (
+            ["ddpg", "--capacity", "20", "--warm-up", "9"],
+            "--capacity is 20, expected at least an episode's 25 steps",
+        ),
         (["ddpg", "--seeds", "1", "1"], "--seeds is 1 1, expected each seed once"),
         (["ddpg", "--resume", "--overwrite"], "contradict each other"),
         ([], "see marl-mm train --help"),
@@ -526,6 +538,8 @@ def test_the_pretrained_agent_is_small_whole_and_acts() -> None:
     assert evaluation["success_rate"] >= 0.95
     config = json.loads((FOLDER / "config.json").read_text())
     assert config["algorithm"] == "ddpg-her" and "seed" in config
+    hyper = json.loads(json.dumps(asdict(preset("ddpg-her"))))
+    assert {name: config[name] for name in hyper} == hyper  # what train does today
     action = load_pretrained().act(np.zeros(10))
     assert action.shape == (4,) and np.isfinite(action).all()
     for name in ("pretrained", FOLDER):

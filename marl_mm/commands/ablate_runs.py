@@ -1,12 +1,13 @@
 """The runs that figures and tables are made of: what is missing of them is trained."""
 
 import shutil
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-from marl_mm.algorithms.checkpoint import FILE
+from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.online import Schedule
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands.collect import collect_dataset
@@ -15,14 +16,16 @@ from marl_mm.commands.runs import BEST_EVALUATION, EVALUATION
 from marl_mm.commands.train_online import (
     TrainDdpg,
     check_online_run,
+    evaluate_online_run,
     online_options,
     train_online_run,
 )
 from marl_mm.commands.train_sb3 import check_sb3, check_sb3_run, train_sb3_run
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import locate
-from marl_mm.errors import CheckpointError, UsageError
+from marl_mm.errors import CheckpointError, DivergedError, UsageError
 from marl_mm.eval.online import SETTINGS, Setting
+from marl_mm.files import only_here
 
 DEMONSTRATIONS = "demonstrations"
 """Dataset of the PD agent, in the folder of the runs."""
@@ -98,13 +101,26 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
         if finished:
             continue
         try:
-            train = train_sb3_run if sb3 else train_online_run
-            train(training, seed, run)
+            if sb3:
+                train_sb3_run(training, seed, run)
+            else:
+                _train_or_keep(training, seed, run)
         except KeyboardInterrupt:
             again = "starts it again" if sb3 else "goes on from there"
             raise KeyboardInterrupt(
                 f"stopped in {run}; the same command {again}"
             ) from None
+
+
+def _train_or_keep(training: TrainDdpg, seed: int, run: Path) -> None:
+    """Train, and if that diverges, go by what there was before: it is a result, too."""
+    try:
+        train_online_run(training, seed, run)
+    except DivergedError as error:
+        if not (run / BEST).exists():
+            raise
+        print(f"{error}; it counts as it is", file=sys.stderr)
+        evaluate_online_run(training, run)
 
 
 def _training(
@@ -143,20 +159,21 @@ def _demonstrations(options: Ablate) -> Path:
     """
     path = (options.runs_folder() / DEMONSTRATIONS).resolve()
     steps = 100 if options.budget == "smoke" else 2_000
-    if path.exists():
-        known = load_dataset(path).metadata["marl_mm"]
-        if known["complete"] and known["steps_asked"] == steps:
-            return path
-        raise UsageError(f"{path} is not the whole of {steps} steps: delete it")
-    collection = collect_dataset(
-        locate(str(path)),
-        PdConfig(alpha_rule="room"),
-        "Reach-v0",
-        steps,
-        seed=0,
-        workers=options.workers,
-    )
-    if not collection.complete:
-        shutil.rmtree(path)
-        raise KeyboardInterrupt("stopped; the same command again starts there")
+    with only_here(path.parent, wait=True):  # others may need it as well
+        if path.exists():
+            known = load_dataset(path).metadata["marl_mm"]
+            if known["complete"] and known["steps_asked"] == steps:
+                return path
+            raise UsageError(f"{path} is not the whole of {steps} steps: delete it")
+        collection = collect_dataset(
+            locate(str(path)),
+            PdConfig(alpha_rule="room"),
+            "Reach-v0",
+            steps,
+            seed=0,
+            workers=options.workers,
+        )
+        if not collection.complete:
+            shutil.rmtree(path)
+            raise KeyboardInterrupt("stopped; the same command again starts there")
     return path

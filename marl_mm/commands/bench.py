@@ -133,8 +133,9 @@ def _train(options: BenchTrain) -> dict[str, Any]:
     if options.env_steps < 0:
         raise UsageError(f"--env-steps is {options.env_steps}, expected >= 0")
     sb3 = find_spec("stable_baselines3") is not None
-    learners = 3 if sb3 else 2
-    with progress_bar("bench train", learners * options.updates) as advance:
+    learners = 4 if sb3 else 3
+    turns = max(options.updates - options.updates % 100, 100)
+    with progress_bar("bench train", learners * turns) as advance:
         result = bench_train(options.updates, options.seed, sb3, advance=advance)
     if options.env_steps:
         total = options.env_steps * (2 if sb3 else 1)

@@ -140,7 +140,8 @@ def collect_dataset(
         "attempts": collection.attempts,
         "complete": collection.complete,
     }
-    with deaf_to_interrupts():  # a second Ctrl-C must not cost what the first one kept
+    # A second Ctrl-C must not cost what the first one kept.
+    with deaf_to_interrupts(forget=not collection.complete):
         write_dataset(location, collection.episodes, spec, description, overwrite)
     return collection
 

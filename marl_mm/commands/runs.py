@@ -24,6 +24,7 @@ from marl_mm.progress import progress_bar
 EVALUATION = "eval.json"
 BEST_EVALUATION = "eval_best.json"
 CURVE = "learning_curve.png"
+SB3_BEST = "best.zip"
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ def refuse_other(
 def start_run(run: Path, config: dict[str, Any]) -> None:
     """A run folder with its config; what an older run left there goes."""
     run.mkdir(parents=True, exist_ok=True)
-    names = (FILE, BEST, METRICS, EVALUATION, BEST_EVALUATION, CURVE, "best.zip")
+    names = (FILE, BEST, METRICS, EVALUATION, BEST_EVALUATION, CURVE, SB3_BEST)
     for path in (*(run / name for name in names), *run.glob("events.out.tfevents.*")):
         path.unlink(missing_ok=True)
     write_json(run / "config.json", config)
@@ -142,13 +143,19 @@ def continue_run(run: Path, changes: dict[str, Any]) -> None:
 def evaluate_run(
     run: Path, options: TrainOptions, task: str, checkpoint: str, result: str
 ) -> Evaluation:
-    """Evaluate a trained run and keep the result beside it, unless it is there.
+    """Evaluate a trained run and keep the result beside it, unless that is there.
+
+    With ``--resume``, one of as many goals of the same seed is not repeated;
+    ``continue_run`` deletes those of a run that goes further.
 
     Raises:
         KeyboardInterrupt: After Ctrl-C, saying how to go on.
     """
-    if options.resume and (run / result).exists():  # nothing was trained since
-        return Evaluation.from_json(json.loads((run / result).read_text()))
+    if options.resume and (run / result).exists():
+        known = Evaluation.from_json(json.loads((run / result).read_text()))
+        asked = (options.eval_episodes, options.eval_seed)
+        if (len(known.rows), known.seed) == asked:
+            return known
     policy = load_policy(run / checkpoint)
     label = f"eval {Path(checkpoint).stem}"
     try:

@@ -25,6 +25,7 @@ from marl_mm.datasets.dataset import Dataset
 from marl_mm.envs.config import reach_config
 from marl_mm.eval.evaluate import Evaluation, evaluate
 from marl_mm.eval.figures import learning_curve
+from marl_mm.files import only_here
 from marl_mm.progress import progress_bar
 from marl_mm.versions import versions
 
@@ -71,8 +72,14 @@ def train_offline(
 ) -> Evaluation:
     """Train one seed, evaluate it, and leave a run folder."""
     check_offline(dataset, options, seed, run)
+    with only_here(run):
+        _train(dataset, options, seed, run)
+        task = _run_config(dataset, options, seed)["task"]
+        return evaluate_run(run, options, task, FILE, EVALUATION)
+
+
+def _train(dataset: Dataset, options: TrainMabc, seed: int, run: Path) -> None:
     config = _run_config(dataset, options, seed)
-    task: str = config["task"]
     algorithm = Mabc(options.config, dataset.agents(), seed)
     if options.resume and (run / FILE).exists():
         resume(algorithm, run)
@@ -81,13 +88,14 @@ def train_offline(
 
     def point(policy: LearnedPolicy) -> dict[str, float]:
         goals = options.eval_seed + 1  # not those of the final evaluation
-        return curve_point(evaluate(policy, options.curve_episodes, goals, task))
+        return curve_point(
+            evaluate(policy, options.curve_episodes, goals, config["task"])
+        )
 
     total = options.config.updates
     with progress_bar(f"train {algorithm.name}", total) as advance:
         train(algorithm, run, point, options.curve_every, advance)
     learning_curve(read_metrics(run), run / CURVE)
-    return evaluate_run(run, options, task, FILE, EVALUATION)
 
 
 def _run_config(dataset: Dataset, options: TrainMabc, seed: int) -> dict[str, Any]:

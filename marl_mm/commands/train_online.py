@@ -37,6 +37,7 @@ from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate_with
 from marl_mm.eval.figures import online_curve
+from marl_mm.files import only_here
 from marl_mm.progress import progress_bar
 from marl_mm.versions import versions
 
@@ -105,7 +106,12 @@ def check_online(algorithm: str, options: TrainDdpg) -> None:
         UsageError: Naming the option.
     """
     check_positive(curve_episodes=options.curve_episodes)
-    reach_config(options.task)
+    longest = reach_config(options.task).max_steps
+    if options.config.capacity < longest:
+        raise UsageError(
+            f"--capacity is {options.config.capacity}, expected at least an episode's "
+            f"{longest} steps"
+        )
     hindsight = options.config.hindsight
     if (hindsight > 0) != algorithm.endswith("-her"):
         other = algorithm.removesuffix("-her") + "-her" * (hindsight > 0)
@@ -116,13 +122,39 @@ def check_online_run(options: TrainDdpg, seed: int, run: Path) -> None:
     """Raise before any work is done for what would stop a run; see ``check_run``."""
     config = _run_config(options, _demonstrations(options), seed)
     check_run(run, config, options, ("preset", *_CONTINUED))
+    if options.resume and (run / FILE).exists():
+        done = read_metrics(run)[-1]["episode"]
+        if done > options.config.episodes:
+            raise UsageError(
+                f"{run} has {done} episodes already, --episodes is "
+                f"{options.config.episodes}"
+            )
 
 
 def train_online_run(
     options: TrainDdpg, seed: int, run: Path
 ) -> tuple[Evaluation, Evaluation]:
-    """Train one seed into a run folder; evaluations of its last and its best policy."""
+    """Train one seed into a run folder; evaluations of its last and its best policy.
+
+    Raises:
+        DivergedError: If a loss is not finite; there may be a checkpoint from before.
+    """
     check_online_run(options, seed, run)
+    with only_here(run):
+        _train(options, seed, run)
+        return evaluate_online_run(options, run)
+
+
+def evaluate_online_run(options: TrainDdpg, run: Path) -> tuple[Evaluation, Evaluation]:
+    """Draw a trained run's learning curve; evaluate its last and its best policy."""
+    online_curve(read_metrics(run), run / CURVE)
+    return (
+        evaluate_run(run, options, options.task, FILE, EVALUATION),
+        evaluate_run(run, options, options.task, BEST, BEST_EVALUATION),
+    )
+
+
+def _train(options: TrainDdpg, seed: int, run: Path) -> None:
     demonstrations = _demonstrations(options)
     task = reach_config(options.task)
     kind = Maddpg if isinstance(options.config, MaddpgConfig) else Ddpg
@@ -134,11 +166,6 @@ def train_online_run(
     )
     if options.resume and (run / FILE).exists():
         resume(algorithm, run, ("episodes",))
-        if algorithm.episodes > options.config.episodes:
-            raise UsageError(
-                f"{run} has {algorithm.episodes} episodes already, --episodes is "
-                f"{options.config.episodes}"
-            )
         config = _run_config(options, demonstrations, seed)
         continue_run(run, {name: config[name] for name in _CONTINUED})
     else:
@@ -160,11 +187,6 @@ def train_online_run(
         total = options.config.episodes
         with progress_bar(f"{algorithm.name} {seed}", total) as advance:
             train_online(algorithm, run, run_episodes, point, options.schedule, advance)
-    online_curve(read_metrics(run), run / CURVE)
-    return (
-        evaluate_run(run, options, options.task, FILE, EVALUATION),
-        evaluate_run(run, options, options.task, BEST, BEST_EVALUATION),
-    )
 
 
 def _demonstrations(options: TrainOnline) -> Dataset | None:

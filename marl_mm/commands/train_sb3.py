@@ -10,6 +10,7 @@ from marl_mm.algorithms.runlog import RunLog
 from marl_mm.commands.runs import (
     BEST_EVALUATION,
     EVALUATION,
+    SB3_BEST,
     curve_point,
     refuse_other,
     start_run,
@@ -19,11 +20,10 @@ from marl_mm.envs.config import reach_config
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate_with
-from marl_mm.files import write_json
+from marl_mm.eval.online import SB3
+from marl_mm.files import only_here, write_json
 from marl_mm.progress import progress_bar
 from marl_mm.versions import versions
-
-_NAME = "sb3-ddpg-her"
 
 
 def check_sb3() -> None:
@@ -50,17 +50,22 @@ def train_sb3_run(options: TrainDdpg, seed: int, run: Path) -> None:
 
     An interrupted run starts again: it keeps no checkpoints.
     """
+    with only_here(run):
+        _train(options, seed, run)
+
+
+def _train(options: TrainDdpg, seed: int, run: Path) -> None:
     from marl_mm.eval.sb3_reference import Sb3Policy, learn_sb3, sb3_model
 
     config, schedule = options.config, options.schedule
     start_run(run, _run_config(options, seed))
     model = sb3_model(options.task, config, seed)
     policy = Sb3Policy(model)
-    best = run / "best.zip"
+    best = run / SB3_BEST
     with (
         Rollouts(reach_config(options.task), options.workers) as rollouts,
         RunLog(run, "episode", since=0) as log,
-        progress_bar(f"{_NAME} {seed}", config.episodes) as advance,
+        progress_bar(f"{SB3} {seed}", config.episodes) as advance,
     ):
 
         def measure(episodes: int, goals: int) -> Evaluation:
@@ -90,7 +95,7 @@ def train_sb3_run(options: TrainDdpg, seed: int, run: Path) -> None:
 
 def _run_config(options: TrainDdpg, seed: int) -> dict[str, Any]:
     return {
-        "algorithm": _NAME,
+        "algorithm": SB3,
         "seed": seed,
         "task": options.task,
         "curve_episodes": options.curve_episodes,

@@ -1,0 +1,63 @@
+"""Interrupts at moments that must not be cut in two are late, not lost."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+from marl_mm.interrupts import deaf_to_interrupts, terminate_as_interrupt
+
+
+@pytest.fixture(autouse=True)
+def handlers() -> Iterator[None]:
+    """Those of a command, in the foreground."""
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, terminate_as_interrupt)
+    yield
+    signal.signal(signal.SIGINT, before[0])
+    signal.signal(signal.SIGTERM, before[1])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_comes_after_the_outermost_block(number: signal.Signals) -> None:
+    done = []
+    with pytest.raises(KeyboardInterrupt):
+        with deaf_to_interrupts():
+            with deaf_to_interrupts():
+                os.kill(os.getpid(), number)
+                done.append("inner")
+            done.append("outer")
+        done.append("too far")
+    assert done == ["inner", "outer"]
+    with deaf_to_interrupts():  # it came once
+        pass
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_second_interrupt_changes_nothing(number: signal.Signals) -> None:
+    with pytest.raises(KeyboardInterrupt, match="the first"):
+        try:
+            raise KeyboardInterrupt("the first")
+        finally:
+            with deaf_to_interrupts():
+                os.kill(os.getpid(), number)
+    with deaf_to_interrupts(forget=True):
+        os.kill(os.getpid(), number)
+
+
+def test_what_is_ignored_stays_ignored() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with deaf_to_interrupts():
+        os.kill(os.getpid(), signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+def test_processes_started_in_the_block_do_not_hear_it() -> None:
+    code = "import os, signal; os.kill(os.getpid(), signal.SIGINT); print('alive')"
+    with deaf_to_interrupts():
+        child = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    assert child.stdout == b"alive\n"
