@@ -83,12 +83,6 @@ SETTINGS = (
         changes={"layer_norm": False, "episodes": 800},
     ),
     Setting(
-        "ddpg-no-penalty",
-        "DDPG, no action penalty",
-        "ddpg",
-        changes={"action_penalty": 0.0},
-    ),
-    Setting(
         "maddpg-her-others",
         "MADDPG + HER, others' replayed actions",
         "maddpg-her",
