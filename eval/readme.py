@@ -9,6 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from marl_mm.eval.bench_tables import abuse_table, bench_table
+from marl_mm.eval.online import SETTINGS
+from marl_mm.eval.online_tables import online_table
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.sweep import responses
 from marl_mm.eval.sweep_tables import alpha_table, response_table, worth_table
@@ -50,12 +52,17 @@ def _abuse() -> str:
     return abuse_table({f: json.loads(path.read_text()) for f, path in paths.items()})
 
 
+def _online() -> str:
+    return online_table(read_rows(RESULTS / "online/online.csv"), SETTINGS)
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "alpha": _alpha,
     "responses": _responses,
     "worth": _worth,
     "bench": _bench,
     "abuse": _abuse,
+    "online": _online,
 }
 """Name of the marks, and what stands between them."""
 
