@@ -62,7 +62,8 @@ class LearnedPolicy:
         if JOINT.name in self._agents:
             raise UsageError(
                 f"{self.name} has one joint actor, which needs the joint state: step "
-                "with marl_mm.envs.parallel.split_action(policy.act(env.state()))"
+                "the parallel environment with marl_mm.envs.parallel.split_action of "
+                "policy.act of its state()"
             )
         return {name: self._agents[name].act(o) for name, o in observations.items()}
 

@@ -7,6 +7,7 @@ from importlib.util import find_spec
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from marl_mm.commands.options import check_positive, check_seed
@@ -129,7 +130,8 @@ def _train(options: BenchTrain) -> dict[str, Any]:
         bench_train,
     )
 
-    check_positive(updates=options.updates)
+    if options.updates < 100:
+        raise UsageError(f"--updates is {options.updates}, expected >= 100")
     if options.env_steps < 0:
         raise UsageError(f"--env-steps is {options.env_steps}, expected >= 0")
     sb3 = find_spec("stable_baselines3") is not None
@@ -152,4 +154,4 @@ def _add_rows(table: Table, values: Mapping[str, Any], prefix: str) -> None:
             _add_rows(table, value, f"{prefix}{key} ")
         else:
             text = f"{value:.4g}" if isinstance(value, float) else str(value)
-            table.add_row(f"{prefix}{key}", text)
+            table.add_row(f"{prefix}{key}", escape(text))

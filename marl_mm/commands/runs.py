@@ -16,7 +16,7 @@ from marl_mm.commands.options import (
     check_seed,
     check_seeds,
 )
-from marl_mm.errors import CheckpointError, UsageError
+from marl_mm.errors import CheckpointError, OutputExistsError, UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate
 from marl_mm.files import refuse_existing, write_json
 from marl_mm.progress import progress_bar
@@ -94,6 +94,11 @@ def check_run(
         CheckpointError: If the run to resume was made with something else.
     """
     if not options.resume:
+        if (run / FILE).exists() and not options.overwrite:
+            raise OutputExistsError(
+                f"{run} exists already; go on with --resume, choose another --out or "
+                "add --overwrite"
+            )
         refuse_existing(run, options.overwrite)
         return
     if not (run / FILE).exists():
