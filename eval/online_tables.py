@@ -1,8 +1,7 @@
 """What online runs show, as Markdown."""
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.online import LEVELS, SB3, Setting, success_at
@@ -98,26 +97,6 @@ def steps_table(curves: Sequence[Row], settings: Sequence[Setting]) -> str:
             line.append("-" if any(map(math.isnan, rates)) else mean)
         lines.append(line)
     header = ("goals reached [%] after", *(f"{steps:,} steps" for steps in STEPS))
-    return markdown_table(header, lines)
-
-
-def updates_table(result: Mapping[str, Any]) -> str:
-    """Gradient updates per second from ``marl-mm bench train``, as Markdown."""
-    names = {
-        "ddpg-her": "DDPG + HER",
-        "ddpg-her-no-layer-norm": "DDPG + HER, no layer norm",
-        "maddpg-her": "MADDPG + HER",
-        SB3: "Stable-Baselines3, DDPG + HER",
-    }
-    lines = [
-        (
-            names[name],
-            f"{rate:.0f}",
-            f"{result.get(f'{name}_over_sb3', 1.0):.2f}",
-        )
-        for name, rate in result["updates_per_second"].items()
-    ]
-    header = ("one thread", "updates per second", "over Stable-Baselines3")
     return markdown_table(header, lines)
 
 
