@@ -142,7 +142,7 @@ def train_online(
                 saved = end
         except KeyboardInterrupt:
             kept = f"{run} holds the checkpoint of episode {saved}: go on with --resume"
-            nothing = "before the first checkpoint: start again with --overwrite"
+            nothing = "before the first checkpoint: start again with --resume"
             raise KeyboardInterrupt(f"stopped; {kept if saved else nothing}") from None
         except DivergedError as error:
             kept = f"the checkpoint of episode {saved}" if saved else "no checkpoint"

@@ -17,7 +17,7 @@ from marl_mm.algorithms.algorithm import Algorithm, Resumable
 from marl_mm.algorithms.checkpoint import FILE, read_checkpoint, save_checkpoint
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.runlog import RunLog
-from marl_mm.errors import CheckpointError
+from marl_mm.errors import OtherConfigError
 from marl_mm.progress import Advance, silent
 
 Evaluate = Callable[[LearnedPolicy], dict[str, float]]
@@ -71,7 +71,7 @@ def train(
                 saved, sums = step, {}
         except KeyboardInterrupt:
             kept = f"{run} holds the checkpoint of update {saved}: go on with --resume"
-            nothing = "before the first checkpoint: start again with --overwrite"
+            nothing = "before the first checkpoint: start again with --resume"
             raise KeyboardInterrupt(f"stopped; {kept if saved else nothing}") from None
 
 
@@ -84,7 +84,8 @@ def resume(algorithm: Resumable, run: Path, ignored: Sequence[str] = ()) -> None
         ignored: Fields of the config that may differ.
 
     Raises:
-        CheckpointError: If the run is of another algorithm or another config.
+        CheckpointError: If the run is of another algorithm.
+        OtherConfigError: If it is of another config.
     """
     checkpoint = read_checkpoint(run, algorithm.name)
     mine = _comparable(asdict(algorithm.config))
@@ -98,7 +99,7 @@ def refuse_difference(run: Path, theirs: dict[str, Any], mine: dict[str, Any]) -
     """Raise if a run was made with something else than what resumes it.
 
     Raises:
-        CheckpointError: Naming what differs.
+        OtherConfigError: Naming what differs.
     """
     differences = [
         f"{key} = {theirs.get(key)} (now {value})"
@@ -106,7 +107,7 @@ def refuse_difference(run: Path, theirs: dict[str, Any], mine: dict[str, Any]) -
         if theirs.get(key) != value
     ]
     if differences:
-        raise CheckpointError(
+        raise OtherConfigError(
             f"{run} was trained with {', '.join(differences)}: go on with the same, or "
             "start anew in another folder or with --overwrite"
         )

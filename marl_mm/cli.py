@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from marl_mm.errors import MarlMmError, UsageError
-from marl_mm.interrupts import terminate_as_interrupt
+from marl_mm.interrupts import end_on_signals
 
 COMMANDS = {
     "quickstart": "collect, train and evaluate in a few minutes, with a report",
@@ -29,7 +29,7 @@ INTERRUPTED = 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``marl-mm`` and return its exit code: 0, 1 failure, 2 usage, 130 Ctrl-C."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    signal.signal(signal.SIGTERM, terminate_as_interrupt)
+    end_on_signals()
     try:
         code = _run(words)
         sys.stdout.flush()

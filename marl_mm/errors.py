@@ -21,6 +21,10 @@ class OutputExistsError(UsageError):
     """The output is there already and ``--overwrite`` was not given."""
 
 
+class OtherConfigError(UsageError):
+    """A run was made with other options than those that are to go on with it."""
+
+
 class UnknownDatasetError(UsageError):
     """No dataset has this id or path."""
 

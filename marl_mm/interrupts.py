@@ -3,6 +3,7 @@
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -11,6 +12,13 @@ _deaf = 0
 
 _late = False
 """Whether an interrupt came while one was."""
+
+_heard = float("-inf")
+"""When the last interrupt came [s]."""
+
+_ECHO = 1.0
+"""An interrupt this soon after another is the same one [s]: ``timeout`` and some shells
+send it to the process and to its group."""
 
 
 @contextmanager
@@ -46,18 +54,34 @@ def deaf_to_interrupts(*, forget: bool = False) -> Iterator[None]:
                 raise KeyboardInterrupt
 
 
-def terminate_as_interrupt(number: int, frame: object) -> None:
-    """A handler that ends a command on SIGTERM as Ctrl-C does: workers and files too.
+def end_on_signals() -> None:
+    """Let SIGINT and SIGTERM alike end a command: its workers and files, too.
 
-    It does not go by way of SIGINT, which is ignored in jobs that a script started in
-    the background.
+    SIGTERM does not go by way of SIGINT, which is ignored in jobs that a script started
+    in the background, and stays so.
     """
+    signal.signal(signal.SIGTERM, interrupt)
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, interrupt)
+
+
+def interrupt(number: int, frame: object) -> None:
+    """A handler of signals; one that repeats the last does nothing.
+
+    Raises:
+        KeyboardInterrupt: Unless a block holds it back.
+    """
+    global _heard
     if _deaf:
         _postpone(number, frame)
-    else:
+        return
+    echo = time.monotonic() - _heard < _ECHO
+    _heard = time.monotonic()
+    if not echo:
         raise KeyboardInterrupt
 
 
 def _postpone(number: int, frame: object) -> None:
-    global _late
+    global _late, _heard
     _late = True
+    _heard = time.monotonic()

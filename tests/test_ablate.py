@@ -50,7 +50,7 @@ def test_every_target_from_raw_runs(
     capsys.readouterr()
     assert ablate(runs, tmp_path, "fig4") == 2
     assert "exists already" in capsys.readouterr().err
-    assert ablate(runs, tmp_path / "x", "fig4", "--budget", "full") == 1
+    assert ablate(runs, tmp_path / "x", "fig4", "--budget", "full") == 2
     assert "was trained with" in capsys.readouterr().err  # smoke is no result
 
 

@@ -234,18 +234,19 @@ def test_train_refuses_and_resumes(run_folder: Path, capsys: Output) -> None:
     capsys.readouterr()
     assert run(*base) == 2
     assert "exists already" in one_line(capsys)
-    assert run(*base, "--resume", "--updates", "200") == 1
+    assert run(*base, "--resume", "--updates", "200") == 2
     assert "was trained with updates = 100 (now 200)" in one_line(capsys)
     options = ["--updates", "100", "--workers", "1", "--curve-episodes", "1"]
-    assert run(*base, "--resume", *options, "--task", "SmoothReach-v0") == 1
+    assert run(*base, "--resume", *options, "--task", "SmoothReach-v0") == 2
     assert "task = Reach-v0 (now SmoothReach-v0)" in one_line(capsys)
     assert run(*base, "--resume", *options) == 0
+    assert run("train", "mabc", "--out", out, "--resume", "--eval-episodes", "2") == 0
     assert run(*base, "--task", "Fly-v0", "--seeds", "8") == 2
     assert not (run_folder.parent / "8").exists()
     assert run(*base, "--resume", *options, "--seeds", "7") == 2
     assert run(*base, "--seeds") == 2
     shown = capsys.readouterr().err
-    assert "no checkpoint in" in shown and "names no seed" in shown
+    assert "no run in" in shown and "names no seed" in shown
     assert run(*base, "--resume", *options, "--seeds", "0", "3") == 0
     assert (run_folder.parent / "3" / "eval.json").exists()
 

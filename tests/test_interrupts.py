@@ -8,15 +8,17 @@ from collections.abc import Iterator
 
 import pytest
 
-from marl_mm.interrupts import deaf_to_interrupts, terminate_as_interrupt
+from marl_mm import interrupts
+from marl_mm.interrupts import deaf_to_interrupts, end_on_signals
 
 
 @pytest.fixture(autouse=True)
-def handlers() -> Iterator[None]:
+def handlers(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Those of a command, in the foreground."""
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, terminate_as_interrupt)
+    monkeypatch.setattr(interrupts, "_heard", float("-inf"))
+    end_on_signals()
     yield
     signal.signal(signal.SIGINT, before[0])
     signal.signal(signal.SIGTERM, before[1])
@@ -49,8 +51,22 @@ def test_a_second_interrupt_changes_nothing(number: signal.Signals) -> None:
         os.kill(os.getpid(), number)
 
 
+def test_an_interrupt_sent_twice_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(KeyboardInterrupt, match="the message"):
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+        except KeyboardInterrupt:
+            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), signal.SIGTERM)
+            raise KeyboardInterrupt("the message") from None
+    monkeypatch.setattr(interrupts, "_ECHO", 0.0)  # as if it came much later
+    with pytest.raises(KeyboardInterrupt):
+        os.kill(os.getpid(), signal.SIGINT)
+
+
 def test_what_is_ignored_stays_ignored() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_on_signals()
     with deaf_to_interrupts():
         os.kill(os.getpid(), signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN

@@ -185,9 +185,7 @@ def test_resume_refuses_another_config(
 ) -> None:
     train(Mabc(CONFIG, data, seed=0), tmp_path, no_evaluation, 1000)
     other = Mabc(replace(CONFIG, learning_rate=1e-3), data, seed=0)
-    with pytest.raises(
-        CheckpointError, match=r"learning_rate = 0\.0005 \(now 0\.001\)"
-    ):
+    with pytest.raises(UsageError, match=r"learning_rate = 0\.0005 \(now 0\.001\)"):
         resume(other, tmp_path)
 
 

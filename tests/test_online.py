@@ -415,11 +415,15 @@ def test_training_does_not_depend_on_workers_or_interruptions(
     capsys.readouterr()
     assert main(words) == 2
     assert "exists already" in capsys.readouterr().err
-    assert main([*words, "--resume", "--noise", "0.3"]) == 1
+    assert main([*words, "--resume", "--noise", "0.3"]) == 2
     assert "noise = 0.1 (now 0.3)" in capsys.readouterr().err
+    again = ["train", "ddpg-her", "--out", "cut", "--eval-episodes", "2", "--resume"]
+    assert main([*again, "--noise", "0.3"]) == 2
+    assert "with noise = 0.1 (now 0.3):" in capsys.readouterr().err  # nothing else
+    assert main([*again, "--preset", "paper"]) == 2
     kept = Path("cut/0/eval.json")
     seen = kept.stat().st_mtime_ns
-    assert main([*words, "--resume"]) == 0
+    assert main(again) == 0
     assert kept.stat().st_mtime_ns == seen  # nothing is evaluated twice
     assert main([*words, "--resume", "--eval-episodes", "1"]) == 0
     assert len(json.loads(kept.read_text())["episodes"]) == 1  # unless asked for
@@ -506,7 +510,7 @@ def test_usage_of_train_online(
         (["ddpg", "--seeds", "1", "1"], "--seeds is 1 1, expected each seed once"),
         (["ddpg", "--resume", "--overwrite"], "contradict each other"),
         ([], "see marl-mm train --help"),
-        (["ddpg", "--resume"], "no checkpoint in runs/ddpg to resume from"),
+        (["ddpg", "--resume"], "no run in runs/ddpg to resume"),
         (["ddpg", "--demonstrations", "marl_mm/reach/none-v0"], "none-v0"),
         (["ddpg", "--curve-episodes", "0"], "--curve-episodes is 0"),
     ):

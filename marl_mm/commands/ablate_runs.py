@@ -23,7 +23,7 @@ from marl_mm.commands.train_online import (
 from marl_mm.commands.train_sb3 import check_sb3, check_sb3_run, train_sb3_run
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import locate
-from marl_mm.errors import CheckpointError, DivergedError, UsageError
+from marl_mm.errors import DivergedError, OtherConfigError, UsageError
 from marl_mm.eval.online import SETTINGS, Setting
 from marl_mm.files import only_here
 
@@ -75,7 +75,7 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
 
     Raises:
         UsageError: If Stable-Baselines3 is needed and not installed.
-        CheckpointError: If a run was made with something else.
+        OtherConfigError: If a run was made with something else.
     """
     wanted = [setting for setting in SETTINGS if setting.name in names]
     if any(setting.library == "sb3" for setting in wanted):
@@ -93,9 +93,9 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
             try:
                 check = check_sb3_run if sb3 else check_online_run
                 check(training, seed, run)
-            except CheckpointError as error:
+            except OtherConfigError as error:
                 before, _, _ = str(error).partition(": go on with the same")
-                raise CheckpointError(
+                raise OtherConfigError(
                     f"{before}: name another folder with --runs, or delete this one"
                 ) from error
         if finished:

@@ -2,9 +2,9 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.policy import load_policy
@@ -21,6 +21,9 @@ from marl_mm.eval.evaluate import Evaluation, evaluate
 from marl_mm.files import refuse_existing, write_json
 from marl_mm.progress import progress_bar
 
+T = TypeVar("T")
+
+CONFIG = "config.json"
 EVALUATION = "eval.json"
 BEST_EVALUATION = "eval_best.json"
 CURVE = "learning_curve.png"
@@ -47,7 +50,8 @@ class TrainOptions:
     """Processes that run episodes; the result does not depend on it."""
 
     resume: bool = False
-    """Go on where runs were stopped; seeds that have none start."""
+    """Go on where runs were stopped; seeds that have none start. What is left out is as
+    the first run in OUT has it."""
 
     overwrite: bool = False
     """Start anew where a run exists."""
@@ -67,12 +71,9 @@ def check_options(options: TrainOptions, out: Path) -> None:
     check_seeds(options.seeds)
     if options.resume and options.overwrite:
         raise UsageError("--resume and --overwrite contradict each other: choose one")
-    if options.resume and not any(
-        (out / str(s) / FILE).exists() for s in options.seeds
-    ):
-        raise UsageError(
-            f"no checkpoint in {out} to resume from: leave out --resume to start"
-        )
+    runs = [out / str(seed) / CONFIG for seed in options.seeds]
+    if options.resume and not any(run.exists() for run in runs):
+        raise UsageError(f"no run in {out} to resume: leave out --resume to start")
 
 
 def check_run(
@@ -90,11 +91,10 @@ def check_run(
         ignored: Keys of the config in which a run that is resumed may differ.
 
     Raises:
-        UsageError: If the run exists.
-        CheckpointError: If the run to resume was made with something else.
+        UsageError: If the run exists, or the one to resume is of another config.
     """
     if not options.resume:
-        if (run / FILE).exists() and not options.overwrite:
+        if (run / CONFIG).exists() and not options.overwrite:
             raise OutputExistsError(
                 f"{run} exists already; go on with --resume, choose another --out or "
                 "add --overwrite"
@@ -112,12 +112,10 @@ def refuse_other(
     """Raise if a run was made of something else than this config.
 
     Raises:
-        CheckpointError: Naming the first key that differs.
+        OtherConfigError: Naming what differs.
+        CheckpointError: If its config cannot be read.
     """
-    try:
-        theirs = json.loads((run / "config.json").read_text())
-    except (OSError, ValueError) as error:
-        raise CheckpointError(f"cannot read {run / 'config.json'}: {error}") from error
+    theirs = _read_config(run)
     mine = json.loads(json.dumps(config))
     for key in ("packages", *ignored):
         mine.pop(key, None)
@@ -133,16 +131,60 @@ def start_run(run: Path, config: dict[str, Any]) -> None:
     names = (FILE, BEST, METRICS, EVALUATION, BEST_EVALUATION, CURVE, SB3_BEST)
     for path in (*(run / name for name in names), *run.glob("events.out.tfevents.*")):
         path.unlink(missing_ok=True)
-    write_json(run / "config.json", config)
+    write_json(run / CONFIG, config)
+
+
+def saved_options(options: T, out: Path) -> T:
+    """Options with the values that the runs in a folder were made of, if there are any.
+
+    Args:
+        options: A dataclass of them, with others in it.
+        out: The folder of the runs, one for each seed.
+
+    Raises:
+        CheckpointError: If the first run's config cannot be read.
+    """
+    runs = sorted(
+        (run.parent for run in out.glob(f"*/{CONFIG}") if run.parent.name.isdecimal()),
+        key=lambda run: int(run.name),
+    )
+    if not runs:
+        return options
+    config = _read_config(runs[0])
+    dataset = (config.get("dataset") or {}).get("path")
+    seeds = [int(run.name) for run in runs]
+    known = {"seeds": seeds, "dataset": dataset, "demonstrations": dataset}
+    resumed: T = _with_values(options, config | known)
+    return resumed
+
+
+def _with_values(options: Any, values: dict[str, Any]) -> Any:
+    changes: dict[str, Any] = {}
+    for one in fields(options):
+        value = getattr(options, one.name)
+        if is_dataclass(value):
+            changes[one.name] = _with_values(value, values)
+        elif one.name in values:
+            known = values[one.name]
+            changes[one.name] = tuple(known) if isinstance(value, tuple) else known
+    return replace(options, **changes)
+
+
+def _read_config(run: Path) -> dict[str, Any]:
+    try:
+        config: dict[str, Any] = json.loads((run / CONFIG).read_text())
+    except (OSError, ValueError) as error:
+        raise CheckpointError(f"cannot read {run / CONFIG}: {error}") from error
+    return config
 
 
 def continue_run(run: Path, changes: dict[str, Any]) -> None:
     """Note in a run's config what it goes on with."""
-    config = json.loads((run / "config.json").read_text())
+    config = _read_config(run)
     if config | changes != config:  # evaluations were of where it ended before
         (run / EVALUATION).unlink(missing_ok=True)
         (run / BEST_EVALUATION).unlink(missing_ok=True)
-        write_json(run / "config.json", config | changes)
+        write_json(run / CONFIG, config | changes)
 
 
 def evaluate_run(

@@ -6,9 +6,11 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast, get_args
 
+import tyro
+
 from marl_mm.algorithms.presets import Preset
 from marl_mm.commands.parser import Subcommand, parse_subcommand
-from marl_mm.commands.runs import check_options, told
+from marl_mm.commands.runs import check_options, saved_options, told
 from marl_mm.commands.train_offline import (
     TrainMabc,
     check_offline,
@@ -32,8 +34,12 @@ def main(arguments: Sequence[str]) -> None:
         name: Subcommand(online_options(name, preset), description)
         for name, description in ONLINE.items()
     }
+    commands: dict[str, type | Subcommand] = {"mabc": TrainMabc, **online}
+    named = _value(arguments, "--preset", "")  # asks for that one's values
+    if "--resume" in arguments and arguments[0] in commands and not named:
+        commands[arguments[0]] = _resumed(arguments, preset)
     name, options = parse_subcommand(
-        {"mabc": TrainMabc, **online},
+        commands,
         "marl-mm train",
         "Train a policy: from a dataset file (mabc), or from its own episodes.",
         arguments,
@@ -70,15 +76,32 @@ def _online(name: str, options: Any, runs: dict[int, Path]) -> Any:
         yield run, *train_online_run(options, seed, run)
 
 
+def _resumed(arguments: Sequence[str], preset: Preset) -> Subcommand:
+    """Options whose defaults are the values that the first run was made of."""
+    name = arguments[0]
+    out = Path(_value(arguments, "--out", f"runs/{name}"))
+    if name in ONLINE:
+        options = saved_options(online_options(name, preset), out)
+        return Subcommand(options, ONLINE[name])
+    offline = saved_options(TrainMabc(dataset=tyro.MISSING), out)
+    return Subcommand(offline, TrainMabc.__doc__ or "")
+
+
 def _preset(arguments: Sequence[str]) -> Preset:
     """The preset that the other options' defaults depend on."""
-    name = "tuned"
-    for word, following in pairwise([*arguments, ""]):
-        if word == "--preset":
-            name = following
-        elif word.startswith("--preset="):
-            name = word.removeprefix("--preset=")
+    name = _value(arguments, "--preset", "tuned")
     if name not in get_args(Preset) and arguments[0] in ONLINE:
         choices = ", ".join(get_args(Preset))
         raise UsageError(f"--preset is {name!r}, expected one of {choices}")
     return cast(Preset, name)
+
+
+def _value(arguments: Sequence[str], option: str, default: str) -> str:
+    """An option's value, before all options are parsed."""
+    value = default
+    for word, following in pairwise([*arguments, ""]):
+        if word == option:
+            value = following
+        elif word.startswith(f"{option}="):
+            value = word.removeprefix(f"{option}=")
+    return value

@@ -40,7 +40,7 @@ def check_sb3_run(options: TrainDdpg, seed: int, run: Path) -> None:
     """Raise if a finished run was made with something else.
 
     Raises:
-        CheckpointError: Naming the first key that differs.
+        OtherConfigError: Naming what differs.
     """
     refuse_other(run, _run_config(options, seed))
 
