@@ -2,23 +2,28 @@
 
 Attempt i is seeded from (seed, i) and attempts are kept in order of i, so the result
 depends neither on the number of workers nor on when the loop was interrupted. A dataset
-of N steps is the shortest run of whole kept episodes with at least N steps.
+of N steps is the shortest run of whole kept episodes with at least N steps, so that a
+longer one begins with the shorter.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import count
 
+from marl_mm.collectors.medium import MediumConfig, MediumPolicy
 from marl_mm.collectors.pd import PdConfig, PdPolicy
+from marl_mm.collectors.pretrained import PretrainedConfig, PretrainedPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
-from marl_mm.envs.config import ReachConfig
-from marl_mm.envs.rollout import EpisodePlan, episode_seed, run_episodes
+from marl_mm.envs.rollout import EpisodePlan, episode_seed
 from marl_mm.episode import Episode
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
 
-PolicyConfig = PdConfig | RandomConfig
+PolicyConfig = PdConfig | RandomConfig | PretrainedConfig | MediumConfig
+
+RunEpisodes = Callable[[Policy, Iterable[EpisodePlan]], Iterator[Episode]]
+"""Runs episodes and yields each when it is finished, in whatever order."""
 
 _HOPELESS = 200
 """Attempts in a row without one to keep, after which the loop gives up."""
@@ -47,29 +52,40 @@ class Collection:
 
 
 def make_collector(config: PolicyConfig) -> Collector:
-    """The collector a config describes: PD keeps successes, random keeps everything."""
+    """The collector a config describes: experts keep successes, others everything.
+
+    Raises:
+        UsageError: If it names an agent that does not exist.
+    """
     if isinstance(config, PdConfig):
-        return Collector(PdPolicy(config), lambda episode: episode.success, 50)
-    return Collector(RandomPolicy(config), lambda episode: True, 25)
+        return Collector(PdPolicy(config), _reached, 50)
+    if isinstance(config, PretrainedConfig):
+        return Collector(PretrainedPolicy(config), _reached, 25)
+    if isinstance(config, MediumConfig):
+        return Collector(MediumPolicy(config), _whatever, 25)
+    return Collector(RandomPolicy(config), _whatever, 25)
 
 
 def collect(
     collector: Collector,
-    task: ReachConfig,
+    run: RunEpisodes,
     steps: int,
     seed: int,
-    workers: int = 1,
     advance: Advance = silent,
+    known: Mapping[int, Episode | None] | None = None,
+    keep_safe: Callable[[Episode], None] = lambda episode: None,
 ) -> Collection:
     """Collect whole episodes until they have ``steps`` steps, or until Ctrl-C.
 
     Args:
         collector: Who acts and what is kept.
-        task: Where; its ``max_steps`` is the episodes' length.
+        run: Runs the attempts.
         steps: Least number of steps of the kept episodes.
         seed: Of the whole collection.
-        workers: Processes.
         advance: Told the kept steps.
+        known: Attempts that were made before, by number; None for one that was not
+            kept.
+        keep_safe: Told each new attempt as soon as it is finished.
 
     Raises:
         UsageError: If ``steps`` is not positive or ``seed`` is negative.
@@ -79,14 +95,19 @@ def collect(
         raise UsageError(f"steps is {steps}, expected >= 1")
     if seed < 0:
         raise UsageError(f"seed is {seed}, expected >= 0")
-    plans = (EpisodePlan(i, episode_seed(seed, i, "collect")) for i in count())
-    attempts = run_episodes(task, collector.policy, plans, workers)
+    known = known or {}
+    plans = (
+        EpisodePlan(i, episode_seed(seed, i, "collect"))
+        for i in count()
+        if i not in known
+    )
+    attempts = run(collector.policy, plans)
     kept: list[Episode] = []
     done = rejected = tried = 0
     try:
-        for episode in attempts:
-            tried = episode.index + 1
-            if collector.keep(episode):
+        for episode in _in_order(attempts, known, keep_safe):
+            tried += 1
+            if episode is not None and collector.keep(episode):
                 kept.append(episode)
                 advance(min(len(episode), steps - done), f"{len(kept)} episodes")
                 done += len(episode)
@@ -98,11 +119,36 @@ def collect(
             if rejected >= _HOPELESS:
                 raise MarlMmError(
                     f"{collector.policy.name} reached no goal in {rejected} episodes "
-                    f"in a row of at most {task.max_steps} steps: allow more with "
-                    "--max-steps, or change its gains or alpha"
+                    "in a row: allow more steps with --max-steps, or change what acts"
                 )
     except KeyboardInterrupt:
         return Collection(kept, tried, complete=False)
     finally:
         attempts.close()  # type: ignore[attr-defined]
     raise AssertionError("plans are endless")
+
+
+def _in_order(
+    attempts: Iterator[Episode],
+    known: Mapping[int, Episode | None],
+    keep_safe: Callable[[Episode], None],
+) -> Iterator[Episode | None]:
+    """Attempts 0, 1, ..., the known ones and new ones that come in any order."""
+    waiting: dict[int, Episode] = {}
+    for number in count():
+        if number in known:
+            yield known[number]
+            continue
+        while number not in waiting:
+            episode = next(attempts)
+            keep_safe(episode)
+            waiting[episode.index] = episode
+        yield waiting.pop(number)
+
+
+def _reached(episode: Episode) -> bool:
+    return episode.success
+
+
+def _whatever(episode: Episode) -> bool:
+    return True

@@ -1,52 +1,183 @@
-"""A dataset's card: what is in it, as numbers."""
+"""A dataset's card: what is in it, as numbers, as text, and as a figure.
 
+It is kept with the dataset: ``card.json``, ``card.md`` and ``card.png``.
+"""
+
+import json
 from typing import Any
 
 import numpy as np
 
+from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.datasets.dataset import Dataset
-from marl_mm.layout import ALPHA
+from marl_mm.files import new_file, write_json
+from marl_mm.layout import ACTION_HIGH, ACTION_LOW, ALPHA, BASE, EE, GOAL
 
-_ALPHA_BINS = 5
+_BINS = 10
+_CELL = 0.1
+"""Edge of the cells that coverage counts [m]."""
 
 
 def card(dataset: Dataset) -> dict[str, Any]:
-    """Size, successes, lengths, returns and alphas of a dataset, JSON-serialisable."""
-    episodes = dataset.episodes
+    """Size, successes, lengths, returns, alphas, coverage and sources of a dataset.
+
+    Everything is JSON-serialisable. A histogram has ten bins of equal width from
+    ``low`` to ``high``.
+    """
+    arrays = dataset.arrays
     ours = dataset.metadata["marl_mm"]
-    lengths = [len(episode) for episode in episodes]
-    returns = [episode.episode_return for episode in episodes]
-    alphas = np.concatenate([episode.actions[:, ALPHA] for episode in episodes])
-    histogram, _ = np.histogram(alphas, bins=_ALPHA_BINS, range=(0.0, 1.0))
+    ahead = arrays.first_states()[:, GOAL][:, 0] > 0
+    successes = arrays.successes()
+    alphas = arrays.actions[:, ALPHA].astype(float)
     return {
         "id": dataset.metadata["dataset_id"],
         "path": str(dataset.location.folder),
-        "task": ours.get("task"),
+        "task": ours["task"],
         "collector": ours.get("collector"),
         "seed": ours.get("seed"),
         "complete": ours.get("complete"),
         "attempts": ours.get("attempts"),
-        "steps": int(sum(lengths)),
-        "episodes": len(episodes),
+        "steps": arrays.steps,
+        "episodes": len(arrays),
         "success": {
-            direction: _share([e.success for e in episodes if e.direction == direction])
-            for direction in ("forward", "backward")
+            "forward": _share(successes[ahead]),
+            "backward": _share(successes[~ahead]),
         },
-        "episode_length": _spread(lengths),
-        "episode_return": _spread(returns),
+        "episode_length": _spread(arrays.lengths),
+        "episode_return": _spread(arrays.returns()),
+        "return_histogram": _histogram(arrays.returns()),
         "alpha": _spread(alphas),
-        "alpha_histogram": histogram.tolist(),
+        "alpha_histogram": _histogram(alphas, (0.0, 1.0)),
+        "coverage": coverage(arrays),
+        "sources": _sources(arrays),
     }
 
 
-def _share(successes: list[bool]) -> dict[str, Any]:
-    rate = float(np.mean(successes)) if successes else None
+def coverage(arrays: EpisodeArrays) -> dict[str, float]:
+    """How many different things the data show, by counting cells.
+
+    A state's cell: where the goal is seen from the hand and the hand from the base, in
+    cubes of 10 cm. A state and action's: that, and a third of each action's range.
+    After Schweighofer 2022, who count unique pairs.
+    """
+    states = arrays.states[~arrays.is_last_state()]
+    base = np.zeros((len(states), 3))
+    base[:, :2] = states[:, BASE][:, :2]
+    seen = np.hstack([states[:, GOAL] - states[:, EE], states[:, EE] - base])
+    low, high = np.array(ACTION_LOW), np.array(ACTION_HIGH)
+    thirds = np.minimum((arrays.actions - low) / (high - low) * 3, 2).astype(int)
+    cells = np.floor(seen / _CELL).astype(int)
+    pairs = len(np.unique(np.hstack([cells, thirds]), axis=0))
+    return {
+        "state_cells": len(np.unique(cells, axis=0)),
+        "state_action_cells": pairs,
+        "state_action_cells_per_step": pairs / arrays.steps,
+    }
+
+
+def keep_card(dataset: Dataset) -> dict[str, Any]:
+    """Write a dataset's card beside it as JSON, Markdown and figure; return it.
+
+    Where the folder belongs to somebody else, nothing is written.
+    """
+    from marl_mm.datasets.card_figure import draw_card  # matplotlib takes a second
+
+    values = card(dataset)
+    kept = {key: value for key, value in values.items() if key != "path"}
+    folder = dataset.location.folder
+    known = folder / "card.json"
+    if (folder / "card.png").exists() and known.exists():
+        try:
+            if json.loads(known.read_text()) == kept:
+                return values
+        except ValueError:
+            pass
+    try:
+        write_json(known, kept)
+        with new_file(folder / "card.md") as temporary:
+            temporary.write_text(card_markdown(kept))
+        with new_file(folder / "card.png") as temporary:
+            draw_card(dataset.arrays, kept, temporary)
+    except PermissionError:
+        pass
+    return values
+
+
+def card_text(values: dict[str, Any]) -> str:
+    """The card as lines."""
+    rows = _rows(values)
+    width = max(len(name) for name, _ in rows)
+    return "\n".join(f"{name:<{width}}  {text}" for name, text in rows)
+
+
+def card_markdown(values: dict[str, Any]) -> str:
+    """The card as a Markdown page with its figure."""
+    rows = "\n".join(f"| {name} | {text} |" for name, text in _rows(values))
+    return f"# {values['id']}\n\n| | |\n| --- | --- |\n{rows}\n\n![card](card.png)\n"
+
+
+def _rows(values: dict[str, Any]) -> list[tuple[str, str]]:
+    return [(key.replace("_", " "), _text(value)) for key, value in values.items()]
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, dict) and "counts" in value:
+        low, high = _text(value["low"]), _text(value["high"])
+        return f"{bars(value['counts'])}  {low} to {high}"
+    if isinstance(value, dict):
+        return ", ".join(f"{key}: {_text(item)}" for key, item in value.items())
+    if isinstance(value, list):
+        return "; ".join(_text(item) for item in value)
+    if isinstance(value, float):
+        return f"{value:.3g}"
+    return "-" if value is None else str(value)
+
+
+def bars(counts: list[int]) -> str:
+    """A histogram in one line."""
+    top = max(max(counts), 1)
+    return "".join(" ▁▂▃▄▅▆▇█"[-(-8 * count // top)] for count in counts)
+
+
+def _share(successes: np.ndarray) -> dict[str, Any]:
+    rate = float(np.mean(successes)) if len(successes) else None
     return {"episodes": len(successes), "rate": rate}
 
 
-def _spread(values: Any) -> dict[str, float]:
+def _spread(values: np.ndarray) -> dict[str, float]:
     return {
         "min": float(np.min(values)),
         "mean": float(np.mean(values)),
         "max": float(np.max(values)),
     }
+
+
+def _histogram(
+    values: np.ndarray, ends: tuple[float, float] | None = None
+) -> dict[str, Any]:
+    counts, edges = np.histogram(values, bins=_BINS, range=ends)
+    return {
+        "low": float(edges[0]),
+        "high": float(edges[-1]),
+        "counts": counts.tolist(),
+    }
+
+
+def _sources(arrays: EpisodeArrays) -> list[dict[str, Any]]:
+    """Steps of each dataset and policy that the episodes come from."""
+    rows = []
+    for origin in np.unique(arrays.origins):
+        of_origin = arrays.origins == origin
+        for source in np.unique(arrays.sources[of_origin]):
+            chosen = of_origin & (arrays.sources == source)
+            steps = int(arrays.lengths[chosen].sum())
+            rows.append(
+                {
+                    "dataset": str(origin),
+                    "collector": str(source),
+                    "episodes": int(chosen.sum()),
+                    "steps": steps,
+                    "share": steps / arrays.steps,
+                }
+            )
+    return rows

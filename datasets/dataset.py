@@ -1,4 +1,9 @@
-"""A dataset in memory: its episodes and flat views of their transitions."""
+"""A dataset in memory: its episodes, and flat views of their transitions.
+
+One set of arrays holds everything; episodes, and what an agent sees and sets, are views
+of it. Only the hand's observation is a copy, since its entries in the joint state have
+the control mode between them.
+"""
 
 import hashlib
 from dataclasses import dataclass
@@ -8,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from marl_mm.datasets.location import Location, locate
-from marl_mm.datasets.storage import read_episodes, read_metadata
+from marl_mm.datasets.arrays import EpisodeArrays
+from marl_mm.datasets.location import Location, find
+from marl_mm.datasets.storage import read_arrays, read_metadata
 from marl_mm.episode import Episode
 from marl_mm.layout import AGENTS
 
@@ -47,10 +53,10 @@ class Transitions:
     ) -> "Transitions":
         """Some entries of observation and action, everything else shared."""
         return Transitions(
-            self.observation[:, list(observation)],
-            self.action[:, list(action)],
+            self.observation[:, _columns(observation)],
+            self.action[:, _columns(action)],
             self.reward,
-            self.next_observation[:, list(observation)],
+            self.next_observation[:, _columns(observation)],
             self.terminated,
             self.truncated,
             self.episode,
@@ -63,20 +69,24 @@ class Dataset:
 
     location: Location
     metadata: dict[str, Any]
-    episodes: list[Episode]
+    arrays: EpisodeArrays
+
+    @cached_property
+    def episodes(self) -> list[Episode]:
+        """In order; their arrays are views."""
+        return [self.arrays.episode(number) for number in range(len(self.arrays))]
 
     @cached_property
     def _joint(self) -> Transitions:
-        episodes = self.episodes
-        lengths = [len(episode) for episode in episodes]
+        arrays = self.arrays
         return Transitions(
-            np.concatenate([episode.states[:-1] for episode in episodes]),
-            np.concatenate([episode.actions for episode in episodes]),
-            np.concatenate([episode.rewards for episode in episodes]),
-            np.concatenate([episode.states[1:] for episode in episodes]),
-            np.concatenate([episode.terminated for episode in episodes]),
-            np.concatenate([episode.truncated for episode in episodes]),
-            np.repeat(np.arange(len(episodes)), lengths),
+            arrays.states[~arrays.is_last_state()],
+            arrays.actions,
+            arrays.rewards,
+            arrays.states[~arrays.is_first_state()],
+            arrays.terminated,
+            arrays.truncated,
+            arrays.step_episode(),
         )
 
     @cached_property
@@ -111,12 +121,19 @@ def load_dataset(name: str | Path | Location) -> Dataset:
     """Read a dataset by id or path.
 
     Args:
-        name: An id such as ``marl_mm/reach/pd-v0``, a path, or a location.
+        name: An id such as ``marl_mm/reach/pd-v0``, a short one such as ``pd``, a path,
+            or a location.
 
     Raises:
         UnknownDatasetError: If there is none; the message lists the known ids.
         DatasetError: If its files are damaged.
     """
-    location = name if isinstance(name, Location) else locate(str(name))
+    location = name if isinstance(name, Location) else find(str(name))
     metadata = read_metadata(location)
-    return Dataset(location, metadata, read_episodes(location))
+    return Dataset(location, metadata, read_arrays(location, metadata))
+
+
+def _columns(entries: tuple[int, ...]) -> slice | list[int]:
+    """A slice where it says the same, as that makes a view."""
+    run = slice(entries[0], entries[-1] + 1)
+    return run if entries == tuple(range(run.start, run.stop)) else list(entries)

@@ -26,6 +26,11 @@ class Location:
         """Minari's folder within, with the HDF5 file and its metadata."""
         return self.folder / "data"
 
+    @property
+    def working(self) -> Path:
+        """What a collection into the folder keeps while it is under way."""
+        return self.folder.with_name(f".{self.folder.name}.collecting")
+
 
 def datasets_root() -> Path:
     """``$MINARI_DATASETS_PATH``, or Minari's default in the home folder."""
@@ -51,6 +56,21 @@ def locate(text: str) -> Location:
     name = re.sub(r"[^a-zA-Z0-9_-]", "-", folder.name)
     versioned = name if re.search(r"-v\d+$", name) else f"{name}-v0"
     return Location(f"marl_mm/local/{versioned}", folder)
+
+
+def find(text: str) -> Location:
+    """The location of a dataset to read: also by the last part of its id alone.
+
+    ``good`` means ``marl_mm/reach/good-v0`` where there is that and no folder ``good``.
+
+    Raises:
+        UsageError: If the text is empty, or an id of ours without a version.
+    """
+    location = locate(text)
+    short = Path(f"marl_mm/reach/{text}-v0")
+    if not location.folder.exists() and (datasets_root() / short).exists():
+        return locate(short.as_posix())
+    return location
 
 
 def known_ids() -> list[str]:

@@ -1,38 +1,42 @@
-"""Minari's HDF5 files: the only module that knows their layout.
+"""A dataset's folder: Minari's ``data/``, our metadata in it, and a cache beside it.
 
-One dataset is a folder with ``data/main_data.hdf5`` and ``data/metadata.json``. The
-canonical form is joint: goal-dictionary observations, joint action, team reward. Our
-own metadata stand under the key ``marl_mm``.
+The canonical form is joint: goal-dictionary observations, joint action, team reward.
+Our own metadata stand under the key ``marl_mm``, with a hash of the data and one of
+themselves. ``cache/`` holds the same episodes as flat arrays, named after the data's
+hash: it is written with the dataset, and again if it is missing.
 """
 
+import hashlib
 import json
-from collections.abc import Sequence
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
-import h5py
+import gymnasium
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
-from minari.data_collector import EpisodeBuffer
 from minari.dataset.minari_storage import MinariStorage
 
+from marl_mm.datasets.arrays import EpisodeArrays, load_arrays, save_arrays
+from marl_mm.datasets.hdf5 import FILE, read_hdf5, write_hdf5
 from marl_mm.datasets.location import Location, datasets_root, known_ids
 from marl_mm.datasets.reference import reference_scores
-from marl_mm.episode import INFO, Episode
 from marl_mm.errors import DatasetError, UnknownDatasetError, UsageError
-from marl_mm.files import new_folder, refuse_existing
-from marl_mm.layout import ACTION, AGENTS, EE, GOAL, OBSERVATION, STATE
+from marl_mm.files import new_file, new_folder, refuse_existing
+from marl_mm.layout import ACTION, AGENTS, STATE
 from marl_mm.spaces import action_space, goal_observation_space
 from marl_mm.versions import versions
 
-SCHEMA = 1
+SCHEMA = 2
 """Version of our metadata."""
+
+OWN_FILES = frozenset({"data", "cache", "card.json", "card.md", "card.png"})
+"""What a dataset's folder may hold."""
 
 
 def write_dataset(
     location: Location,
-    episodes: Sequence[Episode],
-    env_spec: EnvSpec,
+    arrays: EpisodeArrays,
     description: dict[str, Any],
     overwrite: bool = False,
 ) -> None:
@@ -40,32 +44,47 @@ def write_dataset(
 
     Args:
         location: Where.
-        episodes: In order; at least one.
-        env_spec: Of the environment they come from.
-        description: Collector's name, its config, seed and the like; JSON-serialisable.
+        arrays: The episodes.
+        description: Task and ``overrides`` of its environment; collector's name, its
+            config, seed and the like; JSON-serialisable.
         overwrite: Replace a dataset that is there already.
 
     Raises:
         OutputExistsError: If it exists and may not be replaced.
-        DatasetError: If there are no episodes.
+        UsageError: If something else is there.
     """
     refuse_existing(location.folder, overwrite)
     refuse_foreign(location)
-    if not episodes:
-        raise DatasetError(f"no episode to write to {location.folder}")
     with new_folder(location.folder) as temporary:
         storage = MinariStorage.new(
             temporary / "data",
             observation_space=goal_observation_space(),
             action_space=action_space(),
-            env_spec=env_spec,
+            env_spec=env_spec(description),
             data_format="hdf5",
         )
-        storage.update_metadata(_metadata(location, episodes, description))
-        storage.update_episodes(_buffer(episode) for episode in episodes)
-        storage.update_episode_metadata(_attributes(episode) for episode in episodes)
+        path = temporary / "data" / FILE
+        path.unlink()
+        write_hdf5(path, arrays)
+        digest = file_digest(path)
+        storage.update_metadata(
+            {
+                "total_episodes": len(arrays),
+                "total_steps": arrays.steps,
+                "dataset_size": storage.get_size(),
+                **_metadata(location, arrays, description, digest),
+            }
+        )
+        _write_cache(temporary, digest, arrays)
     if location.folder == datasets_root() / location.id:
         _name_namespaces(location)
+
+
+def env_spec(description: dict[str, Any]) -> EnvSpec:
+    """The environment that a dataset's episodes come from."""
+    spec = deepcopy(gymnasium.spec(f"marl_mm/{description['task']}"))
+    spec.kwargs["overrides"] = description.get("overrides", {})
+    return spec
 
 
 def refuse_foreign(location: Location) -> None:
@@ -76,7 +95,7 @@ def refuse_foreign(location: Location) -> None:
     """
     folder = location.folder
     if folder.exists() and (
-        not folder.is_dir() or {path.name for path in folder.iterdir()} - {"data"}
+        not folder.is_dir() or {path.name for path in folder.iterdir()} - OWN_FILES
     ):
         raise UsageError(
             f"{folder} is no dataset, or holds other files too: it is not replaced; "
@@ -104,152 +123,131 @@ def read_metadata(location: Location) -> dict[str, Any]:
         raise DatasetError(f"cannot read {path}: {error}") from error
     ours = metadata.get("marl_mm") if isinstance(metadata, dict) else None
     schema = ours.get("schema") if isinstance(ours, dict) else None
-    if schema != SCHEMA or "total_episodes" not in metadata:
+    if not isinstance(ours, dict) or schema != SCHEMA:
         raise DatasetError(
             f"{path} is not of a marl_mm dataset of schema {SCHEMA}: its schema is "
-            f"{schema!r}"
+            f"{schema!r}; marl-mm datasets import takes other HDF5 files"
         )
+    if ours.get("metadata_sha256") != _own_digest(ours):
+        raise DatasetError(f"{path} is damaged: 'marl_mm' is not as it was written")
     return metadata
 
 
-def read_episodes(location: Location) -> list[Episode]:
+def read_arrays(
+    location: Location, metadata: dict[str, Any], cached: bool = True
+) -> EpisodeArrays:
     """All episodes of a dataset, in order.
 
+    Args:
+        location: Where.
+        metadata: From ``read_metadata``.
+        cached: Whether the cache is asked first, and written if it is missing.
+
     Raises:
-        UnknownDatasetError: If there is no such dataset.
-        DatasetError: If the file is truncated or lacks a key.
+        DatasetError: If the data are not what was written.
     """
-    total = read_metadata(location)["total_episodes"]
-    path = location.data / "main_data.hdf5"
+    path = location.data / FILE
+    expected = metadata["marl_mm"]["data_sha256"]
     try:
-        with h5py.File(path, "r") as file:
-            episodes = [_episode(file[f"episode_{i}"]) for i in range(total)]
-    except (OSError, KeyError, ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
+        digest = file_digest(path)
+    except OSError as error:
+        raise DatasetError(f"cannot read {path}: {error.strerror}") from error
+    if digest != expected:
         raise DatasetError(
-            f"{path} is damaged ({reason}); collect it again with --overwrite"
-        ) from error
-    for i, episode in enumerate(episodes):
-        _check_episode(path, i, episode)
-    return episodes
+            f"{path} is damaged: its {path.stat().st_size} bytes are not those that "
+            "were written; collect it again with --overwrite, or read what is left "
+            "with marl-mm datasets import"
+        )
+    if cached and (found := _read_cache(location.folder, digest)) is not None:
+        return found
+    arrays = read_hdf5(path, metadata["marl_mm"]["episodes"])
+    if cached:
+        try:
+            _write_cache(location.folder, digest, arrays)
+        except OSError:  # somebody else's folder, or a full disk: it works without
+            pass
+    return arrays
 
 
-def _check_episode(path: Path, number: int, episode: Episode) -> None:
-    """Raise for an episode that cannot be: wrong shapes, or not finite.
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
-    Raises:
-        DatasetError: Naming episode and field.
-    """
-    steps = len(episode.rewards)
-    shapes = {
-        "states": (steps + 1, len(STATE)),
-        "actions": (steps, len(ACTION)),
-        "rewards": (steps,),
-        "terminated": (steps,),
-        "truncated": (steps,),
-    }
-    for name, expected in shapes.items():
-        values = getattr(episode, name)
-        if values.shape != expected or steps == 0:
-            raise DatasetError(
-                f"{path}, episode {number}: {name} have shape {values.shape}, expected "
-                f"{expected}; collect it again with --overwrite"
-            )
-        if not np.isfinite(values).all():
-            raise DatasetError(
-                f"{path}, episode {number}: {name} hold a NaN or an infinity; collect "
-                "it again with --overwrite"
-            )
+
+def cache_file(folder: Path, digest: str) -> Path:
+    """Where the flat arrays of data with this hash are."""
+    return folder / "cache" / f"{digest[:16]}.npz"
+
+
+def _read_cache(folder: Path, digest: str) -> EpisodeArrays | None:
+    path = cache_file(folder, digest)
+    try:
+        return load_arrays(path) if path.exists() else None
+    except DatasetError:  # it is only a cache
+        return None
+
+
+def _write_cache(folder: Path, digest: str, arrays: EpisodeArrays) -> None:
+    path = cache_file(folder, digest)
+    for old in path.parent.glob("*.npz"):
+        old.unlink()
+    with new_file(path) as temporary:
+        save_arrays(temporary, arrays, compress=False)
 
 
 def _metadata(
-    location: Location, episodes: Sequence[Episode], description: dict[str, Any]
+    location: Location,
+    arrays: EpisodeArrays,
+    description: dict[str, Any],
+    digest: str,
 ) -> dict[str, Any]:
+    sources = ", ".join(np.unique(arrays.sources).tolist())
+    ours = {
+        "schema": SCHEMA,
+        "state": STATE,
+        "action": ACTION,
+        "agents": [
+            {
+                "name": agent.name,
+                "observation": agent.observation,
+                "action": agent.action,
+            }
+            for agent in AGENTS
+        ],
+        "packages": versions(),
+        "statistics": statistics(arrays),
+        "episodes": len(arrays),
+        "steps": arrays.steps,
+        "data_sha256": digest,
+        **description,
+    }
     return {
         "dataset_id": location.id,
-        "algorithm_name": episodes[0].source,
+        "algorithm_name": sources,
         "author": {"marl_mm"},
-        "description": f"Episodes of {episodes[0].source} on marl_mm.",
+        "description": f"Episodes of {sources} on marl_mm.",
         "minari_version": versions()["minari"],
         **reference_scores(description.get("task")),
-        "marl_mm": {
-            "schema": SCHEMA,
-            "state": STATE,
-            "action": ACTION,
-            "agents": [
-                {
-                    "name": agent.name,
-                    "observation": agent.observation,
-                    "action": agent.action,
-                }
-                for agent in AGENTS
-            ],
-            "packages": versions(),
-            "statistics": _statistics(episodes),
-            **description,
-        },
+        "marl_mm": ours | {"metadata_sha256": _own_digest(ours)},
     }
 
 
-def _statistics(episodes: Sequence[Episode]) -> dict[str, Any]:
-    states = np.concatenate([episode.states[:-1] for episode in episodes])
-    actions = np.concatenate([episode.actions for episode in episodes]).astype(float)
+def _own_digest(ours: dict[str, Any]) -> str:
+    rest = {key: value for key, value in ours.items() if key != "metadata_sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+
+
+def statistics(arrays: EpisodeArrays) -> dict[str, Any]:
+    """Mean and deviation of every entry of states and actions."""
+    states = arrays.states[~arrays.is_last_state()]
+    actions = arrays.actions.astype(float)
     return {
         "state_mean": states.mean(axis=0).tolist(),
         "state_std": states.std(axis=0).tolist(),
         "action_mean": actions.mean(axis=0).tolist(),
         "action_std": actions.std(axis=0).tolist(),
     }
-
-
-def _buffer(episode: Episode) -> EpisodeBuffer:
-    return EpisodeBuffer(
-        seed=episode.seed,
-        observations={
-            "observation": episode.states[:, OBSERVATION],
-            "achieved_goal": episode.states[:, EE],
-            "desired_goal": episode.states[:, GOAL],
-        },
-        actions=episode.actions,
-        rewards=episode.rewards,
-        terminations=episode.terminated,
-        truncations=episode.truncated,
-        infos=episode.info,
-    )
-
-
-def _attributes(episode: Episode) -> dict[str, Any]:
-    """Per-episode metadata; the first five are those Minari's own collector writes."""
-    rewards = episode.rewards
-    return {
-        "rewards_sum": float(rewards.sum()),
-        "rewards_mean": float(rewards.mean()),
-        "rewards_std": float(rewards.std()),
-        "rewards_min": float(rewards.min()),
-        "rewards_max": float(rewards.max()),
-        "index": episode.index,
-        "collector": episode.source,
-        "direction": episode.direction,
-        "is_success": episode.success,
-    }
-
-
-def _episode(group: Any) -> Episode:
-    observations = group["observations"]
-    states = np.concatenate(
-        [observations["observation"][()], observations["desired_goal"][()]], axis=1
-    )
-    return Episode(
-        states=states,
-        actions=group["actions"][()],
-        rewards=group["rewards"][()],
-        terminated=group["terminations"][()],
-        truncated=group["truncations"][()],
-        info={key: group["infos"][key][()] for key in INFO},
-        seed=int(group.attrs["seed"]),
-        index=int(group.attrs["index"]),
-        source=str(group.attrs["collector"]),
-    )
 
 
 def _name_namespaces(location: Location) -> None:

@@ -56,6 +56,10 @@ class Episode:
     source: str
     """Name of the policy that acted."""
 
+    start: np.ndarray
+    """The robot's configuration before the first action, shape (11,): base x, y [m],
+    cosine and sine of its yaw, joints [rad]."""
+
     def __len__(self) -> int:
         return len(self.rewards)
 

@@ -37,6 +37,10 @@ class CheckpointError(MarlMmError):
     """A checkpoint is damaged or belongs to something else."""
 
 
+class WorkerDiedError(MarlMmError):
+    """A process that did part of the work is gone."""
+
+
 class DivergedError(MarlMmError):
     """Training produced a NaN or an infinity."""
 

@@ -71,17 +71,21 @@ def interrupt(number: int, frame: object) -> None:
     Raises:
         KeyboardInterrupt: Unless a block holds it back.
     """
-    global _heard
     if _deaf:
         _postpone(number, frame)
-        return
-    echo = time.monotonic() - _heard < _ECHO
-    _heard = time.monotonic()
-    if not echo:
+    elif not _is_echo():
         raise KeyboardInterrupt
 
 
 def _postpone(number: int, frame: object) -> None:
-    global _late, _heard
-    _late = True
-    _heard = time.monotonic()
+    global _late
+    if not _is_echo():
+        _late = True
+
+
+def _is_echo() -> bool:
+    """Note that an interrupt has come; whether it repeats the last."""
+    global _heard
+    now = time.monotonic()
+    echo, _heard = now - _heard < _ECHO, now
+    return echo

@@ -1,18 +1,57 @@
-"""A function over many items, in this process or in several, in the items' order."""
+"""A function over many items, in this process or in several."""
 
+import os
+import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable, Collection, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from importlib.util import find_spec
 from itertools import islice
-from multiprocessing import get_context
-from typing import Any, TypeVar
+from multiprocessing import connection, get_context, parent_process
+from typing import Any, Literal, Protocol, TypeVar
 
-from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.errors import UsageError, WorkerDiedError
 from marl_mm.interrupts import deaf_to_interrupts
 
 T = TypeVar("T")
 R = TypeVar("R")
+
+Executor = Literal["processes", "ray"]
+
+
+class Pool(Protocol):
+    """Processes, here or elsewhere."""
+
+    def close(self) -> None:
+        """End them."""
+
+    def map(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+        """Results in the order of ``items``, which may be endless."""
+
+    def completed(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+        """Results as they come."""
+
+
+def open_pool(
+    executor: Executor,
+    workers: int,
+    initializer: Callable[..., None],
+    arguments: tuple[Any, ...],
+) -> Pool:
+    """Processes of this machine, or of a Ray cluster.
+
+    Raises:
+        UsageError: If ``workers`` is not positive, or Ray is not installed.
+    """
+    if executor == "processes":
+        return Workers(workers, initializer, arguments)
+    if find_spec("ray") is None:
+        raise UsageError("ray is missing: pip install 'marl-mm[ray]'")
+    from marl_mm.ray_workers import RayWorkers
+
+    return RayWorkers(workers, initializer, arguments)
 
 
 class Workers:
@@ -39,7 +78,9 @@ class Workers:
         self._pool: ProcessPoolExecutor | None = None
         if workers > 1:
             context = get_context("spawn")
-            self._pool = ProcessPoolExecutor(workers, context, initializer, arguments)
+            self._pool = ProcessPoolExecutor(
+                workers, context, _begin, (initializer, arguments)
+            )
         elif initializer is not None:
             initializer(*arguments)
 
@@ -47,6 +88,10 @@ class Workers:
         return self
 
     def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the processes, when they have finished what they do."""
         if self._pool is not None:
             # At most a few items are in flight; an interrupted wait would hang at exit.
             with deaf_to_interrupts():
@@ -64,29 +109,73 @@ class Workers:
                 waits for those that have begun.
 
         Raises:
-            MarlMmError: If a worker process dies.
+            WorkerDiedError: If a worker process dies.
         """
         if self._pool is None:
             yield from map(function, items)
             return
         remaining = iter(items)
         pending: deque[Future[R]] = deque()
-        try:
-            with deaf_to_interrupts():  # the workers start here, and inherit it
-                for item in islice(remaining, self._workers * ahead):
-                    pending.append(self._pool.submit(function, item))
+        with _broken_pools_named(pending):
+            pending += self._submit(function, islice(remaining, self._workers * ahead))
             while pending:
                 result = pending.popleft().result()
-                for item in islice(remaining, 1):
-                    pending.append(self._pool.submit(function, item))
+                pending += self._submit(function, islice(remaining, 1))
                 yield result
-        except BrokenProcessPool as error:
-            raise MarlMmError(
-                "a worker process died; if memory ran out, use fewer --workers"
-            ) from error
-        finally:
-            for future in pending:
-                future.cancel()
+
+    def completed(
+        self, function: Callable[[T], R], items: Iterable[T], ahead: int = 2
+    ) -> Iterator[R]:
+        """Results as they come; arguments and errors are those of ``map``."""
+        if self._pool is None:
+            yield from map(function, items)
+            return
+        remaining = iter(items)
+        pending: set[Future[R]] = set()
+        with _broken_pools_named(pending):
+            pending |= set(
+                self._submit(function, islice(remaining, self._workers * ahead))
+            )
+            while pending:
+                done, rest = wait(pending, return_when=FIRST_COMPLETED)
+                pending.intersection_update(rest)
+                pending |= set(self._submit(function, islice(remaining, len(done))))
+                yield from (future.result() for future in done)
+
+    def _submit(
+        self, function: Callable[[T], R], items: Iterable[T]
+    ) -> list[Future[R]]:
+        assert self._pool is not None
+        with deaf_to_interrupts():  # workers start here, and inherit it
+            return [self._pool.submit(function, item) for item in items]
+
+
+@contextmanager
+def _broken_pools_named(pending: Collection[Future[Any]]) -> Iterator[None]:
+    """Name what happened to a pool, and hand out nothing more when the block ends."""
+    try:
+        yield
+    except BrokenProcessPool as error:
+        raise WorkerDiedError(
+            "a worker process died; if memory ran out, use fewer --workers"
+        ) from error
+    finally:
+        for future in pending:
+            future.cancel()
+
+
+def _begin(initializer: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
+    """A worker's first act: to end with its parent, even if that is killed."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if initializer is not None:
+        initializer(*arguments)
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+    connection.wait([parent.sentinel])
+    os._exit(1)
 
 
 def ordered_map(

@@ -81,6 +81,7 @@ def build_episode(index: int, steps: int = 3, success: bool = True) -> Episode:
         seed=100 + index,
         index=index,
         source="pd",
+        start=rng.normal(size=11),
     )
 
 

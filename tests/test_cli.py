@@ -13,6 +13,7 @@ import torch
 
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm.cli import COMMANDS, main
+from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.episode import Episode
@@ -39,8 +40,7 @@ def run(*arguments: str) -> int:
 
 @pytest.fixture
 def dataset(datasets_home: Path, episodes: list[Episode]) -> Path:
-    spec = gymnasium.spec("marl_mm/Reach-v0")
-    write_dataset(locate(ID), episodes, spec, DESCRIPTION)
+    write_dataset(locate(ID), arrays_of(episodes, ID), DESCRIPTION)
     return datasets_home / ID
 
 
@@ -171,7 +171,7 @@ def test_datasets_list_and_show(dataset: Path, capsys: Output) -> None:
     card = json.loads(capsys.readouterr().out)
     assert card["steps"] == rows[0]["steps"]
     assert card["success"]["backward"] == {"episodes": 3, "rate": 2 / 3}
-    assert sum(card["alpha_histogram"]) == card["steps"]
+    assert sum(card["alpha_histogram"]["counts"]) == card["steps"]
     assert run("datasets", "list") == 0
     assert run("datasets", "show", ID) == 0
 

@@ -6,20 +6,32 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from marl_mm.collectors.collect import Collector, collect, make_collector
+from marl_mm.collectors.collect import Collector, RunEpisodes, collect, make_collector
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.envs.config import ReachConfig, reach_config
 from marl_mm.envs.reach import ReachEnv
-from marl_mm.envs.rollout import PURPOSES, episode_seed
+from marl_mm.envs.rollout import PURPOSES, EpisodePlan, Rollouts, episode_seed
 from marl_mm.episode import Episode
 from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.policy import Policy
+
+
+def runs(task: ReachConfig, workers: int = 1) -> RunEpisodes:
+    """Runs attempts and yields each when it is finished."""
+
+    def run(policy: Policy, plans: Iterable[EpisodePlan]) -> Iterator[Episode]:
+        with Rollouts(task, workers) as rollouts:
+            yield from rollouts.completed(policy, plans)
+
+    return run
 
 
 def same(one: list[Episode], other: list[Episode]) -> bool:
@@ -39,11 +51,11 @@ def same(one: list[Episode], other: list[Episode]) -> bool:
 @pytest.mark.slow
 def test_one_and_two_workers_give_equal_bytes(short_task: ReachConfig) -> None:
     collector = make_collector(RandomConfig())
-    one = collect(collector, short_task, 60, seed=5, workers=1)
-    two = collect(collector, short_task, 60, seed=5, workers=2)
+    one = collect(collector, runs(short_task, 1), 60, seed=5)
+    two = collect(collector, runs(short_task, 2), 60, seed=5)
     assert same(one.episodes, two.episodes)
     assert one.attempts == two.attempts
-    other = collect(collector, short_task, 60, seed=6)
+    other = collect(collector, runs(short_task), 60, seed=6)
     assert not same(one.episodes, other.episodes)
 
 
@@ -51,7 +63,7 @@ def test_a_dataset_is_the_shortest_run_of_whole_episodes(
     short_task: ReachConfig,
 ) -> None:
     collector = make_collector(RandomConfig())
-    collection = collect(collector, short_task, 10, seed=0)
+    collection = collect(collector, runs(short_task), 10, seed=0)
     lengths = [len(episode) for episode in collection.episodes]
     assert sum(lengths) >= 10 > sum(lengths[:-1])
     assert collection.complete
@@ -59,15 +71,15 @@ def test_a_dataset_is_the_shortest_run_of_whole_episodes(
 
 def test_a_longer_dataset_begins_with_the_shorter(short_task: ReachConfig) -> None:
     collector = make_collector(RandomConfig())
-    short = collect(collector, short_task, 8, seed=0).episodes
-    long = collect(collector, short_task, 16, seed=0).episodes
+    short = collect(collector, runs(short_task), 8, seed=0).episodes
+    long = collect(collector, runs(short_task), 16, seed=0).episodes
     assert same(short, long[: len(short)])
 
 
 @pytest.mark.slow
 def test_pd_keeps_successes_and_they_can_be_replayed() -> None:
     task = reach_config("Reach-v0", {"max_steps": 50})
-    collection = collect(make_collector(PdConfig()), task, 30, seed=1)
+    collection = collect(make_collector(PdConfig()), runs(task), 30, seed=1)
     env = ReachEnv(overrides={"max_steps": 50})
     for episode in collection.episodes:
         assert episode.success
@@ -107,7 +119,7 @@ def test_a_hopeless_collector_gives_up(short_task: ReachConfig) -> None:
     with pytest.raises(MarlMmError, match="reached no goal in 200 episodes"):
         collect(
             hopeless,
-            reach_config("Reach-v0", {"ticks_per_step": 1, "max_steps": 1}),
+            runs(reach_config("Reach-v0", {"ticks_per_step": 1, "max_steps": 1})),
             5,
             0,
         )
@@ -118,7 +130,7 @@ def test_bad_numbers_are_refused(
     short_task: ReachConfig, steps: int, seed: int
 ) -> None:
     with pytest.raises(UsageError, match="expected >= "):
-        collect(make_collector(RandomConfig()), short_task, steps, seed)
+        collect(make_collector(RandomConfig()), runs(short_task), steps, seed)
 
 
 def test_pd_steers_towards_the_goal_and_stays_in_range() -> None:
@@ -216,6 +228,6 @@ def test_ctrl_c_leaves_the_episodes_until_then(
     assert dataset.metadata["marl_mm"]["complete"] is False
     assert dataset.metadata["total_episodes"] == len(dataset.episodes) > 0
     task = reach_config("Reach-v0", {"max_steps": 50})
-    again = collect(make_collector(PdConfig()), task, 20, seed=2).episodes
+    again = collect(make_collector(PdConfig()), runs(task), 20, seed=2).episodes
     count = min(len(again), len(dataset.episodes))
     assert same(again[:count], dataset.episodes[:count])

@@ -14,6 +14,7 @@ from marl_mm.algorithms.networks import ActionScale, Normalizer
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.train import resume, train
+from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import Dataset, Transitions
 from marl_mm.datasets.location import locate
 from marl_mm.envs.parallel import split_state
@@ -21,6 +22,7 @@ from marl_mm.episode import Episode
 from marl_mm.errors import CheckpointError, UsageError
 
 MakeEpisode = Callable[..., Episode]
+ID = "marl_mm/reach/x-v0"
 CONFIG = MabcConfig(updates=300, batch_size=32, hidden=(16, 16))
 
 
@@ -31,7 +33,7 @@ def no_evaluation(policy: LearnedPolicy) -> dict[str, float]:
 @pytest.fixture
 def data(make_episode: MakeEpisode) -> dict[str, Transitions]:
     episodes = [make_episode(i, steps=20) for i in range(10)]
-    return Dataset(locate("marl_mm/reach/x-v0"), {}, episodes).agents()
+    return Dataset(locate(ID), {}, arrays_of(episodes, ID)).agents()
 
 
 def weights(algorithm: Mabc) -> list[torch.Tensor]:

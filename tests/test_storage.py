@@ -6,16 +6,15 @@ import subprocess
 import sys
 from pathlib import Path
 
-import gymnasium
-import h5py
 import minari
 import numpy as np
 import pytest
 
 import marl_mm  # noqa: F401  registers the environments
+from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import known_ids, locate
-from marl_mm.datasets.storage import read_episodes, write_dataset
+from marl_mm.datasets.storage import write_dataset
 from marl_mm.episode import Episode
 from marl_mm.errors import (
     DatasetError,
@@ -37,8 +36,7 @@ def written(datasets_home: Path, episodes: list[Episode]) -> Path:
 
 
 def write(name: str, episodes: list[Episode], overwrite: bool = False) -> None:
-    spec = gymnasium.spec("marl_mm/Reach-v0")
-    write_dataset(locate(name), episodes, spec, DESCRIPTION, overwrite)
+    write_dataset(locate(name), arrays_of(episodes, ID), DESCRIPTION, overwrite)
 
 
 def test_reading_back_is_bit_equal(written: Path, episodes: list[Episode]) -> None:
@@ -181,26 +179,51 @@ def test_a_truncated_file_is_named(written: Path, share: float) -> None:
     path = written / "data" / "main_data.hdf5"
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
-    with pytest.raises(DatasetError, match=r"main_data.hdf5 is damaged .*--overwrite"):
+    with pytest.raises(DatasetError, match=r"main_data.hdf5 is damaged.*--overwrite"):
         load_dataset(ID)
 
 
-def test_a_missing_key_is_named(written: Path) -> None:
-    with h5py.File(written / "data" / "main_data.hdf5", "a") as file:
-        del file["episode_3/rewards"]
-    with pytest.raises(DatasetError, match="rewards"):
-        read_episodes(locate(ID))
+def test_one_bit_more_or_less_is_seen(written: Path) -> None:
+    path = written / "data" / "main_data.hdf5"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 4
+    path.write_bytes(content)
+    with pytest.raises(DatasetError, match="not those that were written"):
+        load_dataset(ID)
+    path = written / "data" / "metadata.json"
+    path.write_text(path.read_text().replace('"seed": 0', '"seed": 1'))
+    with pytest.raises(DatasetError, match="'marl_mm' is not as it was written"):
+        load_dataset(ID)
 
 
-def test_episodes_that_cannot_be_are_named(written: Path) -> None:
-    with h5py.File(written / "data" / "main_data.hdf5", "a") as file:
-        file["episode_1/actions"][0, 2] = np.nan
-    with pytest.raises(DatasetError, match=r"episode 1: actions hold a NaN"):
-        load_dataset(ID)
-    with h5py.File(written / "data" / "main_data.hdf5", "a") as file:
-        file["episode_1/actions"].resize((2, 4))
-    with pytest.raises(DatasetError, match=r"actions have shape \(2, 4\), expected"):
-        load_dataset(ID)
+def test_the_cache_is_only_a_cache(written: Path, episodes: list[Episode]) -> None:
+    """Missing or damaged it is made anew; of other data it is not used."""
+    (cache,) = (written / "cache").iterdir()
+    good = cache.read_bytes()
+    for content in (None, b"", good[: len(good) // 2], b"no zip"):
+        if content is None:
+            cache.unlink()
+        else:
+            cache.write_bytes(content)
+        joint = load_dataset(ID).joint()
+        np.testing.assert_array_equal(joint.reward[:3], episodes[0].rewards)
+        assert cache.read_bytes() == good
+    write(ID, episodes[1:], overwrite=True)
+    (other,) = (written / "cache").iterdir()
+    assert other.name != cache.name
+    assert len(load_dataset(ID).episodes) == len(episodes) - 1
+
+
+def test_views_share_memory_with_the_whole(written: Path) -> None:
+    dataset = load_dataset(ID)
+    joint, agents = dataset.joint(), dataset.agents()
+    for name in ("reward", "terminated", "truncated"):
+        for view in agents.values():
+            assert np.shares_memory(getattr(view, name), getattr(joint, name))
+    for view in agents.values():
+        assert np.shares_memory(view.action, joint.action)
+    assert np.shares_memory(agents["balance"].observation, joint.observation)
+    assert np.shares_memory(dataset.episodes[2].actions, joint.action)
 
 
 @pytest.mark.parametrize("content", ["{", "{}", "[1]", '{"marl_mm": {"schema": 99}}'])
@@ -215,21 +238,24 @@ def test_a_killed_writer_leaves_nothing_behind(datasets_home: Path) -> None:
     code = """
 import os, signal, sys
 sys.path.insert(0, sys.argv[1])
-import gymnasium, marl_mm
 from conftest import build_episode
+from marl_mm.datasets import hdf5
+from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.storage import write_dataset
 
-class Killer(list):
-    def __iter__(self):
-        for i, episode in enumerate(list.__iter__(self)):
-            if i == 2 and sys._getframe(1).f_code.co_name == "<genexpr>":
-                os.kill(os.getpid(), signal.SIGKILL)
-            yield episode
+written = []
+attributes = hdf5._attributes
 
-episodes = Killer(build_episode(i) for i in range(5))
-spec = gymnasium.spec("marl_mm/Reach-v0")
-write_dataset(locate("marl_mm/reach/test-v0"), episodes, spec, {})
+def killing(arrays, number):
+    written.append(number)
+    if number == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return attributes(arrays, number)
+
+hdf5._attributes = killing
+arrays = arrays_of([build_episode(i) for i in range(5)], "marl_mm/reach/test-v0")
+write_dataset(locate("marl_mm/reach/test-v0"), arrays, {"task": "Reach-v0"})
 """
     killed = subprocess.run(
         [sys.executable, "-c", code, str(Path(__file__).parent)],

@@ -1,6 +1,5 @@
 """The runs that figures and tables are made of: what is missing of them is trained."""
 
-import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -10,7 +9,7 @@ from typing import Literal
 from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.online import Schedule
 from marl_mm.collectors.pd import PdConfig
-from marl_mm.commands.collect import collect_dataset
+from marl_mm.commands.collect_dataset import CollectOptions, collect_dataset
 from marl_mm.commands.options import available_cores
 from marl_mm.commands.runs import BEST_EVALUATION, EVALUATION
 from marl_mm.commands.train_online import (
@@ -21,9 +20,8 @@ from marl_mm.commands.train_online import (
     train_online_run,
 )
 from marl_mm.commands.train_sb3 import check_sb3, check_sb3_run, train_sb3_run
-from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import locate
-from marl_mm.errors import DivergedError, OtherConfigError, UsageError
+from marl_mm.errors import DivergedError, OtherConfigError
 from marl_mm.eval.online import SETTINGS, Setting
 from marl_mm.files import only_here
 
@@ -152,28 +150,20 @@ def _training(
 
 
 def _demonstrations(options: Ablate) -> Path:
-    """A dataset of the PD agent that knows alpha's rule, collected once.
-
-    Raises:
-        UsageError: If one of another size is there.
-    """
+    """A dataset of the PD agent that knows alpha's rule, collected once."""
     path = (options.runs_folder() / DEMONSTRATIONS).resolve()
     steps = 100 if options.budget == "smoke" else 2_000
     with only_here(path.parent, wait=True):  # others may need it as well
-        if path.exists():
-            known = load_dataset(path).metadata["marl_mm"]
-            if known["complete"] and known["steps_asked"] == steps:
-                return path
-            raise UsageError(f"{path} is not the whole of {steps} steps: delete it")
+        location = locate(str(path))
         collection = collect_dataset(
-            locate(str(path)),
+            location,
             PdConfig(alpha_rule="room"),
-            "Reach-v0",
-            steps,
-            seed=0,
-            workers=options.workers,
+            CollectOptions(
+                steps=steps,
+                workers=options.workers,
+                resume=location.folder.exists() or location.working.exists(),
+            ),
         )
         if not collection.complete:
-            shutil.rmtree(path)
-            raise KeyboardInterrupt("stopped; the same command again starts there")
+            raise KeyboardInterrupt("stopped; the same command goes on there")
     return path

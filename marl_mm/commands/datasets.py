@@ -1,20 +1,37 @@
-"""marl-mm datasets: what there is, and what is in it."""
+"""marl-mm datasets: what there is, what is in it, and new ones made of it."""
 
 import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import tyro
 from rich.console import Console
 from rich.table import Table
 
+from marl_mm.commands.datasets_make import (
+    Filter,
+    Import,
+    Mix,
+    Split,
+    make_filtered,
+    make_imported,
+    make_mix,
+    make_split,
+)
+from marl_mm.commands.options import available_cores, check_positive
 from marl_mm.commands.parser import parse_subcommand
-from marl_mm.datasets.card import card
+from marl_mm.datasets.card import card, card_markdown, card_text, keep_card
 from marl_mm.datasets.dataset import load_dataset
-from marl_mm.datasets.location import datasets_root, known_ids, locate
-from marl_mm.datasets.storage import read_metadata
-from marl_mm.errors import DatasetError
+from marl_mm.datasets.export import Layout, export
+from marl_mm.datasets.location import datasets_root, find, known_ids, locate
+from marl_mm.datasets.storage import read_metadata, refuse_foreign
+from marl_mm.datasets.verify import verify
+from marl_mm.errors import DatasetError, UnknownDatasetError, UsageError
+from marl_mm.files import only_here
+from marl_mm.progress import progress_bar
 
 
 @dataclass(frozen=True)
@@ -27,27 +44,93 @@ class List:
 
 @dataclass(frozen=True)
 class Show:
-    """Show a dataset's card."""
+    """Show a dataset's card, and keep it with the dataset as JSON, Markdown, figure."""
 
     dataset: tyro.conf.Positional[str]
-    """Id, such as marl_mm/reach/pd-v0, or path."""
+    """Id, such as marl_mm/reach/pd-v0 or pd for short, or path."""
+
+    json: bool = False
+    """Print JSON."""
+
+    markdown: bool = False
+    """Print Markdown."""
+
+
+@dataclass(frozen=True)
+class Verify:
+    """Check a dataset's files: schema, hashes, finiteness, ranges, ends of episodes."""
+
+    datasets: tyro.conf.Positional[tuple[str, ...]]
+    """Ids or paths."""
+
+    replay: bool = False
+    """Also run every episode again and compare all bits."""
+
+    workers: int = available_cores()
+    """Processes that replay."""
 
     json: bool = False
     """Print JSON."""
 
 
+@dataclass(frozen=True)
+class Export:
+    """Write a dataset as one flat HDF5 file that other libraries read."""
+
+    dataset: tyro.conf.Positional[str]
+    """Id or path."""
+
+    out: Path
+    """File to write."""
+
+    layout: Layout = "flat"
+    """"agents": one group per agent; "flat": joint arrays; "d4rl": those in float32."""
+
+    overwrite: bool = False
+    """Replace the file if it exists."""
+
+
+@dataclass(frozen=True)
+class Delete:
+    """Delete a dataset, and what a stopped collection into it has kept."""
+
+    dataset: tyro.conf.Positional[str]
+    """Id or path."""
+
+    yes: bool = False
+    """Do not ask."""
+
+
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm datasets``."""
-    _, command = parse_subcommand(
-        {"list": List, "show": Show},
+    name, command = parse_subcommand(
+        {
+            "list": List,
+            "show": Show,
+            "mix": Mix,
+            "split": Split,
+            "filter": Filter,
+            "verify": Verify,
+            "export": Export,
+            "import": Import,
+            "delete": Delete,
+        },
         "marl-mm datasets",
-        "List datasets and show what is in them.",
+        "List, show, check datasets; make new ones of them.",
         arguments,
     )
-    if isinstance(command, List):
-        _list(command)
-    else:
-        _show(command)
+    commands: dict[str, Any] = {
+        "list": _list,
+        "show": _show,
+        "mix": make_mix,
+        "split": make_split,
+        "filter": make_filtered,
+        "verify": _verify,
+        "export": _export,
+        "import": make_imported,
+        "delete": _delete,
+    }
+    commands[name](command)
 
 
 def _list(command: List) -> None:
@@ -66,31 +149,81 @@ def _list(command: List) -> None:
 
 def _entry(name: str) -> dict[str, Any]:
     try:
-        metadata = read_metadata(locate(name))
+        ours = read_metadata(locate(name))["marl_mm"]
     except DatasetError as error:
         return {"id": name, "steps": None, "episodes": None, "note": str(error)}
     return {
         "id": name,
-        "steps": metadata["total_steps"],
-        "episodes": metadata["total_episodes"],
-        "note": "" if metadata["marl_mm"].get("complete") else "interrupted",
+        "steps": ours["steps"],
+        "episodes": ours["episodes"],
+        "note": "" if ours.get("complete") else "interrupted",
     }
 
 
 def _show(command: Show) -> None:
-    values = card(load_dataset(command.dataset))
+    dataset = load_dataset(command.dataset)
+    values = keep_card(dataset)
     if command.json:
         print(json.dumps(values, indent=2))
-        return
-    table = Table(show_header=False)
-    for key, value in values.items():
-        table.add_row(key.replace("_", " "), _text(value))
-    Console().print(table)
+    elif command.markdown:
+        print(card_markdown(card(dataset)))
+    else:
+        print(card_text(values))
 
 
-def _text(value: Any) -> str:
-    if isinstance(value, dict):
-        return "  ".join(f"{key}: {_text(item)}" for key, item in value.items())
-    if isinstance(value, float):
-        return f"{value:.3g}"
-    return str(value)
+def _verify(command: Verify) -> None:
+    check_positive(workers=command.workers)
+    if not command.datasets:
+        raise UsageError("name at least one dataset")
+    found = {}
+    for name in command.datasets:
+        problems = verify(find(name))
+        if not problems and command.replay:
+            problems = _replayed(name, command.workers)
+        found[name] = problems
+        if not command.json:
+            print(f"{name}: {'; '.join(problems) or 'all is well'}", flush=True)
+    if command.json:
+        print(json.dumps(found, indent=2))
+    if any(found.values()):
+        broken = [name for name, problems in found.items() if problems]
+        raise DatasetError(f"not as they should be: {', '.join(broken)}")
+
+
+def _replayed(name: str, workers: int) -> list[str]:
+    from marl_mm.collectors.replay import replay  # which needs the simulator
+
+    dataset = load_dataset(name)
+    with progress_bar("replay", len(dataset.arrays)) as advance:
+        problems = []
+        for number, difference in enumerate(replay(dataset, workers)):
+            advance(1, "")
+            if difference is not None:
+                problems.append(f"episode {number}: {difference}")
+    return problems
+
+
+def _export(command: Export) -> None:
+    export(
+        load_dataset(command.dataset), command.layout, command.out, command.overwrite
+    )
+    print(f"{command.out}: {command.out.stat().st_size / 1e6:.1f} MB")
+
+
+def _delete(command: Delete) -> None:
+    location = find(command.dataset)
+    if not location.folder.exists() and not location.working.exists():
+        raise UnknownDatasetError(f"no dataset {command.dataset!r} to delete")
+    refuse_foreign(location)
+    if location.folder.exists() and not location.data.is_dir():
+        raise UsageError(f"{location.folder} is no dataset: it is not deleted")
+    if not command.yes:
+        answer = input(f"delete {location.folder}? [y/N] ")
+        if answer.strip().lower() not in ("y", "yes"):
+            print("kept")
+            return
+    with only_here(location.working):
+        shutil.rmtree(location.working)
+        if location.folder.exists():
+            shutil.rmtree(location.folder)
+    print(f"deleted {location.folder}")

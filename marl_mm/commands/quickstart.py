@@ -16,7 +16,7 @@ from marl_mm.algorithms.mabc import MabcConfig
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
-from marl_mm.commands.collect import collect_dataset
+from marl_mm.commands.collect_dataset import CollectOptions, collect_dataset
 from marl_mm.commands.options import (
     available_cores,
     check_positive,
@@ -138,11 +138,12 @@ def _collect(options: Quickstart, size: Size) -> None:
     collection = collect_dataset(
         locate(str(options.out.resolve() / "dataset")),
         EXPERT,
-        "Reach-v0",
-        size.steps,
-        options.seed,
-        options.workers,
-        overwrite=options.overwrite,
+        CollectOptions(
+            steps=size.steps,
+            seed=options.seed,
+            workers=options.workers,
+            overwrite=options.overwrite,
+        ),
     )
     if not collection.complete:
         raise KeyboardInterrupt

@@ -16,7 +16,7 @@ from marl_mm.envs.core import ReachCore, Step
 from marl_mm.envs.drive import Watch
 from marl_mm.episode import INFO, Episode
 from marl_mm.policy import Policy
-from marl_mm.workers import Workers
+from marl_mm.workers import Executor, open_pool
 
 Purpose = Literal["collect", "evaluate", "train"]
 PURPOSES: tuple[Purpose, ...] = get_args(Purpose)
@@ -56,6 +56,7 @@ def run_episode(
     rng, _ = seeding.np_random(plan.seed)
     goal_w = None if plan.goal_w is None else np.array(plan.goal_w)
     states = [core.reset(rng, goal_w)]
+    start = core.drive.state.q.copy()
     policy.begin(np.random.default_rng([plan.seed, 1]))
     actions: list[np.ndarray] = []
     steps: list[Step] = []
@@ -73,6 +74,7 @@ def run_episode(
         seed=plan.seed,
         index=plan.index,
         source=policy.name,
+        start=start,
     )
 
 
@@ -81,38 +83,57 @@ class Rollouts:
 
     Args:
         config: The task.
-        workers: Processes; 1 runs in this one.
+        workers: Processes; 1 of this machine is this one.
+        executor: Of which machines.
 
     Raises:
-        UsageError: If ``workers`` is not positive.
+        UsageError: If ``workers`` is not positive, or Ray is not installed.
     """
 
-    def __init__(self, config: ReachConfig, workers: int = 1) -> None:
-        self._core = ReachCore(config) if workers == 1 else None
+    def __init__(
+        self, config: ReachConfig, workers: int = 1, executor: Executor = "processes"
+    ) -> None:
+        here = workers == 1 and executor == "processes"
+        self._core = ReachCore(config) if here else None
         self._pool = (
-            None if workers == 1 else Workers(workers, _start_worker, (config,))
+            None if here else open_pool(executor, workers, _start_worker, (config,))
         )
 
     def __enter__(self) -> "Rollouts":
         return self
 
     def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End simulators and processes."""
         if self._core is not None:
             self._core.close()
         if self._pool is not None:
-            self._pool.__exit__(*exception)
+            self._pool.close()
 
     def run(self, policy: Policy, plans: Iterable[EpisodePlan]) -> Iterator[Episode]:
         """Episodes in the order of ``plans``, which may be endless.
 
         Raises:
-            MarlMmError: If a worker process dies.
+            WorkerDiedError: If a worker process dies.
         """
         if self._core is not None:
             for plan in plans:
                 yield run_episode(self._core, policy, plan)
         if self._pool is not None:
             yield from self._pool.map(
+                _run_in_worker, ((policy, plan) for plan in plans)
+            )
+
+    def completed(
+        self, policy: Policy, plans: Iterable[EpisodePlan]
+    ) -> Iterator[Episode]:
+        """The same episodes, each as soon as it is finished."""
+        if self._pool is None:
+            yield from self.run(policy, plans)
+        else:
+            yield from self._pool.completed(
                 _run_in_worker, ((policy, plan) for plan in plans)
             )
 

@@ -1,0 +1,62 @@
+"""The medium collector: random at first, then a learnt agent that has to recover."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from marl_mm.collectors.pretrained import load_agent
+from marl_mm.collectors.random import RandomConfig, RandomPolicy
+from marl_mm.errors import UsageError
+
+
+@dataclass(frozen=True)
+class MediumConfig:
+    """How long it is random, and who comes then (paper, Sec. 5.4.2)."""
+
+    random_steps: int = 10
+    """Random steps at the start of each episode; the agent has the rest of 25."""
+
+    agent: str = "pretrained"
+    """The agent that ships, or a run folder or checkpoint file."""
+
+    def __post_init__(self) -> None:
+        if self.random_steps < 0:
+            raise UsageError(f"random steps are {self.random_steps}, expected >= 0")
+
+    @property
+    def name(self) -> str:
+        """Of the collector."""
+        return "medium"
+
+
+class MediumPolicy:
+    """Random actions, then an agent's.
+
+    Raises:
+        UsageError: If there is no such agent.
+        CheckpointError: If its files are damaged.
+    """
+
+    name = "medium"
+
+    def __init__(self, config: MediumConfig) -> None:
+        self.config = config
+        self._random = RandomPolicy(RandomConfig())
+        self._agent = load_agent(config.agent)
+
+    def describe(self) -> dict[str, Any]:
+        """The config."""
+        return asdict(self.config)
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Take the episode's stream of random numbers; start to count steps."""
+        self._steps = 0
+        self._random.begin(rng)
+        self._agent.begin(rng)
+
+    def act(self, state: np.ndarray) -> np.ndarray:
+        """Uniform in the action space at first, then what the agent does."""
+        self._steps += 1
+        early = self._steps <= self.config.random_steps
+        return (self._random if early else self._agent).act(state)

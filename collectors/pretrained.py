@@ -1,0 +1,68 @@
+"""The pretrained collector: a learnt agent, with or without noise; "good" data."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from marl_mm.errors import UsageError
+from marl_mm.layout import ACTION_HIGH, ACTION_LOW
+from marl_mm.policy import Policy
+
+
+@dataclass(frozen=True)
+class PretrainedConfig:
+    """Which agent, and how exactly it acts."""
+
+    agent: str = "pretrained"
+    """The agent that ships, or a run folder or checkpoint file."""
+
+    noise: float = 0.0
+    """Standard deviation of Gaussian noise on its actions; they are clipped after."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.noise <= 10.0:
+            raise UsageError(f"noise is {self.noise}, expected a number in [0, 10]")
+
+    @property
+    def name(self) -> str:
+        """Of the collector."""
+        return "pretrained"
+
+
+class PretrainedPolicy:
+    """An agent's actions, and noise.
+
+    Raises:
+        UsageError: If there is no such agent.
+        CheckpointError: If its files are damaged.
+    """
+
+    def __init__(self, config: PretrainedConfig) -> None:
+        self.config = config
+        self.name = config.name
+        self._agent = load_agent(config.agent)
+
+    def describe(self) -> dict[str, Any]:
+        """The config."""
+        return asdict(self.config)
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Take the episode's stream of random numbers."""
+        self._rng = rng
+        self._agent.begin(rng)
+
+    def act(self, state: np.ndarray) -> np.ndarray:
+        """The agent's action plus noise, clipped to the action space."""
+        action = self._agent.act(state)
+        if self.config.noise:
+            noisy = action + self._rng.normal(0.0, self.config.noise, len(action))
+            action = np.clip(noisy, ACTION_LOW, ACTION_HIGH)
+        return action.astype(np.float32)
+
+
+def load_agent(name: str) -> Policy:
+    """A learnt agent by name or path; see ``load_policy``."""
+    from marl_mm.algorithms.policy import load_policy  # torch takes a second to import
+
+    return load_policy(name)

@@ -1,0 +1,92 @@
+"""Whether an episode's seed and actions give it again, to the last bit."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from marl_mm.datasets.dataset import Dataset
+from marl_mm.envs.config import reach_config
+from marl_mm.envs.core import ReachCore
+from marl_mm.envs.rollout import EpisodePlan, run_episode
+from marl_mm.episode import Episode
+from marl_mm.errors import DatasetError
+from marl_mm.workers import ordered_map
+
+
+class ReplayPolicy:
+    """Acts as an episode did.
+
+    Args:
+        episode: The episode.
+    """
+
+    def __init__(self, episode: Episode) -> None:
+        self.name = episode.source
+        self._actions = episode.actions
+
+    def describe(self) -> dict[str, Any]:
+        """Nothing to set."""
+        return {}
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """From the first action on."""
+        self._step = 0
+
+    def act(self, state: np.ndarray) -> np.ndarray:
+        """The next action; after the last one, that again."""
+        action = self._actions[min(self._step, len(self._actions) - 1)]
+        self._step += 1
+        return np.asarray(action)
+
+
+def replay(dataset: Dataset, workers: int = 1) -> Iterator[str | None]:
+    """Run each episode again in the environment that it was collected in.
+
+    Yields:
+        For each episode in order, what differs; None if nothing does.
+
+    Raises:
+        DatasetError: If the dataset does not say where its episodes come from.
+    """
+    arrays, origins = dataset.arrays, dataset.metadata["marl_mm"]["origins"]
+    items = []
+    for number in range(len(arrays)):
+        origin = str(arrays.origins[number])
+        if "collector_config" not in origins.get(origin, {}):
+            raise DatasetError(
+                f"episode {number} comes from {origin!r}, which was imported: without "
+                "its seed and settings it cannot be replayed"
+            )
+        about = origins[origin]
+        items.append((about["task"], about["overrides"], arrays.episode(number)))
+    yield from ordered_map(_difference, items, workers)
+
+
+_cores: dict[str, ReachCore] = {}
+"""A process's own environments."""
+
+
+def _difference(item: tuple[str, dict[str, Any], Episode]) -> str | None:
+    task, overrides, episode = item
+    key = f"{task} {overrides}"
+    if key not in _cores:
+        _cores[key] = ReachCore(reach_config(task, overrides))
+    plan = EpisodePlan(episode.index, episode.seed)
+    again = run_episode(_cores[key], ReplayPolicy(episode), plan)
+    pairs = {
+        name: (getattr(again, name), getattr(episode, name))
+        for name in ("states", "actions", "rewards", "terminated", "truncated", "start")
+    }
+    pairs |= {f"info {key}": (again.info[key], episode.info[key]) for key in again.info}
+    for name, (one, other) in pairs.items():
+        if not np.array_equal(one, other):
+            return f"{name} differ: {_first_difference(one, other)}"
+    return None
+
+
+def _first_difference(one: np.ndarray, other: np.ndarray) -> str:
+    if one.shape != other.shape:
+        return f"shape {one.shape} in the replay, {other.shape} in the file"
+    where = tuple(np.argwhere(one != other)[0].tolist())
+    return f"at {list(where)} {one[where]} in the replay, {other[where]} in the file"

@@ -1,0 +1,77 @@
+"""Datasets in the flat layouts that other libraries read: one HDF5 file each."""
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from marl_mm.datasets.dataset import Dataset
+from marl_mm.datasets.hdf5 import write_tables
+from marl_mm.files import new_file, refuse_existing
+from marl_mm.layout import GOAL
+
+Layout = Literal["agents", "flat", "d4rl"]
+
+
+def export(dataset: Dataset, layout: Layout, path: Path, overwrite: bool) -> None:
+    """Write all steps, one after the other.
+
+    ``flat``: observations (n, 10), actions (n, 4), next_observations, rewards,
+    terminals, timeouts, and each step's episode; types as they are stored. ``d4rl``:
+    the same with float32, and ``infos/goal``. ``agents``: observations, actions and
+    next_observations in one group per agent, the joint ones as ``state`` and
+    ``next_state``, and what both share.
+
+    Raises:
+        OutputExistsError: If the file exists and may not be replaced.
+    """
+    refuse_existing(path, overwrite)
+    tables = {"flat": _flat, "d4rl": _d4rl, "agents": _agents}[layout](dataset)
+    ours = dataset.metadata["marl_mm"]
+    attributes = {
+        "dataset_id": dataset.metadata["dataset_id"],
+        "task": ours["task"],
+        "layout": layout,
+        "state": list(ours["state"]),
+        "action": list(ours["action"]),
+        "agents": list(dataset.agents()),
+    }
+    with new_file(path) as temporary:
+        write_tables(temporary, tables, attributes)
+
+
+def _shared(dataset: Dataset) -> dict[str, np.ndarray]:
+    joint = dataset.joint()
+    return {
+        "rewards": joint.reward,
+        "terminals": joint.terminated,
+        "timeouts": joint.truncated,
+        "episodes": joint.episode,
+    }
+
+
+def _flat(dataset: Dataset) -> dict[str, np.ndarray]:
+    joint = dataset.joint()
+    return {
+        "observations": joint.observation,
+        "actions": joint.action,
+        "next_observations": joint.next_observation,
+        **_shared(dataset),
+    }
+
+
+def _d4rl(dataset: Dataset) -> dict[str, np.ndarray]:
+    flat = _flat(dataset)
+    floats = ("observations", "next_observations", "rewards")
+    flat |= {name: flat[name].astype(np.float32) for name in floats}
+    return flat | {"infos/goal": flat["observations"][:, GOAL]}
+
+
+def _agents(dataset: Dataset) -> dict[str, np.ndarray]:
+    joint = dataset.joint()
+    tables = {"state": joint.observation, "next_state": joint.next_observation}
+    for name, view in dataset.agents().items():
+        tables[f"{name}/observations"] = view.observation
+        tables[f"{name}/actions"] = view.action
+        tables[f"{name}/next_observations"] = view.next_observation
+    return tables | _shared(dataset)

@@ -1,0 +1,250 @@
+"""Minari's HDF5 layout, ``episode_i/...``: the only file that reads and writes it.
+
+It is written with the library's compact layout, which Minari reads like its own but
+which needs a fifth of the space: most episodes are so short that the records about
+chunks would outweigh the numbers.
+"""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
+from marl_mm.episode import INFO, Episode
+from marl_mm.errors import DatasetError
+from marl_mm.layout import EE, GOAL, OBSERVATION
+
+FILE = "main_data.hdf5"
+
+_DAMAGE = (OSError, KeyError, ValueError, RuntimeError, TypeError, MemoryError)
+"""What the library raises for files that are not as they should be."""
+
+_START = "initial_configuration"
+
+
+@dataclass(frozen=True)
+class Field:
+    """What one array of an episode must be."""
+
+    key: str
+    kind: str
+    """"float", "bool" or "number": what of numpy's kinds of types is accepted."""
+
+    columns: int | None = None
+    """Entries of one row; None for numbers."""
+
+    extra: int = 0
+    """Rows beyond the episode's steps."""
+
+
+_KINDS = {"float": "f", "bool": "b", "number": "fiub"}
+
+FIELDS = (
+    Field("observations/observation", "float", 7, 1),
+    Field("observations/achieved_goal", "float", 3, 1),
+    Field("observations/desired_goal", "float", 3, 1),
+    Field("actions", "float", 4),
+    Field("rewards", "float"),
+    Field("terminations", "bool"),
+    Field("truncations", "bool"),
+)
+"""What every dataset of goal-dictionary observations has."""
+
+INFO_FIELDS = tuple(Field(f"infos/{key}", "number") for key in INFO)
+"""What ours have, too."""
+
+
+def write_hdf5(path: Path, arrays: EpisodeArrays) -> None:
+    """Write all episodes into a new file."""
+    with h5py.File(path, "w", libver=("v110", "v110")) as file:
+        compact = _without_times()
+        compact.set_layout(h5py.h5d.COMPACT)
+        for number in range(len(arrays)):
+            group = file.create_group(f"episode_{number}")
+            group.attrs.update(_attributes(arrays, number))
+            for key, values in _contents(arrays.episode(number)).items():
+                folder, _, name = key.rpartition("/")
+                parent = group.require_group(folder) if folder else group
+                _write(parent, name, values, compact)
+
+
+def _write(group: Any, name: str, values: np.ndarray, compact: Any) -> None:
+    values = np.ascontiguousarray(values)
+    large = values.nbytes >= 60_000  # the layout ends at 64 KiB
+    kind = h5py.h5t.py_create(values.dtype, logical=True)
+    space = h5py.h5s.create_simple(values.shape)
+    dataset = h5py.h5d.create(
+        group.id, name.encode(), kind, space, _without_times() if large else compact
+    )
+    dataset.write(h5py.h5s.ALL, h5py.h5s.ALL, values)
+
+
+def _without_times() -> Any:
+    """Properties of arrays whose bytes do not depend on when they are written."""
+    properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    properties.set_obj_track_times(False)
+    return properties
+
+
+def _contents(episode: Episode) -> dict[str, np.ndarray]:
+    return {
+        "observations/observation": episode.states[:, OBSERVATION],
+        "observations/achieved_goal": episode.states[:, EE],
+        "observations/desired_goal": episode.states[:, GOAL],
+        "actions": episode.actions,
+        "rewards": episode.rewards,
+        "terminations": episode.terminated,
+        "truncations": episode.truncated,
+        **{f"infos/{key}": values for key, values in episode.info.items()},
+    }
+
+
+def _attributes(arrays: EpisodeArrays, number: int) -> dict[str, Any]:
+    """Per-episode metadata; those down to ``rewards_max`` are Minari's own."""
+    episode = arrays.episode(number)
+    rewards = episode.rewards
+    return {
+        "id": number,
+        "seed": episode.seed,
+        "total_steps": len(episode),
+        "rewards_sum": float(rewards.sum()),
+        "rewards_mean": float(rewards.mean()),
+        "rewards_std": float(rewards.std()),
+        "rewards_min": float(rewards.min()),
+        "rewards_max": float(rewards.max()),
+        "index": episode.index,
+        "collector": episode.source,
+        "direction": episode.direction,
+        "is_success": episode.success,
+        "source_dataset": str(arrays.origins[number]),
+        "source_episode": int(arrays.origin_episodes[number]),
+        _START: episode.start,
+    }
+
+
+def write_tables(
+    path: Path, tables: dict[str, np.ndarray], attributes: dict[str, Any]
+) -> None:
+    """Write flat arrays by key, compressed, with attributes of the whole."""
+    with h5py.File(path, "w") as file:
+        for key, values in tables.items():
+            file.create_dataset(key, data=values, compression="gzip", shuffle=True)
+        file.attrs.update(attributes)
+
+
+@contextmanager
+def open_hdf5(path: Path) -> Iterator[Any]:
+    """An HDF5 file to read.
+
+    Raises:
+        DatasetError: If it, or what is read of it in the block, is damaged.
+    """
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except _DAMAGE as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise DatasetError(f"{path} is damaged ({reason:.160})") from error
+
+
+def read_hdf5(path: Path, total: int) -> EpisodeArrays:
+    """All episodes of a file of ours.
+
+    Args:
+        path: The file.
+        total: How many episodes it has.
+
+    Raises:
+        DatasetError: If it is damaged; naming episode, key and what was expected.
+    """
+    episodes, origins, numbers = [], [], []
+    with open_hdf5(path) as file:
+        for number in range(total):
+            group = file[f"episode_{number}"]
+            values = checked(path, group, (*FIELDS, *INFO_FIELDS))
+            attributes = dict(group.attrs)
+            start = np.asarray(attributes[_START])
+            episodes.append(
+                Episode(
+                    states=states_of(values),
+                    actions=values["actions"],
+                    rewards=values["rewards"],
+                    terminated=values["terminations"],
+                    truncated=values["truncations"],
+                    info={key: values[f"infos/{key}"] for key in INFO},
+                    seed=int(attributes["seed"]),
+                    index=int(attributes["index"]),
+                    source=str(attributes["collector"]),
+                    start=start,
+                )
+            )
+            origins.append(str(attributes["source_dataset"]))
+            numbers.append(int(attributes["source_episode"]))
+    arrays = arrays_of(episodes, "")
+    return arrays.named(np.array(origins), np.array(numbers))
+
+
+def achieved_goals(path: Path, total: int) -> np.ndarray:
+    """Where the file says the hand is, shape (n + E, 3)."""
+    with open_hdf5(path) as file:
+        names = (f"episode_{i}/observations/achieved_goal" for i in range(total))
+        return np.concatenate([file[name][()] for name in names])
+
+
+def states_of(values: dict[str, np.ndarray]) -> np.ndarray:
+    """Joint states of an episode's observations, shape (T + 1, 10)."""
+    observation, goal = values["observations/observation"], "observations/desired_goal"
+    return np.concatenate([observation, values[goal]], axis=1, dtype=np.float64)
+
+
+def episode_groups(file: Any) -> list[Any]:
+    """Minari's episodes in a file, in order; none if it is of another layout."""
+    names = [name for name in file if re.fullmatch(r"episode_\d+", name)]
+    return [file[name] for name in sorted(names, key=lambda name: int(name[8:]))]
+
+
+def optional(group: Any, key: str) -> np.ndarray | None:
+    """An array of numbers, if there is one of this name."""
+    node = group.get(key)
+    if not isinstance(node, h5py.Dataset) or node.dtype.kind not in _KINDS["number"]:
+        return None
+    return np.asarray(node[()])
+
+
+def checked(path: Path, group: Any, wanted: tuple[Field, ...]) -> dict[str, np.ndarray]:
+    """Arrays by key, as long as ``rewards``.
+
+    Raises:
+        DatasetError: If one is missing, or of another type or shape, or not finite.
+    """
+    where = f"{path}, {group.name.removeprefix('/')}".rstrip(", ")
+    values = {}
+    for field in wanted:
+        if field.key not in group:
+            raise DatasetError(f"{where} has no {field.key!r}")
+        node = group[field.key]
+        if not isinstance(node, h5py.Dataset):
+            raise DatasetError(f"{where}: {field.key!r} is a group, expected an array")
+        if node.dtype.kind not in _KINDS[field.kind]:
+            raise DatasetError(
+                f"{where}: {field.key!r} has type {node.dtype}, expected {field.kind}"
+            )
+        values[field.key] = node[()]
+    steps = values["rewards"].size
+    for field in wanted:
+        value = values[field.key]
+        row = () if field.columns is None else (field.columns,)
+        expected = (steps + field.extra, *row)
+        if value.shape != expected or not steps:
+            raise DatasetError(
+                f"{where}: {field.key!r} has shape {value.shape}, expected {expected}"
+            )
+        if field.kind == "float" and not np.isfinite(value).all():
+            raise DatasetError(f"{where}: {field.key!r} holds a NaN or an infinity")
+    return values

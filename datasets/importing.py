@@ -1,0 +1,144 @@
+"""Datasets of others, brought into ours: Minari's episodes or flat HDF5 arrays."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
+from marl_mm.datasets.hdf5 import (
+    FIELDS,
+    FILE,
+    Field,
+    checked,
+    episode_groups,
+    open_hdf5,
+    optional,
+    states_of,
+)
+from marl_mm.datasets.verify import problems_of
+from marl_mm.episode import INFO, Episode
+from marl_mm.errors import DatasetError, UsageError
+from marl_mm.layout import EE, GOAL
+
+FLAT = (
+    Field("rewards", "float"),
+    Field("observations", "float", 10),
+    Field("actions", "float", 4),
+    Field("next_observations", "float", 10),
+    Field("terminals", "number"),
+    Field("timeouts", "number"),
+)
+"""Of the flat layout, as in D4RL; ``marl-mm datasets export`` writes it."""
+
+
+def read_foreign(path: Path, dataset_id: str) -> EpisodeArrays:
+    """The episodes of a file that somebody else wrote.
+
+    Args:
+        path: An HDF5 file, or the folder of a Minari dataset.
+        dataset_id: Of the dataset that they are to be.
+
+    Raises:
+        UsageError: If there is no such file.
+        DatasetError: If it cannot be read, or is not what a dataset must be; naming the
+            key, what was got and what was expected.
+    """
+    for inner in (path / "data" / FILE, path / FILE):
+        if inner.exists():
+            path = inner
+    if not path.is_file():
+        raise UsageError(f"no file {path}: expected HDF5, or a Minari dataset's folder")
+    with open_hdf5(path) as file:
+        groups = episode_groups(file)
+        if groups:
+            episodes = [_episode(path, i, group) for i, group in enumerate(groups)]
+        else:
+            episodes = _flat_episodes(path, file)
+    arrays = arrays_of(episodes, dataset_id)
+    if problems := problems_of(arrays):
+        raise DatasetError(f"{path}: {'; '.join(problems)}")
+    return arrays
+
+
+def _episode(path: Path, number: int, group: Any) -> Episode:
+    """One of Minari's episodes with goal-dictionary observations."""
+    values = checked(path, group, FIELDS)
+    info = {key: optional(group, f"infos/{key}") for key in INFO}
+    attributes = dict(group.attrs)
+    return _built(
+        number,
+        states_of(values),
+        values["actions"],
+        values["rewards"],
+        values["terminations"],
+        values["truncations"],
+        info,
+        int(attributes.get("seed", -1)),
+    )
+
+
+def _flat_episodes(path: Path, file: Any) -> list[Episode]:
+    values = checked(path, file, FLAT)
+    terminated = values["terminals"].astype(bool)
+    truncated = values["timeouts"].astype(bool)
+    ends = np.flatnonzero(terminated | truncated) + 1
+    if not len(ends) or ends[-1] != len(terminated):
+        raise DatasetError(
+            f"{path}: the last step has neither 'terminals' nor 'timeouts': the last "
+            "episode has no end"
+        )
+    episodes = []
+    for number, (begin, end) in enumerate(zip([0, *ends[:-1]], ends, strict=True)):
+        part = slice(begin, end)
+        last = values["next_observations"][end - 1 : end]
+        episodes.append(
+            _built(
+                number,
+                np.concatenate([values["observations"][part], last]),
+                values["actions"][part],
+                values["rewards"][part],
+                terminated[part],
+                truncated[part],
+                dict.fromkeys(INFO),
+                -1,
+            )
+        )
+    return episodes
+
+
+def _built(
+    number: int,
+    states: np.ndarray,
+    actions: np.ndarray,
+    rewards: np.ndarray,
+    terminated: np.ndarray,
+    truncated: np.ndarray,
+    info: dict[str, np.ndarray | None],
+    seed: int,
+) -> Episode:
+    """An episode of our types; what nobody measured is NaN."""
+    states = states.astype(np.float64)
+    known = {
+        "distance": np.linalg.norm(states[1:, EE] - states[1:, GOAL], axis=1),
+        "is_success": terminated,
+    }
+    unknown = np.full(len(rewards), np.nan)
+    measured = {
+        key: known.get(key, unknown)
+        if value is None or value.shape != rewards.shape
+        else value
+        for key, value in info.items()
+    }
+    return Episode(
+        states=states,
+        actions=actions.astype(np.float32),
+        rewards=rewards.astype(np.float64),
+        terminated=terminated,
+        truncated=truncated,
+        info=measured,
+        seed=seed,
+        index=number,
+        source="imported",
+        start=np.full(11, np.nan),
+    )

@@ -1,0 +1,93 @@
+"""Finished episodes of a collection that is under way, each one durable.
+
+An SQLite file in a folder beside the dataset: whatever kills the collection, and
+wherever, it holds all episodes that were finished before. It goes when the dataset is
+complete.
+"""
+
+import io
+import json
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from marl_mm.datasets.arrays import arrays_of, load_arrays, save_arrays
+from marl_mm.episode import Episode
+from marl_mm.errors import DatasetError, MarlMmError
+
+FILE = "episodes.sqlite"
+
+
+class Journal:
+    """Episodes by their number; use it in a ``with`` block.
+
+    Args:
+        folder: Where; it is created.
+
+    Raises:
+        DatasetError: If there is one and it is damaged.
+        MarlMmError: If it cannot be written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._path = folder / FILE
+        with self._errors():
+            self._file = sqlite3.connect(self._path)
+            self._file.execute("create table if not exists about (text)")
+            self._file.execute(
+                "create table if not exists episodes (number integer primary key, npz)"
+            )
+
+    def __enter__(self) -> "Journal":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._file.close()
+
+    def about(self) -> dict[str, Any] | None:
+        """What is being collected; None if nothing was begun."""
+        with self._errors():
+            row = self._file.execute("select text from about").fetchone()
+        return None if row is None else json.loads(row[0])
+
+    def begin(self, about: dict[str, Any]) -> None:
+        """Forget everything and note what is being collected."""
+        with self._errors(), self._file:
+            self._file.execute("delete from about")
+            self._file.execute("delete from episodes")
+            self._file.execute("insert into about values (?)", [json.dumps(about)])
+
+    def add(self, episode: Episode) -> None:
+        """Keep an episode; when this returns, it is on the disk."""
+        blob = io.BytesIO()
+        save_arrays(blob, arrays_of([episode], ""), compress=False)
+        with self._errors(), self._file:
+            self._file.execute(
+                "insert or replace into episodes values (?, ?)",
+                [episode.index, blob.getvalue()],
+            )
+
+    def episodes(self) -> dict[int, Episode]:
+        """All episodes by their number."""
+        with self._errors():
+            rows = self._file.execute("select number, npz from episodes").fetchall()
+        return {
+            number: load_arrays(io.BytesIO(blob)).episode(0) for number, blob in rows
+        }
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.OperationalError as error:  # disk full, no permission
+            raise MarlMmError(
+                f"cannot write {self._path}: {error}; finished episodes are kept: make "
+                "room and go on with --resume"
+            ) from error
+        except sqlite3.DatabaseError as error:
+            raise DatasetError(
+                f"{self._path} is damaged ({error}): start anew with --overwrite"
+            ) from error

@@ -1,0 +1,179 @@
+"""Datasets made of others' episodes: mixed, split, filtered, with their provenance."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from marl_mm.datasets.arrays import EpisodeArrays, joined
+from marl_mm.datasets.dataset import Dataset
+from marl_mm.datasets.location import Location
+from marl_mm.datasets.storage import write_dataset
+from marl_mm.errors import UsageError
+from marl_mm.layout import GOAL
+
+
+@dataclass(frozen=True)
+class Part:
+    """What a mix takes from one dataset."""
+
+    dataset: Dataset
+    steps: int
+    """At least: episodes are whole."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Episodes and how they were chosen."""
+
+    arrays: EpisodeArrays
+    description: dict[str, Any]
+
+
+def mix(parts: Sequence[Part], seed: int) -> Recipe:
+    """So many steps of each dataset, drawn at random, in the order of the parts.
+
+    Of a random order of a part's episodes, the shortest beginning with at least its
+    steps is taken, and kept in the order of the dataset.
+
+    Raises:
+        UsageError: If a part has too few steps, is named twice, or the tasks differ.
+    """
+    _refuse_unequal([part.dataset for part in parts])
+    chosen = []
+    for number, part in enumerate(parts):
+        arrays, name = part.dataset.arrays, part.dataset.metadata["dataset_id"]
+        if part.steps < 1 or part.steps > arrays.steps:
+            raise UsageError(
+                f"{name} has {arrays.steps} steps, asked for {part.steps}: expected "
+                f"1 to {arrays.steps}"
+            )
+        order = np.random.default_rng([seed, number]).permutation(len(arrays))
+        taken = np.searchsorted(np.cumsum(arrays.lengths[order]), part.steps) + 1
+        chosen.append(arrays.select(np.sort(order[:taken])))
+    asked = {part.dataset.metadata["dataset_id"]: part.steps for part in parts}
+    recipe = {"kind": "mix", "seed": seed, "steps": asked}
+    return Recipe(joined(chosen), _described([part.dataset for part in parts], recipe))
+
+
+def split(dataset: Dataset, share: float, seed: int) -> tuple[Recipe, Recipe]:
+    """Two datasets: a share of the episodes drawn at random, and all others.
+
+    Args:
+        dataset: Of whose episodes each goes into one of the two.
+        share: Of the episodes, strictly between 0 and 1, for the first; both get at
+            least one.
+        seed: Of the draw.
+
+    Raises:
+        UsageError: If the share makes no sense or there is only one episode.
+    """
+    count = len(dataset.arrays)
+    if not 0.0 < share < 1.0:
+        raise UsageError(f"the share is {share}, expected one between 0 and 1")
+    if count < 2:
+        raise UsageError("one episode cannot be split, expected at least two")
+    first = min(max(round(share * count), 1), count - 1)
+    order = np.random.default_rng(seed).permutation(count)
+    recipe = {"kind": "split", "seed": seed, "share": share}
+    return tuple(  # type: ignore[return-value]
+        Recipe(
+            dataset.arrays.select(np.sort(numbers)),
+            _described([dataset], recipe | {"part": part}),
+        )
+        for part, numbers in (("first", order[:first]), ("rest", order[first:]))
+    )
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Which episodes a filter keeps: those that meet everything that is set."""
+
+    success: bool | None = None
+    """Only those that reached their goal, or only those that did not."""
+
+    direction: Literal["forward", "backward"] | None = None
+    """Only those whose goal is on this side of the start."""
+
+    min_return: float | None = None
+    """Least sum of rewards."""
+
+    max_return: float | None = None
+    """Largest sum of rewards."""
+
+
+def filtered(dataset: Dataset, condition: Condition) -> Recipe:
+    """The episodes that meet a condition, in order.
+
+    Raises:
+        UsageError: If none does, or nothing is set.
+    """
+    arrays = dataset.arrays
+    asked = {key: value for key, value in vars(condition).items() if value is not None}
+    if not asked:
+        raise UsageError("no condition: give --success, --direction, --min-return, ...")
+    keep = np.ones(len(arrays), bool)
+    if condition.success is not None:
+        keep &= arrays.successes() == condition.success
+    if condition.direction is not None:
+        ahead = arrays.first_states()[:, GOAL][:, 0] > 0
+        keep &= ahead == (condition.direction == "forward")
+    if condition.min_return is not None:
+        keep &= arrays.returns() >= condition.min_return
+    if condition.max_return is not None:
+        keep &= arrays.returns() <= condition.max_return
+    if not keep.any():
+        raise UsageError(
+            f"none of the {len(arrays)} episodes has {asked}: nothing to write"
+        )
+    recipe = {"kind": "filter", "condition": asked}
+    return Recipe(arrays.select(np.flatnonzero(keep)), _described([dataset], recipe))
+
+
+def write_mix(location: Location, recipe: Recipe, overwrite: bool = False) -> None:
+    """Write what a recipe gave; see ``write_dataset``."""
+    write_dataset(location, recipe.arrays, recipe.description, overwrite)
+
+
+def _refuse_unequal(datasets: Sequence[Dataset]) -> None:
+    names = [dataset.metadata["dataset_id"] for dataset in datasets]
+    if len(set(names)) < len(names):
+        raise UsageError(f"{', '.join(names)}: expected each dataset once")
+    tasks = {dataset.metadata["marl_mm"]["task"] for dataset in datasets}
+    if len(tasks) > 1:
+        raise UsageError(
+            f"the datasets are of {', '.join(sorted(tasks))}: their rewards differ"
+        )
+
+
+def _described(datasets: Sequence[Dataset], recipe: dict[str, Any]) -> dict[str, Any]:
+    """Metadata of what is made of these datasets.
+
+    Raises:
+        UsageError: If two of them say something else of one origin.
+    """
+    metadata = [dataset.metadata["marl_mm"] for dataset in datasets]
+    origins: dict[str, Any] = {}
+    for ours in metadata:
+        for name, about in ours["origins"].items():
+            if origins.setdefault(name, about) != about:
+                raise UsageError(
+                    f"two different datasets are called {name}: collect one of them "
+                    "under another name"
+                )
+    longest = max(ours["overrides"].get("max_steps", 0) for ours in metadata)
+    return {
+        "task": metadata[0]["task"],
+        "overrides": {"max_steps": longest} if longest else {},
+        "collector": recipe["kind"],
+        "seed": recipe.get("seed"),
+        "recipe": recipe,
+        "sources": [
+            {key: value for key, value in dataset.identity().items() if key != "path"}
+            for dataset in datasets
+        ],
+        "origins": origins,
+        "attempts": None,
+        "complete": all(ours["complete"] for ours in metadata),
+    }

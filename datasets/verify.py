@@ -1,0 +1,115 @@
+"""What can be wrong with a dataset's files, checked without the simulator."""
+
+import json
+from typing import Any
+
+import numpy as np
+
+from marl_mm.datasets.arrays import EpisodeArrays, load_arrays
+from marl_mm.datasets.hdf5 import FILE, achieved_goals
+from marl_mm.datasets.location import Location
+from marl_mm.datasets.storage import (
+    cache_file,
+    file_digest,
+    read_arrays,
+    read_metadata,
+    statistics,
+)
+from marl_mm.errors import DatasetError
+from marl_mm.layout import ACTION_HIGH, ACTION_LOW, EE, GOAL, MODE
+
+
+def verify(location: Location) -> list[str]:
+    """Problems of a dataset: schema, hashes, finiteness, ranges, ends, cache.
+
+    Returns:
+        One line each; none if all is well.
+
+    Raises:
+        UnknownDatasetError: If there is no such dataset.
+    """
+    try:
+        metadata = read_metadata(location)
+        arrays = read_arrays(location, metadata, cached=False)
+    except DatasetError as error:
+        return [str(error)]
+    return [
+        *_counts(arrays, metadata),
+        *problems_of(arrays),
+        *_achieved(arrays, location),
+        *_cache(arrays, location),
+    ]
+
+
+def problems_of(arrays: EpisodeArrays) -> list[str]:
+    """What cannot be in episodes, whoever wrote them: ranges, goals, ends."""
+    return [*_values(arrays), *_ends(arrays)]
+
+
+def _counts(arrays: EpisodeArrays, metadata: dict[str, Any]) -> list[str]:
+    ours = metadata["marl_mm"]
+    pairs = {
+        "total_episodes": (metadata.get("total_episodes"), len(arrays)),
+        "total_steps": (metadata.get("total_steps"), arrays.steps),
+        "steps": (ours["steps"], arrays.steps),
+    }
+    problems = [
+        f"metadata.json: {name} is {said}, the file has {counted}"
+        for name, (said, counted) in pairs.items()
+        if said != counted
+    ]
+    if json.loads(json.dumps(statistics(arrays))) != ours["statistics"]:
+        problems.append("metadata.json: the statistics are not those of the data")
+    return problems
+
+
+def _values(arrays: EpisodeArrays) -> list[str]:
+    low, high = np.array(ACTION_LOW), np.array(ACTION_HIGH)
+    outside = (arrays.actions < low) | (arrays.actions > high)
+    modes = arrays.states[:, MODE]
+    moved = np.diff(arrays.states[:, GOAL], axis=0)[~arrays.is_last_state()[:-1]]
+    checks = {
+        "actions outside of the action space": outside.any(axis=1).sum(),
+        "states whose control mode is outside of [0, 1]": (
+            (modes < 0) | (modes > 1)
+        ).sum(),
+        "goals that move within an episode": moved.any(axis=1).sum(),
+    }
+    return [f"{count} {what}" for what, count in checks.items() if count]
+
+
+def _achieved(arrays: EpisodeArrays, location: Location) -> list[str]:
+    achieved = achieved_goals(location.data / FILE, len(arrays))
+    count = (achieved != arrays.states[:, EE]).any(axis=1).sum()
+    return [f"{count} achieved goals are not where the hand is"] if count else []
+
+
+def _ends(arrays: EpisodeArrays) -> list[str]:
+    last = np.zeros(arrays.steps, bool)
+    last[np.cumsum(arrays.lengths) - 1] = True
+    ended = arrays.terminated | arrays.truncated
+    checks = {
+        "steps that end an episode before its last one": (ended & ~last).sum(),
+        "episodes that neither reached the goal nor ran out of steps": (
+            (~ended & last).sum()
+        ),
+        "steps that are both terminated and truncated": (
+            (arrays.terminated & arrays.truncated).sum()
+        ),
+    }
+    return [f"{count} {what}" for what, count in checks.items() if count]
+
+
+def _cache(arrays: EpisodeArrays, location: Location) -> list[str]:
+    path = cache_file(location.folder, file_digest(location.data / FILE))
+    if not path.exists():
+        return []
+    try:
+        cached = load_arrays(path)
+    except DatasetError as error:
+        return [str(error)]
+    equal = all(
+        np.array_equal(getattr(arrays, name), getattr(cached, name))
+        for name in ("states", "actions", "rewards", "terminated", "lengths", "seeds")
+    )
+    return [] if equal else [f"{path} is not what the data are: delete it"]

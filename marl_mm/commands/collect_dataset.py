@@ -1,0 +1,264 @@
+"""Collecting into a dataset that survives whatever stops it."""
+
+import json
+import shutil
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from marl_mm.collectors.collect import Collection, PolicyConfig, collect, make_collector
+from marl_mm.commands.options import available_cores, check_positive, check_seed
+from marl_mm.datasets.arrays import arrays_of
+from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.journal import Journal
+from marl_mm.datasets.location import Location
+from marl_mm.datasets.storage import read_metadata, refuse_foreign, write_dataset
+from marl_mm.envs.config import config_dict, reach_config
+from marl_mm.envs.rollout import Rollouts
+from marl_mm.episode import Episode
+from marl_mm.errors import (
+    OtherConfigError,
+    OutputExistsError,
+    UsageError,
+    WorkerDiedError,
+)
+from marl_mm.files import only_here, refuse_existing
+from marl_mm.interrupts import deaf_to_interrupts
+from marl_mm.progress import progress_bar
+from marl_mm.workers import Executor
+
+
+@dataclass(frozen=True)
+class CollectOptions:
+    """What every collector needs."""
+
+    steps: int = 10_000
+    """Least number of steps; the last episode is kept whole."""
+
+    seed: int = 0
+    """Of the dataset: episode i is seeded from (seed, i)."""
+
+    workers: int = field(default_factory=available_cores)
+    """Processes; the dataset does not depend on it."""
+
+    executor: Executor = "processes"
+    """"processes" of this machine, or of the Ray cluster that $RAY_ADDRESS names or of
+    one that is started here (pip install 'marl-mm[ray]')."""
+
+    dataset: str | None = None
+    """Id or path; default marl_mm/TASK/COLLECTOR-v0 below $MINARI_DATASETS_PATH."""
+
+    task: str = "Reach-v0"
+    """Reach-v0, SmoothReach-v0 or PreciseReach-v0."""
+
+    max_steps: int | None = None
+    """Steps per episode; default 50 for pd, 25 for the others."""
+
+    resume: bool = False
+    """Go on where a collection was stopped, or with more --steps where it ended."""
+
+    overwrite: bool = False
+    """Replace the dataset if it exists."""
+
+    json: bool = False
+    """Print the dataset's card as JSON."""
+
+
+def collect_dataset(
+    location: Location,
+    policy: PolicyConfig,
+    options: CollectOptions,
+    first: Location | None = None,
+) -> Collection:
+    """Collect and write one dataset; Ctrl-C leaves the episodes until then.
+
+    Args:
+        location: Where.
+        policy: Who acts.
+        options: How much, and how.
+        first: A shorter dataset of the same policy, task and seed to begin with.
+
+    Raises:
+        UsageError: If an argument makes no sense, the dataset exists, or another
+            process is writing it.
+        OtherConfigError: If what is to be resumed is of another policy, task or seed.
+        KeyboardInterrupt: If Ctrl-C came before the first episode was kept.
+    """
+    check_positive(steps=options.steps, workers=options.workers)
+    check_seed(options.seed)
+    if options.resume and options.overwrite:
+        raise UsageError("--resume and --overwrite contradict each other: choose one")
+    refuse_existing(location.folder, options.overwrite or options.resume)
+    refuse_foreign(location)
+    nothing = not location.folder.exists() and not location.working.exists()
+    if options.resume and nothing:
+        raise UsageError(
+            f"nothing was begun at {location.folder}: leave out --resume to start"
+        )
+    about = _about(policy, options)
+    with only_here(location.working), ExitStack() as cleaning:
+        cleaning.callback(_remove_if_empty, location)
+        known: dict[int, Episode | None] = {}
+        for source in filter(None, (first, location if options.resume else None)):
+            known |= _known(source, about)
+        if _is_complete(location, options):
+            return Collection(_kept(known), len(known), complete=True)
+        with Journal(location.working) as journal:
+            known |= _begun(journal, about, location, options)
+            collection = _run(policy, options, about, known, journal)
+        if not collection.episodes:
+            raise KeyboardInterrupt("stopped before an episode was kept")
+        _write(location, collection, about, options)
+        if collection.complete:
+            shutil.rmtree(location.working)
+    return collection
+
+
+def _about(policy: PolicyConfig, options: CollectOptions) -> dict[str, Any]:
+    """What the episodes depend on, as JSON gives it back."""
+    max_steps = options.max_steps
+    if max_steps is None:
+        max_steps = make_collector(policy).max_steps
+    check_positive(max_steps=max_steps)
+    overrides = {"max_steps": max_steps}
+    about: dict[str, Any] = json.loads(
+        json.dumps(
+            {
+                "task": options.task,
+                "overrides": overrides,
+                "config": config_dict(reach_config(options.task, overrides)),
+                "collector": policy.name,
+                "collector_config": asdict(policy),
+                "seed": options.seed,
+            }
+        )
+    )
+    return about
+
+
+def _known(location: Location, about: dict[str, Any]) -> dict[int, Episode | None]:
+    """The attempts behind a dataset, by number; None for those it did not keep."""
+    if not location.folder.exists():
+        return {}
+    dataset = load_dataset(location)
+    ours = dataset.metadata["marl_mm"]
+    _refuse_other(location, ours, about)
+    known: dict[int, Episode | None] = dict.fromkeys(range(ours["attempts"]))
+    return known | {episode.index: episode for episode in dataset.episodes}
+
+
+def _kept(known: dict[int, Episode | None]) -> list[Episode]:
+    return [episode for episode in known.values() if episode is not None]
+
+
+def _is_complete(location: Location, options: CollectOptions) -> bool:
+    """Whether the dataset to resume has all its steps.
+
+    Raises:
+        UsageError: If it has more.
+    """
+    if not options.resume or not location.folder.exists():
+        return False
+    ours = read_metadata(location)["marl_mm"]
+    if ours["steps_asked"] > options.steps and ours["complete"]:
+        raise UsageError(
+            f"{location.folder} has {ours['steps']} steps already, --steps is "
+            f"{options.steps}"
+        )
+    return bool(ours["complete"]) and ours["steps_asked"] == options.steps
+
+
+def _begun(
+    journal: Journal, about: dict[str, Any], location: Location, options: CollectOptions
+) -> dict[int, Episode | None]:
+    """What a journal holds; a new one, or one to overwrite, begins."""
+    before = journal.about()
+    if before is not None and not (options.resume or options.overwrite):
+        raise OutputExistsError(
+            f"{location.folder} was begun already; go on with --resume, choose another "
+            "--dataset or add --overwrite"
+        )
+    if before is None or options.overwrite:
+        journal.begin(about)
+        return {}
+    _refuse_other(location, before, about)
+    return dict(journal.episodes())
+
+
+def _refuse_other(
+    location: Location, theirs: dict[str, Any], mine: dict[str, Any]
+) -> None:
+    """Raise if a collection is of something else.
+
+    Raises:
+        OtherConfigError: Naming what differs.
+    """
+    differences = [
+        f"{key} = {theirs.get(key)} (now {value})"
+        for key, value in mine.items()
+        if theirs.get(key) != value
+    ]
+    if differences:
+        raise OtherConfigError(
+            f"{location.folder} was begun with {', '.join(differences)}: go on with "
+            "the same, or start anew with another --dataset or --overwrite"
+        )
+
+
+def _run(
+    policy: PolicyConfig,
+    options: CollectOptions,
+    about: dict[str, Any],
+    known: dict[int, Episode | None],
+    journal: Journal,
+) -> Collection:
+    config = reach_config(options.task, about["overrides"])
+    complete = False
+    with progress_bar(f"collect {policy.name}", options.steps) as advance:
+        rollouts = Rollouts(config, options.workers, options.executor)
+        try:
+            collection = collect(
+                make_collector(policy),
+                rollouts.completed,
+                options.steps,
+                options.seed,
+                advance,
+                known,
+                journal.add,
+            )
+            complete = collection.complete
+        except WorkerDiedError as error:
+            raise WorkerDiedError(
+                f"{error}; finished episodes are kept: go on with --resume"
+            ) from error
+        finally:
+            # A second Ctrl-C must not cost what the first one left.
+            with deaf_to_interrupts(forget=not complete):
+                rollouts.close()
+    return collection
+
+
+def _write(
+    location: Location,
+    collection: Collection,
+    about: dict[str, Any],
+    options: CollectOptions,
+) -> None:
+    description = {
+        **about,
+        "origins": {location.id: about},
+        "steps_asked": options.steps,
+        "attempts": collection.attempts,
+        "complete": collection.complete,
+    }
+    arrays = arrays_of(collection.episodes, location.id)
+    with deaf_to_interrupts(forget=not collection.complete):
+        write_dataset(location, arrays, description, overwrite=True)
+
+
+def _remove_if_empty(location: Location) -> None:
+    """No trace of a collection that never began."""
+    try:
+        location.working.rmdir()
+    except OSError:
+        pass

@@ -1,0 +1,105 @@
+"""The datasets of the paper's Tables 4 and 5, by name."""
+
+import json
+from dataclasses import dataclass, field
+
+from marl_mm.collectors.collect import PolicyConfig
+from marl_mm.collectors.medium import MediumConfig
+from marl_mm.collectors.pd import PdConfig
+from marl_mm.collectors.pretrained import PretrainedConfig
+from marl_mm.collectors.random import RandomConfig
+from marl_mm.commands.collect_dataset import CollectOptions, collect_dataset
+from marl_mm.commands.options import available_cores, check_seed
+from marl_mm.datasets.card import card_text, keep_card
+from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.location import Location, locate
+from marl_mm.datasets.recipe import Part, mix, write_mix
+from marl_mm.workers import Executor
+
+COLLECTED: dict[str, tuple[PolicyConfig, int]] = {
+    "good-30k": (PretrainedConfig(), 30_000),
+    "good-60k": (PretrainedConfig(), 60_000),
+    "pd-30k": (PdConfig(), 30_000),
+    "random-10k": (RandomConfig(), 10_000),
+    "medium-5k": (MediumConfig(), 5_000),
+}
+"""Who acts, and how many steps (paper, Sec. 5.4.2)."""
+
+MIXED = {
+    "mix-5k-random-5k-medium-20k-good": {
+        "random-10k": 5_000,
+        "medium-5k": 5_000,
+        "good-30k": 20_000,
+    },
+    "mix-10k-random-20k-good": {"random-10k": 10_000, "good-30k": 20_000},
+}
+"""Steps of each source (paper, Table 4)."""
+
+
+@dataclass(frozen=True)
+class Paper:
+    """Make all datasets of the paper, marl_mm/reach/NAME-v0; existing ones are kept.
+
+    good-30k, good-60k, pd-30k, random-10k, medium-5k and the mixes of Table 4. The same
+    command goes on after an interruption. good-60k begins with good-30k.
+    """
+
+    scale: float = 1.0
+    """Share of the paper's steps, to see that everything works."""
+
+    seed: int = 0
+    """Of all datasets."""
+
+    workers: int = field(default_factory=available_cores)
+    """Processes; the datasets do not depend on it."""
+
+    executor: Executor = "processes"
+    """"processes" of this machine, or of a Ray cluster."""
+
+    json: bool = False
+    """Print the cards as JSON."""
+
+
+def collect_paper(command: Paper) -> None:
+    """Make what is missing of the paper's datasets, and print their cards."""
+    check_seed(command.seed)
+    cards = []
+    for name in (*COLLECTED, *MIXED):
+        location = paper_location(name)
+        if name in COLLECTED:
+            _collect(name, location, command)
+        elif not location.folder.exists():
+            parts = [
+                Part(load_dataset(paper_location(source)), _scaled(steps, command))
+                for source, steps in MIXED[name].items()
+            ]
+            write_mix(location, mix(parts, command.seed))
+        cards.append(keep_card(load_dataset(location)))
+        if not command.json:
+            print(card_text(cards[-1]), flush=True)
+    if command.json:
+        print(json.dumps(cards, indent=2))
+
+
+def paper_location(name: str) -> Location:
+    """Where one of the paper's datasets is."""
+    return locate(f"marl_mm/reach/{name}-v0")
+
+
+def _collect(name: str, location: Location, command: Paper) -> None:
+    policy, steps = COLLECTED[name]
+    options = CollectOptions(
+        steps=_scaled(steps, command),
+        seed=command.seed,
+        workers=command.workers,
+        executor=command.executor,
+        resume=location.folder.exists() or location.working.exists(),
+    )
+    first = paper_location("good-30k") if name == "good-60k" else None
+    collection = collect_dataset(location, policy, options, first)
+    if not collection.complete:
+        raise KeyboardInterrupt(f"stopped in {name}; the same command goes on there")
+
+
+def _scaled(steps: int, command: Paper) -> int:
+    return max(1, round(command.scale * steps))

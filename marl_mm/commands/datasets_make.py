@@ -1,0 +1,200 @@
+"""Commands that make datasets of other datasets' episodes."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import tyro
+
+from marl_mm.commands.options import check_seed
+from marl_mm.datasets.card import card_text, keep_card
+from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.importing import read_foreign
+from marl_mm.datasets.location import Location, find, locate
+from marl_mm.datasets.recipe import Condition, Part, filtered, mix, split, write_mix
+from marl_mm.datasets.storage import write_dataset
+from marl_mm.envs.config import reach_config
+from marl_mm.errors import UsageError
+from marl_mm.files import refuse_existing
+
+
+@dataclass(frozen=True)
+class Mix:
+    """Draw so many steps of each of several datasets, as whole episodes."""
+
+    parts: tyro.conf.Positional[tuple[str, ...]]
+    """DATASET:STEPS, such as good:20000 medium:5000 random:5000."""
+
+    out: str
+    """Id or path of the mix."""
+
+    seed: int = 0
+    """Of the draw."""
+
+    overwrite: bool = False
+    """Replace the mix if it exists."""
+
+    json: bool = False
+    """Print its card as JSON."""
+
+
+@dataclass(frozen=True)
+class Split:
+    """Divide a dataset's episodes at random into OUT-first-v0 and OUT-rest-v0."""
+
+    dataset: tyro.conf.Positional[str]
+    """Id or path."""
+
+    out: str | None = None
+    """What the new ids begin with; default the dataset's own."""
+
+    share: float = 0.8
+    """Of the episodes that go into the first one."""
+
+    seed: int = 0
+    """Of the draw."""
+
+    overwrite: bool = False
+    """Replace them if they exist."""
+
+    json: bool = False
+    """Print their cards as JSON."""
+
+
+@dataclass(frozen=True)
+class Filter:
+    """Keep the episodes that meet all conditions."""
+
+    dataset: tyro.conf.Positional[str]
+    """Id or path."""
+
+    out: str
+    """Id or path of the new dataset."""
+
+    outcome: Literal["reached", "missed"] | None = None
+    """Only episodes that reached their goal, or only those that did not."""
+
+    direction: Literal["forward", "backward"] | None = None
+    """Only episodes whose goal is ahead, or behind."""
+
+    min_return: float | None = None
+    """Least sum of rewards."""
+
+    max_return: float | None = None
+    """Largest sum of rewards."""
+
+    overwrite: bool = False
+    """Replace it if it exists."""
+
+    json: bool = False
+    """Print its card as JSON."""
+
+
+@dataclass(frozen=True)
+class Import:
+    """Take a Minari dataset or an HDF5 file of your own.
+
+    Minari's layout with goal-dictionary observations: observation (7), achieved_goal
+    (3), desired_goal (3). Or flat arrays: observations (n, 10), actions (n, 4),
+    next_observations, rewards, terminals, timeouts.
+    """
+
+    file: tyro.conf.Positional[Path]
+    """HDF5 file, or folder of a Minari dataset."""
+
+    out: str
+    """Id or path of the new dataset."""
+
+    task: str = "Reach-v0"
+    """Whose rewards they are: Reach-v0, SmoothReach-v0 or PreciseReach-v0."""
+
+    overwrite: bool = False
+    """Replace it if it exists."""
+
+    json: bool = False
+    """Print its card as JSON."""
+
+
+def make_mix(command: Mix) -> None:
+    """Run ``marl-mm datasets mix``."""
+    check_seed(command.seed)
+    location = _free(command.out, command.overwrite)
+    if not command.parts:
+        raise UsageError("name at least one DATASET:STEPS")
+    parts = [_part(text) for text in command.parts]
+    write_mix(location, mix(parts, command.seed), command.overwrite)
+    _tell([location], command.json)
+
+
+def make_split(command: Split) -> None:
+    """Run ``marl-mm datasets split``."""
+    check_seed(command.seed)
+    source = find(command.dataset)
+    stem = (command.out or _own_name(source)).removesuffix("-v0")
+    locations = [
+        _free(f"{stem}-{part}-v0", command.overwrite) for part in ("first", "rest")
+    ]
+    recipes = split(load_dataset(source), command.share, command.seed)
+    for location, recipe in zip(locations, recipes, strict=True):
+        write_mix(location, recipe, command.overwrite)
+    _tell(locations, command.json)
+
+
+def make_filtered(command: Filter) -> None:
+    """Run ``marl-mm datasets filter``."""
+    location = _free(command.out, command.overwrite)
+    condition = Condition(
+        None if command.outcome is None else command.outcome == "reached",
+        command.direction,
+        command.min_return,
+        command.max_return,
+    )
+    recipe = filtered(load_dataset(command.dataset), condition)
+    write_mix(location, recipe, command.overwrite)
+    _tell([location], command.json)
+
+
+def make_imported(command: Import) -> None:
+    """Run ``marl-mm datasets import``."""
+    location = _free(command.out, command.overwrite)
+    reach_config(command.task)
+    arrays = read_foreign(command.file, location.id)
+    description: dict[str, Any] = {
+        "task": command.task,
+        "overrides": {"max_steps": int(arrays.lengths.max())},
+        "collector": "imported",
+        "seed": None,
+        "origins": {location.id: {"file": command.file.name}},
+        "attempts": None,
+        "complete": True,
+    }
+    write_dataset(location, arrays, description, command.overwrite)
+    _tell([location], command.json)
+
+
+def _free(name: str, overwrite: bool) -> Location:
+    location = locate(name)
+    refuse_existing(location.folder, overwrite)
+    return location
+
+
+def _part(text: str) -> Part:
+    name, _, steps = text.rpartition(":")
+    if not name or not steps.isdecimal():
+        raise UsageError(f"{text!r} is no DATASET:STEPS, such as good:20000")
+    return Part(load_dataset(name), int(steps))
+
+
+def _own_name(location: Location) -> str:
+    """Its id where it is found by that, its path elsewhere."""
+    by_id = locate(location.id).folder == location.folder
+    return location.id if by_id else str(location.folder)
+
+
+def _tell(locations: list[Location], as_json: bool) -> None:
+    cards = [keep_card(load_dataset(location)) for location in locations]
+    if as_json:
+        print(json.dumps(cards if len(cards) > 1 else cards[0], indent=2))
+    else:
+        print("\n\n".join(card_text(values) for values in cards))

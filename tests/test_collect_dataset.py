@@ -1,0 +1,267 @@
+"""Collecting with the real command, stopped in every way, gives the same bytes."""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from marl_mm.cli import main
+from marl_mm.collectors.collect import collect, make_collector
+from marl_mm.collectors.medium import MediumConfig, MediumPolicy
+from marl_mm.collectors.pretrained import PretrainedConfig, PretrainedPolicy
+from marl_mm.collectors.random import RandomConfig, RandomPolicy
+from marl_mm.commands.collect_dataset import CollectOptions, collect_dataset
+from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.journal import Journal
+from marl_mm.datasets.location import Location, locate
+from marl_mm.envs.rollout import EpisodePlan
+from marl_mm.episode import Episode
+from marl_mm.errors import OtherConfigError, UsageError
+from marl_mm.files import only_here
+from marl_mm.policy import Policy
+
+MakeEpisode = Callable[..., Episode]
+STEPS = 120
+"""Of random data: five episodes."""
+
+
+def data(name: str) -> bytes:
+    return (locate(name).data / "main_data.hdf5").read_bytes()
+
+
+def start(name: str, *options: str) -> "subprocess.Popen[str]":
+    """The real command, collecting random data in two processes."""
+    words = ["collect", "random", "--steps", str(STEPS), "--dataset", name]
+    return subprocess.Popen(
+        [sys.executable, "-m", "marl_mm.cli", *words, "--workers", "2", *options],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def journal_holds(location: Location, episodes: int) -> None:
+    """Wait until a collection has finished so many."""
+    end = time.monotonic() + 120
+    while time.monotonic() < end:
+        if (location.working / "episodes.sqlite").exists():
+            with Journal(location.working) as journal:
+                if len(journal.episodes()) >= episodes:
+                    return
+        time.sleep(0.05)
+    raise AssertionError("nothing was collected in two minutes")
+
+
+def workers_of(process: "subprocess.Popen[str]") -> list[psutil.Process]:
+    children = psutil.Process(process.pid).children()
+    return [one for one in children if "spawn_main" in " ".join(one.cmdline())]
+
+
+@pytest.fixture
+def whole(datasets_home: Path) -> bytes:
+    """An uninterrupted collection."""
+    words = ["collect", "random", "--steps", str(STEPS), "--workers", "1"]
+    assert main([*words, "--dataset", "marl_mm/reach/test-v0"]) == 0
+    content = data("marl_mm/reach/test-v0")
+    assert main(["datasets", "delete", "marl_mm/reach/test-v0", "--yes"]) == 0
+    return content
+
+
+@pytest.mark.slow
+def test_killed_parents_and_workers_cost_nothing_finished(whole: bytes) -> None:
+    """kill -9 of the command, then of a worker; then --resume, to the same bytes."""
+    name = "marl_mm/reach/test-v0"
+    location = locate(name)
+    first = start(name)
+    journal_holds(location, 1)
+    workers = workers_of(first)
+    assert len(workers) == 2
+    first.kill()
+    first.wait()
+    _, alive = psutil.wait_procs(workers, timeout=20)
+    assert not alive, "a worker outlived its parent"
+    assert not location.folder.exists()
+    with Journal(location.working) as journal:
+        finished = len(journal.episodes())
+    assert finished >= 1
+
+    again = start(name)  # not overwritten, not resumed unasked
+    assert again.wait() == 2 and again.stderr is not None
+    assert "was begun already; go on with --resume" in again.stderr.read()
+
+    second = start(name, "--resume")
+    journal_holds(location, min(finished + 1, 4))
+    workers_of(second)[0].kill()
+    assert second.wait() == 1 and second.stderr is not None
+    complaint = second.stderr.read()
+    assert "a worker process died" in complaint and "--resume" in complaint
+    assert "Traceback" not in complaint
+
+    third = start(name, "--resume")
+    assert third.wait() == 0
+    assert data(name) == whole
+    assert not location.working.exists()
+    assert main(["datasets", "verify", name, "--replay"]) == 0
+
+
+@pytest.mark.slow
+def test_a_second_writer_is_refused_and_changes_nothing(datasets_home: Path) -> None:
+    name = "marl_mm/reach/test-v0"
+    location = locate(name)
+    assert main(["collect", "random", "--steps", "10", "--dataset", name]) == 0
+    before = data(name)
+    with only_here(location.working):
+        other = start(name, "--overwrite")
+        assert other.wait() == 2 and other.stderr is not None
+        assert "another process is writing" in other.stderr.read()
+    assert data(name) == before
+
+
+@pytest.mark.slow
+def test_a_longer_dataset_goes_on_from_the_shorter(whole: bytes) -> None:
+    name = "marl_mm/reach/test-v0"
+    words = ["collect", "random", "--dataset", name, "--workers", "1"]
+    assert main([*words, "--steps", "30"]) == 0
+    assert main([*words, "--steps", str(STEPS), "--resume"]) == 0
+    assert data(name) == whole
+    assert main([*words, "--steps", str(STEPS), "--resume"]) == 0  # nothing to do
+    assert main([*words, "--steps", "30", "--resume"]) == 2
+    assert main([*words, "--steps", str(STEPS), "--resume", "--seed", "1"]) == 2
+
+
+@pytest.mark.slow
+def test_a_full_disk_ends_with_one_line_and_a_resumable_collection(
+    datasets_home: Path, whole: bytes
+) -> None:
+    """The operating system refuses to let any file grow beyond 30 kB, then does not."""
+    name = "marl_mm/reach/test-v0"
+    code = (
+        "import resource, signal, sys; from marl_mm.cli import main;"
+        "import marl_mm.commands.collect;"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000));"
+        "sys.exit(main(sys.argv[1:]))"
+    )
+    words = ["collect", "random", "--steps", str(STEPS), "--dataset", name]
+    full = subprocess.run(
+        [sys.executable, "-c", code, *words, "--workers", "1"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert full.returncode == 1, full.stderr
+    assert "Traceback" not in full.stderr and "--resume" in full.stderr
+    assert not locate(name).folder.exists()
+    assert main([*words, "--resume"]) == 0
+    assert data(name) == whole
+
+
+def test_nothing_to_resume_is_a_usage_error(datasets_home: Path) -> None:
+    options = CollectOptions(steps=5, workers=1, resume=True)
+    location = locate("marl_mm/reach/test-v0")
+    with pytest.raises(UsageError, match="nothing was begun"):
+        collect_dataset(location, RandomConfig(), options)
+    assert not location.working.exists()
+
+
+def test_another_seed_does_not_go_on(
+    datasets_home: Path, make_episode: MakeEpisode
+) -> None:
+    location = locate("marl_mm/reach/test-v0")
+    with Journal(location.working) as journal:
+        journal.begin({"task": "Reach-v0", "seed": 3})
+        journal.add(make_episode(0))
+    options = CollectOptions(steps=5, workers=1, resume=True)
+    with pytest.raises(OtherConfigError, match=r"seed = 3 \(now 0\)"):
+        collect_dataset(location, RandomConfig(), options)
+
+
+def test_attempts_that_come_in_any_order_are_kept_in_theirs(
+    make_episode: MakeEpisode,
+) -> None:
+    """Known, new, not kept; and each new one is safe before anything else happens."""
+    safe: list[int] = []
+
+    def backwards(policy: Policy, plans: Iterator[EpisodePlan]) -> Iterator[Episode]:
+        while True:
+            some = [next(plans) for _ in range(3)]
+            for plan in reversed(some):
+                yield make_episode(plan.index, steps=4)
+
+    known = {1: make_episode(1, steps=4), 2: None}
+    collection = collect(
+        make_collector(RandomConfig()),
+        backwards,  # type: ignore[arg-type]
+        20,
+        seed=0,
+        known=known,
+        keep_safe=lambda episode: safe.append(episode.index),
+    )
+    assert [episode.index for episode in collection.episodes] == [0, 1, 3, 4, 5]
+    assert collection.attempts == 6
+    assert not {1, 2} & set(safe)
+    assert {0, 3, 4, 5} <= set(safe)
+
+
+def test_medium_is_random_first_and_then_the_agent() -> None:
+    medium = MediumPolicy(MediumConfig(random_steps=3))
+    random = RandomPolicy(RandomConfig())
+    agent = PretrainedPolicy(PretrainedConfig())
+    for policy in (medium, random, agent):
+        policy.begin(np.random.default_rng(5))
+    state = np.array([0.6, 0, 0.6, 0, 0, 0, 0.5, 1.2, 0, 0.6])
+    for step in range(5):
+        expected = (random if step < 3 else agent).act(state)
+        np.testing.assert_array_equal(medium.act(state), expected)
+
+
+def test_noise_is_of_the_episode_and_clipped() -> None:
+    state = np.array([0.6, 0, 0.6, 0, 0, 0, 0.5, 1.2, 0, 0.6])
+    exact = PretrainedPolicy(PretrainedConfig())
+    noisy = PretrainedPolicy(PretrainedConfig(noise=0.5))
+    exact.begin(np.random.default_rng(0))
+    seen = []
+    for seed in (1, 1, 2):
+        noisy.begin(np.random.default_rng(seed))
+        seen.append(np.stack([noisy.act(state) for _ in range(200)]))
+    np.testing.assert_array_equal(seen[0], seen[1])
+    assert (seen[0] != seen[2]).any()
+    assert seen[0].min() >= -1 and seen[0][:, 3].min() >= 0 and seen[0].max() <= 1
+    assert np.abs(seen[0] - exact.act(state)).mean() > 0.1
+
+
+@pytest.mark.slow
+def test_the_papers_datasets_at_a_hundredth(
+    datasets_home: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All seven; a second time nothing is done; 60k begins with 30k."""
+    words = ["collect", "paper", "--scale", "0.01"]
+    assert main(words) == 0
+    names = {path.name: path for path in (datasets_home / "marl_mm/reach").glob("*-v0")}
+    assert len(names) == 7
+    before = {name: data(f"marl_mm/reach/{name}") for name in names}
+    capsys.readouterr()
+    assert main([*words, "--json"]) == 0
+    assert {name: data(f"marl_mm/reach/{name}") for name in names} == before
+    short, long = load_dataset("good-30k").arrays, load_dataset("good-60k").arrays
+    assert long.states[: len(short.states)].tobytes() == short.states.tobytes()
+    mixed = load_dataset("mix-5k-random-5k-medium-20k-good").arrays
+    steps = {
+        str(source): int(mixed.lengths[mixed.sources == source].sum())
+        for source in np.unique(mixed.sources)
+    }
+    assert 200 <= steps["pretrained"] < 225
+    assert 50 <= steps["medium"] < 75 and 50 <= steps["random"] < 75
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_an_unwritable_folder_is_named(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    assert main(["collect", "random", "--dataset", str(tmp_path / "x")]) == 2

@@ -1,0 +1,199 @@
+"""Export, import and 200 damaged files: what comes in is whole, or is named."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from marl_mm.cli import main
+from marl_mm.datasets.arrays import arrays_of
+from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.location import locate
+from marl_mm.datasets.storage import write_dataset
+from marl_mm.episode import Episode
+from marl_mm.layout import ACTION_HIGH, ACTION_LOW, GOAL, MODE
+
+MakeEpisode = Callable[..., Episode]
+ID = "marl_mm/reach/test-v0"
+FUZZED = 200
+
+
+@pytest.fixture
+def dataset(datasets_home: Path, make_episode: MakeEpisode) -> Path:
+    """Episodes that could be real: modes, goals and actions in their ranges."""
+    episodes = [make_episode(i, steps=3 + i % 3, success=i != 2) for i in range(6)]
+    for episode in episodes:
+        episode.states[:, MODE] = np.abs(np.tanh(episode.states[:, MODE]))
+        assert (episode.states[0, GOAL] == episode.states[-1, GOAL]).all()
+        np.clip(episode.actions, ACTION_LOW, ACTION_HIGH, out=episode.actions)
+    description = {"task": "Reach-v0", "origins": {ID: {}}, "complete": True}
+    write_dataset(locate(ID), arrays_of(episodes, ID), description)
+    return datasets_home / ID
+
+
+def run(*words: object) -> int:
+    return main(list(map(str, words)))
+
+
+@pytest.mark.parametrize("layout", ["flat", "minari"])
+def test_what_goes_out_comes_in(
+    dataset: Path, tmp_path: Path, layout: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = dataset
+    if layout == "flat":
+        source = tmp_path / "flat.h5"
+        assert run("datasets", "export", ID, "--out", source) == 0
+    assert run("datasets", "import", source, "--out", "marl_mm/reach/again-v0") == 0
+    one, other = load_dataset(ID), load_dataset("again")
+    for name in ("states", "actions", "rewards", "terminated", "truncated", "lengths"):
+        first, second = getattr(one.arrays, name), getattr(other.arrays, name)
+        np.testing.assert_array_equal(first, second)
+    assert run("datasets", "verify", "again") == 0
+    assert run("datasets", "verify", "again", "--replay") == 1
+    assert "was imported" in capsys.readouterr().err
+
+
+def test_layouts_hold_what_they_say(dataset: Path, tmp_path: Path) -> None:
+    joint = load_dataset(ID).joint()
+    for layout in ("flat", "d4rl", "agents"):
+        path = tmp_path / f"{layout}.h5"
+        assert run("datasets", "export", ID, "--out", path, "--layout", layout) == 0
+        assert run("datasets", "export", ID, "--out", path, "--layout", layout) == 2
+        with h5py.File(path) as file:
+            np.testing.assert_array_equal(file["terminals"], joint.terminated)
+            assert list(file.attrs["agents"]) == ["end_effector", "balance"]
+            if layout == "agents":
+                both = [file[f"{name}/actions"][()] for name in file.attrs["agents"]]
+                np.testing.assert_array_equal(np.hstack(both), joint.action)
+                np.testing.assert_array_equal(file["state"], joint.observation)
+            else:
+                expected = np.float32 if layout == "d4rl" else np.float64
+                assert file["observations"].dtype == expected
+                np.testing.assert_allclose(
+                    file["next_observations"], joint.next_observation, rtol=1e-6
+                )
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("actions", None, "has no 'actions'"),
+        ("actions", np.zeros((24, 3), np.float32), r"'actions' has shape (24, 3)"),
+        ("actions", np.full((24, 4), 2.0), "actions outside of the action space"),
+        ("rewards", np.zeros(24, np.int64), "'rewards' has type int64, expected float"),
+        ("rewards", np.full(24, np.nan), "'rewards' holds a NaN"),
+        ("terminals", np.zeros(24, bool), "neither 'terminals' nor 'timeouts'"),
+        ("observations", np.zeros((24, 11)), "has shape (24, 11), expected (24, 10)"),
+    ],
+)
+def test_schema_errors_name_key_got_and_expected(
+    dataset: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    key: str,
+    value: np.ndarray | None,
+    message: str,
+) -> None:
+    path = tmp_path / "flat.h5"
+    assert run("datasets", "export", ID, "--out", path) == 0
+    with h5py.File(path, "a") as file:
+        assert len(file["rewards"]) == 24
+        if key == "terminals":
+            file["timeouts"][:] = False
+        del file[key]
+        if value is not None:
+            file[key] = value
+    capsys.readouterr()
+    assert run("datasets", "import", path, "--out", "marl_mm/reach/bad-v0") == 1
+    complaint = capsys.readouterr().err
+    assert message in complaint and complaint.count("\n") == 1
+    assert not locate("marl_mm/reach/bad-v0").folder.exists()
+
+
+def fuzz(path: Path, rng: np.random.Generator) -> str:
+    """Damage an HDF5 file in one of seven ways; says how."""
+    content = bytearray(path.read_bytes())
+    kinds = ("truncated", "bits", "zeros", "type", "missing", "nan", "shape")
+    kind = str(rng.choice(kinds))
+    if kind == "truncated":
+        path.write_bytes(content[: rng.integers(len(content))])
+    elif kind == "bits":
+        for place in rng.integers(len(content), size=rng.integers(1, 20)):
+            content[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(content)
+    elif kind == "zeros":
+        begin = int(rng.integers(len(content)))
+        content[begin : begin + 512] = bytes(len(content[begin : begin + 512]))
+        path.write_bytes(content)
+    else:
+        with h5py.File(path, "a") as file:
+            group = file[f"episode_{rng.integers(6)}"]
+            key = str(rng.choice(["rewards", "actions", "observations/observation"]))
+            values = group[key][()]
+            del group[key]
+            if kind == "type":
+                group[key] = values.astype("S8")
+            elif kind == "nan":
+                values[rng.integers(len(values))] = np.nan
+                group[key] = values
+            elif kind == "shape":
+                group[key] = values[:-1]
+    return kind
+
+
+def test_damaged_files_give_clear_errors(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """200 of them: the dataset is refused, and its file alone is refused or whole."""
+    path = dataset / "data" / "main_data.hdf5"
+    good = path.read_bytes()
+    whole = load_dataset(ID).arrays
+    refused: dict[str, int] = {}
+    for number in range(FUZZED):
+        path.write_bytes(good)
+        kind = fuzz(path, np.random.default_rng(number))
+        if path.read_bytes() == good:  # zeros where zeros were
+            continue
+        capsys.readouterr()
+        assert run("datasets", "show", ID) == 1, (number, kind)
+        complaint = capsys.readouterr().err
+        assert complaint.startswith("marl-mm: ") and complaint.count("\n") == 1
+        assert "main_data.hdf5" in complaint
+        assert run("datasets", "verify", ID) == 1
+        capsys.readouterr()
+        alone = tmp_path / "alone.hdf5"
+        alone.write_bytes(path.read_bytes())
+        out = tmp_path / "imported"
+        words = ["datasets", "import", alone, "--out", out, "--overwrite"]
+        code = run(*words)
+        shown = capsys.readouterr()
+        if code:
+            assert code == 1 and shown.err.startswith("marl-mm: "), (number, kind)
+            assert shown.err.count("\n") == 1
+            refused[kind] = refused.get(kind, 0) + 1
+        else:  # a number has another value: nothing but a hash can tell
+            arrays = load_dataset(str(out)).arrays
+            assert arrays.actions.shape[1:] == whole.actions.shape[1:]
+    assert {"truncated", "type", "missing", "nan", "shape"} <= refused.keys()
+
+
+def test_damaged_metadata_give_clear_errors(
+    dataset: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = dataset / "data" / "metadata.json"
+    good = path.read_text()
+    ours = json.loads(good)["marl_mm"]
+    for number, key in enumerate(ours):
+        damaged = json.loads(good)
+        if number % 2:
+            del damaged["marl_mm"][key]
+        else:
+            damaged["marl_mm"][key] = "something else"
+        path.write_text(json.dumps(damaged))
+        capsys.readouterr()
+        assert run("datasets", "show", ID) == 1, key
+        complaint = capsys.readouterr().err
+        assert "metadata.json" in complaint and complaint.count("\n") == 1

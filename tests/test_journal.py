@@ -1,0 +1,102 @@
+"""The journal keeps every finished episode, whatever happens to its writer."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from marl_mm.datasets.journal import FILE, Journal
+from marl_mm.episode import Episode
+from marl_mm.errors import DatasetError, MarlMmError
+
+MakeEpisode = Callable[..., Episode]
+
+WRITER = """
+import os, resource, signal, sys
+from dataclasses import replace
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from conftest import build_episode
+from marl_mm.datasets.journal import Journal
+if sys.argv[3] == "full":
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+with Journal(Path(sys.argv[2])) as journal:
+    journal.begin({"seed": 0})
+    for i in range(100):
+        journal.add(build_episode(i))
+        print(i, flush=True)
+        if sys.argv[3] == "kill" and i == 6:
+            os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def write(folder: Path, how: str) -> "subprocess.CompletedProcess[str]":
+    tests = str(Path(__file__).parent)
+    return subprocess.run(
+        [sys.executable, "-c", WRITER, tests, str(folder), how],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_reading_back_is_bit_equal(tmp_path: Path, make_episode: MakeEpisode) -> None:
+    with Journal(tmp_path / "x") as journal:
+        assert journal.about() is None
+        journal.begin({"seed": 3})
+        for number in (4, 1):
+            journal.add(make_episode(number))
+    with Journal(tmp_path / "x") as journal:
+        assert journal.about() == {"seed": 3}
+        found = journal.episodes()
+        assert sorted(found) == [1, 4]
+        for number, episode in found.items():
+            expected = make_episode(number)
+            assert episode.states.tobytes() == expected.states.tobytes()
+            assert episode.start.tobytes() == expected.start.tobytes()
+            assert episode.actions.dtype == expected.actions.dtype
+            for key, values in expected.info.items():
+                np.testing.assert_array_equal(episode.info[key], values)
+        journal.begin({"seed": 4})
+        assert journal.episodes() == {}
+
+
+def test_a_killed_writer_loses_nothing_it_finished(tmp_path: Path) -> None:
+    killed = write(tmp_path / "x", "kill")
+    assert killed.returncode == -signal.SIGKILL
+    finished = [int(line) for line in killed.stdout.split()]
+    with Journal(tmp_path / "x") as journal:
+        assert sorted(journal.episodes()) == finished == list(range(7))
+
+
+def test_a_full_disk_is_named_and_costs_nothing_finished(tmp_path: Path) -> None:
+    """The operating system refuses to let the file grow, as on a full disk."""
+    full = write(tmp_path / "x", "full")
+    assert full.returncode == 1
+    assert "finished episodes are kept: make room" in full.stderr
+    finished = [int(line) for line in full.stdout.split()]
+    assert 3 < len(finished) < 100
+    with Journal(tmp_path / "x") as journal:
+        assert sorted(journal.episodes()) == finished
+        journal.add(journal.episodes()[0])
+
+
+def test_a_damaged_journal_is_named(tmp_path: Path) -> None:
+    (tmp_path / FILE).write_bytes(b"no database, but long enough to look like one" * 9)
+    with pytest.raises(DatasetError, match="damaged"):
+        Journal(tmp_path)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_an_unwritable_journal_is_named(tmp_path: Path) -> None:
+    with Journal(tmp_path / "x") as journal:
+        journal.begin({})
+    (tmp_path / "x" / FILE).chmod(0o400)
+    with Journal(tmp_path / "x") as journal, pytest.raises(MarlMmError, match="write"):
+        journal.begin({})

@@ -1,0 +1,156 @@
+"""Datasets of datasets: what is drawn, and that everybody can tell where it is from."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from marl_mm.datasets.arrays import EpisodeArrays, arrays_of, joined
+from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.datasets.location import locate
+from marl_mm.datasets.recipe import (
+    Condition,
+    Part,
+    filtered,
+    mix,
+    split,
+    write_mix,
+)
+from marl_mm.datasets.storage import write_dataset
+from marl_mm.episode import Episode
+from marl_mm.errors import UsageError
+
+MakeEpisode = Callable[..., Episode]
+
+
+def about(name: str, **changes: object) -> dict[str, object]:
+    ours = {"task": "Reach-v0", "overrides": {"max_steps": 25}, "seed": 0}
+    return {**ours, "origins": {name: {"seed": 0}}, "complete": True, **changes}
+
+
+@pytest.fixture
+def make(datasets_home: Path, make_episode: MakeEpisode) -> Callable[..., Dataset]:
+    def write(name: str, first: int = 0, count: int = 10, **changes: object) -> Dataset:
+        episodes = [
+            make_episode(i, steps=2 + i % 4, success=i % 3 > 0)
+            for i in range(first, first + count)
+        ]
+        location = locate(f"marl_mm/reach/{name}-v0")
+        arrays = arrays_of(episodes, location.id)
+        write_dataset(location, arrays, about(location.id, **changes))
+        return load_dataset(location)
+
+    return write
+
+
+def test_selecting_and_joining_by_hand(make_episode: MakeEpisode) -> None:
+    episodes = [make_episode(i, steps=2 + i) for i in range(5)]
+    arrays = arrays_of(episodes, "x")
+    chosen = arrays.select([3, 0])
+    assert chosen.lengths.tolist() == [5, 2]
+    both = joined([chosen, arrays.select([4])])
+    for number, original in enumerate((3, 0, 4)):
+        one, other = both.episode(number), episodes[original]
+        assert one.states.tobytes() == other.states.tobytes()
+        assert one.actions.tobytes() == other.actions.tobytes()
+        assert one.info["d_mm"].tobytes() == other.info["d_mm"].tobytes()
+        assert (one.seed, one.index) == (other.seed, other.index)
+    assert both.origin_episodes.tolist() == [3, 0, 4]
+    np.testing.assert_allclose(both.returns()[1], episodes[0].rewards.sum())
+
+
+def test_a_mix_has_its_steps_and_says_whose_they_are(
+    make: Callable[..., Dataset],
+) -> None:
+    one, two = make("one"), make("two", first=50)
+    recipe = mix([Part(one, 10), Part(two, 7)], seed=0)
+    write_mix(locate("marl_mm/reach/mix-v0"), recipe)
+    mixed = load_dataset("mix")
+    arrays = mixed.arrays
+    for part, steps in ((one, 10), (two, 7)):
+        mine = arrays.origins == part.metadata["dataset_id"]
+        lengths = arrays.lengths[mine]
+        assert lengths.sum() >= steps > lengths.sum() - lengths.max()
+        for number in np.flatnonzero(mine):
+            source = part.arrays.episode(int(arrays.origin_episodes[number]))
+            assert (
+                source.states.tobytes() == arrays.episode(int(number)).states.tobytes()
+            )
+    assert len(mixed.metadata["marl_mm"]["origins"]) == 2
+    assert mixed.metadata["marl_mm"]["recipe"]["steps"] == {
+        "marl_mm/reach/one-v0": 10,
+        "marl_mm/reach/two-v0": 7,
+    }
+
+
+def test_a_mix_depends_on_its_seed_alone(make: Callable[..., Dataset]) -> None:
+    parts = [Part(make("one"), 10)]
+    same = [mix(parts, seed=1).arrays.origin_episodes.tolist() for _ in range(2)]
+    assert same[0] == same[1]
+    others = [mix(parts, seed=s).arrays.origin_episodes.tolist() for s in range(5)]
+    assert len(set(map(tuple, others))) > 1
+
+
+def test_provenance_survives_two_generations(make: Callable[..., Dataset]) -> None:
+    write_mix(locate("marl_mm/reach/a-v0"), mix([Part(make("one"), 20)], seed=0))
+    first, _ = split(load_dataset("a"), 0.5, seed=0)
+    assert set(first.arrays.origins) == {"marl_mm/reach/one-v0"}
+    assert set(first.description["origins"]) == {"marl_mm/reach/one-v0"}
+
+
+def test_a_split_divides_without_loss(make: Callable[..., Dataset]) -> None:
+    dataset = make("one")
+    first, rest = split(dataset, 0.3, seed=5)
+    assert (len(first.arrays), len(rest.arrays)) == (3, 7)
+    numbers = [*first.arrays.origin_episodes, *rest.arrays.origin_episodes]
+    assert sorted(numbers) == list(range(10))
+
+
+@pytest.mark.parametrize(
+    ("condition", "keeps"),
+    [
+        (Condition(success=True), lambda e: e.success),
+        (Condition(success=False), lambda e: not e.success),
+        (Condition(direction="forward"), lambda e: e.direction == "forward"),
+        (Condition(direction="backward"), lambda e: e.direction == "backward"),
+        (Condition(min_return=0.0), lambda e: e.episode_return >= 0),
+        (
+            Condition(success=True, max_return=0.5),
+            lambda e: e.success and e.episode_return <= 0.5,
+        ),
+    ],
+)
+def test_a_filter_keeps_what_it_says(
+    make: Callable[..., Dataset],
+    condition: Condition,
+    keeps: Callable[[Episode], bool],
+) -> None:
+    dataset = make("one")
+    expected = [i for i, e in enumerate(dataset.episodes) if keeps(e)]
+    assert filtered(dataset, condition).arrays.origin_episodes.tolist() == expected
+
+
+def test_recipes_refuse_what_makes_no_sense(make: Callable[..., Dataset]) -> None:
+    one, other = make("one"), make("other", task="SmoothReach-v0")
+    with pytest.raises(UsageError, match="asked for 10000"):
+        mix([Part(one, 10_000)], seed=0)
+    with pytest.raises(UsageError, match="each dataset once"):
+        mix([Part(one, 2), Part(one, 2)], seed=0)
+    with pytest.raises(UsageError, match="their rewards differ"):
+        mix([Part(one, 2), Part(other, 2)], seed=0)
+    with pytest.raises(UsageError, match="between 0 and 1"):
+        split(one, 1.0, seed=0)
+    with pytest.raises(UsageError, match="none of the 10 episodes"):
+        filtered(one, Condition(min_return=1e9))
+    with pytest.raises(UsageError, match="no condition"):
+        filtered(one, Condition())
+    impostor = make("two", origins={"marl_mm/reach/one-v0": {"seed": 7}})
+    with pytest.raises(UsageError, match="two different datasets are called"):
+        mix([Part(one, 2), Part(impostor, 2)], seed=0)
+
+
+def test_views_of_arrays_are_views(make_episode: MakeEpisode) -> None:
+    arrays: EpisodeArrays = arrays_of([make_episode(i) for i in range(3)], "x")
+    assert np.shares_memory(arrays.episode(1).states, arrays.states)
+    assert arrays.is_last_state().sum() == arrays.is_first_state().sum() == 3
