@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from marl_mm.datasets import shipped
 from marl_mm.datasets.arrays import EpisodeArrays
-from marl_mm.datasets.location import Location, find
+from marl_mm.datasets.location import Location, find, locate
 from marl_mm.datasets.storage import read_arrays, read_metadata
 from marl_mm.episode import Episode
 from marl_mm.layout import AGENTS
@@ -128,9 +129,20 @@ def load_dataset(name: str | Path | Location) -> Dataset:
         UnknownDatasetError: If there is none; the message lists the known ids.
         DatasetError: If its files are damaged.
     """
-    location = name if isinstance(name, Location) else find(str(name))
+    location = name if isinstance(name, Location) else existing(str(name))
     metadata = read_metadata(location)
     return Dataset(location, metadata, read_arrays(location, metadata))
+
+
+def existing(text: str) -> Location:
+    """Where a dataset to read is; the one that ships is unpacked at its first use."""
+    location = find(text)
+    shipped_id = locate(shipped.ID)
+    if location.folder.exists() or text not in (shipped.ID, "good-5k"):
+        return location
+    if not shipped_id.folder.exists():
+        shipped.install(shipped_id)
+    return shipped_id
 
 
 def _columns(entries: tuple[int, ...]) -> slice | list[int]:

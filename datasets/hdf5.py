@@ -224,27 +224,31 @@ def checked(path: Path, group: Any, wanted: tuple[Field, ...]) -> dict[str, np.n
         DatasetError: If one is missing, or of another type or shape, or not finite.
     """
     where = f"{path}, {group.name.removeprefix('/')}".rstrip(", ")
-    values = {}
-    for field in wanted:
-        if field.key not in group:
-            raise DatasetError(f"{where} has no {field.key!r}")
-        node = group[field.key]
-        if not isinstance(node, h5py.Dataset):
-            raise DatasetError(f"{where}: {field.key!r} is a group, expected an array")
-        if node.dtype.kind not in _KINDS[field.kind]:
+    ordered = sorted(wanted, key=lambda field: field.key != "rewards")
+    values: dict[str, np.ndarray] = {}
+    steps = 0
+    for field in ordered:
+        try:
+            node = h5py.h5d.open(group.id, field.key.encode())  # the fast way
+        except KeyError:
+            raise DatasetError(f"{where} has no array {field.key!r}") from None
+        shape, kind = node.shape, node.dtype
+        if kind.kind not in _KINDS[field.kind]:
             raise DatasetError(
-                f"{where}: {field.key!r} has type {node.dtype}, expected {field.kind}"
+                f"{where}: {field.key!r} has type {kind}, expected {field.kind}"
             )
-        values[field.key] = node[()]
-    steps = values["rewards"].size
-    for field in wanted:
-        value = values[field.key]
+        if field.key == "rewards":
+            steps = shape[0] if len(shape) == 1 else 0
         row = () if field.columns is None else (field.columns,)
         expected = (steps + field.extra, *row)
-        if value.shape != expected or not steps:
+        if shape != expected or not steps:
+            wanted_shape = expected if steps else "(steps,)"
             raise DatasetError(
-                f"{where}: {field.key!r} has shape {value.shape}, expected {expected}"
+                f"{where}: {field.key!r} has shape {shape}, expected {wanted_shape}"
             )
+        value = np.empty(shape, kind)
+        node.read(h5py.h5s.ALL, h5py.h5s.ALL, value)
         if field.kind == "float" and not np.isfinite(value).all():
             raise DatasetError(f"{where}: {field.key!r} holds a NaN or an infinity")
+        values[field.key] = value
     return values

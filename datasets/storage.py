@@ -81,9 +81,14 @@ def write_dataset(
 
 
 def env_spec(description: dict[str, Any]) -> EnvSpec:
-    """The environment that a dataset's episodes come from."""
+    """The environment that a dataset's episodes come from.
+
+    Its number of steps stands in the specification, too: d3rlpy reads it there.
+    """
     spec = deepcopy(gymnasium.spec(f"marl_mm/{description['task']}"))
-    spec.kwargs["overrides"] = description.get("overrides", {})
+    overrides = description.get("overrides", {})
+    spec.kwargs["overrides"] = overrides
+    spec.max_episode_steps = overrides.get("max_steps")
     return spec
 
 

@@ -238,11 +238,11 @@ def test_noise_is_of_the_episode_and_clipped() -> None:
 
 
 @pytest.mark.slow
-def test_the_papers_datasets_at_a_hundredth(
+def test_the_papers_datasets_in_small(
     datasets_home: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """All seven; a second time nothing is done; 60k begins with 30k."""
-    words = ["collect", "paper", "--scale", "0.01"]
+    words = ["collect", "paper", "--scale", "0.005"]
     assert main(words) == 0
     names = {path.name: path for path in (datasets_home / "marl_mm/reach").glob("*-v0")}
     assert len(names) == 7
@@ -257,8 +257,8 @@ def test_the_papers_datasets_at_a_hundredth(
         str(source): int(mixed.lengths[mixed.sources == source].sum())
         for source in np.unique(mixed.sources)
     }
-    assert 200 <= steps["pretrained"] < 225
-    assert 50 <= steps["medium"] < 75 and 50 <= steps["random"] < 75
+    assert 100 <= steps["pretrained"] < 125
+    assert 25 <= steps["medium"] < 50 and 25 <= steps["random"] < 50
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")

@@ -80,7 +80,7 @@ def test_layouts_hold_what_they_say(dataset: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("actions", None, "has no 'actions'"),
+        ("actions", None, "has no array 'actions'"),
         ("actions", np.zeros((24, 3), np.float32), r"'actions' has shape (24, 3)"),
         ("actions", np.full((24, 4), 2.0), "actions outside of the action space"),
         ("rewards", np.zeros(24, np.int64), "'rewards' has type int64, expected float"),

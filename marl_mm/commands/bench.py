@@ -1,9 +1,11 @@
-"""marl-mm bench: what a controller tick and an update cost, what abuse does."""
+"""marl-mm bench: what ticks, updates and data cost, and what abuse does."""
 
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from rich.console import Console
@@ -84,12 +86,40 @@ class BenchTrain:
     """Print JSON."""
 
 
+@dataclass(frozen=True)
+class BenchData:
+    """Count collected steps per second, and time loading; sizes on disk.
+
+    Beside them: the bare environment, and Minari's own reader and writer.
+    """
+
+    episodes: int = 8
+    """Of 25 random steps, per turn and number of workers; four turns."""
+
+    workers: tuple[int, ...] = (1, 2)
+    """Numbers of processes to compare."""
+
+    load_steps: int = 60_000
+    """Size of the dataset whose loading is timed."""
+
+    seed: int = 0
+    """Of the episodes."""
+
+    json: bool = False
+    """Print JSON."""
+
+
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm bench``."""
     _, options = parse_subcommand(
-        {"control": BenchControl, "abuse": BenchAbuse, "train": BenchTrain},
+        {
+            "control": BenchControl,
+            "abuse": BenchAbuse,
+            "train": BenchTrain,
+            "data": BenchData,
+        },
         "marl-mm bench",
-        "Measure the controller's time and limits, and the speed of training.",
+        "Measure the controller's time and limits, and the speed of training and data.",
         arguments,
     )
     check_seed(options.seed)
@@ -97,8 +127,10 @@ def main(arguments: Sequence[str]) -> None:
         result = _control(options)
     elif isinstance(options, BenchAbuse):
         result = _abuse(options)
-    else:
+    elif isinstance(options, BenchTrain):
         result = _train(options)
+    else:
+        result = _data(options)
     result["options"] = {k: v for k, v in asdict(options).items() if k != "json"}
     result["versions"] = versions()
     if options.json:
@@ -144,6 +176,31 @@ def _train(options: BenchTrain) -> dict[str, Any]:
         with progress_bar("bench success", total) as advance:
             result["success"] = bench_success(
                 options.env_steps, options.seed, sb3=sb3, advance=advance
+            )
+    return result
+
+
+def _data(options: BenchData) -> dict[str, Any]:
+    from marl_mm.eval.bench_data import bench_collection, bench_storage
+
+    check_positive(episodes=options.episodes, load_steps=options.load_steps)
+    if not options.workers:
+        raise UsageError("--workers names no number of processes")
+    check_positive(workers=min(options.workers))
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        total = 4 * options.episodes * (1 + len(options.workers))
+        with progress_bar("bench collection", total) as advance:
+            result, episodes = bench_collection(
+                options.episodes,
+                options.workers,
+                options.seed,
+                folder / "journal",
+                advance,
+            )
+        with progress_bar("bench storage", 4) as advance:
+            result["storage"] = bench_storage(
+                episodes, options.load_steps, folder, advance
             )
     return result
 

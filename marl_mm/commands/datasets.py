@@ -24,7 +24,7 @@ from marl_mm.commands.datasets_make import (
 from marl_mm.commands.options import available_cores, check_positive
 from marl_mm.commands.parser import parse_subcommand
 from marl_mm.datasets.card import card, card_markdown, card_text, keep_card
-from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.dataset import existing, load_dataset
 from marl_mm.datasets.export import Layout, export
 from marl_mm.datasets.location import datasets_root, find, known_ids, locate
 from marl_mm.datasets.storage import read_metadata, refuse_foreign
@@ -177,7 +177,7 @@ def _verify(command: Verify) -> None:
         raise UsageError("name at least one dataset")
     found = {}
     for name in command.datasets:
-        problems = verify(find(name))
+        problems = verify(existing(name))
         if not problems and command.replay:
             problems = _replayed(name, command.workers)
         found[name] = problems

@@ -9,9 +9,9 @@ import tyro
 
 from marl_mm.commands.options import check_seed
 from marl_mm.datasets.card import card_text, keep_card
-from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.dataset import existing, load_dataset
 from marl_mm.datasets.importing import read_foreign
-from marl_mm.datasets.location import Location, find, locate
+from marl_mm.datasets.location import Location, locate
 from marl_mm.datasets.recipe import Condition, Part, filtered, mix, split, write_mix
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.envs.config import reach_config
@@ -130,7 +130,7 @@ def make_mix(command: Mix) -> None:
 def make_split(command: Split) -> None:
     """Run ``marl-mm datasets split``."""
     check_seed(command.seed)
-    source = find(command.dataset)
+    source = existing(command.dataset)
     stem = (command.out or _own_name(source)).removesuffix("-v0")
     locations = [
         _free(f"{stem}-{part}-v0", command.overwrite) for part in ("first", "rest")

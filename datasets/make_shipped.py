@@ -1,0 +1,40 @@
+"""Take a collected dataset into the package, as the one that ships.
+
+First ``marl-mm collect pretrained --steps 5000 --dataset marl_mm/reach/good-5k-v0``,
+then ``python -m marl_mm.datasets.make_shipped``.
+"""
+
+from marl_mm.datasets.arrays import save_arrays
+from marl_mm.datasets.location import locate
+from marl_mm.datasets.shipped import ARRAYS, DESCRIPTION, ID
+from marl_mm.datasets.storage import read_arrays, read_metadata
+from marl_mm.files import new_file, write_json
+
+_DERIVED = frozenset(
+    {
+        "schema",
+        "state",
+        "action",
+        "agents",
+        "statistics",
+        "episodes",
+        "steps",
+        "data_sha256",
+        "metadata_sha256",
+    }
+)
+"""What is written anew when the dataset is unpacked."""
+
+
+def main() -> None:
+    """Compress the dataset of the shipped one's name into the package."""
+    location = locate(ID)
+    metadata = read_metadata(location)
+    with new_file(ARRAYS) as temporary:
+        save_arrays(temporary, read_arrays(location, metadata), compress=True)
+    ours = metadata["marl_mm"].items()
+    write_json(DESCRIPTION, {k: v for k, v in ours if k not in _DERIVED})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,32 @@
+"""A dataset that ships, so that offline training starts without collecting.
+
+5,000 steps of the pretrained agent, as compressed arrays in the package. The first use
+of its name, ``good-5k``, writes it below the datasets' root, where Minari finds it too.
+``make_shipped`` makes the file anew.
+"""
+
+import json
+from pathlib import Path
+
+from marl_mm.datasets.arrays import load_arrays
+from marl_mm.datasets.location import Location
+from marl_mm.datasets.storage import write_dataset
+from marl_mm.files import only_here
+
+ID = "marl_mm/reach/good-5k-v0"
+FOLDER = Path(__file__).parent / "shipped"
+ARRAYS = FOLDER / "good-5k.npz"
+DESCRIPTION = FOLDER / "good-5k.json"
+
+
+def install(location: Location) -> None:
+    """Write the dataset that ships, unless it is there by now.
+
+    Args:
+        location: Of ``ID``.
+    """
+    with only_here(location.working, wait=True):
+        if not location.folder.exists():
+            description = json.loads(DESCRIPTION.read_text())
+            write_dataset(location, load_arrays(ARRAYS), description)
+        location.working.rmdir()

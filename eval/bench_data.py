@@ -1,0 +1,226 @@
+"""What collecting, loading and storing episodes costs.
+
+Collection is compared with the bare environment, turn by turn in one run; loading and
+sizes with Minari's own reader and writer on the same episodes.
+"""
+
+import tracemalloc
+from collections.abc import Sequence
+from multiprocessing import get_context
+from pathlib import Path
+from shutil import rmtree
+from time import perf_counter
+from typing import Any
+
+import minari
+import numpy as np
+from minari.data_collector import EpisodeBuffer
+
+from marl_mm.collectors.collect import collect, make_collector
+from marl_mm.collectors.random import RandomConfig
+from marl_mm.datasets.arrays import EpisodeArrays, arrays_of, joined
+from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.hdf5 import FILE
+from marl_mm.datasets.journal import Journal
+from marl_mm.datasets.location import Location
+from marl_mm.datasets.storage import write_dataset
+from marl_mm.envs.config import reach_config
+from marl_mm.envs.core import ReachCore
+from marl_mm.envs.rollout import Rollouts, episode_seed
+from marl_mm.episode import Episode
+from marl_mm.layout import ACTION_HIGH, ACTION_LOW, EE, GOAL, OBSERVATION
+from marl_mm.progress import Advance, silent
+
+TASK = "Reach-v0"
+_TURNS = 3
+
+
+def bench_collection(
+    episodes: int,
+    workers: Sequence[int],
+    seed: int,
+    folder: Path,
+    advance: Advance = silent,
+) -> tuple[dict[str, Any], list[Episode]]:
+    """Steps per second of random collection, medians of turns, and the episodes.
+
+    Args:
+        episodes: Of 25 steps, per turn and number of workers.
+        workers: Numbers of processes to compare.
+        seed: Of the episodes.
+        folder: For the journal.
+        advance: Told the episodes.
+
+    Returns:
+        ``bare`` and each number of workers; processes are started before.
+    """
+    config = reach_config(TASK)
+    steps = episodes * config.max_steps
+    core = ReachCore(config)
+    pools = {number: Rollouts(config, number) for number in workers}
+    collector = make_collector(RandomConfig())
+    rates: dict[str, list[float]] = {}
+    collected: list[Episode] = []
+    try:
+        for turn in range(-1, _TURNS):  # the first one starts processes
+            begin = perf_counter()
+            _bare(core, episodes, seed)
+            rates.setdefault("bare", []).append(steps / (perf_counter() - begin))
+            advance(episodes, "bare")
+            for number, rollouts in pools.items():
+                rmtree(folder, ignore_errors=True)
+                with Journal(folder) as journal:
+                    begin = perf_counter()
+                    collected = collect(
+                        collector,
+                        rollouts.completed,
+                        steps,
+                        seed,
+                        keep_safe=journal.add,
+                    ).episodes
+                    seconds = perf_counter() - begin
+                name = f"workers_{number}"
+                rates.setdefault(name, []).append(steps / seconds)
+                advance(episodes, f"{number} workers")
+            if turn < 0:
+                rates.clear()
+    finally:
+        core.close()
+        for rollouts in pools.values():
+            rollouts.close()
+    result: dict[str, Any] = {
+        "steps_per_second": {name: float(np.median(r)) for name, r in rates.items()}
+    }
+    for name in list(rates)[1:]:
+        ratios = np.array(rates[name]) / np.array(rates["bare"])
+        result[f"{name}_over_bare"] = float(np.median(ratios))
+    return result, collected
+
+
+def _bare(core: ReachCore, episodes: int, seed: int) -> None:
+    """Random episodes of the environment alone."""
+    for number in range(episodes):
+        rng = np.random.default_rng(episode_seed(seed, number, "collect"))
+        core.reset(rng)
+        for _ in range(core.config.max_steps):
+            core.step(rng.uniform(ACTION_LOW, ACTION_HIGH))
+
+
+def bench_storage(
+    episodes: Sequence[Episode], steps: int, folder: Path, advance: Advance = silent
+) -> dict[str, Any]:
+    """Time, memory and space of a dataset of so many steps.
+
+    Args:
+        episodes: Repeated, as 10 steps each, until there are enough: that is how long
+            successful episodes are.
+        steps: Least number of steps.
+        folder: To write to; an empty one.
+        advance: Told the parts of the work, four.
+
+    Returns:
+        Seconds to write, to load without and with the cache, and with Minari's reader;
+        the most memory that loading takes [MB]; sizes on disk [MB], and that of
+        Minari's writer for the same number of episodes.
+    """
+    arrays = _short(episodes, steps)
+    location = Location("marl_mm/reach/bench-v0", folder / "bench")
+    begin = perf_counter()
+    write_dataset(location, arrays, {"task": TASK, "complete": True})
+    result: dict[str, Any] = {
+        "steps": arrays.steps,
+        "episodes": len(arrays),
+        "write_s": perf_counter() - begin,
+    }
+    advance(1, "load")
+    rmtree(location.folder / "cache")
+    result["load_cold_s"], _ = _loaded(location)
+    (cache,) = (location.folder / "cache").iterdir()
+    times, memories = zip(*(_loaded(location) for _ in range(_TURNS)), strict=True)
+    result["load_cached_s"] = float(np.median(times))
+    result["load_cached_memory_mb"] = float(np.median(memories))
+    advance(1, "Minari's reader")
+    begin = perf_counter()
+    for _ in minari.MinariDataset(location.data).iterate_episodes():
+        pass
+    result["minari_read_s"] = perf_counter() - begin
+    result["minari_over_cached"] = result["minari_read_s"] / result["load_cached_s"]
+    advance(1, "Minari's writer")
+    size = (location.data / FILE).stat().st_size / 1e6
+    theirs = _minari_size(arrays.select(range(min(300, len(arrays)))), folder)
+    result["size_mb"] = size
+    result["cache_mb"] = cache.stat().st_size / 1e6
+    result["minari_size_mb"] = theirs * len(arrays)
+    result["minari_size_over_ours"] = result["minari_size_mb"] / size
+    advance(1, "")
+    return result
+
+
+def _short(episodes: Sequence[Episode], steps: int) -> EpisodeArrays:
+    """The first ten steps of episodes, again and again."""
+    length = 10
+    ends = np.arange(length) == length - 1
+    cut = [
+        Episode(
+            states=one.states[: length + 1],
+            actions=one.actions[:length],
+            rewards=one.rewards[:length],
+            terminated=ends,
+            truncated=np.zeros(length, bool),
+            info={key: values[:length] for key, values in one.info.items()},
+            seed=one.seed,
+            index=one.index,
+            source=one.source,
+            start=one.start,
+        )
+        for one in episodes
+        if len(one) >= length
+    ]
+    once = arrays_of(cut, "marl_mm/reach/bench-v0")
+    return joined([once] * -(-steps // once.steps))
+
+
+def _loaded(location: Location) -> tuple[float, float]:
+    """Seconds and largest memory [MB] of loading in a fresh process."""
+    with get_context("spawn").Pool(1) as pool:
+        return pool.apply(_load, (location,))
+
+
+def _load(location: Location) -> tuple[float, float]:
+    begin = perf_counter()
+    load_dataset(location).joint()
+    seconds = perf_counter() - begin
+    tracemalloc.start()
+    load_dataset(location).joint()
+    _, peak = tracemalloc.get_traced_memory()
+    return seconds, peak / 1e6
+
+
+def _minari_size(arrays: EpisodeArrays, folder: Path) -> float:
+    """Megabytes per episode of the file that Minari's own writer makes."""
+    from minari.dataset.minari_storage import MinariStorage
+
+    from marl_mm.spaces import action_space, goal_observation_space
+
+    storage = MinariStorage.new(
+        folder / "minari",
+        observation_space=goal_observation_space(),
+        action_space=action_space(),
+        data_format="hdf5",
+    )
+    storage.update_episodes(
+        EpisodeBuffer(
+            observations={
+                "observation": one.states[:, OBSERVATION],
+                "achieved_goal": one.states[:, EE],
+                "desired_goal": one.states[:, GOAL],
+            },
+            actions=one.actions,
+            rewards=one.rewards,
+            terminations=one.terminated,
+            truncations=one.truncated,
+            infos=one.info,
+        )
+        for one in (arrays.episode(i) for i in range(len(arrays)))
+    )
+    return (folder / "minari" / FILE).stat().st_size / 1e6 / len(arrays)

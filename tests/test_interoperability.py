@@ -1,0 +1,66 @@
+"""Other people's libraries read our datasets as they are."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import minari
+import numpy as np
+import pytest
+
+from marl_mm.datasets import shipped
+from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.datasets.location import locate
+
+
+@pytest.fixture
+def good(datasets_home: Path) -> Iterator[Dataset]:
+    """The dataset that ships, unpacked by its first use."""
+    assert not locate(shipped.ID).folder.exists()
+    yield load_dataset("good-5k")
+
+
+def test_the_shipped_dataset_is_small_whole_and_good(good: Dataset) -> None:
+    assert shipped.ARRAYS.stat().st_size < 3e6
+    arrays = good.arrays
+    assert arrays.steps >= 5_000 > arrays.steps - arrays.lengths[-1]
+    assert arrays.successes().all()
+    assert good.metadata["marl_mm"]["collector"] == "pretrained"
+    assert load_dataset(shipped.ID).fingerprint == good.fingerprint
+
+
+@pytest.mark.slow
+def test_minari_gives_episodes_and_the_environment_back(good: Dataset) -> None:
+    dataset = minari.load_dataset(shipped.ID)
+    assert dataset.total_steps == good.arrays.steps
+    env = dataset.recover_environment()
+    episode = next(iter(dataset.iterate_episodes()))
+    seed = next(iter(dataset.storage.get_episode_metadata([episode.id])))["seed"]
+    observation, _ = env.reset(seed=seed)
+    for t, action in enumerate(episode.actions):
+        for key, values in episode.observations.items():
+            np.testing.assert_array_equal(observation[key], values[t])
+        observation, reward, terminated, truncated, _ = env.step(action)
+        assert reward == episode.rewards[t]
+        assert terminated == episode.terminations[t]
+        assert truncated == episode.truncations[t]
+    env.close()
+
+
+@pytest.mark.slow
+def test_torchrl_samples_from_it(good: Dataset, tmp_path: Path) -> None:
+    pytest.importorskip("torchrl")
+    from torchrl.data.datasets import MinariExperienceReplay
+
+    replay = MinariExperienceReplay(
+        shipped.ID,
+        batch_size=256,
+        root=tmp_path / "torchrl",
+        download=False,
+        load_from_local_minari=True,
+    )
+    assert len(replay) == good.arrays.steps
+    batch = replay.sample()
+    seen = batch["observation", "observation"].numpy()
+    assert seen.shape == (256, 7)
+    known = {row.tobytes() for row in good.joint().observation[:, :7]}
+    assert {row.tobytes() for row in seen} <= known
