@@ -37,6 +37,7 @@ def card(dataset: Dataset) -> dict[str, Any]:
         "seed": ours.get("seed"),
         "complete": ours.get("complete"),
         "attempts": ours.get("attempts"),
+        "rejected": _rejected(ours),
         "steps": arrays.steps,
         "episodes": len(arrays),
         "success": {
@@ -137,6 +138,12 @@ def bars(counts: list[int]) -> str:
     """A histogram in one line."""
     top = max(max(counts), 1)
     return "".join(" ▁▂▃▄▅▆▇█"[-(-8 * count // top)] for count in counts)
+
+
+def _rejected(ours: dict[str, Any]) -> int | None:
+    """Episodes that were collected and not kept; of mixes, nobody knows."""
+    attempts = ours.get("attempts")
+    return None if attempts is None else attempts - int(ours["episodes"])
 
 
 def _share(successes: np.ndarray) -> dict[str, Any]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
 from marl_mm.episode import INFO, Episode
-from marl_mm.errors import DatasetError
+from marl_mm.errors import DatasetError, MarlMmError
 from marl_mm.layout import EE, GOAL, OBSERVATION
 
 FILE = "main_data.hdf5"
@@ -61,10 +61,14 @@ INFO_FIELDS = tuple(Field(f"infos/{key}", "number") for key in INFO)
 
 
 def write_hdf5(path: Path, arrays: EpisodeArrays) -> None:
-    """Write all episodes into a new file."""
-    with h5py.File(path, "w", libver=("v110", "v110")) as file:
-        compact = _without_times()
-        compact.set_layout(h5py.h5d.COMPACT)
+    """Write all episodes into a new file.
+
+    Raises:
+        MarlMmError: If there is no room for it.
+    """
+    compact = _without_times()
+    compact.set_layout(h5py.h5d.COMPACT)
+    with _new_hdf5(path, libver=("v110", "v110")) as file:
         for number in range(len(arrays)):
             group = file.create_group(f"episode_{number}")
             group.attrs.update(_attributes(arrays, number))
@@ -131,11 +135,26 @@ def _attributes(arrays: EpisodeArrays, number: int) -> dict[str, Any]:
 def write_tables(
     path: Path, tables: dict[str, np.ndarray], attributes: dict[str, Any]
 ) -> None:
-    """Write flat arrays by key, compressed, with attributes of the whole."""
-    with h5py.File(path, "w") as file:
+    """Write flat arrays by key, compressed, with attributes of the whole.
+
+    Raises:
+        MarlMmError: If there is no room for them.
+    """
+    with _new_hdf5(path) as file:
         for key, values in tables.items():
             file.create_dataset(key, data=values, compression="gzip", shuffle=True)
         file.attrs.update(attributes)
+
+
+@contextmanager
+def _new_hdf5(path: Path, **options: Any) -> Iterator[Any]:
+    try:
+        with h5py.File(path, "w", **options) as file:
+            yield file
+    except (OSError, RuntimeError) as error:  # what it raises depends on the moment
+        found = re.search("error message = '([^']+)'", str(error))
+        reason = found[1] if found else " ".join(str(error).split())
+        raise MarlMmError(f"cannot write {path.name}: {reason:.160}") from error
 
 
 @contextmanager

@@ -78,3 +78,38 @@ def bench_table(result: Mapping[str, Any]) -> str:
                 ratio = f"{median / step:.2f}"
                 lines.append((name, f"{median:.1f}", f"{p99:.0f}", ratio))
     return markdown_table(("part", "median [us]", "p99 [us]", "of a step"), lines)
+
+
+def data_table(result: Mapping[str, Any]) -> str:
+    """What collecting, loading and storing cost, beside others, as Markdown."""
+    rates, storage = result["steps_per_second"], result["storage"]
+    lines = [
+        ("steps per second of the bare environment", f"{rates['bare']:.0f}", ""),
+        *(
+            (
+                f"collected, with --workers {name.removeprefix('workers_')}",
+                f"{rates[name]:.0f}",
+                f"{result[f'{name}_over_bare']:.2f} of the bare",
+            )
+            for name in rates
+            if name != "bare"
+        ),
+        (
+            f"loading {storage['steps']} steps of {storage['episodes']} episodes [s]",
+            f"{storage['load_cached_s']:.2f}",
+            f"Minari's reader {storage['minari_read_s']:.1f}; without the cache "
+            f"{storage['load_cold_s']:.1f}",
+        ),
+        (
+            "... memory [MB]",
+            f"{storage['load_cached_memory_mb']:.0f}",
+            "",
+        ),
+        (
+            "... size on disk [MB]",
+            f"{storage['size_mb']:.0f}",
+            f"Minari's writer {storage['minari_size_mb']:.0f}; and the cache "
+            f"{storage['cache_mb']:.0f}",
+        ),
+    ]
+    return markdown_table(("what", "measured", "beside"), lines)

@@ -8,7 +8,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from marl_mm.eval.bench_tables import abuse_table, bench_table
+from marl_mm.eval.bench_tables import abuse_table, bench_table, data_table
 from marl_mm.eval.online import SETTINGS
 from marl_mm.eval.online_tables import online_table
 from marl_mm.eval.rows import read_rows
@@ -52,6 +52,10 @@ def _abuse() -> str:
     return abuse_table({f: json.loads(path.read_text()) for f, path in paths.items()})
 
 
+def _data() -> str:
+    return data_table(json.loads((RESULTS / "data/bench.json").read_text()))
+
+
 def _online() -> str:
     return online_table(read_rows(RESULTS / "online/online.csv"), SETTINGS)
 
@@ -62,6 +66,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "worth": _worth,
     "bench": _bench,
     "abuse": _abuse,
+    "data": _data,
     "online": _online,
 }
 """Name of the marks, and what stands between them."""

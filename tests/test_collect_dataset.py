@@ -1,11 +1,11 @@
 """Collecting with the real command, stopped in every way, gives the same bytes."""
 
-import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import psutil
@@ -137,21 +137,26 @@ def test_a_longer_dataset_goes_on_from_the_shorter(whole: bytes) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("room", [30_000, 70_000])
 def test_a_full_disk_ends_with_one_line_and_a_resumable_collection(
-    datasets_home: Path, whole: bytes
+    datasets_home: Path, whole: bytes, room: int
 ) -> None:
-    """The operating system refuses to let any file grow beyond 30 kB, then does not."""
+    """The operating system lets no file grow further, then does.
+
+    There is room for some episodes, or for all of them but not for the dataset.
+    """
     name = "marl_mm/reach/test-v0"
     code = (
         "import resource, signal, sys; from marl_mm.cli import main;"
         "import marl_mm.commands.collect;"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000));"
+        "room = int(sys.argv.pop());"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (room, room));"
         "sys.exit(main(sys.argv[1:]))"
     )
     words = ["collect", "random", "--steps", str(STEPS), "--dataset", name]
     full = subprocess.run(
-        [sys.executable, "-c", code, *words, "--workers", "1"],
+        [sys.executable, "-c", code, *words, "--workers", "1", str(room)],
         capture_output=True,
         text=True,
         check=False,
@@ -261,7 +266,30 @@ def test_the_papers_datasets_in_small(
     assert 25 <= steps["medium"] < 50 and 25 <= steps["random"] < 50
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_an_unwritable_folder_is_named(tmp_path: Path) -> None:
-    tmp_path.chmod(0o500)
-    assert main(["collect", "random", "--dataset", str(tmp_path / "x")]) == 2
+def test_an_unwritable_folder_is_named() -> None:
+    code = """
+import os, sys
+from marl_mm.collectors.random import RandomConfig
+from marl_mm.commands.collect_dataset import CollectOptions, collect_dataset
+from marl_mm.datasets.location import locate
+from marl_mm.errors import UsageError
+if os.geteuid() == 0:  # root may write anywhere
+    os.setreuid(65534, 65534)
+try:
+    collect_dataset(locate(sys.argv[1]), RandomConfig(), CollectOptions(steps=5))
+except UsageError as error:
+    print(error)
+"""
+    with TemporaryDirectory() as name:
+        outer = Path(name)
+        outer.chmod(0o755)
+        folder = outer / "theirs"
+        folder.mkdir(mode=0o555)
+        refused = subprocess.run(
+            [sys.executable, "-c", code, str(folder / "x")],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert f"{folder} is no folder open to you" in refused.stdout, refused.stderr
+        assert list(folder.iterdir()) == []

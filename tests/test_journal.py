@@ -1,6 +1,5 @@
 """The journal keeps every finished episode, whatever happens to its writer."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -12,7 +11,7 @@ import pytest
 
 from marl_mm.datasets.journal import FILE, Journal
 from marl_mm.episode import Episode
-from marl_mm.errors import DatasetError, MarlMmError
+from marl_mm.errors import DatasetError
 
 MakeEpisode = Callable[..., Episode]
 
@@ -91,12 +90,3 @@ def test_a_damaged_journal_is_named(tmp_path: Path) -> None:
     (tmp_path / FILE).write_bytes(b"no database, but long enough to look like one" * 9)
     with pytest.raises(DatasetError, match="damaged"):
         Journal(tmp_path)
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_an_unwritable_journal_is_named(tmp_path: Path) -> None:
-    with Journal(tmp_path / "x") as journal:
-        journal.begin({})
-    (tmp_path / "x" / FILE).chmod(0o400)
-    with Journal(tmp_path / "x") as journal, pytest.raises(MarlMmError, match="write"):
-        journal.begin({})

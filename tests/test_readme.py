@@ -1,13 +1,19 @@
 """What the README tells people to type works."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from marl_mm.cli import main
+from marl_mm.datasets.arrays import arrays_of
+from marl_mm.datasets.location import locate
+from marl_mm.datasets.storage import write_dataset
+from marl_mm.episode import Episode
 from marl_mm.eval.readme import TABLES, filled
 from marl_mm.eval.rows import read_rows, write_csv
+from marl_mm.layout import MODE
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
@@ -53,6 +59,29 @@ def test_commands_and_code_run_as_written(
     names: dict[str, object] = {}
     exec(compile(code, "README.md", "exec"), names)
     assert len(names["action"]) == 4  # type: ignore[arg-type]
+
+
+def test_commands_about_datasets_run_as_written(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    datasets_home: Path,
+    make_episode: Callable[..., Episode],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("good", "medium", "random", "pd"):
+        location = locate(f"marl_mm/reach/{name}-v0")
+        episodes = [make_episode(i, steps=10) for i in range(10)]
+        for episode in episodes:
+            episode.states[:, MODE] = 0.5
+        description = {"task": "Reach-v0", "origins": {location.id: {}}}
+        arrays = arrays_of(episodes, location.id)
+        write_dataset(location, arrays, description | {"complete": True})
+    assert main(["datasets", "export", "good", "--out", "mine.h5"]) == 0
+    lines = [line for block in blocks("sh") for line in block.splitlines()]
+    assert len(lines) == 6
+    for line in lines:
+        small = re.sub(r":(\d+)000\b", r":\1", line).replace(" --replay", "")
+        assert main(small.split()[1:]) == 0, line
 
 
 def test_the_map_of_folders_is_true() -> None:

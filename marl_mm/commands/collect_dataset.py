@@ -17,6 +17,7 @@ from marl_mm.envs.config import config_dict, reach_config
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.episode import Episode
 from marl_mm.errors import (
+    MarlMmError,
     OtherConfigError,
     OutputExistsError,
     UsageError,
@@ -252,8 +253,13 @@ def _write(
         "complete": collection.complete,
     }
     arrays = arrays_of(collection.episodes, location.id)
-    with deaf_to_interrupts(forget=not collection.complete):
-        write_dataset(location, arrays, description, overwrite=True)
+    try:
+        with deaf_to_interrupts(forget=not collection.complete):
+            write_dataset(location, arrays, description, overwrite=True)
+    except (OSError, MarlMmError) as error:  # no room
+        raise MarlMmError(
+            f"{error}; finished episodes are kept: make room and go on with --resume"
+        ) from error
 
 
 def _remove_if_empty(location: Location) -> None:
