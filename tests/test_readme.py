@@ -73,9 +73,13 @@ def test_commands_about_datasets_run_as_written(
         episodes = [make_episode(i, steps=10) for i in range(10)]
         for episode in episodes:
             episode.states[:, MODE] = 0.5
-        description = {"task": "Reach-v0", "origins": {location.id: {}}}
-        arrays = arrays_of(episodes, location.id)
-        write_dataset(location, arrays, description | {"complete": True})
+        description = {
+            "task": "Reach-v0",
+            "overrides": {"max_steps": 25},
+            "origins": {location.id: {}},
+            "complete": True,
+        }
+        write_dataset(location, arrays_of(episodes, location.id), description)
     assert main(["datasets", "export", "good", "--out", "mine.h5"]) == 0
     lines = [line for block in blocks("sh") for line in block.splitlines()]
     assert len(lines) == 6
