@@ -5,11 +5,9 @@ TensorBoard's ``events*``, ``checkpoint.pt`` and, from the last evaluation,
 ``eval.json``.
 """
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import torch
 
@@ -17,7 +15,7 @@ from marl_mm.algorithms.algorithm import Algorithm, Resumable
 from marl_mm.algorithms.checkpoint import FILE, read_checkpoint, save_checkpoint
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.runlog import RunLog
-from marl_mm.errors import OtherConfigError
+from marl_mm.differences import refuse_difference
 from marl_mm.progress import Advance, silent
 
 Evaluate = Callable[[LearnedPolicy], dict[str, float]]
@@ -88,35 +86,11 @@ def resume(algorithm: Resumable, run: Path, ignored: Sequence[str] = ()) -> None
         OtherConfigError: If it is of another config.
     """
     checkpoint = read_checkpoint(run, algorithm.name)
-    mine = _comparable(asdict(algorithm.config))
+    mine = asdict(algorithm.config)
     for name in ignored:
         del mine[name]
-    refuse_difference(run, _comparable(checkpoint["config"]), mine)
+    refuse_difference(run, checkpoint["config"], mine)
     algorithm.load_state(checkpoint["state"])
-
-
-def refuse_difference(run: Path, theirs: dict[str, Any], mine: dict[str, Any]) -> None:
-    """Raise if a run was made with something else than what resumes it.
-
-    Raises:
-        OtherConfigError: Naming what differs.
-    """
-    differences = [
-        f"{key} = {theirs.get(key)} (now {value})"
-        for key, value in mine.items()
-        if theirs.get(key) != value
-    ]
-    if differences:
-        raise OtherConfigError(
-            f"{run} was trained with {', '.join(differences)}: go on with the same, or "
-            "start anew in another folder or with --overwrite"
-        )
-
-
-def _comparable(config: dict[str, Any]) -> dict[str, Any]:
-    """As JSON gives it back: tuples are lists."""
-    values: dict[str, Any] = json.loads(json.dumps(config))
-    return values
 
 
 def _policy(algorithm: Algorithm) -> LearnedPolicy:

@@ -51,7 +51,7 @@ def test_every_target_from_raw_runs(
     assert ablate(runs, tmp_path, "fig4") == 2
     assert "exists already" in capsys.readouterr().err
     assert ablate(runs, tmp_path / "x", "fig4", "--budget", "full") == 2
-    assert "was trained with" in capsys.readouterr().err  # smoke is no result
+    assert "was made with" in capsys.readouterr().err  # smoke is no result
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """Collecting into a dataset that survives whatever stops it."""
 
-import json
 import shutil
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
@@ -13,12 +12,12 @@ from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import Location
 from marl_mm.datasets.storage import read_metadata, refuse_foreign, write_dataset
+from marl_mm.differences import refuse_difference
 from marl_mm.envs.config import config_dict, reach_config
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.episode import Episode
 from marl_mm.errors import (
     MarlMmError,
-    OtherConfigError,
     OutputExistsError,
     UsageError,
     WorkerDiedError,
@@ -116,25 +115,20 @@ def collect_dataset(
 
 
 def _about(policy: PolicyConfig, options: CollectOptions) -> dict[str, Any]:
-    """What the episodes depend on, as JSON gives it back."""
+    """What the episodes depend on."""
     max_steps = options.max_steps
     if max_steps is None:
         max_steps = make_collector(policy).max_steps
     check_positive(max_steps=max_steps)
     overrides = {"max_steps": max_steps}
-    about: dict[str, Any] = json.loads(
-        json.dumps(
-            {
-                "task": options.task,
-                "overrides": overrides,
-                "config": config_dict(reach_config(options.task, overrides)),
-                "collector": policy.name,
-                "collector_config": asdict(policy),
-                "seed": options.seed,
-            }
-        )
-    )
-    return about
+    return {
+        "task": options.task,
+        "overrides": overrides,
+        "config": config_dict(reach_config(options.task, overrides)),
+        "collector": policy.name,
+        "collector_config": asdict(policy),
+        "seed": options.seed,
+    }
 
 
 def _known(location: Location, about: dict[str, Any]) -> dict[int, Episode | None]:
@@ -143,7 +137,7 @@ def _known(location: Location, about: dict[str, Any]) -> dict[int, Episode | Non
         return {}
     dataset = load_dataset(location)
     ours = dataset.metadata["marl_mm"]
-    _refuse_other(location, ours, about)
+    refuse_difference(location.folder, ours, about)
     known: dict[int, Episode | None] = dict.fromkeys(range(ours["attempts"]))
     return known | {episode.index: episode for episode in dataset.episodes}
 
@@ -182,28 +176,8 @@ def _begun(
     if before is None or options.overwrite:
         journal.begin(about)
         return {}
-    _refuse_other(location, before, about)
+    refuse_difference(location.folder, before, about)
     return dict(journal.episodes())
-
-
-def _refuse_other(
-    location: Location, theirs: dict[str, Any], mine: dict[str, Any]
-) -> None:
-    """Raise if a collection is of something else.
-
-    Raises:
-        OtherConfigError: Naming what differs.
-    """
-    differences = [
-        f"{key} = {theirs.get(key)} (now {value})"
-        for key, value in mine.items()
-        if theirs.get(key) != value
-    ]
-    if differences:
-        raise OtherConfigError(
-            f"{location.folder} was begun with {', '.join(differences)}: go on with "
-            "the same, or start anew with another --dataset or --overwrite"
-        )
 
 
 def _run(

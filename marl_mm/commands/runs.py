@@ -9,13 +9,13 @@ from typing import Any, TypeVar
 from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.runlog import METRICS
-from marl_mm.algorithms.train import refuse_difference
 from marl_mm.commands.options import (
     available_cores,
     check_positive,
     check_seed,
     check_seeds,
 )
+from marl_mm.differences import as_json, refuse_difference
 from marl_mm.errors import CheckpointError, OutputExistsError, UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate
 from marl_mm.files import refuse_existing, write_json
@@ -116,7 +116,7 @@ def refuse_other(
         CheckpointError: If its config cannot be read.
     """
     theirs = _read_config(run)
-    mine = json.loads(json.dumps(config))
+    mine = as_json(config)
     for key in ("packages", *ignored):
         mine.pop(key, None)
     for one in (theirs, mine):  # a dataset may have moved
