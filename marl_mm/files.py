@@ -1,5 +1,6 @@
 """Files and folders that appear whole or not at all."""
 
+import ctypes
 import fcntl
 import json
 import os
@@ -44,24 +45,34 @@ def new_file(path: Path) -> Iterator[Path]:
 def new_folder(path: Path) -> Iterator[Path]:
     """A temporary folder beside ``path`` that takes its place on success.
 
-    What stood there is deleted after that, and put back if it fails.
+    What stood there is deleted after that. On file systems that can exchange two names
+    there is always one of both.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
+    for killed in path.parent.glob(f".{path.name}.*.new"):
+        if not Path("/proc", killed.name.split(".")[-2]).exists():
+            shutil.rmtree(killed, ignore_errors=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.new")
-    previous = path.with_name(f".{path.name}.{os.getpid()}.old")
     temporary.mkdir()
     try:
         yield temporary
         if path.exists():
-            path.rename(previous)
-        temporary.rename(path)
-    except BaseException:
-        if previous.exists() and not path.exists():
-            previous.rename(path)
-        raise
+            _exchange(temporary, path)
+        else:
+            temporary.rename(path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-    shutil.rmtree(previous, ignore_errors=True)
+
+
+def _exchange(one: Path, other: Path) -> None:
+    """Let two paths change their names: in one step where Linux can."""
+    libc = ctypes.CDLL(None)
+    here, exchange = -100, 2  # AT_FDCWD, RENAME_EXCHANGE
+    if libc.renameat2(here, bytes(one), here, bytes(other), exchange):
+        between = one.with_suffix(".old")  # network file systems cannot
+        other.rename(between)
+        one.rename(other)
+        between.rename(one)
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """Datasets: read back bit-equal, whole or not at all, clear about damage."""
 
+import ctypes
 import json
 import os
 import subprocess
@@ -166,6 +167,27 @@ def test_a_failed_replacement_keeps_what_was_there(tmp_path: Path) -> None:
         (temporary / "new").write_text("new")
     assert [path.name for path in target.iterdir()] == ["new"]
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_a_folder_is_replaced_where_names_cannot_be_exchanged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ctypes.CDLL(None).__class__, "renameat2", lambda *a: -1)
+    for text in ("one", "two"):
+        with new_folder(tmp_path / "folder") as temporary:
+            (temporary / "file").write_text(text)
+        assert (tmp_path / "folder/file").read_text() == text
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_what_a_killed_writer_left_goes(tmp_path: Path) -> None:
+    gone = tmp_path / ".folder.999999999.new"
+    gone.mkdir()
+    alive = tmp_path / ".folder.1.new"
+    alive.mkdir()
+    with new_folder(tmp_path / "folder"):
+        pass
+    assert not gone.exists() and alive.exists()
 
 
 def test_an_empty_dataset_is_refused(datasets_home: Path) -> None:

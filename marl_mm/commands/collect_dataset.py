@@ -102,6 +102,7 @@ def collect_dataset(
         for source in filter(None, (first, location if options.resume else None)):
             known |= _known(source, about)
         if _is_complete(location, options):
+            shutil.rmtree(location.working)
             return Collection(_kept(known), len(known), complete=True)
         with Journal(location.working) as journal:
             known |= _begun(journal, about, location, options)
