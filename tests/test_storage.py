@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import minari
 import numpy as np
@@ -172,7 +173,8 @@ def test_a_failed_replacement_keeps_what_was_there(tmp_path: Path) -> None:
 def test_a_folder_is_replaced_where_names_cannot_be_exchanged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ctypes.CDLL(None).__class__, "renameat2", lambda *a: -1)
+    refusing = SimpleNamespace(renameat2=lambda *names: -1)
+    monkeypatch.setattr(ctypes, "CDLL", lambda name: refusing)
     for text in ("one", "two"):
         with new_folder(tmp_path / "folder") as temporary:
             (temporary / "file").write_text(text)
