@@ -1,4 +1,6 @@
-"""Returns to measure others by: random as 0 and the PD agent as 1, per task.
+"""Returns to measure others by, per task: random as 0, the best agent at hand as 1.
+
+That is the pretrained agent on the task it learnt, and the PD agent on others.
 
 Measured, and kept in ``reference_scores.json`` with the command that made them. Minari
 normalises scores with them.
@@ -19,6 +21,6 @@ def reference_scores(task: str | None) -> dict[str, Any]:
         return {}
     return {
         "ref_min_score": scores["random"],
-        "ref_max_score": scores["pd"],
+        "ref_max_score": max(scores["pd"], scores["pretrained"]),
         "num_episodes_average_score": scores["episodes"],
     }

@@ -76,7 +76,7 @@ def test_minari_reads_it_without_us(written: Path, episodes: list[Episode]) -> N
     env.close()
 
 
-def test_scores_normalise_between_random_and_pd(written: Path) -> None:
+def test_scores_normalise_between_random_and_the_best(written: Path) -> None:
     dataset = minari.load_dataset(ID)
     metadata = dataset.storage.metadata
     ends = np.array([metadata["ref_min_score"], metadata["ref_max_score"]])
