@@ -18,8 +18,9 @@ from marl_mm.datasets.hdf5 import (
 )
 from marl_mm.datasets.verify import problems_of
 from marl_mm.episode import INFO, Episode
-from marl_mm.errors import DatasetError, UsageError
+from marl_mm.errors import DatasetError, UsageError, WorkerDiedError
 from marl_mm.layout import EE, GOAL
+from marl_mm.workers import apart
 
 FLAT = (
     Field("rewards", "float"),
@@ -30,6 +31,12 @@ FLAT = (
     Field("timeouts", "number"),
 )
 """Of the flat layout, as in D4RL; ``marl-mm datasets export`` writes it."""
+
+_PATIENCE = 30.0
+"""Seconds that reading a small file may take."""
+
+_SLOWEST = 200_000.0
+"""Bytes per second that a large one is read at, at least: a tenth of what is usual."""
 
 
 def read_foreign(path: Path, dataset_id: str) -> EpisodeArrays:
@@ -49,16 +56,28 @@ def read_foreign(path: Path, dataset_id: str) -> EpisodeArrays:
             path = inner
     if not path.is_file():
         raise UsageError(f"no file {path}: expected HDF5, or a Minari dataset's folder")
+    seconds = _PATIENCE + path.stat().st_size / _SLOWEST
+    try:
+        arrays = apart(_read, (path, dataset_id), seconds)
+    except WorkerDiedError as error:
+        raise DatasetError(
+            f"{path} is damaged: the HDF5 library cannot read it ({error})"
+        ) from error
+    if problems := problems_of(arrays):
+        raise DatasetError(f"{path}: {'; '.join(problems)}")
+    return arrays
+
+
+def _read(what: tuple[Path, str]) -> EpisodeArrays:
+    """The episodes of a file; damaged ones can crash the library, or never end."""
+    path, dataset_id = what
     with open_hdf5(path) as file:
         groups = episode_groups(file)
         if groups:
             episodes = [_episode(path, i, group) for i, group in enumerate(groups)]
         else:
             episodes = _flat_episodes(path, file)
-    arrays = arrays_of(episodes, dataset_id)
-    if problems := problems_of(arrays):
-        raise DatasetError(f"{path}: {'; '.join(problems)}")
-    return arrays
+    return arrays_of(episodes, dataset_id)
 
 
 def _episode(path: Path, number: int, group: Any) -> Episode:

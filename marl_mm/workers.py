@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from itertools import islice
 from multiprocessing import connection, get_context, parent_process
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, Protocol, TypeVar, cast
 
 from marl_mm.errors import UsageError, WorkerDiedError
 from marl_mm.interrupts import deaf_to_interrupts
@@ -148,6 +148,45 @@ class Workers:
         assert self._pool is not None
         with deaf_to_interrupts():  # workers start here, and inherit it
             return [self._pool.submit(function, item) for item in items]
+
+
+def apart(function: Callable[[T], R], item: T, seconds: float) -> R:
+    """A function's result from a process of its own, which may crash or hang.
+
+    Args:
+        function: Importable by name; what it raises is raised here.
+        item: Its argument.
+        seconds: How long it may take.
+
+    Raises:
+        WorkerDiedError: If the process crashed, or took longer.
+    """
+    context = get_context("forkserver")  # which imports the function's module once
+    context.set_forkserver_preload([function.__module__])
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_send, args=(sender, function, item), daemon=True)
+    with deaf_to_interrupts():
+        process.start()
+    sender.close()
+    try:
+        if not receiver.poll(seconds):
+            raise WorkerDiedError(f"no end after {seconds:.0f} s")
+        good, value = receiver.recv()
+    except EOFError:
+        raise WorkerDiedError("the process crashed") from None
+    finally:
+        process.kill()
+        process.join()
+    if good:
+        return cast(R, value)
+    raise value
+
+
+def _send(sender: connection.Connection, function: Callable[[T], R], item: T) -> None:
+    try:
+        sender.send((True, function(item)))
+    except Exception as error:
+        sender.send((False, error))
 
 
 @contextmanager
