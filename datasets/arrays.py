@@ -1,6 +1,8 @@
 """Many episodes as one set of arrays: what files, caches and views are made of."""
 
+import struct
 import zipfile
+import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -135,6 +137,12 @@ class EpisodeArrays:
         )
 
 
+_DAMAGE = (
+    *(OSError, ValueError, KeyError, EOFError, RuntimeError, OverflowError),
+    *(MemoryError, zipfile.BadZipFile, zlib.error, struct.error, TypeError),
+)
+"""What reading a damaged npz file raises."""
+
 _PER_EPISODE = ("seeds", "indices", "starts", "sources", "origins", "origin_episodes")
 
 
@@ -198,7 +206,7 @@ def load_arrays(file: Path | IO[bytes]) -> EpisodeArrays:
             names = [one.name for one in fields(EpisodeArrays) if one.name != "info"]
             info = {key: values[f"info/{key}"] for key in INFO}
             return EpisodeArrays(info=info, **{name: values[name] for name in names})
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except _DAMAGE as error:
         raise DatasetError(f"{file} is damaged ({error})") from error
 
 

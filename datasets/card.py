@@ -79,7 +79,7 @@ def coverage(arrays: EpisodeArrays) -> dict[str, float]:
 def keep_card(dataset: Dataset) -> dict[str, Any]:
     """Write a dataset's card beside it as JSON, Markdown and figure; return it.
 
-    Where the folder belongs to somebody else, nothing is written.
+    Where there is no room or permission, nothing is written.
     """
     from marl_mm.datasets.card_figure import draw_card  # matplotlib takes a second
 
@@ -99,7 +99,7 @@ def keep_card(dataset: Dataset) -> dict[str, Any]:
             temporary.write_text(card_markdown(kept))
         with new_file(folder / "card.png") as temporary:
             draw_card(dataset.arrays, kept, temporary)
-    except PermissionError:
+    except OSError:  # somebody else's folder, or a full disk
         pass
     return values
 

@@ -22,7 +22,10 @@ from marl_mm.layout import EE, GOAL, OBSERVATION
 
 FILE = "main_data.hdf5"
 
-_DAMAGE = (OSError, KeyError, ValueError, RuntimeError, TypeError, MemoryError)
+_DAMAGE = (
+    *(OSError, KeyError, ValueError, RuntimeError, TypeError, MemoryError),
+    OverflowError,
+)
 """What the library raises for files that are not as they should be."""
 
 _START = "initial_configuration"

@@ -84,7 +84,7 @@ def _episode(path: Path, number: int, group: Any) -> Episode:
     """One of Minari's episodes with goal-dictionary observations."""
     values = checked(path, group, FIELDS)
     info = {key: optional(group, f"infos/{key}") for key in INFO}
-    attributes = dict(group.attrs)
+    seed = group.attrs.get("seed", -1)
     return _built(
         number,
         states_of(values),
@@ -93,7 +93,7 @@ def _episode(path: Path, number: int, group: Any) -> Episode:
         values["terminations"],
         values["truncations"],
         info,
-        int(attributes.get("seed", -1)),
+        int(seed) if isinstance(seed, int | np.integer) else -1,
     )
 
 

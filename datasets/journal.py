@@ -70,13 +70,24 @@ class Journal:
                 [episode.index, blob.getvalue()],
             )
 
+    def __len__(self) -> int:
+        with self._errors():
+            (count,) = self._file.execute("select count(*) from episodes").fetchone()
+        return int(count)
+
     def episodes(self) -> dict[int, Episode]:
         """All episodes by their number."""
         with self._errors():
             rows = self._file.execute("select number, npz from episodes").fetchall()
-        return {
-            number: load_arrays(io.BytesIO(blob)).episode(0) for number, blob in rows
-        }
+        try:
+            return {
+                number: load_arrays(io.BytesIO(blob)).episode(0)
+                for number, blob in rows
+            }
+        except DatasetError as error:
+            raise DatasetError(
+                f"an episode in {self._path} is damaged: start anew with --overwrite"
+            ) from error
 
     @contextmanager
     def _errors(self) -> Iterator[None]:

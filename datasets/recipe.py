@@ -9,7 +9,7 @@ import numpy as np
 from marl_mm.datasets.arrays import EpisodeArrays, joined
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.datasets.location import Location
-from marl_mm.datasets.storage import write_dataset
+from marl_mm.datasets.storage import write_alone
 from marl_mm.errors import UsageError
 from marl_mm.layout import GOAL
 
@@ -112,7 +112,9 @@ def filtered(dataset: Dataset, condition: Condition) -> Recipe:
     arrays = dataset.arrays
     asked = {key: value for key, value in vars(condition).items() if value is not None}
     if not asked:
-        raise UsageError("no condition: give --success, --direction, --min-return, ...")
+        raise UsageError(
+            "no condition: give --outcome, --direction, --min-return or --max-return"
+        )
     keep = np.ones(len(arrays), bool)
     if condition.success is not None:
         keep &= arrays.successes() == condition.success
@@ -132,8 +134,8 @@ def filtered(dataset: Dataset, condition: Condition) -> Recipe:
 
 
 def write_mix(location: Location, recipe: Recipe, overwrite: bool = False) -> None:
-    """Write what a recipe gave; see ``write_dataset``."""
-    write_dataset(location, recipe.arrays, recipe.description, overwrite)
+    """Write what a recipe gave; see ``write_alone``."""
+    write_alone(location, recipe.arrays, recipe.description, overwrite)
 
 
 def _refuse_unequal(datasets: Sequence[Dataset]) -> None:

@@ -29,4 +29,5 @@ def install(location: Location) -> None:
         if not location.folder.exists():
             description = json.loads(DESCRIPTION.read_text())
             write_dataset(location, load_arrays(ARRAYS), description)
-        location.working.rmdir()
+        if not any(location.working.iterdir()):
+            location.working.rmdir()

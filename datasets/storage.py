@@ -22,7 +22,7 @@ from marl_mm.datasets.hdf5 import FILE, read_hdf5, write_hdf5
 from marl_mm.datasets.location import Location, datasets_root, known_ids
 from marl_mm.datasets.reference import reference_scores
 from marl_mm.errors import DatasetError, UnknownDatasetError, UsageError
-from marl_mm.files import new_file, new_folder, refuse_existing
+from marl_mm.files import new_file, new_folder, only_here, refuse_existing
 from marl_mm.layout import ACTION, AGENTS, STATE
 from marl_mm.spaces import action_space, goal_observation_space
 from marl_mm.versions import versions
@@ -30,8 +30,18 @@ from marl_mm.versions import versions
 SCHEMA = 2
 """Version of our metadata."""
 
-OWN_FILES = frozenset({"data", "cache", "card.json", "card.md", "card.png"})
-"""What a dataset's folder may hold."""
+OWN_FILES = frozenset(
+    {
+        "data",
+        f"data/{FILE}",
+        "data/metadata.json",
+        "cache",
+        "card.json",
+        "card.md",
+        "card.png",
+    }
+)
+"""What a dataset's folder may hold, beside arrays in the cache."""
 
 
 def write_dataset(
@@ -75,9 +85,33 @@ def write_dataset(
                 **_metadata(location, arrays, description, digest),
             }
         )
+        sign_metadata(temporary / "data" / "metadata.json")
         _write_cache(temporary, digest, arrays)
     if location.folder == datasets_root() / location.id:
         _name_namespaces(location)
+
+
+def write_alone(
+    location: Location,
+    arrays: EpisodeArrays,
+    description: dict[str, Any],
+    overwrite: bool = False,
+) -> None:
+    """``write_dataset`` where no collection is under way.
+
+    Raises:
+        UsageError: If another process is writing it, or a collection was begun there.
+    """
+    with only_here(location.working):
+        if any(location.working.iterdir()):
+            raise UsageError(
+                f"a collection was begun at {location.folder}: finish it with "
+                "marl-mm collect --resume, or delete it"
+            )
+        try:
+            write_dataset(location, arrays, description, overwrite)
+        finally:
+            location.working.rmdir()
 
 
 def env_spec(description: dict[str, Any]) -> EnvSpec:
@@ -99,9 +133,14 @@ def refuse_foreign(location: Location) -> None:
         UsageError: If it does.
     """
     folder = location.folder
-    if folder.exists() and (
-        not folder.is_dir() or {path.name for path in folder.iterdir()} - OWN_FILES
-    ):
+    if not folder.exists():
+        return
+    inner = [path.relative_to(folder) for path in folder.rglob("*")]
+    ours = all(
+        str(path) in OWN_FILES or (path.parts[0] == "cache" and path.suffix == ".npz")
+        for path in inner
+    )
+    if not folder.is_dir() or not ours:
         raise UsageError(
             f"{folder} is no dataset, or holds other files too: it is not replaced; "
             "choose another name"
@@ -133,8 +172,11 @@ def read_metadata(location: Location) -> dict[str, Any]:
             f"{path} is not of a marl_mm dataset of schema {SCHEMA}: its schema is "
             f"{schema!r}; marl-mm datasets import takes other HDF5 files"
         )
-    if ours.get("metadata_sha256") != _own_digest(ours):
-        raise DatasetError(f"{path} is damaged: 'marl_mm' is not as it was written")
+    if ours.get("metadata_sha256") != _metadata_digest(metadata):
+        raise DatasetError(
+            f"{path} is damaged: it is not as it was written; marl-mm datasets import "
+            "takes what was changed on purpose"
+        )
     return metadata
 
 
@@ -234,13 +276,22 @@ def _metadata(
         "description": f"Episodes of {sources} on marl_mm.",
         "minari_version": versions()["minari"],
         **reference_scores(description.get("task")),
-        "marl_mm": ours | {"metadata_sha256": _own_digest(ours)},
+        "marl_mm": ours,
     }
 
 
-def _own_digest(ours: dict[str, Any]) -> str:
-    rest = {key: value for key, value in ours.items() if key != "metadata_sha256"}
-    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+def sign_metadata(path: Path) -> None:
+    """Write a hash of the metadata into them."""
+    metadata = json.loads(path.read_text())
+    metadata["marl_mm"]["metadata_sha256"] = _metadata_digest(metadata)
+    path.write_text(json.dumps(metadata))
+
+
+def _metadata_digest(metadata: dict[str, Any]) -> str:
+    ours = metadata["marl_mm"].items()
+    rest = {key: value for key, value in ours if key != "metadata_sha256"}
+    text = json.dumps({**metadata, "marl_mm": rest}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def statistics(arrays: EpisodeArrays) -> dict[str, Any]:

@@ -11,14 +11,14 @@ from marl_mm.interrupts import end_on_signals
 
 COMMANDS = {
     "quickstart": "collect, train and evaluate in a few minutes, with a report",
-    "collect": "collect a dataset with a scripted policy: pd, random",
-    "datasets": "list datasets, show what is in one",
+    "collect": "collect a dataset: pretrained, pd, medium, random, the paper's",
+    "datasets": "list, show, mix, split, filter, verify, export, import, delete",
     "train": "train a policy: from a dataset, or online",
     "eval": "evaluate runs and scripted policies on fixed goals",
     "play": "film an episode, or watch it in a window",
     "sweep-alpha": "what alpha does: tables and figures over alpha, form and task",
     "ablate": "reproduce figures and tables, training the runs they need",
-    "bench": "measure the controller, and the speed of training",
+    "bench": "measure the controller, and the speed of training and data",
 }
 """Each command is a module of ``marl_mm.commands``, imported when it is called."""
 

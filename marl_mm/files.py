@@ -87,17 +87,30 @@ def only_here(folder: Path, *, wait: bool = False) -> Iterator[None]:
     Raises:
         UsageError: If another process has it.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    descriptor = os.open(folder, os.O_RDONLY)
+    descriptor = -1
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        while descriptor < 0:
+            folder.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(folder, os.O_RDONLY)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            if not _is_open_at(descriptor, folder):  # the one before removed it
+                os.close(descriptor)
+                descriptor = -1
         yield
     except BlockingIOError:
         raise UsageError(
             f"another process is writing {folder}: wait for it, or choose another"
         ) from None
     finally:
-        os.close(descriptor)
+        if descriptor >= 0:
+            os.close(descriptor)
+
+
+def _is_open_at(descriptor: int, folder: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), folder.stat())
+    except FileNotFoundError:
+        return False
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -87,5 +87,7 @@ def _is_echo() -> bool:
     """Note that an interrupt has come; whether it repeats the last."""
     global _heard
     now = time.monotonic()
-    echo, _heard = now - _heard < _ECHO, now
-    return echo
+    if now - _heard < _ECHO:
+        return True
+    _heard = now
+    return False

@@ -87,7 +87,9 @@ class RayWorkers:
             try:
                 yield ray.get(done)
             except ray.exceptions.RayTaskError as error:
-                raise error.as_instanceof_cause() from error
+                if isinstance(error.cause, MarlMmError):
+                    raise error.cause from None
+                raise
             except ray.exceptions.RayError as error:
                 reason = " ".join(str(error).split())
                 raise WorkerDiedError(f"a Ray worker died: {reason:.200}") from error

@@ -125,6 +125,24 @@ def test_a_second_writer_is_refused_and_changes_nothing(datasets_home: Path) -> 
 
 
 @pytest.mark.slow
+def test_a_killed_overwrite_goes_on_and_never_keeps_the_old(whole: bytes) -> None:
+    """Also where the new one is of the same seed: code or packages may have changed."""
+    name = "marl_mm/reach/test-v0"
+    location = locate(name)
+    words = ["collect", "random", "--dataset", name, "--workers", "1"]
+    assert main([*words, "--steps", "30"]) == 0
+    before = data(name)
+    killed = start(name, "--overwrite")
+    journal_holds(location, 2)
+    killed.kill()
+    killed.wait()
+    assert data(name) == before
+    assert main([*words, "--steps", "30", "--resume"]) == 2  # fewer than asked for
+    assert main([*words, "--resume"]) == 0  # as many as asked for
+    assert data(name) == whole
+
+
+@pytest.mark.slow
 def test_a_longer_dataset_goes_on_from_the_shorter(whole: bytes) -> None:
     name = "marl_mm/reach/test-v0"
     words = ["collect", "random", "--dataset", name, "--workers", "1"]

@@ -216,7 +216,7 @@ def test_one_bit_more_or_less_is_seen(written: Path) -> None:
         load_dataset(ID)
     path = written / "data" / "metadata.json"
     path.write_text(path.read_text().replace('"seed": 0', '"seed": 1'))
-    with pytest.raises(DatasetError, match="'marl_mm' is not as it was written"):
+    with pytest.raises(DatasetError, match="not as it was written"):
         load_dataset(ID)
 
 

@@ -70,7 +70,10 @@ def main(arguments: Sequence[str]) -> None:
     if isinstance(command, Paper):
         collect_paper(command)
         return
-    location = locate(command.dataset or _default_id(command.task, command.policy))
+    name = command.dataset
+    if name is None:
+        name = _default_id(command.task, command.policy)
+    location = locate(name)
     collection = collect_dataset(location, command.policy, command)
     summary = keep_card(load_dataset(location))
     if command.json:

@@ -9,6 +9,7 @@ from marl_mm.collectors.collect import Collection, PolicyConfig, collect, make_c
 from marl_mm.commands.options import available_cores, check_positive, check_seed
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.journal import FILE as JOURNAL
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import Location
 from marl_mm.datasets.storage import read_metadata, refuse_foreign, write_dataset
@@ -27,13 +28,16 @@ from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.progress import progress_bar
 from marl_mm.workers import Executor
 
+_STEPS = 10_000
+
 
 @dataclass(frozen=True)
 class CollectOptions:
     """What every collector needs."""
 
-    steps: int = 10_000
-    """Least number of steps; the last episode is kept whole."""
+    steps: int | None = None
+    """Least number of steps; the last episode is kept whole. Default 10,000; with
+    --resume as many as were asked for."""
 
     seed: int = 0
     """Of the dataset: episode i is seeded from (seed, i)."""
@@ -84,7 +88,9 @@ def collect_dataset(
         OtherConfigError: If what is to be resumed is of another policy, task or seed.
         KeyboardInterrupt: If Ctrl-C came before the first episode was kept.
     """
-    check_positive(steps=options.steps, workers=options.workers)
+    check_positive(
+        workers=options.workers, **({"steps": options.steps} if options.steps else {})
+    )
     check_seed(options.seed)
     if options.resume and options.overwrite:
         raise UsageError("--resume and --overwrite contradict each other: choose one")
@@ -98,18 +104,23 @@ def collect_dataset(
     about = _about(policy, options)
     with only_here(location.working), ExitStack() as cleaning:
         cleaning.callback(_remove_if_empty, location)
-        known: dict[int, Episode | None] = {}
-        for source in filter(None, (first, location if options.resume else None)):
-            known |= _known(source, about)
-        if _is_complete(location, options):
-            shutil.rmtree(location.working)
-            return Collection(_kept(known), len(known), complete=True)
+        if options.overwrite:
+            (location.working / JOURNAL).unlink(missing_ok=True)
         with Journal(location.working) as journal:
-            known |= _begun(journal, about, location, options)
-            collection = _run(policy, options, about, known, journal)
-        if not collection.episodes:
-            raise KeyboardInterrupt("stopped before an episode was kept")
-        _write(location, collection, about, options)
+            begun = journal.about()
+            replacing = options.overwrite or bool((begun or {}).get("replaces"))
+            mine = location if options.resume and not replacing else None
+            steps = _steps(options, begun, mine)
+            known: dict[int, Episode | None] = {}
+            for source in filter(None, (first, mine)):
+                known |= _known(source, about)
+            if mine is not None and _is_complete(mine, steps):
+                cleaning.callback(shutil.rmtree, location.working)
+                return Collection(_kept(known), len(known), complete=True)
+            known |= _begun(journal, about, location, options, steps)
+            collection = _run(policy, options, steps, about, known, journal)
+        _refuse_loss(location, collection, replacing)
+        _write(location, collection, about, steps)
         if collection.complete:
             shutil.rmtree(location.working)
     return collection
@@ -147,25 +158,62 @@ def _kept(known: dict[int, Episode | None]) -> list[Episode]:
     return [episode for episode in known.values() if episode is not None]
 
 
-def _is_complete(location: Location, options: CollectOptions) -> bool:
-    """Whether the dataset to resume has all its steps.
+def _steps(
+    options: CollectOptions, begun: dict[str, Any] | None, mine: Location | None
+) -> int:
+    """How many steps to collect.
 
     Raises:
-        UsageError: If it has more.
+        UsageError: If more were asked for before.
     """
-    if not options.resume or not location.folder.exists():
+    before = (begun or {}).get("steps_asked", 0) if options.resume else 0
+    if mine is not None and mine.folder.exists():
+        asked = read_metadata(mine)["marl_mm"].get("steps_asked", 0)
+        before = max(before, asked)
+    if options.steps is None:
+        return before or _STEPS
+    if options.steps < before:
+        raise UsageError(
+            f"--steps is {options.steps}, {before} were asked for before: leave out "
+            "--resume, or take the first of them with marl-mm datasets mix"
+        )
+    return options.steps
+
+
+def _is_complete(location: Location, steps: int) -> bool:
+    """Whether the dataset to resume has all its steps."""
+    if not location.folder.exists():
         return False
     ours = read_metadata(location)["marl_mm"]
-    if ours["steps_asked"] > options.steps and ours["complete"]:
-        raise UsageError(
-            f"{location.folder} has {ours['steps']} steps already, --steps is "
-            f"{options.steps}"
+    return bool(ours["complete"]) and ours["steps_asked"] == steps
+
+
+def _refuse_loss(location: Location, collection: Collection, replacing: bool) -> None:
+    """Raise instead of writing less than there is.
+
+    Raises:
+        KeyboardInterrupt: Saying what is kept.
+    """
+    if collection.complete:
+        return
+    if not collection.episodes:
+        raise KeyboardInterrupt("stopped before an episode was kept")
+    if not location.folder.exists():
+        return
+    before = read_metadata(location)["marl_mm"]["episodes"]
+    if replacing or before > len(collection.episodes):
+        raise KeyboardInterrupt(
+            f"stopped; {location.folder} is as it was, new episodes are kept beside "
+            "it: go on with --resume"
         )
-    return bool(ours["complete"]) and ours["steps_asked"] == options.steps
 
 
 def _begun(
-    journal: Journal, about: dict[str, Any], location: Location, options: CollectOptions
+    journal: Journal,
+    about: dict[str, Any],
+    location: Location,
+    options: CollectOptions,
+    steps: int,
 ) -> dict[int, Episode | None]:
     """What a journal holds; a new one, or one to overwrite, begins."""
     before = journal.about()
@@ -175,7 +223,8 @@ def _begun(
             "--dataset or add --overwrite"
         )
     if before is None or options.overwrite:
-        journal.begin(about)
+        replaces = options.overwrite and location.folder.exists()
+        journal.begin({**about, "steps_asked": steps, "replaces": replaces})
         return {}
     refuse_difference(location.folder, before, about)
     return dict(journal.episodes())
@@ -184,19 +233,20 @@ def _begun(
 def _run(
     policy: PolicyConfig,
     options: CollectOptions,
+    steps: int,
     about: dict[str, Any],
     known: dict[int, Episode | None],
     journal: Journal,
 ) -> Collection:
     config = reach_config(options.task, about["overrides"])
     complete = False
-    with progress_bar(f"collect {policy.name}", options.steps) as advance:
+    with progress_bar(f"collect {policy.name}", steps) as advance:
         rollouts = Rollouts(config, options.workers, options.executor)
         try:
             collection = collect(
                 make_collector(policy),
                 rollouts.completed,
-                options.steps,
+                steps,
                 options.seed,
                 advance,
                 known,
@@ -218,12 +268,12 @@ def _write(
     location: Location,
     collection: Collection,
     about: dict[str, Any],
-    options: CollectOptions,
+    steps: int,
 ) -> None:
     description = {
         **about,
         "origins": {location.id: about},
-        "steps_asked": options.steps,
+        "steps_asked": steps,
         "attempts": collection.attempts,
         "complete": collection.complete,
     }
@@ -238,8 +288,12 @@ def _write(
 
 
 def _remove_if_empty(location: Location) -> None:
-    """No trace of a collection that never began."""
-    try:
+    """No trace of a collection that kept nothing."""
+    journal = location.working / JOURNAL
+    if journal.exists():
+        with Journal(location.working) as known:
+            if len(known):
+                return
+        journal.unlink()
+    if location.working.exists() and not any(location.working.iterdir()):
         location.working.rmdir()
-    except OSError:
-        pass

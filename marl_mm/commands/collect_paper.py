@@ -14,6 +14,8 @@ from marl_mm.datasets.card import card_text, keep_card
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import Location, locate
 from marl_mm.datasets.recipe import Part, mix, write_mix
+from marl_mm.datasets.storage import read_metadata
+from marl_mm.errors import UsageError
 from marl_mm.workers import Executor
 
 COLLECTED: dict[str, tuple[PolicyConfig, int]] = {
@@ -63,17 +65,15 @@ class Paper:
 def collect_paper(command: Paper) -> None:
     """Make what is missing of the paper's datasets, and print their cards."""
     check_seed(command.seed)
+    if not 0.0 < command.scale <= 100.0:
+        raise UsageError(f"--scale is {command.scale}, expected a share such as 0.01")
     cards = []
     for name in (*COLLECTED, *MIXED):
         location = paper_location(name)
         if name in COLLECTED:
             _collect(name, location, command)
-        elif not location.folder.exists():
-            parts = [
-                Part(load_dataset(paper_location(source)), _scaled(steps, command))
-                for source, steps in MIXED[name].items()
-            ]
-            write_mix(location, mix(parts, command.seed))
+        else:
+            _mix(name, location, command)
         cards.append(keep_card(load_dataset(location)))
         if not command.json:
             print(card_text(cards[-1]), flush=True)
@@ -99,6 +99,21 @@ def _collect(name: str, location: Location, command: Paper) -> None:
     collection = collect_dataset(location, policy, options, first)
     if not collection.complete:
         raise KeyboardInterrupt(f"stopped in {name}; the same command goes on there")
+
+
+def _mix(name: str, location: Location, command: Paper) -> None:
+    """Mix what there is, unless the mix is of just that already."""
+    parts = [
+        Part(load_dataset(paper_location(source)), _scaled(steps, command))
+        for source, steps in MIXED[name].items()
+    ]
+    recipe = mix(parts, command.seed)
+    if location.folder.exists():
+        known = read_metadata(location)["marl_mm"]
+        keys = ("recipe", "sources")
+        if all(known.get(key) == recipe.description[key] for key in keys):
+            return
+    write_mix(location, recipe, overwrite=True)
 
 
 def _scaled(steps: int, command: Paper) -> int:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,10 +27,10 @@ from marl_mm.commands.parser import parse_subcommand
 from marl_mm.datasets.card import card, card_markdown, card_text, keep_card
 from marl_mm.datasets.dataset import existing, load_dataset
 from marl_mm.datasets.export import Layout, export
-from marl_mm.datasets.location import datasets_root, find, known_ids, locate
+from marl_mm.datasets.location import Location, datasets_root, find, known_ids
 from marl_mm.datasets.storage import read_metadata, refuse_foreign
 from marl_mm.datasets.verify import verify
-from marl_mm.errors import DatasetError, UnknownDatasetError, UsageError
+from marl_mm.errors import DatasetError, MarlMmError, UnknownDatasetError, UsageError
 from marl_mm.files import only_here
 from marl_mm.progress import progress_bar
 
@@ -149,8 +150,8 @@ def _list(command: List) -> None:
 
 def _entry(name: str) -> dict[str, Any]:
     try:
-        ours = read_metadata(locate(name))["marl_mm"]
-    except DatasetError as error:
+        ours = read_metadata(Location(name, datasets_root() / name))["marl_mm"]
+    except MarlMmError as error:
         return {"id": name, "steps": None, "episodes": None, "note": str(error)}
     return {
         "id": name,
@@ -218,6 +219,8 @@ def _delete(command: Delete) -> None:
     if location.folder.exists() and not location.data.is_dir():
         raise UsageError(f"{location.folder} is no dataset: it is not deleted")
     if not command.yes:
+        if not sys.stdin.isatty():
+            raise UsageError("nobody is here to answer: add --yes to delete")
         answer = input(f"delete {location.folder}? [y/N] ")
         if answer.strip().lower() not in ("y", "yes"):
             print("kept")

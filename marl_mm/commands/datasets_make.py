@@ -13,7 +13,7 @@ from marl_mm.datasets.dataset import existing, load_dataset
 from marl_mm.datasets.importing import read_foreign
 from marl_mm.datasets.location import Location, locate
 from marl_mm.datasets.recipe import Condition, Part, filtered, mix, split, write_mix
-from marl_mm.datasets.storage import write_dataset
+from marl_mm.datasets.storage import write_alone
 from marl_mm.envs.config import reach_config
 from marl_mm.errors import UsageError
 from marl_mm.files import refuse_existing
@@ -158,18 +158,18 @@ def make_filtered(command: Filter) -> None:
 def make_imported(command: Import) -> None:
     """Run ``marl-mm datasets import``."""
     location = _free(command.out, command.overwrite)
-    reach_config(command.task)
+    usual = reach_config(command.task).max_steps
     arrays = read_foreign(command.file, location.id)
     description: dict[str, Any] = {
         "task": command.task,
-        "overrides": {"max_steps": int(arrays.lengths.max())},
+        "overrides": {"max_steps": max(usual, int(arrays.lengths.max()))},
         "collector": "imported",
         "seed": None,
         "origins": {location.id: {"file": command.file.name}},
         "attempts": None,
         "complete": True,
     }
-    write_dataset(location, arrays, description, command.overwrite)
+    write_alone(location, arrays, description, command.overwrite)
     _tell([location], command.json)
 
 

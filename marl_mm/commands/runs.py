@@ -154,6 +154,11 @@ def saved_options(options: T, out: Path) -> T:
     dataset = (config.get("dataset") or {}).get("path")
     seeds = [int(run.name) for run in runs]
     known = {"seeds": seeds, "dataset": dataset, "demonstrations": dataset}
+    if (runs[0] / EVALUATION).exists():
+        evaluation = Evaluation.from_json(
+            json.loads((runs[0] / EVALUATION).read_text())
+        )
+        known["eval_episodes"] = len(evaluation.rows)
     resumed: T = _with_values(options, config | known)
     return resumed
 
