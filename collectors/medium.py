@@ -21,8 +21,11 @@ class MediumConfig:
     """The agent that ships, or a run folder or checkpoint file."""
 
     def __post_init__(self) -> None:
-        if self.random_steps < 0:
-            raise UsageError(f"random steps are {self.random_steps}, expected >= 0")
+        if not 0 <= self.random_steps < 25:
+            raise UsageError(
+                f"random steps are {self.random_steps}, expected 0 to 24: the agent "
+                "has the rest of 25"
+            )
 
     @property
     def name(self) -> str:

@@ -49,6 +49,10 @@ class Transitions:
     def __len__(self) -> int:
         return len(self.reward)
 
+    def __repr__(self) -> str:
+        sizes = self.observation.shape[1], self.action.shape[1]
+        return f"<Transitions: {len(self)} steps, observation and action of {sizes}>"
+
     def part(
         self, observation: tuple[int, ...], action: tuple[int, ...]
     ) -> "Transitions":
@@ -71,6 +75,10 @@ class Dataset:
     location: Location
     metadata: dict[str, Any]
     arrays: EpisodeArrays
+
+    def __repr__(self) -> str:
+        count, steps = len(self.arrays), self.arrays.steps
+        return f"<Dataset {self.location.folder}: {steps} steps, {count} episodes>"
 
     @cached_property
     def episodes(self) -> list[Episode]:
