@@ -1,4 +1,7 @@
-"""Maps over processes: order, completion, and processes that crash or hang."""
+"""Maps over processes: order, completion, and processes that crash or hang.
+
+Functions are those that any process can import by name.
+"""
 
 import os
 import time
@@ -6,41 +9,26 @@ from functools import partial
 
 import pytest
 
-from marl_mm.errors import UsageError, WorkerDiedError
+from marl_mm.errors import WorkerDiedError
 from marl_mm.workers import Workers, apart
 
 
-def doubled(value: int) -> int:
-    if value < 0:
-        raise UsageError(f"{value} is negative")
-    return 2 * value
-
-
-def crash(value: int) -> int:
-    os._exit(value)
-
-
-def hang(value: int) -> int:
-    time.sleep(600)
-    return value
-
-
 def test_apart_gives_results_and_errors() -> None:
-    assert apart(doubled, 4, seconds=60) == 8
-    with pytest.raises(UsageError, match="-1 is negative"):
-        apart(doubled, -1, seconds=60)
+    assert apart(abs, -4, seconds=60) == 4
+    with pytest.raises(ValueError, match="invalid literal"):
+        apart(int, "four", seconds=60)
 
 
 def test_apart_survives_a_crash_and_ends_what_hangs() -> None:
     with pytest.raises(WorkerDiedError, match="crashed"):
-        apart(crash, 3, seconds=60)
+        apart(os._exit, 3, seconds=60)
     with pytest.raises(WorkerDiedError, match="no end after 1 s"):
-        apart(hang, 3, seconds=1)
+        apart(time.sleep, 600, seconds=1)
 
 
 @pytest.mark.slow
 def test_results_come_in_order_or_as_they_are_ready() -> None:
-    function = partial(pow, 2)  # which other processes can import
+    function = partial(pow, 2)
     with Workers(2) as pool:
         assert list(pool.map(function, range(9))) == [2**i for i in range(9)]
         assert sorted(pool.completed(function, range(9))) == [2**i for i in range(9)]
