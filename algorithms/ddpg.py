@@ -18,6 +18,7 @@ from torch.nn import functional
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from marl_mm.algorithms.actors import AgentActor, joint_action
+from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.demonstrations import Demonstrations
 from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.networks import Actor, Critic, Normalizer, descend
@@ -105,33 +106,28 @@ class DdpgConfig:
     """Share of those that comes from successful episodes."""
 
     def __post_init__(self) -> None:
-        for name in (
-            "episodes",
-            "updates_per_episode",
-            "episodes_per_cycle",
-            "capacity",
-            "batch_size",
-            "actor_learning_rate",
-            "critic_learning_rate",
-            "target_rate",
-            "std_floor",
-        ):
-            if not getattr(self, name) > 0:
-                raise UsageError(f"{name} is {getattr(self, name)}, expected > 0")
-        for name in ("hindsight", "warm_up", "noise", "action_penalty"):
-            if not getattr(self, name) >= 0:
-                raise UsageError(f"{name} is {getattr(self, name)}, expected >= 0")
-        for name in (
-            "random_share",
-            "discount",
-            "target_rate",
-            "demonstration_share",
-            "demonstration_successes",
-        ):
-            if not 0 <= getattr(self, name) <= 1:
-                raise UsageError(f"{name} is {getattr(self, name)}, expected 0 to 1")
-        if not self.hidden or min(self.hidden) < 1:
-            raise UsageError(f"hidden is {self.hidden}, expected positive widths")
+        check_ranges(
+            self,
+            positive=(
+                "episodes",
+                "updates_per_episode",
+                "episodes_per_cycle",
+                "capacity",
+                "batch_size",
+                "actor_learning_rate",
+                "critic_learning_rate",
+                "target_rate",
+                "std_floor",
+            ),
+            not_negative=("hindsight", "warm_up", "noise", "action_penalty"),
+            shares=(
+                "random_share",
+                "discount",
+                "target_rate",
+                "demonstration_share",
+                "demonstration_successes",
+            ),
+        )
         if self.warm_up > self.capacity:
             raise UsageError(
                 f"warm_up is {self.warm_up}, expected at most capacity, {self.capacity}"

@@ -12,9 +12,9 @@ import torch
 from torch.nn import functional
 
 from marl_mm.algorithms.actors import AgentActor
+from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.networks import Actor, Normalizer
 from marl_mm.datasets.dataset import Transitions
-from marl_mm.errors import UsageError
 from marl_mm.layout import AGENTS
 
 # --- Config ------------------------------------------------------------------
@@ -41,11 +41,8 @@ class MabcConfig:
     """Least standard deviation an observation is scaled by."""
 
     def __post_init__(self) -> None:
-        for name in ("updates", "batch_size", "learning_rate", "std_floor"):
-            if not getattr(self, name) > 0:
-                raise UsageError(f"{name} is {getattr(self, name)}, expected > 0")
-        if not self.hidden or min(self.hidden) < 1:
-            raise UsageError(f"hidden is {self.hidden}, expected positive widths")
+        positive = ("updates", "batch_size", "learning_rate", "std_floor")
+        check_ranges(self, positive)
 
 
 class Mabc:

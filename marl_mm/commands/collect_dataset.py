@@ -88,9 +88,9 @@ def collect_dataset(
         OtherConfigError: If what is to be resumed is of another policy, task or seed.
         KeyboardInterrupt: If Ctrl-C came before the first episode was kept.
     """
-    check_positive(
-        workers=options.workers, **({"steps": options.steps} if options.steps else {})
-    )
+    check_positive(workers=options.workers)
+    if options.steps is not None:
+        check_positive(steps=options.steps)
     check_seed(options.seed)
     if options.resume and options.overwrite:
         raise UsageError("--resume and --overwrite contradict each other: choose one")

@@ -1,0 +1,36 @@
+"""Checks that the hyper-parameters of all algorithms share."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from marl_mm.errors import UsageError
+
+
+def check_ranges(
+    config: Any,
+    positive: Sequence[str],
+    not_negative: Sequence[str] = (),
+    shares: Sequence[str] = (),
+) -> None:
+    """Raise for the first field outside of its range, or hidden layers of no width.
+
+    Args:
+        config: A dataclass with these fields and ``hidden``.
+        positive: Fields above 0.
+        not_negative: Fields of 0 or more.
+        shares: Fields from 0 to 1.
+
+    Raises:
+        UsageError: Naming the field, its value and its range.
+    """
+    for name in positive:
+        if not getattr(config, name) > 0:
+            raise UsageError(f"{name} is {getattr(config, name)}, expected > 0")
+    for name in not_negative:
+        if not getattr(config, name) >= 0:
+            raise UsageError(f"{name} is {getattr(config, name)}, expected >= 0")
+    for name in shares:
+        if not 0 <= getattr(config, name) <= 1:
+            raise UsageError(f"{name} is {getattr(config, name)}, expected 0 to 1")
+    if not config.hidden or min(config.hidden) < 1:
+        raise UsageError(f"hidden is {config.hidden}, expected positive widths")
