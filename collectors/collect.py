@@ -16,7 +16,7 @@ from marl_mm.collectors.pretrained import PretrainedConfig, PretrainedPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.envs.rollout import EpisodePlan, episode_seed
 from marl_mm.episode import Episode
-from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.errors import HopelessError, UsageError
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
 
@@ -35,8 +35,6 @@ class Collector:
 
     policy: Policy
     keep: Callable[[Episode], bool]
-    max_steps: int
-    """Length of its episodes."""
 
 
 @dataclass(frozen=True)
@@ -58,12 +56,17 @@ def make_collector(config: PolicyConfig) -> Collector:
         UsageError: If it names an agent that does not exist.
     """
     if isinstance(config, PdConfig):
-        return Collector(PdPolicy(config), _reached, 50)
+        return Collector(PdPolicy(config), _reached)
     if isinstance(config, PretrainedConfig):
-        return Collector(PretrainedPolicy(config), _reached, 25)
+        return Collector(PretrainedPolicy(config), _reached)
     if isinstance(config, MediumConfig):
-        return Collector(MediumPolicy(config), _whatever, 25)
-    return Collector(RandomPolicy(config), _whatever, 25)
+        return Collector(MediumPolicy(config), _whatever)
+    return Collector(RandomPolicy(config), _whatever)
+
+
+def usual_steps(config: PolicyConfig) -> int:
+    """Length of a collector's episodes where nobody says another (paper, Sec. 5.4)."""
+    return 50 if isinstance(config, PdConfig) else 25
 
 
 def collect(
@@ -89,7 +92,7 @@ def collect(
 
     Raises:
         UsageError: If ``steps`` is not positive or ``seed`` is negative.
-        MarlMmError: If the collector hardly ever produces an episode to keep.
+        HopelessError: If the collector hardly ever produces an episode to keep.
     """
     if steps < 1:
         raise UsageError(f"steps is {steps}, expected >= 1")
@@ -117,7 +120,7 @@ def collect(
             if done >= steps:
                 return Collection(kept, tried, complete=True)
             if rejected >= _HOPELESS:
-                raise MarlMmError(
+                raise HopelessError(
                     f"{collector.policy.name} reached no goal in {rejected} episodes "
                     "in a row: allow more steps with --max-steps, or change what acts"
                 )

@@ -36,6 +36,16 @@ class PdConfig:
     """Hand ahead of the base at which rule "room" reaches ``alpha`` [m]."""
 
     def __post_init__(self) -> None:
+        for name in ("kp", "kd", "room_start", "room_end"):
+            if not np.isfinite(getattr(self, name)):
+                raise UsageError(
+                    f"{name} is {getattr(self, name)}, expected a finite number"
+                )
+        if self.room_start <= self.room_end:
+            raise UsageError(
+                f"room starts at {self.room_start} m and ends at {self.room_end} m, "
+                "expected it to end nearer to the base"
+            )
         if not 0.0 <= self.alpha <= 1.0:
             raise UsageError(f"alpha is {self.alpha}, expected a number in [0, 1]")
         if self.alpha_rule not in ("constant", "direction", "room"):

@@ -43,7 +43,7 @@ class ReplayPolicy:
 def replay(dataset: Dataset, workers: int = 1) -> Iterator[str | None]:
     """Run each episode again in the environment that it was collected in.
 
-    Yields:
+    Returns:
         For each episode in order, what differs; None if nothing does.
 
     Raises:
@@ -60,7 +60,7 @@ def replay(dataset: Dataset, workers: int = 1) -> Iterator[str | None]:
             )
         about = origins[origin]
         items.append((about["task"], about["overrides"], arrays.episode(number)))
-    yield from ordered_map(_difference, items, workers)
+    return ordered_map(_difference, items, workers)
 
 
 _cores: dict[str, ReachCore] = {}

@@ -36,6 +36,7 @@ def card(dataset: Dataset) -> dict[str, Any]:
         "collector": ours.get("collector"),
         "seed": ours.get("seed"),
         "complete": ours.get("complete"),
+        "recipe": ours.get("recipe"),
         "attempts": ours.get("attempts"),
         "rejected": _rejected(ours),
         "steps": arrays.steps,
@@ -118,7 +119,12 @@ def card_markdown(values: dict[str, Any]) -> str:
 
 
 def _rows(values: dict[str, Any]) -> list[tuple[str, str]]:
-    return [(key.replace("_", " "), _text(value)) for key, value in values.items()]
+    texts = {key: _text(value) for key, value in values.items()}
+    texts["success"] = ", ".join(
+        f"{direction} {_percent(value['rate'])} of {value['episodes']}"
+        for direction, value in values["success"].items()
+    )
+    return [(key.replace("_", " "), text) for key, text in texts.items()]
 
 
 def _text(value: Any) -> str:
@@ -126,12 +132,20 @@ def _text(value: Any) -> str:
         low, high = _text(value["low"]), _text(value["high"])
         return f"{bars(value['counts'])}  {low} to {high}"
     if isinstance(value, dict):
-        return ", ".join(f"{key}: {_text(item)}" for key, item in value.items())
+        inner = {
+            key: f" ({_text(item)})" if isinstance(item, dict) else f": {_text(item)}"
+            for key, item in value.items()
+        }
+        return ", ".join(key + text for key, text in inner.items())
     if isinstance(value, list):
         return "; ".join(_text(item) for item in value)
     if isinstance(value, float):
         return f"{value:.3g}"
     return "-" if value is None else str(value)
+
+
+def _percent(rate: float | None) -> str:
+    return "-" if rate is None else f"{100 * rate:.0f} %"
 
 
 def bars(counts: list[int]) -> str:

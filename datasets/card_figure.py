@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.layout import ACTION, ALPHA, EE, GOAL
@@ -27,6 +28,8 @@ def draw_card(arrays: EpisodeArrays, values: dict[str, Any], path: Path) -> None
     _hands(axes[1], arrays)
     axes[2].hist(arrays.lengths, bins=np.arange(arrays.lengths.max() + 2) - 0.5)
     axes[2].set(xlabel="steps of an episode", ylabel="episodes")
+    for axis in (axes[2].xaxis, axes[2].yaxis, axes[3].yaxis):
+        axis.set_major_locator(MaxNLocator(integer=True))
     reached = arrays.successes()
     returns = arrays.returns()
     axes[3].hist(
@@ -54,13 +57,14 @@ def draw_card(arrays: EpisodeArrays, values: dict[str, Any], path: Path) -> None
 
 def _goals(axes: Axes, arrays: EpisodeArrays) -> None:
     goals, reached = arrays.first_states()[:, GOAL], arrays.successes()
+    size = float(np.clip(200 / np.sqrt(len(goals)), 2, 8))  # [pt]: all can be seen
     for chosen, color, label in (
         (reached, _REACHED, "goal reached"),
         (~reached, _MISSED, "missed"),
     ):
-        axes.plot(*goals[chosen, :2].T, ".", ms=2, color=color, label=label)
+        axes.plot(*goals[chosen, :2].T, ".", ms=size, color=color, label=label)
     axes.set(xlabel="goal x [m]", ylabel="goal y [m]")
-    axes.legend(frameon=False, markerscale=4)
+    axes.legend(frameon=False, markerscale=8 / size)
 
 
 def _hands(axes: Axes, arrays: EpisodeArrays) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from marl_mm.datasets import shipped
 from marl_mm.datasets.arrays import EpisodeArrays
-from marl_mm.datasets.location import Location, find, locate
+from marl_mm.datasets.location import SHIPPED, Location, find, locate
 from marl_mm.datasets.storage import read_arrays, read_metadata
 from marl_mm.episode import Episode
 from marl_mm.layout import AGENTS
@@ -134,7 +134,7 @@ def load_dataset(name: str | Path | Location) -> Dataset:
             or a location.
 
     Raises:
-        UnknownDatasetError: If there is none; the message lists the known ids.
+        UnknownDatasetError: If there is none; the message names similar ones.
         DatasetError: If its files are damaged.
     """
     location = name if isinstance(name, Location) else existing(str(name))
@@ -145,12 +145,9 @@ def load_dataset(name: str | Path | Location) -> Dataset:
 def existing(text: str) -> Location:
     """Where a dataset to read is; the one that ships is unpacked at its first use."""
     location = find(text)
-    shipped_id = locate(shipped.ID)
-    if location.folder.exists() or text not in (shipped.ID, "good-5k"):
-        return location
-    if not shipped_id.folder.exists():
-        shipped.install(shipped_id)
-    return shipped_id
+    if location == locate(SHIPPED) and not location.folder.exists():
+        shipped.install(location)
+    return location
 
 
 def _columns(entries: tuple[int, ...]) -> slice | list[int]:

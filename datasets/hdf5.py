@@ -253,7 +253,8 @@ def checked(path: Path, group: Any, wanted: tuple[Field, ...]) -> dict[str, np.n
         try:
             node = h5py.h5d.open(group.id, field.key.encode())  # the fast way
         except KeyError:
-            raise DatasetError(f"{where} has no array {field.key!r}") from None
+            missing = [repr(one.key) for one in wanted if one.key not in group]
+            raise DatasetError(f"{where} has no array {', '.join(missing)}") from None
         shape, kind = node.shape, node.dtype
         if kind.kind not in _KINDS[field.kind]:
             raise DatasetError(

@@ -1,8 +1,10 @@
 """Datasets of others, brought into ours: Minari's episodes or flat HDF5 arrays."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
@@ -17,20 +19,32 @@ from marl_mm.datasets.hdf5 import (
     states_of,
 )
 from marl_mm.datasets.verify import problems_of
-from marl_mm.episode import INFO, Episode
+from marl_mm.episode import IMPORTED, INFO, Episode
 from marl_mm.errors import DatasetError, UsageError, WorkerDiedError
-from marl_mm.layout import EE, GOAL
+from marl_mm.layout import AGENTS, EE, GOAL
 from marl_mm.workers import apart
 
-FLAT = (
+_SHARED = (
     Field("rewards", "float"),
-    Field("observations", "float", 10),
-    Field("actions", "float", 4),
-    Field("next_observations", "float", 10),
     Field("terminals", "number"),
     Field("timeouts", "number"),
 )
+
+FLAT = (
+    *_SHARED,
+    Field("observations", "float", 10),
+    Field("actions", "float", 4),
+    Field("next_observations", "float", 10),
+)
 """Of the flat layout, as in D4RL; ``marl-mm datasets export`` writes it."""
+
+PER_AGENT = (
+    *_SHARED,
+    Field("state", "float", 10),
+    Field("next_state", "float", 10),
+    *(Field(f"{agent.name}/actions", "float", len(agent.action)) for agent in AGENTS),
+)
+"""Of the layout with one group per agent."""
 
 _PATIENCE = 30.0
 """Seconds that reading a small file may take."""
@@ -39,7 +53,16 @@ _SLOWEST = 200_000.0
 """Bytes per second that a large one is read at, at least: a tenth of what is usual."""
 
 
-def read_foreign(path: Path, dataset_id: str) -> EpisodeArrays:
+@dataclass(frozen=True)
+class Foreign:
+    """What a file holds."""
+
+    arrays: EpisodeArrays
+    task: str | None
+    """Whose rewards they are; None where the file does not say."""
+
+
+def read_foreign(path: Path, dataset_id: str) -> Foreign:
     """The episodes of a file that somebody else wrote.
 
     Args:
@@ -56,19 +79,22 @@ def read_foreign(path: Path, dataset_id: str) -> EpisodeArrays:
             path = inner
     if not path.is_file():
         raise UsageError(f"no file {path}: expected HDF5, or a Minari dataset's folder")
+    if not h5py.is_hdf5(path):
+        size = path.stat().st_size
+        raise DatasetError(f"{path} is no HDF5 file, or a damaged one ({size} bytes)")
     seconds = _PATIENCE + path.stat().st_size / _SLOWEST
     try:
-        arrays = apart(_read, (path, dataset_id), seconds)
+        found = apart(_read, (path, dataset_id), seconds)
     except WorkerDiedError as error:
         raise DatasetError(
             f"{path} is damaged: the HDF5 library cannot read it ({error})"
         ) from error
-    if problems := problems_of(arrays):
+    if problems := problems_of(found.arrays):
         raise DatasetError(f"{path}: {'; '.join(problems)}")
-    return arrays
+    return found
 
 
-def _read(what: tuple[Path, str]) -> EpisodeArrays:
+def _read(what: tuple[Path, str]) -> Foreign:
     """The episodes of a file; damaged ones can crash the library, or never end."""
     path, dataset_id = what
     with open_hdf5(path) as file:
@@ -76,8 +102,10 @@ def _read(what: tuple[Path, str]) -> EpisodeArrays:
         if groups:
             episodes = [_episode(path, i, group) for i, group in enumerate(groups)]
         else:
-            episodes = _flat_episodes(path, file)
-    return arrays_of(episodes, dataset_id)
+            episodes = _flat_episodes(path, _flat_arrays(path, file))
+        task = file.attrs.get("task")
+    arrays = arrays_of(episodes, dataset_id)
+    return Foreign(arrays, task if isinstance(task, str) else None)
 
 
 def _episode(path: Path, number: int, group: Any) -> Episode:
@@ -97,8 +125,23 @@ def _episode(path: Path, number: int, group: Any) -> Episode:
     )
 
 
-def _flat_episodes(path: Path, file: Any) -> list[Episode]:
-    values = checked(path, file, FLAT)
+def _flat_arrays(path: Path, file: Any) -> dict[str, np.ndarray]:
+    """Those of ``FLAT``, also of a file with one group per agent."""
+    if "state" in file and "observations" not in file:
+        values = checked(path, file, PER_AGENT)
+        values["observations"] = values["state"]
+        values["next_observations"] = values["next_state"]
+        parts = [values[f"{agent.name}/actions"] for agent in AGENTS]
+        values["actions"] = np.concatenate(parts, axis=1)
+    else:
+        values = checked(path, file, FLAT)
+    for key in ("terminals", "timeouts"):
+        if not np.isin(values[key], (0, 1)).all():
+            raise DatasetError(f"{path}: {key!r} holds other values than 0 and 1")
+    return values
+
+
+def _flat_episodes(path: Path, values: dict[str, np.ndarray]) -> list[Episode]:
     terminated = values["terminals"].astype(bool)
     truncated = values["timeouts"].astype(bool)
     ends = np.flatnonzero(terminated | truncated) + 1
@@ -158,6 +201,6 @@ def _built(
         info=measured,
         seed=seed,
         index=number,
-        source="imported",
+        source=IMPORTED,
         start=np.full(11, np.nan),
     )

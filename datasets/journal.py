@@ -9,15 +9,35 @@ import io
 import json
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 from marl_mm.datasets.arrays import arrays_of, load_arrays, save_arrays
+from marl_mm.datasets.location import datasets_root
 from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError, MarlMmError
 
 FILE = "episodes.sqlite"
+
+
+def begun() -> dict[str, int]:
+    """Episodes of the collections below the root that are under way or stopped, by id.
+
+    A collection that another process is writing is not disturbed.
+    """
+    root = datasets_root()
+    counts = {}
+    for path in root.glob(f"**/.*.collecting/{FILE}") if root.exists() else []:
+        folder = path.parent
+        name = folder.with_name(folder.name[1:].removesuffix(".collecting"))
+        try:
+            with closing(sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True)) as file:
+                (count,) = file.execute("select count(*) from episodes").fetchone()
+        except sqlite3.DatabaseError:  # damaged, or gone by now
+            count = 0
+        counts[name.relative_to(root).as_posix()] = int(count)
+    return dict(sorted(counts.items()))
 
 
 class Journal:
@@ -56,8 +76,13 @@ class Journal:
     def begin(self, about: dict[str, Any]) -> None:
         """Forget everything and note what is being collected."""
         with self._errors(), self._file:
-            self._file.execute("delete from about")
             self._file.execute("delete from episodes")
+        self.note(about)
+
+    def note(self, about: dict[str, Any]) -> None:
+        """Note what is being collected, and keep the episodes."""
+        with self._errors(), self._file:
+            self._file.execute("delete from about")
             self._file.execute("insert into about values (?)", [json.dumps(about)])
 
     def add(self, episode: Episode) -> None:

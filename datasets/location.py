@@ -1,7 +1,7 @@
 """Where a dataset is: an id below the datasets' root, or a path.
 
-A text like ``marl_mm/reach/pd-v0`` is an id; one that starts with ``.``, ``/`` or
-``~``, or does not look like an id, is a path.
+A text like ``marl_mm/reach/pd-v0`` is an id, and a plain word such as ``pd`` is short
+for that; everything else, such as ``./pd``, is a path.
 """
 
 import os
@@ -11,7 +11,11 @@ from pathlib import Path
 
 from marl_mm.errors import UsageError
 
+SHIPPED = "marl_mm/reach/good-5k-v0"
+"""The dataset that ships; its first use writes it below the root."""
+
 _ID = re.compile(r"([a-zA-Z0-9_-]{2,}/)+[a-zA-Z0-9_-]+-v\d+")
+_WORD = re.compile(r"[a-zA-Z0-9_][a-zA-Z0-9_-]*")
 
 
 @dataclass(frozen=True)
@@ -25,6 +29,12 @@ class Location:
     def data(self) -> Path:
         """Minari's folder within, with the HDF5 file and its metadata."""
         return self.folder / "data"
+
+    @property
+    def name(self) -> str:
+        """What it is found by: its id below the datasets' root, its path elsewhere."""
+        below_root = self.folder == datasets_root() / self.id
+        return self.id if below_root else str(self.folder)
 
     @property
     def working(self) -> Path:
@@ -46,6 +56,8 @@ def locate(text: str) -> Location:
     """
     if not text:
         raise UsageError("the dataset's name is empty, expected an id or a path")
+    if _WORD.fullmatch(text):
+        text = f"marl_mm/reach/{_versioned(text)}"
     if _ID.fullmatch(text):
         return Location(text, datasets_root() / text)
     if text.startswith("marl_mm/"):
@@ -54,22 +66,19 @@ def locate(text: str) -> Location:
     if folder.name == "data" and (folder / "metadata.json").exists():
         folder = folder.parent
     name = re.sub(r"[^a-zA-Z0-9_-]", "-", folder.name)
-    versioned = name if re.search(r"-v\d+$", name) else f"{name}-v0"
-    return Location(f"marl_mm/local/{versioned}", folder)
+    return Location(f"marl_mm/local/{_versioned(name)}", folder)
 
 
 def find(text: str) -> Location:
-    """The location of a dataset to read: also by the last part of its id alone.
-
-    ``good`` means ``marl_mm/reach/good-v0`` where there is that and no folder ``good``.
+    """The location of a dataset to read: a word can be one in this folder, too.
 
     Raises:
         UsageError: If the text is empty, or an id of ours without a version.
     """
     location = locate(text)
-    short = Path(f"marl_mm/reach/{text}-v0")
-    if not location.folder.exists() and (datasets_root() / short).exists():
-        return locate(short.as_posix())
+    here = Path(text, "data", "metadata.json")
+    if not location.folder.exists() and here.exists():
+        return locate(f"./{text}")
     return location
 
 
@@ -79,3 +88,7 @@ def known_ids() -> list[str]:
     found = root.glob("**/data/metadata.json") if root.exists() else []
     folders = (path.parent.parent.relative_to(root) for path in found)
     return sorted(f.as_posix() for f in folders if not f.name.startswith("."))
+
+
+def _versioned(name: str) -> str:
+    return name if re.search(r"-v\d+$", name) else f"{name}-v0"

@@ -5,8 +5,8 @@ then ``python -m marl_mm.datasets.make_shipped``.
 """
 
 from marl_mm.datasets.arrays import save_arrays
-from marl_mm.datasets.location import locate
-from marl_mm.datasets.shipped import ARRAYS, DESCRIPTION, ID
+from marl_mm.datasets.location import SHIPPED, locate
+from marl_mm.datasets.shipped import ARRAYS, DESCRIPTION
 from marl_mm.datasets.storage import read_arrays, read_metadata
 from marl_mm.files import new_file, write_json
 
@@ -28,7 +28,7 @@ _DERIVED = frozenset(
 
 def main() -> None:
     """Compress the dataset of the shipped one's name into the package."""
-    location = locate(ID)
+    location = locate(SHIPPED)
     metadata = read_metadata(location)
     with new_file(ARRAYS) as temporary:
         save_arrays(temporary, read_arrays(location, metadata), compress=True)

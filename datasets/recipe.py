@@ -1,7 +1,9 @@
 """Datasets made of others' episodes: mixed, split, filtered, with their provenance."""
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -38,7 +40,8 @@ def mix(parts: Sequence[Part], seed: int) -> Recipe:
     steps is taken, and kept in the order of the dataset.
 
     Raises:
-        UsageError: If a part has too few steps, is named twice, or the tasks differ.
+        UsageError: If a part has too few steps or is named twice, the tasks differ, or
+            two parts hold the same episode.
     """
     _refuse_unequal([part.dataset for part in parts])
     chosen = []
@@ -52,6 +55,7 @@ def mix(parts: Sequence[Part], seed: int) -> Recipe:
         order = np.random.default_rng([seed, number]).permutation(len(arrays))
         taken = np.searchsorted(np.cumsum(arrays.lengths[order]), part.steps) + 1
         chosen.append(arrays.select(np.sort(order[:taken])))
+    _refuse_twins(chosen, parts)
     asked = {part.dataset.metadata["dataset_id"]: part.steps for part in parts}
     recipe = {"kind": "mix", "seed": seed, "steps": asked}
     return Recipe(joined(chosen), _described([part.dataset for part in parts], recipe))
@@ -139,14 +143,40 @@ def write_mix(location: Location, recipe: Recipe, overwrite: bool = False) -> No
 
 
 def _refuse_unequal(datasets: Sequence[Dataset]) -> None:
-    names = [dataset.metadata["dataset_id"] for dataset in datasets]
-    if len(set(names)) < len(names):
-        raise UsageError(f"{', '.join(names)}: expected each dataset once")
+    folders: dict[str, Path] = {}
+    for dataset in datasets:
+        name, folder = dataset.metadata["dataset_id"], dataset.location.folder
+        if (other := folders.setdefault(name, folder)) != folder:
+            raise UsageError(
+                f"{other} and {folder} are both called {name}: make one of them anew "
+                "under another name"
+            )
+    if len(folders) < len(datasets):
+        raise UsageError(f"{', '.join(folders)}: expected each dataset once")
     tasks = {dataset.metadata["marl_mm"]["task"] for dataset in datasets}
     if len(tasks) > 1:
         raise UsageError(
             f"the datasets are of {', '.join(sorted(tasks))}: their rewards differ"
         )
+
+
+def _refuse_twins(chosen: Sequence[EpisodeArrays], parts: Sequence[Part]) -> None:
+    """Raise if an episode would be in a mix twice.
+
+    Two collections of one policy and seed begin alike, whatever they are called.
+    """
+    owners: dict[bytes, int] = {}
+    for number, arrays in enumerate(chosen):
+        for i in range(len(arrays)):
+            episode = arrays.episode(i)
+            content = episode.states.tobytes() + episode.actions.tobytes()
+            owner = owners.setdefault(hashlib.sha256(content).digest(), number)
+            if owner != number:
+                one, other = parts[owner].dataset, parts[number].dataset
+                raise UsageError(
+                    f"{one.metadata['dataset_id']} and {other.metadata['dataset_id']} "
+                    "hold the same episodes: mix one of them, or one of another seed"
+                )
 
 
 def _described(datasets: Sequence[Dataset], recipe: dict[str, Any]) -> dict[str, Any]:

@@ -13,7 +13,6 @@ from marl_mm.datasets.location import Location
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.files import only_here
 
-ID = "marl_mm/reach/good-5k-v0"
 FOLDER = Path(__file__).parent / "shipped"
 ARRAYS = FOLDER / "good-5k.npz"
 DESCRIPTION = FOLDER / "good-5k.json"
@@ -23,7 +22,7 @@ def install(location: Location) -> None:
     """Write the dataset that ships, unless it is there by now.
 
     Args:
-        location: Of ``ID``.
+        location: Of ``SHIPPED``.
     """
     with only_here(location.working, wait=True):
         if not location.folder.exists():

@@ -6,6 +6,7 @@ themselves. ``cache/`` holds the same episodes as flat arrays, named after the d
 hash: it is written with the dataset, and again if it is missing.
 """
 
+import difflib
 import hashlib
 import json
 from copy import deepcopy
@@ -19,7 +20,8 @@ from minari.dataset.minari_storage import MinariStorage
 
 from marl_mm.datasets.arrays import EpisodeArrays, load_arrays, save_arrays
 from marl_mm.datasets.hdf5 import FILE, read_hdf5, write_hdf5
-from marl_mm.datasets.location import Location, datasets_root, known_ids
+from marl_mm.datasets.journal import FILE as JOURNAL
+from marl_mm.datasets.location import SHIPPED, Location, datasets_root, known_ids
 from marl_mm.datasets.reference import reference_scores
 from marl_mm.errors import DatasetError, UnknownDatasetError, UsageError
 from marl_mm.files import new_file, new_folder, only_here, refuse_existing
@@ -87,7 +89,7 @@ def write_dataset(
         )
         sign_metadata(temporary / "data" / "metadata.json")
         _write_cache(temporary, digest, arrays)
-    if location.folder == datasets_root() / location.id:
+    if location.name == location.id:
         _name_namespaces(location)
 
 
@@ -151,15 +153,12 @@ def read_metadata(location: Location) -> dict[str, Any]:
     """A dataset's metadata.
 
     Raises:
-        UnknownDatasetError: If there is no such dataset; the message lists the known.
+        UnknownDatasetError: If there is no such dataset; the message names similar
+            ones.
         DatasetError: If the metadata are damaged or not ours.
     """
     if not location.folder.exists():
-        known = ", ".join(known_ids()) or "none"
-        raise UnknownDatasetError(
-            f"no dataset {location.id!r} at {location.folder}; known ids below "
-            f"{datasets_root()}: {known}"
-        )
+        raise UnknownDatasetError(_why_unknown(location))
     path = location.data / "metadata.json"
     try:
         metadata: dict[str, Any] = json.loads(path.read_text())
@@ -178,6 +177,21 @@ def read_metadata(location: Location) -> dict[str, Any]:
             "takes what was changed on purpose"
         )
     return metadata
+
+
+def _why_unknown(location: Location) -> str:
+    name = location.name
+    if (location.working / JOURNAL).exists():
+        return (
+            f"the collection into {name} was begun and not finished: go on with "
+            "marl-mm collect ... --resume"
+        )
+    ids = {known: Path(known).name for known in (SHIPPED, *known_ids())}
+    close = difflib.get_close_matches(location.folder.name, set(ids.values()), 3, 0.7)
+    similar = [known for known, last in ids.items() if last in close]
+    hint = f"did you mean {' or '.join(similar)}?" if similar else "make it first;"
+    where = f" below {datasets_root()}" if name == location.id else ""
+    return f"no dataset {name}{where}: {hint} marl-mm datasets list shows all"
 
 
 def read_arrays(
@@ -202,8 +216,7 @@ def read_arrays(
     if digest != expected:
         raise DatasetError(
             f"{path} is damaged: its {path.stat().st_size} bytes are not those that "
-            "were written; collect it again with --overwrite, or read what is left "
-            "with marl-mm datasets import"
+            "were written; make it again with --overwrite"
         )
     if cached and (found := _read_cache(location.folder, digest)) is not None:
         return found

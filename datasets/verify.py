@@ -1,6 +1,7 @@
 """What can be wrong with a dataset's files, checked without the simulator."""
 
 import json
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from marl_mm.datasets.storage import (
     read_metadata,
     statistics,
 )
+from marl_mm.episode import IMPORTED, INFO
 from marl_mm.errors import DatasetError
 from marl_mm.layout import ACTION_HIGH, ACTION_LOW, EE, GOAL, MODE
 
@@ -36,6 +38,7 @@ def verify(location: Location) -> list[str]:
     return [
         *_counts(arrays, metadata),
         *problems_of(arrays),
+        *_infos(arrays),
         *_achieved(arrays, location),
         *_cache(arrays, location),
     ]
@@ -78,6 +81,17 @@ def _values(arrays: EpisodeArrays) -> list[str]:
     return [f"{count} {what}" for what, count in checks.items() if count]
 
 
+def _infos(arrays: EpisodeArrays) -> list[str]:
+    """What others' files lack is NaN; of ours everything was measured."""
+    ours = np.repeat(arrays.sources != IMPORTED, arrays.lengths)
+    counts = {
+        key: int((~np.isfinite(values[ours])).sum())
+        for key, values in arrays.info.items()
+        if values.dtype.kind == "f"
+    }
+    return [f"{n} values of infos/{key} are NaN" for key, n in counts.items() if n]
+
+
 def _achieved(arrays: EpisodeArrays, location: Location) -> list[str]:
     achieved = achieved_goals(location.data / FILE, len(arrays))
     count = (achieved != arrays.states[:, EE]).any(axis=1).sum()
@@ -108,8 +122,11 @@ def _cache(arrays: EpisodeArrays, location: Location) -> list[str]:
         cached = load_arrays(path)
     except DatasetError as error:
         return [str(error)]
+    names = [field.name for field in fields(arrays) if field.name != "info"]
+    pairs = [(getattr(arrays, name), getattr(cached, name)) for name in names]
+    pairs += [(arrays.info[key], cached.info[key]) for key in INFO]
     equal = all(
-        np.array_equal(getattr(arrays, name), getattr(cached, name))
-        for name in ("states", "actions", "rewards", "terminated", "lengths", "seeds")
+        one.shape == other.shape and one.tobytes() == other.tobytes()
+        for one, other in pairs
     )
     return [] if equal else [f"{path} is not what the data are: delete it"]

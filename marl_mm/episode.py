@@ -24,6 +24,10 @@ INFO = {
 """What ``info`` tells of each step, and an episode keeps; looked at every few ticks."""
 
 
+IMPORTED = "imported"
+"""Source of episodes that somebody else collected: not all of ``INFO`` is known."""
+
+
 @dataclass(frozen=True)
 class Episode:
     """One episode of T steps."""

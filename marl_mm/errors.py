@@ -41,6 +41,10 @@ class WorkerDiedError(MarlMmError):
     """A process that did part of the work is gone."""
 
 
+class HopelessError(MarlMmError):
+    """A collector hardly ever produces an episode that a dataset would keep."""
+
+
 class DivergedError(MarlMmError):
     """Training produced a NaN or an infinity."""
 

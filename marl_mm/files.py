@@ -36,6 +36,7 @@ def new_file(path: Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         yield temporary
+        _to_disk(temporary)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -49,19 +50,33 @@ def new_folder(path: Path) -> Iterator[Path]:
     there is always one of both.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
+    own = str(os.getpid())
     for killed in path.parent.glob(f".{path.name}.*.new"):
-        if not Path("/proc", killed.name.split(".")[-2]).exists():
+        writer = killed.name.split(".")[-2]
+        if writer == own or not Path("/proc", writer).exists():
             shutil.rmtree(killed, ignore_errors=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.new")
+    temporary = path.with_name(f".{path.name}.{own}.new")
     temporary.mkdir()
     try:
         yield temporary
+        for inner in (*temporary.rglob("*"), temporary):
+            _to_disk(inner)
         if path.exists():
             _exchange(temporary, path)
         else:
             temporary.rename(path)
+        _to_disk(path.parent)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _to_disk(path: Path) -> None:
+    """Wait until a file's bytes, or a folder's names, would survive a power cut."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def _exchange(one: Path, other: Path) -> None:

@@ -36,13 +36,14 @@ def deaf_to_interrupts(*, forget: bool = False) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
+    _deaf += 1  # first of all: from here on, ``interrupt`` only postpones
     handler = signal.getsignal(signal.SIGINT)
-    if handler is not signal.SIG_IGN:  # as it is in jobs in the background
-        signal.signal(signal.SIGINT, _postpone)
-    # The mask is for processes started here: they inherit it, a handler they do not.
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    _deaf += 1
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, ())  # as it is
     try:
+        if handler is not signal.SIG_IGN:  # as it is in jobs in the background
+            signal.signal(signal.SIGINT, _postpone)
+        # The mask is for processes started here: they inherit it, no handler.
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)

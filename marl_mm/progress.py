@@ -1,5 +1,6 @@
 """Progress with ETA on stderr, so that stdout holds nothing but results."""
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -17,9 +18,13 @@ Advance = Callable[[int, str], None]
 """Called with the work done since the last call and a short note."""
 
 
+_LINE = 60.0
+"""Seconds between lines where there is no terminal to redraw."""
+
+
 @contextmanager
 def progress_bar(label: str, total: int) -> Iterator[Advance]:
-    """A bar for ``total`` units of work; on a pipe, one line when it is done."""
+    """A bar for ``total`` units of work; into a pipe or a file, a line per minute."""
     bar = Progress(
         TextColumn(f"{label:<16}"),
         BarColumn(bar_width=6),  # all of it and a note fit into 80 columns
@@ -33,11 +38,16 @@ def progress_bar(label: str, total: int) -> Iterator[Advance]:
     )
     with bar:
         task = bar.add_task(label, total=total, note="")
+        shown = time.monotonic()
 
         def advance(done: int, note: str) -> None:
+            nonlocal shown
             bar.update(task, advance=done)
             if note:
                 bar.update(task, note=note)
+            if not bar.console.is_terminal and time.monotonic() - shown > _LINE:
+                shown = time.monotonic()
+                bar.console.print(bar.get_renderable())
 
         yield advance
 

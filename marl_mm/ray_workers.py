@@ -40,8 +40,10 @@ class RayWorkers:
             except (ConnectionError, RuntimeError, ValueError) as error:
                 reason = " ".join(str(error).split())
                 raise MarlMmError(f"no Ray cluster answers: {reason:.200}") from error
+        self._actors: list[Any] = []
         cpus = int(ray.cluster_resources().get("CPU", 0))
         if workers > cpus:
+            self.close()
             raise UsageError(f"workers is {workers}, the Ray cluster has {cpus} CPUs")
         kind = ray.remote(num_cpus=1)(_Worker)
         self._actors = [kind.remote(initializer, arguments) for _ in range(workers)]

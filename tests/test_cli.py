@@ -14,6 +14,7 @@ import torch
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm.cli import COMMANDS, main
 from marl_mm.datasets.arrays import arrays_of
+from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.episode import Episode
@@ -166,7 +167,8 @@ def test_nothing_is_overwritten_unasked(
 def test_datasets_list_and_show(dataset: Path, capsys: Output) -> None:
     assert run("datasets", "list", "--json") == 0
     rows = json.loads(capsys.readouterr().out)
-    assert [(row["id"], row["episodes"]) for row in rows] == [(ID, 6)]
+    shown = [(row["id"], row["episodes"]) for row in rows]
+    assert shown == [(ID, 6), ("marl_mm/reach/good-5k-v0", 504)]
     assert run("datasets", "show", ID, "--json") == 0
     card = json.loads(capsys.readouterr().out)
     assert card["steps"] == rows[0]["steps"]
@@ -178,7 +180,26 @@ def test_datasets_list_and_show(dataset: Path, capsys: Output) -> None:
 
 def test_no_datasets_says_how_to_make_one(datasets_home: Path, capsys: Output) -> None:
     assert run("datasets", "list") == 0
-    assert "marl-mm collect pd" in capsys.readouterr().out
+    listed = capsys.readouterr().out
+    assert "marl-mm collect pd" in listed and "ships with" in listed
+
+
+def test_what_was_typed_wrongly_or_stopped_is_told(
+    dataset: Path, capsys: Output
+) -> None:
+    assert run("datasets", "show", "tset") == 2
+    assert f"did you mean {ID}?" in one_line(capsys)
+    location = locate("begun")
+    with Journal(location.working) as journal:
+        journal.begin({"seed": 0})
+    assert run("datasets", "show", "begun") == 2
+    assert "begun and not finished" in one_line(capsys)
+    assert run("datasets", "list", "--json") == 0
+    rows = {row["id"]: row for row in json.loads(capsys.readouterr().out)}
+    assert "--resume" in rows["marl_mm/reach/begun-v0"]["note"]
+    assert run("datasets", "delete", "begun", "--yes", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["deleted"] == str(location.folder)
+    assert not location.working.exists()
 
 
 @pytest.mark.slow

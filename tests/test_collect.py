@@ -115,7 +115,7 @@ def test_episode_seeds_are_distinct_and_stable() -> None:
 
 
 def test_a_hopeless_collector_gives_up(short_task: ReachConfig) -> None:
-    hopeless = Collector(PdPolicy(PdConfig()), lambda episode: False, 4)
+    hopeless = Collector(PdPolicy(PdConfig()), lambda episode: False)
     with pytest.raises(MarlMmError, match="reached no goal in 200 episodes"):
         collect(
             hopeless,
@@ -131,6 +131,15 @@ def test_bad_numbers_are_refused(
 ) -> None:
     with pytest.raises(UsageError, match="expected >= "):
         collect(make_collector(RandomConfig()), runs(short_task), steps, seed)
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [{"kp": np.nan}, {"kd": np.inf}, {"alpha": 2.0}, {"room_start": 0.4}],
+)
+def test_bad_settings_of_pd_are_refused(setting: dict[str, float]) -> None:
+    with pytest.raises(UsageError, match=r"expected"):
+        PdConfig(**setting)  # type: ignore[arg-type]
 
 
 def test_pd_steers_towards_the_goal_and_stays_in_range() -> None:

@@ -142,6 +142,82 @@ def test_a_killed_overwrite_goes_on_and_never_keeps_the_old(whole: bytes) -> Non
     assert data(name) == whole
 
 
+KILLED = """
+import os, shutil, signal, sys
+from importlib import import_module
+from marl_mm.cli import main
+
+def killed(*words, **options):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+module, name = sys.argv.pop().split(":")
+module = import_module(module)
+setattr(module, name, killed)
+main(sys.argv[1:])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "moment",
+    [
+        "marl_mm.datasets.storage:sign_metadata",  # the data are written
+        "marl_mm.files:_exchange",  # all is written
+        "marl_mm.commands.collect_dataset:_clear",  # it stands in its place
+    ],
+)
+def test_killed_while_the_dataset_is_written(
+    datasets_home: Path, whole: bytes, moment: str
+) -> None:
+    """Over a shorter dataset: there is always one of the two, and resuming ends it."""
+    name = "marl_mm/reach/test-v0"
+    words = ["collect", "random", "--dataset", name, "--workers", "1"]
+    assert main([*words, "--steps", "30"]) == 0
+    before = data(name)
+    more = [*words, "--steps", str(STEPS), "--resume"]
+    killed = subprocess.run([sys.executable, "-c", KILLED, *more, moment], check=False)
+    assert killed.returncode == -9
+    assert data(name) == (whole if moment.endswith("_clear") else before)
+    load_dataset(name)
+    assert main([*words, "--resume"]) == 0  # as many as were asked for last
+    assert data(name) == whole
+    location = locate(name)
+    assert not location.working.exists()
+    left = {path.name for path in location.folder.parent.iterdir()}
+    assert left == {"namespace_metadata.json", location.folder.name}
+
+
+@pytest.mark.slow
+def test_resuming_takes_what_is_left_out_from_the_collection(
+    datasets_home: Path,
+) -> None:
+    name = "marl_mm/smooth-reach/test-v0"
+    words = ["collect", "pd", "--dataset", name, "--task", "SmoothReach-v0"]
+    words += ["--seed", "3", "--max-steps", "40", "--kd", "0.5", "--workers", "1"]
+    assert main([*words, "--steps", "30"]) == 0
+    assert main(["collect", "pd", "--dataset", name, "--steps", "50", "--resume"]) == 0
+    resumed = load_dataset(name)
+    ours = resumed.metadata["marl_mm"]
+    assert ours["task"] == "SmoothReach-v0" and ours["seed"] == 3
+    assert ours["overrides"] == {"max_steps": 40}
+    assert ours["collector_config"]["kd"] == 0.5 and ours["steps"] >= 50
+    content = data(name)
+    assert main([*words, "--steps", "50", "--overwrite"]) == 0
+    assert data(name) == content
+    words = ["collect", "pd", "--dataset", name, "--steps", "60", "--resume"]
+    assert main([*words, "--kd", "0.7"]) == 2
+
+
+@pytest.mark.slow
+def test_a_hopeless_collector_leaves_nothing(
+    datasets_home: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["collect", "pd", "--kp", "0", "--max-steps", "1", "--dataset", "x"]
+    assert main(words) == 1
+    assert "reached no goal in 200 episodes in a row" in capsys.readouterr().err
+    assert not [path for path in datasets_home.rglob("*") if path.is_file()]
+
+
 @pytest.mark.slow
 def test_a_longer_dataset_goes_on_from_the_shorter(whole: bytes) -> None:
     name = "marl_mm/reach/test-v0"

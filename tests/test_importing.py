@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from marl_mm.cli import main
-from marl_mm.datasets.arrays import arrays_of
+from marl_mm.datasets.arrays import arrays_of, save_arrays
 from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.hdf5 import FILE
 from marl_mm.datasets.location import locate
-from marl_mm.datasets.storage import write_dataset
+from marl_mm.datasets.storage import cache_file, file_digest, write_dataset
 from marl_mm.episode import Episode
 from marl_mm.layout import ACTION_HIGH, ACTION_LOW, GOAL, MODE
 
@@ -38,14 +39,16 @@ def run(*words: object) -> int:
     return main(list(map(str, words)))
 
 
-@pytest.mark.parametrize("layout", ["flat", "minari"])
+@pytest.mark.parametrize("layout", ["flat", "agents", "minari"])
 def test_what_goes_out_comes_in(
     dataset: Path, tmp_path: Path, layout: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source = dataset
-    if layout == "flat":
+    if layout != "minari":
         source = tmp_path / "flat.h5"
-        assert run("datasets", "export", ID, "--out", source) == 0
+        words = ["datasets", "export", ID, "--out", source, "--layout", layout]
+        assert run(*words, "--json") == 0
+        assert json.loads(capsys.readouterr().out)["steps"] == 24
     assert run("datasets", "import", source, "--out", "marl_mm/reach/again-v0") == 0
     one, other = load_dataset(ID), load_dataset("again")
     for name in ("states", "actions", "rewards", "terminated", "truncated", "lengths"):
@@ -86,6 +89,7 @@ def test_layouts_hold_what_they_say(dataset: Path, tmp_path: Path) -> None:
         ("rewards", np.zeros(24, np.int64), "'rewards' has type int64, expected float"),
         ("rewards", np.full(24, np.nan), "'rewards' holds a NaN"),
         ("terminals", np.zeros(24, bool), "neither 'terminals' nor 'timeouts'"),
+        ("terminals", np.full(24, np.nan), "'terminals' holds other values than 0"),
         ("observations", np.zeros((24, 11)), "has shape (24, 11), expected (24, 10)"),
     ],
 )
@@ -111,6 +115,60 @@ def test_schema_errors_name_key_got_and_expected(
     complaint = capsys.readouterr().err
     assert message in complaint and complaint.count("\n") == 1
     assert not locate("marl_mm/reach/bad-v0").folder.exists()
+
+
+def test_the_task_is_the_files(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "flat.h5"
+    assert run("datasets", "export", ID, "--out", path) == 0
+    with h5py.File(path, "a") as file:
+        file.attrs["task"] = "SmoothReach-v0"
+    assert run("datasets", "import", path, "--out", "smooth") == 0
+    assert load_dataset("smooth").metadata["marl_mm"]["task"] == "SmoothReach-v0"
+    words = ["datasets", "import", path, "--out", "other", "--task", "Reach-v0"]
+    assert run(*words) == 0
+    assert load_dataset("other").metadata["marl_mm"]["task"] == "Reach-v0"
+
+
+def test_what_is_missing_is_named_at_once(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "some.h5"
+    with h5py.File(path, "w") as file:
+        file["rewards"], file["actions"] = np.zeros(3), np.zeros((3, 4))
+    assert run("datasets", "import", path, "--out", "some") == 1
+    complaint = capsys.readouterr().err
+    missing = "'terminals', 'timeouts', 'observations', 'next_observations'"
+    assert f"has no array {missing}" in complaint
+    for content in (b"", b"a,b\n1,2\n"):
+        path.write_bytes(content)
+        assert run("datasets", "import", path, "--out", "some") == 1
+        assert "is no HDF5 file, or a damaged one" in capsys.readouterr().err
+
+
+def test_verify_finds_what_only_it_looks_at(
+    dataset: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A NaN in what was measured, and a cache that is of something else."""
+    whole = load_dataset(ID)
+    location, arrays = whole.location, whole.arrays
+    assert run("datasets", "verify", ID) == 0
+    description = {"task": "Reach-v0", "origins": {ID: {}}, "complete": True}
+    arrays.info["zmp_margin"][5] = np.nan
+    write_dataset(location, arrays, description, overwrite=True)
+    capsys.readouterr()
+    assert run("datasets", "verify", ID) == 1
+    assert "1 values of infos/zmp_margin are NaN" in capsys.readouterr().out
+    arrays.info["zmp_margin"][5] = 0.0
+    write_dataset(location, arrays, description, overwrite=True)
+    assert run("datasets", "verify", ID) == 0
+    cached = cache_file(location.folder, file_digest(location.data / FILE))
+    arrays.starts[2, 3] += 1.0
+    save_arrays(cached, arrays, compress=False)
+    capsys.readouterr()
+    assert run("datasets", "verify", ID) == 1
+    assert "is not what the data are: delete it" in capsys.readouterr().out
 
 
 def fuzz(path: Path, rng: np.random.Generator) -> str:
@@ -185,13 +243,15 @@ def test_damaged_metadata_give_clear_errors(
 ) -> None:
     path = dataset / "data" / "metadata.json"
     good = path.read_text()
-    ours = json.loads(good)["marl_mm"]
-    for number, key in enumerate(ours):
+    outer = json.loads(good)
+    places = [(True, key) for key in outer["marl_mm"]] + [(False, key) for key in outer]
+    for number, (ours, key) in enumerate(places):
         damaged = json.loads(good)
+        part = damaged["marl_mm"] if ours else damaged
         if number % 2:
-            del damaged["marl_mm"][key]
+            del part[key]
         else:
-            damaged["marl_mm"][key] = "something else"
+            part[key] = "something else"
         path.write_text(json.dumps(damaged))
         capsys.readouterr()
         assert run("datasets", "show", ID) == 1, key

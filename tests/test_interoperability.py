@@ -1,5 +1,7 @@
 """Other people's libraries read our datasets as they are."""
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,13 +11,13 @@ import pytest
 
 from marl_mm.datasets import shipped
 from marl_mm.datasets.dataset import Dataset, load_dataset
-from marl_mm.datasets.location import locate
+from marl_mm.datasets.location import SHIPPED, locate
 
 
 @pytest.fixture
 def good(datasets_home: Path) -> Iterator[Dataset]:
     """The dataset that ships, unpacked by its first use."""
-    assert not locate(shipped.ID).folder.exists()
+    assert not locate(SHIPPED).folder.exists()
     yield load_dataset("good-5k")
 
 
@@ -25,12 +27,28 @@ def test_the_shipped_dataset_is_small_whole_and_good(good: Dataset) -> None:
     assert arrays.steps >= 5_000 > arrays.steps - arrays.lengths[-1]
     assert arrays.successes().all()
     assert good.metadata["marl_mm"]["collector"] == "pretrained"
-    assert load_dataset(shipped.ID).fingerprint == good.fingerprint
+    assert load_dataset(SHIPPED).fingerprint == good.fingerprint
+
+
+@pytest.mark.slow
+def test_several_processes_may_use_it_first(datasets_home: Path) -> None:
+    code = (
+        "from marl_mm.datasets import load_dataset;"
+        "print(load_dataset('good-5k').fingerprint)"
+    )
+    processes = [
+        subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+        for _ in range(3)
+    ]
+    prints = {process.communicate()[0] for process in processes}
+    assert {process.returncode for process in processes} == {0} and len(prints) == 1
+    folder = locate(SHIPPED).folder
+    assert [path for path in folder.parent.iterdir() if path.is_dir()] == [folder]
 
 
 @pytest.mark.slow
 def test_minari_gives_episodes_and_the_environment_back(good: Dataset) -> None:
-    dataset = minari.load_dataset(shipped.ID)
+    dataset = minari.load_dataset(SHIPPED)
     assert dataset.total_steps == good.arrays.steps
     env = dataset.recover_environment()
     episode = next(iter(dataset.iterate_episodes()))
@@ -52,7 +70,7 @@ def test_torchrl_samples_from_it(good: Dataset, tmp_path: Path) -> None:
     from torchrl.data.datasets import MinariExperienceReplay
 
     replay = MinariExperienceReplay(
-        shipped.ID,
+        SHIPPED,
         batch_size=256,
         root=tmp_path / "torchrl",
         download=False,

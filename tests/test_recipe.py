@@ -1,5 +1,6 @@
 """Datasets of datasets: what is drawn, and that everybody can tell where it is from."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of, joined
+from marl_mm.datasets.card import card, card_text
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.recipe import (
@@ -148,6 +150,26 @@ def test_recipes_refuse_what_makes_no_sense(make: Callable[..., Dataset]) -> Non
     impostor = make("two", origins={"marl_mm/reach/one-v0": {"seed": 7}})
     with pytest.raises(UsageError, match="two different datasets are called"):
         mix([Part(one, 2), Part(impostor, 2)], seed=0)
+
+
+def test_no_episode_is_in_a_mix_twice(
+    make: Callable[..., Dataset], tmp_path: Path
+) -> None:
+    """As of two collections of one seed, or of a dataset and its copy."""
+    short, long = make("short", count=5), make("long", count=20)
+    with pytest.raises(UsageError, match="hold the same episodes"):
+        mix([Part(short, short.arrays.steps), Part(long, long.arrays.steps)], seed=0)
+    copy = shutil.copytree(short.location.folder, tmp_path / "copy")
+    with pytest.raises(UsageError, match="are both called marl_mm/reach/short-v0"):
+        mix([Part(short, 2), Part(load_dataset(copy), 2)], seed=0)
+
+
+def test_the_card_tells_the_recipe(make: Callable[..., Dataset]) -> None:
+    location = locate("ahead")
+    write_mix(location, filtered(make("one"), Condition(direction="forward")))
+    text = card_text(card(load_dataset(location)))
+    assert "condition (direction: forward)" in text
+    assert "forward 60 % of 5, backward - of 0" in text
 
 
 def test_views_of_arrays_are_views(make_episode: MakeEpisode) -> None:

@@ -15,7 +15,7 @@ import pytest
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import load_dataset
-from marl_mm.datasets.location import known_ids, locate
+from marl_mm.datasets.location import find, known_ids, locate
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.episode import Episode
 from marl_mm.errors import (
@@ -190,6 +190,36 @@ def test_what_a_killed_writer_left_goes(tmp_path: Path) -> None:
     with new_folder(tmp_path / "folder"):
         pass
     assert not gone.exists() and alive.exists()
+
+
+def test_what_a_killed_writer_of_the_same_number_left_goes(tmp_path: Path) -> None:
+    """In a container, the next process often has the number of the killed one."""
+    left = tmp_path / f".folder.{os.getpid()}.new"
+    left.mkdir()
+    (left / "half").write_text("x")
+    with new_folder(tmp_path / "folder") as folder:
+        (folder / "whole").write_text("y")
+    assert [path.name for path in (tmp_path / "folder").iterdir()] == ["whole"]
+    assert not left.exists()
+
+
+def test_a_word_is_an_id_unless_it_is_a_dataset_here(
+    datasets_home: Path,
+    episodes: list[Episode],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert locate("word") == locate("marl_mm/reach/word-v0")
+    assert locate("word-v3").id == "marl_mm/reach/word-v3"
+    assert locate("./word").folder == tmp_path / "word"
+    Path("word").mkdir()  # no dataset: hides nothing
+    assert find("word") == locate("word")
+    Path("word").rmdir()
+    write("./word", episodes)
+    assert find("word") == locate("./word")
+    write("word", episodes)
+    assert find("word") == locate("word")
 
 
 def test_an_empty_dataset_is_refused(datasets_home: Path) -> None:

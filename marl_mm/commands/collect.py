@@ -12,9 +12,18 @@ from marl_mm.collectors.medium import MediumConfig
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.collectors.pretrained import PretrainedConfig
 from marl_mm.collectors.random import RandomConfig
-from marl_mm.commands.collect_dataset import CollectOptions, collect_dataset
+from marl_mm.commands.collect_dataset import (
+    CollectOptions,
+    begun_with,
+    collect_dataset,
+)
 from marl_mm.commands.collect_paper import Paper, collect_paper
-from marl_mm.commands.parser import parse_subcommand
+from marl_mm.commands.parser import (
+    Subcommand,
+    parse_subcommand,
+    value_of,
+    with_values,
+)
 from marl_mm.datasets.card import keep_card
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import locate
@@ -61,8 +70,11 @@ KINDS = {"pretrained": Pretrained, "pd": Pd, "medium": Medium, "random": Random}
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm collect``."""
+    commands: dict[str, type | Subcommand] = {**KINDS, "paper": Paper}
+    if "--resume" in arguments and arguments[0] in KINDS:
+        commands[arguments[0]] = _resumed(arguments)
     _, command = parse_subcommand(
-        {**KINDS, "paper": Paper},
+        commands,
         "marl-mm collect",
         "Collect a dataset with a scripted or a learnt policy.",
         arguments,
@@ -84,6 +96,20 @@ def main(arguments: Sequence[str]) -> None:
         raise KeyboardInterrupt(
             "stopped; the dataset holds the episodes until then: go on with --resume"
         )
+
+
+def _resumed(arguments: Sequence[str]) -> Subcommand:
+    """Options whose defaults are what the collection was begun with."""
+    kind = KINDS[arguments[0]]
+    options = kind()
+    task = value_of(arguments, "--task", options.task)
+    name = value_of(arguments, "--dataset", _default_id(task, options.policy))
+    begun = begun_with(locate(name))
+    if begun is not None and begun.get("collector") == options.policy.name:
+        known = {key: begun[key] for key in ("task", "seed")}
+        known |= begun["overrides"] | begun["collector_config"]
+        options = with_values(options, known)
+    return Subcommand(options, kind.__doc__ or "")
 
 
 def _default_id(task: str, policy: PolicyConfig) -> str:

@@ -5,7 +5,14 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from marl_mm.collectors.collect import Collection, PolicyConfig, collect, make_collector
+from marl_mm.collectors.collect import (
+    Collection,
+    Collector,
+    PolicyConfig,
+    collect,
+    make_collector,
+    usual_steps,
+)
 from marl_mm.commands.options import available_cores, check_positive, check_seed
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import load_dataset
@@ -18,6 +25,7 @@ from marl_mm.envs.config import config_dict, reach_config
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.episode import Episode
 from marl_mm.errors import (
+    HopelessError,
     MarlMmError,
     OutputExistsError,
     UsageError,
@@ -40,7 +48,7 @@ class CollectOptions:
     --resume as many as were asked for."""
 
     seed: int = 0
-    """Of the dataset: episode i is seeded from (seed, i)."""
+    """Of the dataset: attempt i is seeded from (seed, i)."""
 
     workers: int = field(default_factory=available_cores)
     """Processes; the dataset does not depend on it."""
@@ -50,7 +58,8 @@ class CollectOptions:
     one that is started here (pip install 'marl-mm[ray]')."""
 
     dataset: str | None = None
-    """Id or path; default marl_mm/TASK/COLLECTOR-v0 below $MINARI_DATASETS_PATH."""
+    """Id below $MINARI_DATASETS_PATH, or path; default marl_mm/TASK/COLLECTOR-v0. A
+    word is short for marl_mm/reach/WORD-v0."""
 
     task: str = "Reach-v0"
     """Reach-v0, SmoothReach-v0 or PreciseReach-v0."""
@@ -59,7 +68,8 @@ class CollectOptions:
     """Steps per episode; default 50 for pd, 25 for the others."""
 
     resume: bool = False
-    """Go on where a collection was stopped, or with more --steps where it ended."""
+    """Go on where a collection was stopped, or with more --steps where it ended;
+    options that are left out are as they were."""
 
     overwrite: bool = False
     """Replace the dataset if it exists."""
@@ -94,14 +104,14 @@ def collect_dataset(
     check_seed(options.seed)
     if options.resume and options.overwrite:
         raise UsageError("--resume and --overwrite contradict each other: choose one")
-    refuse_existing(location.folder, options.overwrite or options.resume)
-    refuse_foreign(location)
+    _refuse_existing(location, options)
     nothing = not location.folder.exists() and not location.working.exists()
     if options.resume and nothing:
         raise UsageError(
             f"nothing was begun at {location.folder}: leave out --resume to start"
         )
     about = _about(policy, options)
+    collector = make_collector(policy)
     with only_here(location.working), ExitStack() as cleaning:
         cleaning.callback(_remove_if_empty, location)
         if options.overwrite:
@@ -115,22 +125,49 @@ def collect_dataset(
             for source in filter(None, (first, mine)):
                 known |= _known(source, about)
             if mine is not None and _is_complete(mine, steps):
-                cleaning.callback(shutil.rmtree, location.working)
+                cleaning.callback(_clear, location)
                 return Collection(_kept(known), len(known), complete=True)
             known |= _begun(journal, about, location, options, steps)
-            collection = _run(policy, options, steps, about, known, journal)
+            try:
+                collection = _run(collector, options, steps, about, known, journal)
+            except HopelessError:
+                if not any(map(collector.keep, journal.episodes().values())):
+                    journal.begin(about)  # empty, it is removed
+                raise
         _refuse_loss(location, collection, replacing)
         _write(location, collection, about, steps)
         if collection.complete:
-            shutil.rmtree(location.working)
+            _clear(location)
     return collection
+
+
+def begun_with(location: Location) -> dict[str, Any] | None:
+    """What a collection that may go on was begun with; None if there is none."""
+    if (location.working / JOURNAL).exists():
+        with Journal(location.working) as journal:
+            if about := journal.about():
+                return about
+    if not location.folder.exists():
+        return None
+    ours: dict[str, Any] = read_metadata(location)["marl_mm"]
+    return ours
+
+
+def _refuse_existing(location: Location, options: CollectOptions) -> None:
+    if location.folder.exists() and not (options.overwrite or options.resume):
+        raise OutputExistsError(
+            f"{location.name} exists already: add --resume to go on with it, "
+            "--overwrite to replace it, or choose another --dataset"
+        )
+    refuse_existing(location.folder, overwrite=True)
+    refuse_foreign(location)
 
 
 def _about(policy: PolicyConfig, options: CollectOptions) -> dict[str, Any]:
     """What the episodes depend on."""
     max_steps = options.max_steps
     if max_steps is None:
-        max_steps = make_collector(policy).max_steps
+        max_steps = usual_steps(policy)
     check_positive(max_steps=max_steps)
     overrides = {"max_steps": max_steps}
     return {
@@ -219,7 +256,7 @@ def _begun(
     before = journal.about()
     if before is not None and not (options.resume or options.overwrite):
         raise OutputExistsError(
-            f"{location.folder} was begun already; go on with --resume, choose another "
+            f"{location.name} was begun already; go on with --resume, choose another "
             "--dataset or add --overwrite"
         )
     if before is None or options.overwrite:
@@ -227,11 +264,12 @@ def _begun(
         journal.begin({**about, "steps_asked": steps, "replaces": replaces})
         return {}
     refuse_difference(location.folder, before, about)
+    journal.note({**before, "steps_asked": steps})
     return dict(journal.episodes())
 
 
 def _run(
-    policy: PolicyConfig,
+    collector: Collector,
     options: CollectOptions,
     steps: int,
     about: dict[str, Any],
@@ -240,11 +278,11 @@ def _run(
 ) -> Collection:
     config = reach_config(options.task, about["overrides"])
     complete = False
-    with progress_bar(f"collect {policy.name}", steps) as advance:
+    with progress_bar(f"collect {collector.policy.name}", steps) as advance:
         rollouts = Rollouts(config, options.workers, options.executor)
         try:
             collection = collect(
-                make_collector(policy),
+                collector,
                 rollouts.completed,
                 steps,
                 options.seed,
@@ -285,6 +323,11 @@ def _write(
         raise MarlMmError(
             f"{error}; finished episodes are kept: make room and go on with --resume"
         ) from error
+
+
+def _clear(location: Location) -> None:
+    """Forget the journal of a dataset that is complete."""
+    shutil.rmtree(location.working)
 
 
 def _remove_if_empty(location: Location) -> None:

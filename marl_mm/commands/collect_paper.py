@@ -8,7 +8,11 @@ from marl_mm.collectors.medium import MediumConfig
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.collectors.pretrained import PretrainedConfig
 from marl_mm.collectors.random import RandomConfig
-from marl_mm.commands.collect_dataset import CollectOptions, collect_dataset
+from marl_mm.commands.collect_dataset import (
+    CollectOptions,
+    begun_with,
+    collect_dataset,
+)
 from marl_mm.commands.options import available_cores, check_seed
 from marl_mm.datasets.card import card_text, keep_card
 from marl_mm.datasets.dataset import load_dataset
@@ -40,7 +44,7 @@ MIXED = {
 
 @dataclass(frozen=True)
 class Paper:
-    """Make all datasets of the paper, marl_mm/reach/NAME-v0; existing ones are kept.
+    """Make all datasets of the paper, marl_mm/reach/NAME-v0; those there are are kept.
 
     good-30k, good-60k, pd-30k, random-10k, medium-5k and the mixes of Table 4. The same
     command goes on after an interruption. good-60k begins with good-30k.
@@ -57,6 +61,9 @@ class Paper:
 
     executor: Executor = "processes"
     """"processes" of this machine, or of a Ray cluster."""
+
+    overwrite: bool = False
+    """Make those anew that are there."""
 
     json: bool = False
     """Print the cards as JSON."""
@@ -87,13 +94,21 @@ def paper_location(name: str) -> Location:
 
 
 def _collect(name: str, location: Location, command: Paper) -> None:
-    policy, steps = COLLECTED[name]
+    policy, paper_steps = COLLECTED[name]
+    steps = _scaled(paper_steps, command)
+    there = begun_with(location)
+    if there and not command.overwrite and there.get("steps_asked", 0) > steps:
+        raise UsageError(
+            f"{location.id} was asked to have {there['steps_asked']} steps, now it is "
+            f"{steps}: take --scale as it was, or add --overwrite"
+        )
     options = CollectOptions(
-        steps=_scaled(steps, command),
+        steps=steps,
         seed=command.seed,
         workers=command.workers,
         executor=command.executor,
-        resume=location.folder.exists() or location.working.exists(),
+        resume=there is not None and not command.overwrite,
+        overwrite=command.overwrite,
     )
     first = paper_location("good-30k") if name == "good-60k" else None
     collection = collect_dataset(location, policy, options, first)
@@ -108,7 +123,7 @@ def _mix(name: str, location: Location, command: Paper) -> None:
         for source, steps in MIXED[name].items()
     ]
     recipe = mix(parts, command.seed)
-    if location.folder.exists():
+    if location.folder.exists() and not command.overwrite:
         known = read_metadata(location)["marl_mm"]
         keys = ("recipe", "sources")
         if all(known.get(key) == recipe.description[key] for key in keys):

@@ -24,15 +24,27 @@ from marl_mm.commands.datasets_make import (
 )
 from marl_mm.commands.options import available_cores, check_positive
 from marl_mm.commands.parser import parse_subcommand
+from marl_mm.datasets import shipped
+from marl_mm.datasets.arrays import load_arrays
 from marl_mm.datasets.card import card, card_markdown, card_text, keep_card
 from marl_mm.datasets.dataset import existing, load_dataset
 from marl_mm.datasets.export import Layout, export
-from marl_mm.datasets.location import Location, datasets_root, find, known_ids
+from marl_mm.datasets.journal import begun
+from marl_mm.datasets.location import (
+    SHIPPED,
+    Location,
+    datasets_root,
+    find,
+    known_ids,
+    locate,
+)
 from marl_mm.datasets.storage import read_metadata, refuse_foreign
 from marl_mm.datasets.verify import verify
 from marl_mm.errors import DatasetError, MarlMmError, UnknownDatasetError, UsageError
 from marl_mm.files import only_here
 from marl_mm.progress import progress_bar
+
+_BEGUN = "being collected, or stopped: go on with marl-mm collect ... --resume"
 
 
 @dataclass(frozen=True)
@@ -48,7 +60,7 @@ class Show:
     """Show a dataset's card, and keep it with the dataset as JSON, Markdown, figure."""
 
     dataset: tyro.conf.Positional[str]
-    """Id, such as marl_mm/reach/pd-v0 or pd for short, or path."""
+    """Id such as marl_mm/reach/pd-v0, or pd for short, or path; good-5k ships."""
 
     json: bool = False
     """Print JSON."""
@@ -90,6 +102,9 @@ class Export:
     overwrite: bool = False
     """Replace the file if it exists."""
 
+    json: bool = False
+    """Print JSON."""
+
 
 @dataclass(frozen=True)
 class Delete:
@@ -100,6 +115,9 @@ class Delete:
 
     yes: bool = False
     """Do not ask."""
+
+    json: bool = False
+    """Print JSON."""
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -136,16 +154,22 @@ def main(arguments: Sequence[str]) -> None:
 
 def _list(command: List) -> None:
     rows = [_entry(name) for name in known_ids()]
+    rows += [
+        {"id": name, "steps": None, "episodes": count, "note": _BEGUN}
+        for name, count in begun().items()
+    ]
+    if not locate(SHIPPED).folder.exists():
+        rows.append(_shipped_entry())
     if command.json:
         print(json.dumps(rows, indent=2))
         return
-    if not rows:
-        print(f"no datasets below {datasets_root()}; make one: marl-mm collect pd")
-        return
-    table = Table("id", "steps", "episodes", "note")
+    table = Table("id", "steps", "episodes", "note", title=f"below {datasets_root()}")
     for row in rows:
-        table.add_row(row["id"], str(row["steps"]), str(row["episodes"]), row["note"])
+        counts = (_text(row[key]) for key in ("steps", "episodes"))
+        table.add_row(row["id"], *counts, row["note"])
     Console().print(table)
+    if not known_ids():
+        print("make one of your own: marl-mm collect pd")
 
 
 def _entry(name: str) -> dict[str, Any]:
@@ -159,6 +183,20 @@ def _entry(name: str) -> dict[str, Any]:
         "episodes": ours["episodes"],
         "note": "" if ours.get("complete") else "interrupted",
     }
+
+
+def _shipped_entry() -> dict[str, Any]:
+    arrays = load_arrays(shipped.ARRAYS)
+    return {
+        "id": SHIPPED,
+        "steps": arrays.steps,
+        "episodes": len(arrays),
+        "note": "ships with marl_mm: written here at its first use",
+    }
+
+
+def _text(count: int | None) -> str:
+    return "-" if count is None else str(count)
 
 
 def _show(command: Show) -> None:
@@ -195,9 +233,10 @@ def _replayed(name: str, workers: int) -> list[str]:
     from marl_mm.collectors.replay import replay  # which needs the simulator
 
     dataset = load_dataset(name)
+    differences = replay(dataset, workers)
     with progress_bar("replay", len(dataset.arrays)) as advance:
         problems = []
-        for number, difference in enumerate(replay(dataset, workers)):
+        for number, difference in enumerate(differences):
             advance(1, "")
             if difference is not None:
                 problems.append(f"episode {number}: {difference}")
@@ -205,10 +244,23 @@ def _replayed(name: str, workers: int) -> list[str]:
 
 
 def _export(command: Export) -> None:
-    export(
-        load_dataset(command.dataset), command.layout, command.out, command.overwrite
-    )
-    print(f"{command.out}: {command.out.stat().st_size / 1e6:.1f} MB")
+    dataset = load_dataset(command.dataset)
+    export(dataset, command.layout, command.out, command.overwrite)
+    size = command.out.stat().st_size
+    result = {
+        "file": str(command.out),
+        "layout": command.layout,
+        "steps": dataset.arrays.steps,
+        "episodes": len(dataset.arrays),
+        "bytes": size,
+    }
+    if command.json:
+        print(json.dumps(result, indent=2))
+    else:
+        print(
+            f"{command.out}: {result['steps']} steps, {result['episodes']} episodes, "
+            f"{size / 1e3:,.0f} kB"
+        )
 
 
 def _delete(command: Delete) -> None:
@@ -223,10 +275,13 @@ def _delete(command: Delete) -> None:
             raise UsageError("nobody is here to answer: add --yes to delete")
         answer = input(f"delete {location.folder}? [y/N] ")
         if answer.strip().lower() not in ("y", "yes"):
-            print("kept")
+            print(json.dumps({"deleted": None}) if command.json else "kept")
             return
     with only_here(location.working):
         shutil.rmtree(location.working)
         if location.folder.exists():
             shutil.rmtree(location.folder)
-    print(f"deleted {location.folder}")
+    if command.json:
+        print(json.dumps({"deleted": str(location.folder)}))
+    else:
+        print(f"deleted {location.folder}")

@@ -15,6 +15,7 @@ from marl_mm.datasets.location import Location, locate
 from marl_mm.datasets.recipe import Condition, Part, filtered, mix, split, write_mix
 from marl_mm.datasets.storage import write_alone
 from marl_mm.envs.config import reach_config
+from marl_mm.episode import IMPORTED
 from marl_mm.errors import UsageError
 from marl_mm.files import refuse_existing
 
@@ -97,7 +98,8 @@ class Import:
 
     Minari's layout with goal-dictionary observations: observation (7), achieved_goal
     (3), desired_goal (3). Or flat arrays: observations (n, 10), actions (n, 4),
-    next_observations, rewards, terminals, timeouts.
+    next_observations, rewards, terminals, timeouts; or what export writes per agent.
+    Where its episodes were collected is not kept, and nothing can replay them.
     """
 
     file: tyro.conf.Positional[Path]
@@ -106,8 +108,9 @@ class Import:
     out: str
     """Id or path of the new dataset."""
 
-    task: str = "Reach-v0"
-    """Whose rewards they are: Reach-v0, SmoothReach-v0 or PreciseReach-v0."""
+    task: str | None = None
+    """Whose rewards they are: Reach-v0, SmoothReach-v0 or PreciseReach-v0; default what
+    the file's attribute "task" says, Reach-v0 without it."""
 
     overwrite: bool = False
     """Replace it if it exists."""
@@ -131,7 +134,7 @@ def make_split(command: Split) -> None:
     """Run ``marl-mm datasets split``."""
     check_seed(command.seed)
     source = existing(command.dataset)
-    stem = (command.out or _own_name(source)).removesuffix("-v0")
+    stem = (command.out or source.name).removesuffix("-v0")
     locations = [
         _free(f"{stem}-{part}-v0", command.overwrite) for part in ("first", "rest")
     ]
@@ -158,12 +161,16 @@ def make_filtered(command: Filter) -> None:
 def make_imported(command: Import) -> None:
     """Run ``marl-mm datasets import``."""
     location = _free(command.out, command.overwrite)
-    usual = reach_config(command.task).max_steps
-    arrays = read_foreign(command.file, location.id)
+    if command.task is not None:
+        reach_config(command.task)  # a wrong one is refused before the file is read
+    found = read_foreign(command.file, location.id)
+    arrays = found.arrays
+    task = command.task or found.task or "Reach-v0"
+    usual = reach_config(task).max_steps
     description: dict[str, Any] = {
-        "task": command.task,
+        "task": task,
         "overrides": {"max_steps": max(usual, int(arrays.lengths.max()))},
-        "collector": "imported",
+        "collector": IMPORTED,
         "seed": None,
         "origins": {location.id: {"file": command.file.name}},
         "attempts": None,
@@ -184,12 +191,6 @@ def _part(text: str) -> Part:
     if not name or not steps.isdecimal():
         raise UsageError(f"{text!r} is no DATASET:STEPS, such as good:20000")
     return Part(load_dataset(name), int(steps))
-
-
-def _own_name(location: Location) -> str:
-    """Its id where it is found by that, its path elsewhere."""
-    by_id = locate(location.id).folder == location.folder
-    return location.id if by_id else str(location.folder)
 
 
 def _tell(locations: list[Location], as_json: bool) -> None:

@@ -4,6 +4,8 @@ import io
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stderr
+from dataclasses import fields, is_dataclass, replace
+from itertools import pairwise
 from typing import Annotated, Any, NamedTuple, TypeVar, Union
 
 import tyro
@@ -62,6 +64,30 @@ def parse_subcommand(
     known = arguments and arguments[0] in commands
     options = _in_one_line(parse, f"{prog} {arguments[0]}" if known else prog)
     return arguments[0], options
+
+
+def value_of(arguments: Sequence[str], option: str, default: str) -> str:
+    """An option's value, before all options are parsed."""
+    value = default
+    for word, following in pairwise([*arguments, ""]):
+        if word == option:
+            value = following
+        elif word.startswith(f"{option}="):
+            value = word.removeprefix(f"{option}=")
+    return value
+
+
+def with_values(options: Any, values: Mapping[str, Any]) -> Any:
+    """A dataclass of options, and of others, with the values that are known by name."""
+    changes: dict[str, Any] = {}
+    for one in fields(options):
+        value = getattr(options, one.name)
+        if is_dataclass(value):
+            changes[one.name] = with_values(value, values)
+        elif one.name in values:
+            known = values[one.name]
+            changes[one.name] = tuple(known) if isinstance(value, tuple) else known
+    return replace(options, **changes)
 
 
 def _kind(name: str, command: type | Subcommand) -> Any:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,6 +15,7 @@ from marl_mm.commands.options import (
     check_seed,
     check_seeds,
 )
+from marl_mm.commands.parser import with_values
 from marl_mm.differences import as_json, refuse_difference
 from marl_mm.errors import CheckpointError, OutputExistsError, UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate
@@ -159,20 +160,8 @@ def saved_options(options: T, out: Path) -> T:
             json.loads((runs[0] / EVALUATION).read_text())
         )
         known["eval_episodes"] = len(evaluation.rows)
-    resumed: T = _with_values(options, config | known)
+    resumed: T = with_values(options, config | known)
     return resumed
-
-
-def _with_values(options: Any, values: dict[str, Any]) -> Any:
-    changes: dict[str, Any] = {}
-    for one in fields(options):
-        value = getattr(options, one.name)
-        if is_dataclass(value):
-            changes[one.name] = _with_values(value, values)
-        elif one.name in values:
-            known = values[one.name]
-            changes[one.name] = tuple(known) if isinstance(value, tuple) else known
-    return replace(options, **changes)
 
 
 def _read_config(run: Path) -> dict[str, Any]:

@@ -2,14 +2,13 @@
 
 import json
 from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast, get_args
 
 import tyro
 
 from marl_mm.algorithms.presets import Preset
-from marl_mm.commands.parser import Subcommand, parse_subcommand
+from marl_mm.commands.parser import Subcommand, parse_subcommand, value_of
 from marl_mm.commands.runs import check_options, saved_options, told
 from marl_mm.commands.train_offline import (
     TrainMabc,
@@ -35,7 +34,7 @@ def main(arguments: Sequence[str]) -> None:
         for name, description in ONLINE.items()
     }
     commands: dict[str, type | Subcommand] = {"mabc": TrainMabc, **online}
-    named = _value(arguments, "--preset", "")  # asks for that one's values
+    named = value_of(arguments, "--preset", "")  # asks for that one's values
     if "--resume" in arguments and arguments[0] in commands and not named:
         commands[arguments[0]] = _resumed(arguments, preset)
     name, options = parse_subcommand(
@@ -79,7 +78,7 @@ def _online(name: str, options: Any, runs: dict[int, Path]) -> Any:
 def _resumed(arguments: Sequence[str], preset: Preset) -> Subcommand:
     """Options whose defaults are the values that the first run was made of."""
     name = arguments[0]
-    out = Path(_value(arguments, "--out", f"runs/{name}"))
+    out = Path(value_of(arguments, "--out", f"runs/{name}"))
     if name in ONLINE:
         options = saved_options(online_options(name, preset), out)
         return Subcommand(options, ONLINE[name])
@@ -89,19 +88,8 @@ def _resumed(arguments: Sequence[str], preset: Preset) -> Subcommand:
 
 def _preset(arguments: Sequence[str]) -> Preset:
     """The preset that the other options' defaults depend on."""
-    name = _value(arguments, "--preset", "tuned")
+    name = value_of(arguments, "--preset", "tuned")
     if name not in get_args(Preset) and arguments[0] in ONLINE:
         choices = ", ".join(get_args(Preset))
         raise UsageError(f"--preset is {name!r}, expected one of {choices}")
     return cast(Preset, name)
-
-
-def _value(arguments: Sequence[str], option: str, default: str) -> str:
-    """An option's value, before all options are parsed."""
-    value = default
-    for word, following in pairwise([*arguments, ""]):
-        if word == option:
-            value = following
-        elif word.startswith(f"{option}="):
-            value = word.removeprefix(f"{option}=")
-    return value
