@@ -32,7 +32,9 @@ STEPS = 120
 
 
 def data(name: str) -> bytes:
-    return (locate(name).data / "main_data.hdf5").read_bytes()
+    """All bytes of a dataset: its episodes, and what it says of itself."""
+    files = ("main_data.hdf5", "metadata.json")
+    return b"".join((locate(name).data / file).read_bytes() for file in files)
 
 
 def start(name: str, *options: str) -> "subprocess.Popen[str]":
