@@ -1,6 +1,8 @@
 """Learned policies: a checkpoint's actors behind the interface of every policy."""
 
+import hashlib
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,15 @@ class LearnedPolicy:
     def describe(self) -> dict[str, Any]:
         """Where it was loaded from."""
         return {"checkpoint": self._source}
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash of all weights: who acted, wherever the file is by now."""
+        digest = hashlib.sha256()
+        for agent in self._agents.values():
+            for name, tensor in agent.actor.state_dict().items():
+                digest.update(name.encode() + tensor.numpy().tobytes())
+        return digest.hexdigest()[:16]
 
     def begin(self, rng: np.random.Generator) -> None:
         """Nothing to remember between episodes."""

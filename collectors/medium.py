@@ -15,17 +15,14 @@ class MediumConfig:
     """How long it is random, and who comes then (paper, Sec. 5.4.2)."""
 
     random_steps: int = 10
-    """Random steps at the start of each episode; the agent has the rest of 25."""
+    """Random steps at the start of each episode; the agent has the rest."""
 
     agent: str = "pretrained"
     """The agent that ships, or a run folder or checkpoint file."""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.random_steps < 25:
-            raise UsageError(
-                f"random steps are {self.random_steps}, expected 0 to 24: the agent "
-                "has the rest of 25"
-            )
+        if self.random_steps < 0:
+            raise UsageError(f"random steps are {self.random_steps}, expected >= 0")
 
     @property
     def name(self) -> str:
@@ -49,8 +46,8 @@ class MediumPolicy:
         self._agent = load_agent(config.agent)
 
     def describe(self) -> dict[str, Any]:
-        """The config."""
-        return asdict(self.config)
+        """The config, and whose weights they are."""
+        return asdict(self.config) | {"weights": self._agent.fingerprint}
 
     def begin(self, rng: np.random.Generator) -> None:
         """Take the episode's stream of random numbers; start to count steps."""

@@ -1,13 +1,15 @@
 """The pretrained collector: a learnt agent, with or without noise; "good" data."""
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from marl_mm.errors import UsageError
 from marl_mm.layout import ACTION_HIGH, ACTION_LOW
-from marl_mm.policy import Policy
+
+if TYPE_CHECKING:
+    from marl_mm.algorithms.policy import LearnedPolicy
 
 
 @dataclass(frozen=True)
@@ -44,8 +46,8 @@ class PretrainedPolicy:
         self._agent = load_agent(config.agent)
 
     def describe(self) -> dict[str, Any]:
-        """The config."""
-        return asdict(self.config)
+        """The config, and whose weights they are."""
+        return asdict(self.config) | {"weights": self._agent.fingerprint}
 
     def begin(self, rng: np.random.Generator) -> None:
         """Take the episode's stream of random numbers."""
@@ -61,7 +63,7 @@ class PretrainedPolicy:
         return action.astype(np.float32)
 
 
-def load_agent(name: str) -> Policy:
+def load_agent(name: str) -> "LearnedPolicy":
     """A learnt agent by name or path; see ``load_policy``."""
     from marl_mm.algorithms.policy import load_policy  # torch takes a second to import
 

@@ -80,7 +80,9 @@ def _difference(item: tuple[str, dict[str, Any], Episode]) -> str | None:
     }
     pairs |= {f"info {key}": (again.info[key], episode.info[key]) for key in again.info}
     for name, (one, other) in pairs.items():
-        if not np.array_equal(one, other):
+        if one.dtype != other.dtype:
+            return f"{name} is {one.dtype} in the replay, {other.dtype} in the file"
+        if one.shape != other.shape or one.tobytes() != other.tobytes():
             return f"{name} differ: {_first_difference(one, other)}"
     return None
 
@@ -88,5 +90,8 @@ def _difference(item: tuple[str, dict[str, Any], Episode]) -> str | None:
 def _first_difference(one: np.ndarray, other: np.ndarray) -> str:
     if one.shape != other.shape:
         return f"shape {one.shape} in the replay, {other.shape} in the file"
-    where = tuple(np.argwhere(one != other)[0].tolist())
+    same = one.view(np.uint8).reshape(*one.shape, -1) == other.view(np.uint8).reshape(
+        *one.shape, -1
+    )
+    where = tuple(np.argwhere(~same.all(axis=-1))[0].tolist())
     return f"at {list(where)} {one[where]} in the replay, {other[where]} in the file"

@@ -88,7 +88,7 @@ def keep_card(dataset: Dataset) -> dict[str, Any]:
     kept = {key: value for key, value in values.items() if key != "path"}
     folder = dataset.location.folder
     known = folder / "card.json"
-    if (folder / "card.png").exists() and known.exists():
+    if all((folder / f"card.{kind}").exists() for kind in ("json", "md", "png")):
         try:
             if json.loads(known.read_text()) == kept:
                 return values

@@ -7,6 +7,7 @@ import numpy as np
 
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.datasets.hdf5 import write_tables
+from marl_mm.errors import UsageError
 from marl_mm.files import new_file, refuse_existing
 from marl_mm.layout import GOAL
 
@@ -24,7 +25,10 @@ def export(dataset: Dataset, layout: Layout, path: Path, overwrite: bool) -> Non
 
     Raises:
         OutputExistsError: If the file exists and may not be replaced.
+        UsageError: If it is a folder.
     """
+    if path.is_dir():
+        raise UsageError(f"{path} is a folder, expected a file to write")
     refuse_existing(path, overwrite)
     tables = {"flat": _flat, "d4rl": _d4rl, "agents": _agents}[layout](dataset)
     ours = dataset.metadata["marl_mm"]

@@ -239,6 +239,10 @@ def optional(group: Any, key: str) -> np.ndarray | None:
     return np.asarray(node[()])
 
 
+def _has(group: Any, key: str) -> bool:
+    return isinstance(group.get(key), h5py.Dataset)
+
+
 def checked(path: Path, group: Any, wanted: tuple[Field, ...]) -> dict[str, np.ndarray]:
     """Arrays by key, as long as ``rewards``.
 
@@ -253,7 +257,7 @@ def checked(path: Path, group: Any, wanted: tuple[Field, ...]) -> dict[str, np.n
         try:
             node = h5py.h5d.open(group.id, field.key.encode())  # the fast way
         except KeyError:
-            missing = [repr(one.key) for one in wanted if one.key not in group]
+            missing = [repr(one.key) for one in wanted if not _has(group, one.key)]
             raise DatasetError(f"{where} has no array {', '.join(missing)}") from None
         shape, kind = node.shape, node.dtype
         if kind.kind not in _KINDS[field.kind]:

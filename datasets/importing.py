@@ -1,5 +1,6 @@
 """Datasets of others, brought into ours: Minari's episodes or flat HDF5 arrays."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,9 @@ FLAT = (
     Field("next_observations", "float", 10),
 )
 """Of the flat layout, as in D4RL; ``marl-mm datasets export`` writes it."""
+
+_SAME = 1e-4
+"""Difference of two observations that were one before somebody rounded them."""
 
 PER_AGENT = (
     *_SHARED,
@@ -103,9 +107,19 @@ def _read(what: tuple[Path, str]) -> Foreign:
             episodes = [_episode(path, i, group) for i, group in enumerate(groups)]
         else:
             episodes = _flat_episodes(path, _flat_arrays(path, file))
-        task = file.attrs.get("task")
+        task = file.attrs.get("task") or _said_beside(path)
     arrays = arrays_of(episodes, dataset_id)
     return Foreign(arrays, task if isinstance(task, str) else None)
+
+
+def _said_beside(path: Path) -> Any:
+    """The task that our own metadata name, in a dataset's folder."""
+    try:
+        return json.loads((path.parent / "metadata.json").read_text())["marl_mm"][
+            "task"
+        ]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def _episode(path: Path, number: int, group: Any) -> Episode:
@@ -149,6 +163,14 @@ def _flat_episodes(path: Path, values: dict[str, np.ndarray]) -> list[Episode]:
         raise DatasetError(
             f"{path}: the last step has neither 'terminals' nor 'timeouts': the last "
             "episode has no end"
+        )
+    inner = ~(terminated | truncated)[:-1]
+    jumps = values["next_observations"][:-1] - values["observations"][1:]
+    count = int((np.abs(jumps[inner]) > _SAME).any(axis=1).sum())
+    if count:
+        raise DatasetError(
+            f"{path}: {count} steps within an episode have 'next_observations' that "
+            "are not the next step's 'observations'"
         )
     episodes = []
     for number, (begin, end) in enumerate(zip([0, *ends[:-1]], ends, strict=True)):

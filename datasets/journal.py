@@ -21,23 +21,37 @@ from marl_mm.errors import DatasetError, MarlMmError
 FILE = "episodes.sqlite"
 
 
-def begun() -> dict[str, int]:
+def begun() -> dict[str, int | None]:
     """Episodes of the collections below the root that are under way or stopped, by id.
 
-    A collection that another process is writing is not disturbed.
+    None where the journal cannot be read.
     """
     root = datasets_root()
     counts = {}
     for path in root.glob(f"**/.*.collecting/{FILE}") if root.exists() else []:
         folder = path.parent
         name = folder.with_name(folder.name[1:].removesuffix(".collecting"))
-        try:
-            with closing(sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True)) as file:
-                (count,) = file.execute("select count(*) from episodes").fetchone()
-        except sqlite3.DatabaseError:  # damaged, or gone by now
-            count = 0
-        counts[name.relative_to(root).as_posix()] = int(count)
+        counts[name.relative_to(root).as_posix()] = _asked(
+            folder, "select count(*) from episodes"
+        )
     return dict(sorted(counts.items()))
+
+
+def noted(folder: Path) -> dict[str, Any] | None:
+    """What is being collected; None if nothing was begun, or it cannot be read."""
+    text = _asked(folder, "select text from about")
+    return None if text is None else json.loads(text)
+
+
+def _asked(folder: Path, question: str) -> Any:
+    """One value of a journal that another process may be writing."""
+    address = f"{(folder / FILE).absolute().as_uri()}?mode=rw"  # does not create it
+    try:
+        with closing(sqlite3.connect(address, uri=True)) as file:
+            row = file.execute(question).fetchone()
+    except sqlite3.DatabaseError:
+        return None
+    return None if row is None else row[0]
 
 
 class Journal:

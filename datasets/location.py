@@ -77,9 +77,9 @@ def find(text: str) -> Location:
     """
     location = locate(text)
     here = Path(text, "data", "metadata.json")
-    if not location.folder.exists() and here.exists():
-        return locate(f"./{text}")
-    return location
+    if location.folder.exists() or location.working.exists() or not here.exists():
+        return location
+    return locate(f"./{text}")
 
 
 def known_ids() -> list[str]:

@@ -169,7 +169,9 @@ def _refuse_twins(chosen: Sequence[EpisodeArrays], parts: Sequence[Part]) -> Non
     for number, arrays in enumerate(chosen):
         for i in range(len(arrays)):
             episode = arrays.episode(i)
-            content = episode.states.tobytes() + episode.actions.tobytes()
+            # At random and medium begin alike; who acted is part of what it is.
+            content = episode.source.encode() + episode.states.tobytes()
+            content += episode.actions.tobytes()
             owner = owners.setdefault(hashlib.sha256(content).digest(), number)
             if owner != number:
                 one, other = parts[owner].dataset, parts[number].dataset

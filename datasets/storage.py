@@ -9,6 +9,7 @@ hash: it is written with the dataset, and again if it is missing.
 import difflib
 import hashlib
 import json
+import re
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,13 @@ from marl_mm.datasets.journal import FILE as JOURNAL
 from marl_mm.datasets.location import SHIPPED, Location, datasets_root, known_ids
 from marl_mm.datasets.reference import reference_scores
 from marl_mm.errors import DatasetError, UnknownDatasetError, UsageError
-from marl_mm.files import new_file, new_folder, only_here, refuse_existing
+from marl_mm.files import (
+    new_file,
+    new_folder,
+    only_here,
+    refuse_existing,
+    write_json,
+)
 from marl_mm.layout import ACTION, AGENTS, STATE
 from marl_mm.spaces import action_space, goal_observation_space
 from marl_mm.versions import versions
@@ -67,6 +74,8 @@ def write_dataset(
     """
     refuse_existing(location.folder, overwrite)
     refuse_foreign(location)
+    if location.name == location.id:
+        _name_namespaces(location)
     with new_folder(location.folder) as temporary:
         storage = MinariStorage.new(
             temporary / "data",
@@ -89,8 +98,6 @@ def write_dataset(
         )
         sign_metadata(temporary / "data" / "metadata.json")
         _write_cache(temporary, digest, arrays)
-    if location.name == location.id:
-        _name_namespaces(location)
 
 
 def write_alone(
@@ -138,15 +145,21 @@ def refuse_foreign(location: Location) -> None:
     if not folder.exists():
         return
     inner = [path.relative_to(folder) for path in folder.rglob("*")]
-    ours = all(
-        str(path) in OWN_FILES or (path.parts[0] == "cache" and path.suffix == ".npz")
-        for path in inner
-    )
+    ours = all(map(_is_ours, inner))
     if not folder.is_dir() or not ours:
         raise UsageError(
             f"{folder} is no dataset, or holds other files too: it is not replaced; "
             "choose another name"
         )
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether a dataset's folder may hold this, also where its writer was killed."""
+    return (
+        str(path) in OWN_FILES
+        or (path.parts[0] == "cache" and path.suffix == ".npz")
+        or re.fullmatch(r"\.card\.\d+\.(json|md|png)", str(path)) is not None
+    )
 
 
 def read_metadata(location: Location) -> dict[str, Any]:
@@ -324,4 +337,4 @@ def _name_namespaces(location: Location) -> None:
     folder = Path(location.id).parent
     path = datasets_root() / folder / "namespace_metadata.json"
     if not path.exists():
-        path.write_text(json.dumps({"description": "Datasets made by marl_mm."}))
+        write_json(path, {"description": "Datasets made by marl_mm."})

@@ -125,8 +125,12 @@ def _cache(arrays: EpisodeArrays, location: Location) -> list[str]:
     names = [field.name for field in fields(arrays) if field.name != "info"]
     pairs = [(getattr(arrays, name), getattr(cached, name)) for name in names]
     pairs += [(arrays.info[key], cached.info[key]) for key in INFO]
-    equal = all(
-        one.shape == other.shape and one.tobytes() == other.tobytes()
-        for one, other in pairs
-    )
+    equal = all(_same(one, other) for one, other in pairs)
     return [] if equal else [f"{path} is not what the data are: delete it"]
+
+
+def _same(one: np.ndarray, other: np.ndarray) -> bool:
+    """To the last bit; of texts, whatever space they have."""
+    if one.dtype.kind == "U":
+        return np.array_equal(one, other)
+    return one.shape == other.shape and one.tobytes() == other.tobytes()

@@ -284,6 +284,25 @@ def test_another_seed_does_not_go_on(
         collect_dataset(location, RandomConfig(), options)
 
 
+def test_another_agent_does_not_go_on(
+    datasets_home: Path, make_episode: MakeEpisode
+) -> None:
+    """The same path may hold other weights by now."""
+    location = locate("x")
+    with Journal(location.working) as journal:
+        journal.begin({"weights": "others"})
+        journal.add(make_episode(0))
+    options = CollectOptions(steps=5, workers=1, resume=True)
+    with pytest.raises(OtherConfigError, match="weights = others"):
+        collect_dataset(location, PretrainedConfig(), options)
+
+
+def test_medium_leaves_the_agent_something(datasets_home: Path) -> None:
+    options = CollectOptions(steps=5, workers=1, max_steps=10)
+    with pytest.raises(UsageError, match="expected fewer than an episode's 10 steps"):
+        collect_dataset(locate("x"), MediumConfig(), options)
+
+
 def test_attempts_that_come_in_any_order_are_kept_in_theirs(
     make_episode: MakeEpisode,
 ) -> None:
@@ -360,6 +379,12 @@ def test_the_papers_datasets_in_small(
     }
     assert 100 <= steps["pretrained"] < 125
     assert 25 <= steps["medium"] < 50 and 25 <= steps["random"] < 50
+    assert main([*words, "--seed", "1"]) == 2  # nothing is replaced unasked
+    metadata = locate("good-30k").data / "metadata.json"
+    metadata.write_text("damaged")
+    assert main(words) == 1
+    assert main([*words, "--overwrite"]) == 0  # what is whole stays
+    assert {name: data(f"marl_mm/reach/{name}") for name in names} == before
 
 
 def test_an_unwritable_folder_is_named() -> None:

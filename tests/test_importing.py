@@ -56,7 +56,7 @@ def test_what_goes_out_comes_in(
         np.testing.assert_array_equal(first, second)
     assert run("datasets", "verify", "again") == 0
     assert run("datasets", "verify", "again", "--replay") == 1
-    assert "was imported" in capsys.readouterr().err
+    assert "was imported" in capsys.readouterr().out
 
 
 def test_layouts_hold_what_they_say(dataset: Path, tmp_path: Path) -> None:
@@ -129,6 +129,28 @@ def test_the_task_is_the_files(
     words = ["datasets", "import", path, "--out", "other", "--task", "Reach-v0"]
     assert run(*words) == 0
     assert load_dataset("other").metadata["marl_mm"]["task"] == "Reach-v0"
+    folder = locate("smooth").folder
+    assert run("datasets", "import", folder, "--out", "again") == 0
+    assert load_dataset("again").metadata["marl_mm"]["task"] == "SmoothReach-v0"
+    with h5py.File(path, "a") as file:
+        file.attrs["task"] = "antmaze"
+    capsys.readouterr()
+    assert run("datasets", "import", path, "--out", "ants") == 2
+    complaint = capsys.readouterr().err
+    assert str(path) in complaint and "or give --task" in complaint
+
+
+def test_steps_that_do_not_join_are_refused(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "flat.h5"
+    assert run("datasets", "export", ID, "--out", path) == 0
+    with h5py.File(path, "a") as file:
+        file["next_observations"][0, 2] += 0.1
+    assert run("datasets", "import", path, "--out", "bad") == 1
+    assert "1 steps within an episode have" in capsys.readouterr().err
+    assert run("datasets", "export", ID, "--out", tmp_path, "--overwrite") == 2
+    assert "is a folder, expected a file" in capsys.readouterr().err
 
 
 def test_what_is_missing_is_named_at_once(
@@ -174,7 +196,7 @@ def test_verify_finds_what_only_it_looks_at(
 def fuzz(path: Path, rng: np.random.Generator) -> str:
     """Damage an HDF5 file in one of seven ways; says how."""
     content = bytearray(path.read_bytes())
-    kinds = ("truncated", "bits", "zeros", "type", "missing", "nan", "shape")
+    kinds = ("truncated", "bits", "zeros", "type", "missing", "nan", "shape", "group")
     kind = str(rng.choice(kinds))
     if kind == "truncated":
         path.write_bytes(content[: rng.integers(len(content))])
@@ -199,6 +221,8 @@ def fuzz(path: Path, rng: np.random.Generator) -> str:
                 group[key] = values
             elif kind == "shape":
                 group[key] = values[:-1]
+            elif kind == "group":
+                group.create_group(key)
     return kind
 
 
@@ -210,11 +234,14 @@ def test_damaged_files_give_clear_errors(
     good = path.read_bytes()
     whole = load_dataset(ID).arrays
     refused: dict[str, int] = {}
-    for number in range(FUZZED):
+    number = damaged = 0
+    while damaged < FUZZED:
         path.write_bytes(good)
         kind = fuzz(path, np.random.default_rng(number))
+        number += 1
         if path.read_bytes() == good:  # zeros where zeros were
             continue
+        damaged += 1
         capsys.readouterr()
         assert run("datasets", "show", ID) == 1, (number, kind)
         complaint = capsys.readouterr().err
@@ -235,7 +262,8 @@ def test_damaged_files_give_clear_errors(
         else:  # a number has another value: nothing but a hash can tell
             arrays = load_dataset(str(out)).arrays
             assert arrays.actions.shape[1:] == whole.actions.shape[1:]
-    assert {"truncated", "type", "missing", "nan", "shape"} <= refused.keys()
+    sure = {"truncated", "type", "missing", "nan", "shape", "group"}
+    assert sure <= refused.keys()
 
 
 def test_damaged_metadata_give_clear_errors(

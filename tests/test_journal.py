@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from marl_mm.datasets.journal import FILE, Journal
+from marl_mm.datasets.journal import FILE, Journal, begun, noted
+from marl_mm.datasets.location import locate
 from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError
 
@@ -43,6 +44,24 @@ def write(folder: Path, how: str) -> "subprocess.CompletedProcess[str]":
         text=True,
         check=False,
     )
+
+
+def test_collections_under_way_are_counted(
+    datasets_home: Path, make_episode: MakeEpisode
+) -> None:
+    """Also while they are written; and nothing is created where nothing is."""
+    folder = locate("one").working
+    with Journal(folder) as journal:
+        journal.begin({"seed": 3})
+        journal.add(make_episode(0))
+        assert begun() == {"marl_mm/reach/one-v0": 1}
+        assert noted(folder) == {"seed": 3}
+    damaged = locate("two").working
+    damaged.mkdir()
+    (damaged / FILE).write_bytes(b"no journal" * 100)
+    assert begun()["marl_mm/reach/two-v0"] is None
+    assert noted(locate("none").working) is None
+    assert not locate("none").working.exists()
 
 
 def test_reading_back_is_bit_equal(tmp_path: Path, make_episode: MakeEpisode) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from marl_mm.cli import main
-from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.location import locate
 from marl_mm.errors import UsageError, WorkerDiedError
 
 ray = pytest.importorskip("ray")
@@ -72,10 +72,10 @@ def test_a_dead_worker_is_named(cluster: Any) -> None:
 @pytest.mark.slow
 def test_a_cluster_collects_the_same_bytes(cluster: Any, datasets_home: Path) -> None:
     words = ["collect", "pretrained", "--steps", "40"]
-    here, there = "marl_mm/reach/here-v0", "marl_mm/reach/there-v0"
-    assert main([*words, "--dataset", here, "--workers", "1"]) == 0
-    ray_words = ["--executor", "ray", "--workers", "2"]
-    assert main([*words, "--dataset", there, *ray_words]) == 0
-    first, second = load_dataset(here).arrays, load_dataset(there).arrays
-    assert first.states.tobytes() == second.states.tobytes()
-    assert first.actions.tobytes() == second.actions.tobytes()
+    assert main([*words, "--dataset", "x", "--workers", "1"]) == 0
+    files = [locate("x").data / name for name in ("main_data.hdf5", "metadata.json")]
+    here = [file.read_bytes() for file in files]
+    ray_words = ["--executor", "ray", "--workers", "2", "--overwrite"]
+    assert main([*words, "--dataset", "x", *ray_words]) == 0
+    assert [file.read_bytes() for file in files] == here
+    assert main([*words, "--dataset", "y", "--executor", "ray", "--workers", "9"]) == 2

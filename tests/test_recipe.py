@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from marl_mm.datasets.recipe import (
     write_mix,
 )
 from marl_mm.datasets.storage import write_dataset
+from marl_mm.datasets.verify import verify
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
 
@@ -159,9 +161,24 @@ def test_no_episode_is_in_a_mix_twice(
     short, long = make("short", count=5), make("long", count=20)
     with pytest.raises(UsageError, match="hold the same episodes"):
         mix([Part(short, short.arrays.steps), Part(long, long.arrays.steps)], seed=0)
+    acted = replace(short.arrays, sources=np.array(["somebody"] * 5))
+    other = Dataset(long.location, long.metadata, acted)
+    mix([Part(short, 2), Part(other, 2)], seed=0)  # random and medium begin alike
     copy = shutil.copytree(short.location.folder, tmp_path / "copy")
     with pytest.raises(UsageError, match="are both called marl_mm/reach/short-v0"):
         mix([Part(short, 2), Part(load_dataset(copy), 2)], seed=0)
+
+
+def test_a_part_with_shorter_names_is_as_it_should_be(
+    make: Callable[..., Dataset],
+) -> None:
+    one, two = make("one"), make("a-much-longer-name", first=50)
+    write_mix(locate("both"), mix([Part(one, 10), Part(two, 10)], seed=0))
+    both = load_dataset("both")
+    short = both.arrays.select(np.flatnonzero(both.arrays.origins == one.location.id))
+    description = both.metadata["marl_mm"] | {"origins": {}}
+    write_dataset(locate("short"), short, description)
+    assert not [p for p in verify(locate("short")) if "is not what the data" in p]
 
 
 def test_the_card_tells_the_recipe(make: Callable[..., Dataset]) -> None:

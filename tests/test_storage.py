@@ -3,6 +3,7 @@
 import ctypes
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ import pytest
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import find, known_ids, locate
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.episode import Episode
@@ -122,9 +124,24 @@ def test_a_path_is_as_good_as_an_id(
         assert len(load_dataset(name).episodes) == len(episodes)
 
 
-def test_an_unknown_id_lists_the_known(written: Path) -> None:
-    with pytest.raises(UnknownDatasetError, match=ID):
+def test_an_unknown_id_names_similar_ones(written: Path) -> None:
+    with pytest.raises(UnknownDatasetError, match=f"did you mean {ID}?"):
+        load_dataset("marl_mm/reach/tests-v0")
+    with pytest.raises(UnknownDatasetError, match="datasets list shows all"):
         load_dataset("marl_mm/reach/nothing-v0")
+
+
+def test_what_killed_writers_left_is_replaced(
+    written: Path, episodes: list[Episode]
+) -> None:
+    """But nothing that somebody else put there."""
+    for name in (".card.123.png", ".card.4.json", "cache/.a.5.npz"):
+        (written / name).write_text("half")
+    write(ID, episodes[:2], overwrite=True)
+    assert not (written / ".card.123.png").exists()
+    (written / "notes.png").write_text("mine")
+    with pytest.raises(UsageError, match="holds other files"):
+        write(ID, episodes, overwrite=True)
 
 
 def test_an_empty_name_is_refused() -> None:
@@ -218,6 +235,9 @@ def test_a_word_is_an_id_unless_it_is_a_dataset_here(
     Path("word").rmdir()
     write("./word", episodes)
     assert find("word") == locate("./word")
+    with Journal(locate("word").working):  # a collection that was stopped
+        assert find("word") == locate("word")
+    shutil.rmtree(locate("word").working)
     write("word", episodes)
     assert find("word") == locate("word")
 

@@ -27,6 +27,7 @@ from marl_mm.commands.parser import (
 from marl_mm.datasets.card import keep_card
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import locate
+from marl_mm.envs.config import TASKS
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,9 @@ def _resumed(arguments: Sequence[str]) -> Subcommand:
     kind = KINDS[arguments[0]]
     options = kind()
     task = value_of(arguments, "--task", options.task)
-    name = value_of(arguments, "--dataset", _default_id(task, options.policy))
+    name = value_of(arguments, "--dataset", "") or _default_id(task, options.policy)
+    if task not in TASKS:  # what is wrong with it is told later
+        return Subcommand(options, kind.__doc__ or "")
     begun = begun_with(locate(name))
     if begun is not None and begun.get("collector") == options.policy.name:
         known = {key: begun[key] for key in ("task", "seed")}

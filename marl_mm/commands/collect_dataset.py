@@ -13,11 +13,12 @@ from marl_mm.collectors.collect import (
     make_collector,
     usual_steps,
 )
+from marl_mm.collectors.medium import MediumConfig
 from marl_mm.commands.options import available_cores, check_positive, check_seed
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import FILE as JOURNAL
-from marl_mm.datasets.journal import Journal
+from marl_mm.datasets.journal import Journal, noted
 from marl_mm.datasets.location import Location
 from marl_mm.datasets.storage import read_metadata, refuse_foreign, write_dataset
 from marl_mm.differences import refuse_difference
@@ -102,6 +103,7 @@ def collect_dataset(
     if options.steps is not None:
         check_positive(steps=options.steps)
     check_seed(options.seed)
+    reach_config(options.task)
     if options.resume and options.overwrite:
         raise UsageError("--resume and --overwrite contradict each other: choose one")
     _refuse_existing(location, options)
@@ -110,8 +112,10 @@ def collect_dataset(
         raise UsageError(
             f"nothing was begun at {location.folder}: leave out --resume to start"
         )
-    about = _about(policy, options)
     collector = make_collector(policy)
+    about = _about(policy, options) | {
+        "weights": collector.policy.describe().get("weights")
+    }
     with only_here(location.working), ExitStack() as cleaning:
         cleaning.callback(_remove_if_empty, location)
         if options.overwrite:
@@ -143,10 +147,8 @@ def collect_dataset(
 
 def begun_with(location: Location) -> dict[str, Any] | None:
     """What a collection that may go on was begun with; None if there is none."""
-    if (location.working / JOURNAL).exists():
-        with Journal(location.working) as journal:
-            if about := journal.about():
-                return about
+    if about := noted(location.working):
+        return about
     if not location.folder.exists():
         return None
     ours: dict[str, Any] = read_metadata(location)["marl_mm"]
@@ -169,6 +171,11 @@ def _about(policy: PolicyConfig, options: CollectOptions) -> dict[str, Any]:
     if max_steps is None:
         max_steps = usual_steps(policy)
     check_positive(max_steps=max_steps)
+    if isinstance(policy, MediumConfig) and policy.random_steps >= max_steps:
+        raise UsageError(
+            f"--random-steps is {policy.random_steps}, expected fewer than an "
+            f"episode's {max_steps}: the agent has the rest"
+        )
     overrides = {"max_steps": max_steps}
     return {
         "task": options.task,

@@ -19,7 +19,7 @@ from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import Location, locate
 from marl_mm.datasets.recipe import Part, mix, write_mix
 from marl_mm.datasets.storage import read_metadata
-from marl_mm.errors import UsageError
+from marl_mm.errors import DatasetError, UsageError
 from marl_mm.workers import Executor
 
 COLLECTED: dict[str, tuple[PolicyConfig, int]] = {
@@ -44,7 +44,7 @@ MIXED = {
 
 @dataclass(frozen=True)
 class Paper:
-    """Make all datasets of the paper, marl_mm/reach/NAME-v0; those there are are kept.
+    """Make what is missing of the paper's datasets, marl_mm/reach/NAME-v0.
 
     good-30k, good-60k, pd-30k, random-10k, medium-5k and the mixes of Table 4. The same
     command goes on after an interruption. good-60k begins with good-30k.
@@ -62,8 +62,11 @@ class Paper:
     executor: Executor = "processes"
     """"processes" of this machine, or of a Ray cluster."""
 
+    resume: bool = False
+    """Go on after an interruption: it does so anyway."""
+
     overwrite: bool = False
-    """Make those anew that are there."""
+    """Replace those that are damaged, or of another seed or scale."""
 
     json: bool = False
     """Print the cards as JSON."""
@@ -96,19 +99,15 @@ def paper_location(name: str) -> Location:
 def _collect(name: str, location: Location, command: Paper) -> None:
     policy, paper_steps = COLLECTED[name]
     steps = _scaled(paper_steps, command)
-    there = begun_with(location)
-    if there and not command.overwrite and there.get("steps_asked", 0) > steps:
-        raise UsageError(
-            f"{location.id} was asked to have {there['steps_asked']} steps, now it is "
-            f"{steps}: take --scale as it was, or add --overwrite"
-        )
+    begun = location.folder.exists() or location.working.exists()
+    fits = not begun or _fits(location, steps, command)
     options = CollectOptions(
         steps=steps,
         seed=command.seed,
         workers=command.workers,
         executor=command.executor,
-        resume=there is not None and not command.overwrite,
-        overwrite=command.overwrite,
+        resume=begun and fits,
+        overwrite=begun and not fits,
     )
     first = paper_location("good-30k") if name == "good-60k" else None
     collection = collect_dataset(location, policy, options, first)
@@ -123,12 +122,48 @@ def _mix(name: str, location: Location, command: Paper) -> None:
         for source, steps in MIXED[name].items()
     ]
     recipe = mix(parts, command.seed)
-    if location.folder.exists() and not command.overwrite:
-        known = read_metadata(location)["marl_mm"]
+    if location.folder.exists():
+        try:
+            known = read_metadata(location)["marl_mm"]
+        except DatasetError:
+            if not command.overwrite:
+                raise
+            known = {}
         keys = ("recipe", "sources")
         if all(known.get(key) == recipe.description[key] for key in keys):
             return
-    write_mix(location, recipe, overwrite=True)
+        if not command.overwrite:
+            raise UsageError(
+                f"{location.id} is a mix of other datasets than those there are now: "
+                "add --overwrite to replace it"
+            )
+    write_mix(location, recipe, command.overwrite)
+
+
+def _fits(location: Location, steps: int, command: Paper) -> bool:
+    """Whether what is there can be kept and gone on with.
+
+    Raises:
+        UsageError: If it cannot, and may not be replaced.
+        DatasetError: If it is damaged, and may not be replaced.
+    """
+    try:
+        there = begun_with(location)
+    except DatasetError:
+        if command.overwrite:
+            return False
+        raise
+    if there is None:
+        return True
+    seed, asked = there.get("seed"), there.get("steps_asked", 0)
+    if seed == command.seed and asked <= steps:
+        return True
+    if not command.overwrite:
+        raise UsageError(
+            f"{location.id} is of seed {seed} and {asked} steps, now asked for seed "
+            f"{command.seed} and {steps}: add --overwrite to replace it"
+        )
+    return False
 
 
 def _scaled(steps: int, command: Paper) -> int:

@@ -218,7 +218,10 @@ def _verify(command: Verify) -> None:
     for name in command.datasets:
         problems = verify(existing(name))
         if not problems and command.replay:
-            problems = _replayed(name, command.workers)
+            try:
+                problems = _replayed(name, command.workers)
+            except DatasetError as error:  # imported
+                problems = [str(error)]
         found[name] = problems
         if not command.json:
             print(f"{name}: {'; '.join(problems) or 'all is well'}", flush=True)
@@ -273,14 +276,17 @@ def _delete(command: Delete) -> None:
     if not command.yes:
         if not sys.stdin.isatty():
             raise UsageError("nobody is here to answer: add --yes to delete")
-        answer = input(f"delete {location.folder}? [y/N] ")
+        try:
+            answer = input(f"delete {location.folder}? [y/N] ")
+        except EOFError:
+            answer = ""
         if answer.strip().lower() not in ("y", "yes"):
             print(json.dumps({"deleted": None}) if command.json else "kept")
             return
     with only_here(location.working):
-        shutil.rmtree(location.working)
         if location.folder.exists():
             shutil.rmtree(location.folder)
+        shutil.rmtree(location.working)
     if command.json:
         print(json.dumps({"deleted": str(location.folder)}))
     else:

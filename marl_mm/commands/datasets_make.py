@@ -134,7 +134,7 @@ def make_split(command: Split) -> None:
     """Run ``marl-mm datasets split``."""
     check_seed(command.seed)
     source = existing(command.dataset)
-    stem = (command.out or source.name).removesuffix("-v0")
+    stem = (command.out or source.name).rstrip("/").removesuffix("-v0")
     locations = [
         _free(f"{stem}-{part}-v0", command.overwrite) for part in ("first", "rest")
     ]
@@ -166,7 +166,10 @@ def make_imported(command: Import) -> None:
     found = read_foreign(command.file, location.id)
     arrays = found.arrays
     task = command.task or found.task or "Reach-v0"
-    usual = reach_config(task).max_steps
+    try:
+        usual = reach_config(task).max_steps
+    except UsageError as error:
+        raise UsageError(f"{command.file}: {error}, or give --task") from error
     description: dict[str, Any] = {
         "task": task,
         "overrides": {"max_steps": max(usual, int(arrays.lengths.max()))},
