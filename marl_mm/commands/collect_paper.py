@@ -86,7 +86,7 @@ def collect_paper(command: Paper) -> None:
             _mix(name, location, command)
         cards.append(keep_card(load_dataset(location)))
         if not command.json:
-            print(card_text(cards[-1]), flush=True)
+            print(card_text(cards[-1]), end="\n\n", flush=True)
     if command.json:
         print(json.dumps(cards, indent=2))
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import tyro
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from marl_mm.commands.datasets_make import (
     Filter,
@@ -163,7 +163,8 @@ def _list(command: List) -> None:
     if command.json:
         print(json.dumps(rows, indent=2))
         return
-    table = Table("id", "steps", "episodes", "note", title=f"below {datasets_root()}")
+    name = Column("id", overflow="fold")
+    table = Table(name, "steps", "episodes", "note", title=f"below {datasets_root()}")
     for row in rows:
         counts = (_text(row[key]) for key in ("steps", "episodes"))
         table.add_row(row["id"], *counts, row["note"])
