@@ -124,6 +124,16 @@ def _rows(values: dict[str, Any]) -> list[tuple[str, str]]:
         f"{direction} {_percent(value['rate'])} of {value['episodes']}"
         for direction, value in values["success"].items()
     )
+    seen = values["coverage"]
+    texts["coverage"] = (
+        f"{seen['state_cells']} cells of {100 * _CELL:.0f} cm of hand to goal and base "
+        f"to hand; {seen['state_action_cells']} with the action by thirds"
+    )
+    texts["sources"] = "; ".join(
+        f"{one['steps']} steps ({_percent(one['share'])}) of {one['dataset']} by "
+        f"{one['collector']}"
+        for one in values["sources"]
+    )
     return [(key.replace("_", " "), text) for key, text in texts.items()]
 
 

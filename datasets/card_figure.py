@@ -70,5 +70,6 @@ def _goals(axes: Axes, arrays: EpisodeArrays) -> None:
 def _hands(axes: Axes, arrays: EpisodeArrays) -> None:
     hands = arrays.states[:, EE]
     x, z = hands[:, 0], hands[:, 2]
-    axes.hexbin(x, z, gridsize=40, bins="log", cmap="Blues", mincnt=1)
+    cells = axes.hexbin(x, z, gridsize=40, bins="log", cmap="Blues", mincnt=1)
+    axes.figure.colorbar(cells, ax=axes, label="states")
     axes.set(xlabel="hand x [m]", ylabel="hand z [m]")

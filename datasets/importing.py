@@ -82,7 +82,10 @@ def read_foreign(path: Path, dataset_id: str) -> Foreign:
         if inner.exists():
             path = inner
     if not path.is_file():
-        raise UsageError(f"no file {path}: expected HDF5, or a Minari dataset's folder")
+        what = "is a folder without" if path.is_dir() else "does not exist, nor"
+        raise UsageError(
+            f"{path} {what} {FILE}: expected an HDF5 file or a Minari dataset's folder"
+        )
     if not h5py.is_hdf5(path):
         size = path.stat().st_size
         raise DatasetError(f"{path} is no HDF5 file, or a damaged one ({size} bytes)")

@@ -131,7 +131,9 @@ def filtered(dataset: Dataset, condition: Condition) -> Recipe:
         keep &= arrays.returns() <= condition.max_return
     if not keep.any():
         raise UsageError(
-            f"none of the {len(arrays)} episodes has {asked}: nothing to write"
+            f"none of the {len(arrays)} episodes has "
+            f"{', '.join(f'{key} {value}' for key, value in asked.items())}: nothing "
+            "to write"
         )
     recipe = {"kind": "filter", "condition": asked}
     return Recipe(arrays.select(np.flatnonzero(keep)), _described([dataset], recipe))

@@ -148,8 +148,7 @@ def refuse_foreign(location: Location) -> None:
     ours = all(map(_is_ours, inner))
     if not folder.is_dir() or not ours:
         raise UsageError(
-            f"{folder} is no dataset, or holds other files too: it is not replaced; "
-            "choose another name"
+            f"{folder} is no dataset, or holds other files too: it is left alone"
         )
 
 
@@ -172,11 +171,18 @@ def read_metadata(location: Location) -> dict[str, Any]:
     """
     if not location.folder.exists():
         raise UnknownDatasetError(_why_unknown(location))
+    if not location.data.is_dir():
+        kind = "a folder" if location.folder.is_dir() else "a file"
+        raise UnknownDatasetError(
+            f"{location.folder} is {kind} and no dataset of marl_mm; marl-mm datasets "
+            "import takes HDF5 files of others"
+        )
     path = location.data / "metadata.json"
     try:
         metadata: dict[str, Any] = json.loads(path.read_text())
     except (OSError, ValueError) as error:
-        raise DatasetError(f"cannot read {path}: {error}") from error
+        reason = getattr(error, "strerror", None) or error
+        raise DatasetError(f"cannot read {path}: {reason}") from error
     ours = metadata.get("marl_mm") if isinstance(metadata, dict) else None
     schema = ours.get("schema") if isinstance(ours, dict) else None
     if not isinstance(ours, dict) or schema != SCHEMA:

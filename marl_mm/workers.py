@@ -165,7 +165,7 @@ def apart(function: Callable[[T], R], item: T, seconds: float) -> R:
     context.set_forkserver_preload([function.__module__])
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_send, args=(sender, function, item), daemon=True)
-    with deaf_to_interrupts():
+    with deaf_to_interrupts(), _without_working_directory():
         process.start()
     sender.close()
     try:
@@ -180,6 +180,20 @@ def apart(function: Callable[[T], R], item: T, seconds: float) -> R:
     if good:
         return cast(R, value)
     raise value
+
+
+@contextmanager
+def _without_working_directory() -> Iterator[None]:
+    """A server started here does not import what is called ``marl_mm`` where we are."""
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["PYTHONSAFEPATH"]
+        else:
+            os.environ["PYTHONSAFEPATH"] = before
 
 
 def _send(sender: connection.Connection, function: Callable[[T], R], item: T) -> None:

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -13,7 +14,8 @@ import torch
 
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm.cli import COMMANDS, main
-from marl_mm.datasets.arrays import arrays_of
+from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
+from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.storage import write_dataset
@@ -179,6 +181,12 @@ def test_no_datasets_says_how_to_make_one(datasets_home: Path, capsys: Output) -
     assert "marl-mm collect pd" in listed and "ships with" in listed
 
 
+def stopped(dataset: Path) -> tuple[EpisodeArrays, dict[str, Any]]:
+    """A dataset's episodes, and what would be said if its collection were stopped."""
+    whole = load_dataset(dataset)
+    return whole.arrays, {**whole.metadata["marl_mm"], "complete": False}
+
+
 def test_what_was_typed_wrongly_or_stopped_is_told(
     dataset: Path, capsys: Output
 ) -> None:
@@ -196,6 +204,12 @@ def test_what_was_typed_wrongly_or_stopped_is_told(
     assert run("datasets", "list", "--json") == 0
     rows = {row["id"]: row for row in json.loads(capsys.readouterr().out)}
     assert "--resume" in rows["marl_mm/reach/begun-v0"]["note"]
+    write_dataset(locate("begun"), *stopped(dataset))
+    assert run("datasets", "list", "--json") == 0
+    listed = [row["id"] for row in json.loads(capsys.readouterr().out)]
+    assert listed.count("marl_mm/reach/begun-v0") == 1
+    assert run("datasets", "verify", "begun") == 0
+    assert "is of a collection that was stopped" in one_line(capsys)
     assert run("datasets", "delete", "begun", "--yes", "--json") == 0
     assert json.loads(capsys.readouterr().out)["deleted"] == str(location.folder)
     assert not location.working.exists()

@@ -16,7 +16,7 @@ from marl_mm.collectors.collect import collect, make_collector
 from marl_mm.collectors.medium import MediumConfig, MediumPolicy
 from marl_mm.collectors.pretrained import PretrainedConfig, PretrainedPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
-from marl_mm.commands.collect_dataset import CollectOptions, collect_dataset
+from marl_mm.commands.collect_dataset import CollectOptions, _about, collect_dataset
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import Location, locate
@@ -289,17 +289,17 @@ def test_another_agent_does_not_go_on(
 ) -> None:
     """The same path may hold other weights by now."""
     location = locate("x")
-    with Journal(location.working) as journal:
-        journal.begin({"weights": "others"})
-        journal.add(make_episode(0))
     options = CollectOptions(steps=5, workers=1, resume=True)
+    with Journal(location.working) as journal:
+        journal.begin(_about(PretrainedConfig(), options) | {"weights": "others"})
+        journal.add(make_episode(0))
     with pytest.raises(OtherConfigError, match="weights = others"):
         collect_dataset(location, PretrainedConfig(), options)
 
 
 def test_medium_leaves_the_agent_something(datasets_home: Path) -> None:
     options = CollectOptions(steps=5, workers=1, max_steps=10)
-    with pytest.raises(UsageError, match="expected fewer than an episode's 10 steps"):
+    with pytest.raises(UsageError, match="expected fewer than an episode's 10"):
         collect_dataset(locate("x"), MediumConfig(), options)
 
 
@@ -380,6 +380,7 @@ def test_the_papers_datasets_in_small(
     assert 100 <= steps["pretrained"] < 125
     assert 25 <= steps["medium"] < 50 and 25 <= steps["random"] < 50
     assert main([*words, "--seed", "1"]) == 2  # nothing is replaced unasked
+    assert main(["collect", "paper", "--scale", "0.004"]) == 2
     metadata = locate("good-30k").data / "metadata.json"
     metadata.write_text("damaged")
     assert main(words) == 1
@@ -391,7 +392,7 @@ def test_an_unwritable_folder_is_named() -> None:
     code = """
 import os, sys
 from marl_mm.collectors.random import RandomConfig
-from marl_mm.commands.collect_dataset import CollectOptions, collect_dataset
+from marl_mm.commands.collect_dataset import CollectOptions, _about, collect_dataset
 from marl_mm.datasets.location import locate
 from marl_mm.errors import UsageError
 if os.geteuid() == 0:  # root may write anywhere

@@ -1,6 +1,8 @@
 """Export, import and 200 damaged files: what comes in is whole, or is named."""
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -138,6 +140,42 @@ def test_the_task_is_the_files(
     assert run("datasets", "import", path, "--out", "ants") == 2
     complaint = capsys.readouterr().err
     assert str(path) in complaint and "or give --task" in complaint
+
+
+def test_another_package_of_our_name_is_not_imported(
+    dataset: Path, tmp_path: Path
+) -> None:
+    """As in the folder of another clone."""
+    (tmp_path / "marl_mm").mkdir()
+    (tmp_path / "marl_mm" / "__init__.py").write_text("raise RuntimeError")
+    path = tmp_path / "flat.h5"
+    assert run("datasets", "export", ID, "--out", path) == 0
+    program = Path(sys.executable).with_name("marl-mm")
+    imported = subprocess.run(
+        [program, "datasets", "import", path, "--out", "again"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert imported.returncode == 0, imported.stderr
+    assert not imported.stderr
+
+
+def test_what_is_no_file_is_named(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "plain").mkdir()
+    for words, message in (
+        (["import", tmp_path / "plain", "--out", "x"], "is a folder without main_data"),
+        (["import", tmp_path / "none.h5", "--out", "x"], "does not exist"),
+        (["show", tmp_path / "plain"], "is a folder and no dataset of marl_mm"),
+        (["mix", f"{ID}:5", "--out", tmp_path], "is left alone"),
+    ):
+        (tmp_path / "plain" / "notes.txt").write_text("mine")
+        assert run("datasets", *words) == 2
+        complaint = capsys.readouterr().err
+        assert message in complaint and complaint.count("\n") == 1
 
 
 def test_steps_that_do_not_join_are_refused(

@@ -53,7 +53,6 @@ def test_commands_and_code_run_as_written(
         assert main(shrunk(line)) == 0, line
     quickstart = tmp_path / "runs" / "quickstart"
     quickstart.mkdir()
-    (datasets_home / "marl_mm/reach/pd-v0").rename(quickstart / "dataset")
     (tmp_path / "runs/mabc/0").rename(quickstart / "mabc")
     (code,) = blocks("python")
     names: dict[str, object] = {}
@@ -68,9 +67,10 @@ def test_commands_about_datasets_run_as_written(
     make_episode: Callable[..., Episode],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name in ("good", "medium", "random", "pd"):
+    for number, name in enumerate(("good", "medium", "random")):
         location = locate(f"marl_mm/reach/{name}-v0")
-        episodes = [make_episode(i, steps=10) for i in range(10)]
+        first = 20 * number
+        episodes = [make_episode(i, steps=10) for i in range(first, first + 10)]
         for episode in episodes:
             episode.states[:, MODE] = 0.5
         description = {
@@ -80,12 +80,11 @@ def test_commands_about_datasets_run_as_written(
             "complete": True,
         }
         write_dataset(location, arrays_of(episodes, location.id), description)
-    assert main(["datasets", "export", "good", "--out", "mine.h5"]) == 0
     lines = [line for block in blocks("sh") for line in block.splitlines()]
-    assert len(lines) == 6
-    for line in lines:
+    assert len(lines) == 9
+    for line in lines[3:]:  # the first three collect what stands there already
         small = re.sub(r":(\d+)000\b", r":\1", line).replace(" --replay", "")
-        assert main(small.split()[1:]) == 0, line
+        assert main(small.partition("#")[0].split()[1:]) == 0, line
 
 
 def test_the_map_of_folders_is_true() -> None:

@@ -74,7 +74,7 @@ def main(arguments: Sequence[str]) -> None:
     commands: dict[str, type | Subcommand] = {**KINDS, "paper": Paper}
     if "--resume" in arguments and arguments[0] in KINDS:
         commands[arguments[0]] = _resumed(arguments)
-    _, command = parse_subcommand(
+    kind, command = parse_subcommand(
         commands,
         "marl-mm collect",
         "Collect a dataset with a scripted or a learnt policy.",
@@ -94,8 +94,11 @@ def main(arguments: Sequence[str]) -> None:
     else:
         print(f"{location.folder}: {summary['steps']} steps, {_successes(summary)}")
     if not collection.complete:
+        named = f" --dataset {command.dataset}" if command.dataset else ""
+        elsewhere = f" --task {command.task}" if not named else ""
         raise KeyboardInterrupt(
-            "stopped; the dataset holds the episodes until then: go on with --resume"
+            "stopped; the dataset holds the episodes until then: go on with marl-mm "
+            f"collect {kind}{named or elsewhere} --resume"
         )
 
 

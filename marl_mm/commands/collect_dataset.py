@@ -28,6 +28,7 @@ from marl_mm.episode import Episode
 from marl_mm.errors import (
     HopelessError,
     MarlMmError,
+    OtherConfigError,
     OutputExistsError,
     UsageError,
     WorkerDiedError,
@@ -59,8 +60,8 @@ class CollectOptions:
     one that is started here (pip install 'marl-mm[ray]')."""
 
     dataset: str | None = None
-    """Id below $MINARI_DATASETS_PATH, or path; default marl_mm/TASK/COLLECTOR-v0. A
-    word is short for marl_mm/reach/WORD-v0."""
+    """Id below $MINARI_DATASETS_PATH, or path; default marl_mm/TASK/COLLECTOR-v0, of
+    pretrained marl_mm/TASK/good-v0. A word is short for marl_mm/reach/WORD-v0."""
 
     task: str = "Reach-v0"
     """Reach-v0, SmoothReach-v0 or PreciseReach-v0."""
@@ -156,13 +157,13 @@ def begun_with(location: Location) -> dict[str, Any] | None:
 
 
 def _refuse_existing(location: Location, options: CollectOptions) -> None:
+    refuse_foreign(location)
     if location.folder.exists() and not (options.overwrite or options.resume):
         raise OutputExistsError(
             f"{location.name} exists already: add --resume to go on with it, "
             "--overwrite to replace it, or choose another --dataset"
         )
     refuse_existing(location.folder, overwrite=True)
-    refuse_foreign(location)
 
 
 def _about(policy: PolicyConfig, options: CollectOptions) -> dict[str, Any]:
@@ -193,9 +194,22 @@ def _known(location: Location, about: dict[str, Any]) -> dict[int, Episode | Non
         return {}
     dataset = load_dataset(location)
     ours = dataset.metadata["marl_mm"]
-    refuse_difference(location.folder, ours, about)
+    _refuse_other(location, ours, about)
     known: dict[int, Episode | None] = dict.fromkeys(range(ours["attempts"]))
     return known | {episode.index: episode for episode in dataset.episodes}
+
+
+def _refuse_other(
+    location: Location, theirs: dict[str, Any], about: dict[str, Any]
+) -> None:
+    """Raise if something else was collected there."""
+    who = theirs.get("collector", about["collector"])
+    if who != about["collector"]:
+        raise OtherConfigError(
+            f"{location.name} was collected by {who}, now asked for "
+            f"{about['collector']}: choose another --dataset or add --overwrite"
+        )
+    refuse_difference(location.folder, theirs, about)
 
 
 def _kept(known: dict[int, Episode | None]) -> list[Episode]:
@@ -218,8 +232,8 @@ def _steps(
         return before or _STEPS
     if options.steps < before:
         raise UsageError(
-            f"--steps is {options.steps}, {before} were asked for before: leave out "
-            "--resume, or take the first of them with marl-mm datasets mix"
+            f"--steps is {options.steps}, {before} were asked for before: choose "
+            "another --dataset, or draw as many of these with marl-mm datasets mix"
         )
     return options.steps
 
@@ -270,7 +284,7 @@ def _begun(
         replaces = options.overwrite and location.folder.exists()
         journal.begin({**about, "steps_asked": steps, "replaces": replaces})
         return {}
-    refuse_difference(location.folder, before, about)
+    _refuse_other(location, before, about)
     journal.note({**before, "steps_asked": steps})
     return dict(journal.episodes())
 

@@ -66,7 +66,7 @@ class Paper:
     """Go on after an interruption: it does so anyway."""
 
     overwrite: bool = False
-    """Replace those that are damaged, or of another seed or scale."""
+    """Replace those that are damaged, of another seed or of a larger scale."""
 
     json: bool = False
     """Print the cards as JSON."""
@@ -77,6 +77,8 @@ def collect_paper(command: Paper) -> None:
     check_seed(command.seed)
     if not 0.0 < command.scale <= 100.0:
         raise UsageError(f"--scale is {command.scale}, expected a share such as 0.01")
+    for name in (*COLLECTED, *MIXED):  # before any work is done
+        _fits(paper_location(name), _steps(name, command), command)
     cards = []
     for name in (*COLLECTED, *MIXED):
         location = paper_location(name)
@@ -97,10 +99,10 @@ def paper_location(name: str) -> Location:
 
 
 def _collect(name: str, location: Location, command: Paper) -> None:
-    policy, paper_steps = COLLECTED[name]
-    steps = _scaled(paper_steps, command)
+    policy, _ = COLLECTED[name]
+    steps = _steps(name, command)
     begun = location.folder.exists() or location.working.exists()
-    fits = not begun or _fits(location, steps, command)
+    fits = _fits(location, steps, command)
     options = CollectOptions(
         steps=steps,
         seed=command.seed,
@@ -116,7 +118,10 @@ def _collect(name: str, location: Location, command: Paper) -> None:
 
 
 def _mix(name: str, location: Location, command: Paper) -> None:
-    """Mix what there is, unless the mix is of just that already."""
+    """Mix what there is, unless the mix is of just that already.
+
+    A mix follows its sources: one of shorter ones gives way.
+    """
     parts = [
         Part(load_dataset(paper_location(source)), _scaled(steps, command))
         for source, steps in MIXED[name].items()
@@ -125,19 +130,12 @@ def _mix(name: str, location: Location, command: Paper) -> None:
     if location.folder.exists():
         try:
             known = read_metadata(location)["marl_mm"]
-        except DatasetError:
-            if not command.overwrite:
-                raise
+        except DatasetError:  # and may be replaced
             known = {}
         keys = ("recipe", "sources")
         if all(known.get(key) == recipe.description[key] for key in keys):
             return
-        if not command.overwrite:
-            raise UsageError(
-                f"{location.id} is a mix of other datasets than those there are now: "
-                "add --overwrite to replace it"
-            )
-    write_mix(location, recipe, command.overwrite)
+    write_mix(location, recipe, overwrite=True)
 
 
 def _fits(location: Location, steps: int, command: Paper) -> bool:
@@ -156,6 +154,8 @@ def _fits(location: Location, steps: int, command: Paper) -> bool:
     if there is None:
         return True
     seed, asked = there.get("seed"), there.get("steps_asked", 0)
+    if "recipe" in there:
+        asked = sum(there["recipe"].get("steps", {}).values())
     if seed == command.seed and asked <= steps:
         return True
     if not command.overwrite:
@@ -164,6 +164,13 @@ def _fits(location: Location, steps: int, command: Paper) -> bool:
             f"{command.seed} and {steps}: add --overwrite to replace it"
         )
     return False
+
+
+def _steps(name: str, command: Paper) -> int:
+    """Steps that a dataset is asked to have, at least."""
+    if name in COLLECTED:
+        return _scaled(COLLECTED[name][1], command)
+    return sum(_scaled(steps, command) for steps in MIXED[name].values())
 
 
 def _scaled(steps: int, command: Paper) -> int:

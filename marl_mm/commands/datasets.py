@@ -22,7 +22,12 @@ from marl_mm.commands.datasets_make import (
     make_mix,
     make_split,
 )
-from marl_mm.commands.options import available_cores, check_positive
+from marl_mm.commands.options import (
+    available_cores,
+    check_positive,
+    read_dataset,
+    warn_if_stopped,
+)
 from marl_mm.commands.parser import parse_subcommand
 from marl_mm.datasets import shipped
 from marl_mm.datasets.arrays import load_arrays
@@ -153,11 +158,13 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _list(command: List) -> None:
-    rows = [_entry(name) for name in known_ids()]
+    under_way = begun()
+    rows = [_entry(name) for name in known_ids() if name not in under_way]
     rows += [
         {"id": name, "steps": None, "episodes": count, "note": _BEGUN}
-        for name, count in begun().items()
+        for name, count in under_way.items()
     ]
+    rows.sort(key=lambda row: row["id"])
     if not locate(SHIPPED).folder.exists():
         rows.append(_shipped_entry())
     if command.json:
@@ -168,7 +175,10 @@ def _list(command: List) -> None:
     for row in rows:
         counts = (_text(row[key]) for key in ("steps", "episodes"))
         table.add_row(row["id"], *counts, row["note"])
-    Console().print(table)
+    console = Console()
+    if not console.is_terminal:  # whole ids, for whoever searches them
+        console = Console(width=80 + max(len(row["id"]) for row in rows))
+    console.print(table)
     if not known_ids():
         print("make one of your own: marl-mm collect pd")
 
@@ -182,7 +192,7 @@ def _entry(name: str) -> dict[str, Any]:
         "id": name,
         "steps": ours["steps"],
         "episodes": ours["episodes"],
-        "note": "" if ours.get("complete") else "interrupted",
+        "note": "" if ours.get("complete") else "of a collection that was stopped",
     }
 
 
@@ -224,6 +234,8 @@ def _verify(command: Verify) -> None:
             except DatasetError as error:  # imported
                 problems = [str(error)]
         found[name] = problems
+        if not problems:
+            warn_if_stopped(load_dataset(name))
         if not command.json:
             print(f"{name}: {'; '.join(problems) or 'all is well'}", flush=True)
     if command.json:
@@ -248,7 +260,7 @@ def _replayed(name: str, workers: int) -> list[str]:
 
 
 def _export(command: Export) -> None:
-    dataset = load_dataset(command.dataset)
+    dataset = read_dataset(command.dataset)
     export(dataset, command.layout, command.out, command.overwrite)
     size = command.out.stat().st_size
     result = {

@@ -7,13 +7,13 @@ from typing import Any, Literal
 
 import tyro
 
-from marl_mm.commands.options import check_seed
+from marl_mm.commands.options import check_seed, read_dataset
 from marl_mm.datasets.card import card_text, keep_card
 from marl_mm.datasets.dataset import existing, load_dataset
 from marl_mm.datasets.importing import read_foreign
 from marl_mm.datasets.location import Location, locate
 from marl_mm.datasets.recipe import Condition, Part, filtered, mix, split, write_mix
-from marl_mm.datasets.storage import write_alone
+from marl_mm.datasets.storage import refuse_foreign, write_alone
 from marl_mm.envs.config import reach_config
 from marl_mm.episode import IMPORTED
 from marl_mm.errors import UsageError
@@ -22,7 +22,7 @@ from marl_mm.files import refuse_existing
 
 @dataclass(frozen=True)
 class Mix:
-    """Draw so many steps of each of several datasets, as whole episodes."""
+    """Draw so many steps of each of several datasets at random, as whole episodes."""
 
     parts: tyro.conf.Positional[tuple[str, ...]]
     """DATASET:STEPS, such as good:20000 medium:5000 random:5000."""
@@ -138,7 +138,7 @@ def make_split(command: Split) -> None:
     locations = [
         _free(f"{stem}-{part}-v0", command.overwrite) for part in ("first", "rest")
     ]
-    recipes = split(load_dataset(source), command.share, command.seed)
+    recipes = split(read_dataset(source), command.share, command.seed)
     for location, recipe in zip(locations, recipes, strict=True):
         write_mix(location, recipe, command.overwrite)
     _tell(locations, command.json)
@@ -153,7 +153,7 @@ def make_filtered(command: Filter) -> None:
         command.min_return,
         command.max_return,
     )
-    recipe = filtered(load_dataset(command.dataset), condition)
+    recipe = filtered(read_dataset(command.dataset), condition)
     write_mix(location, recipe, command.overwrite)
     _tell([location], command.json)
 
@@ -185,6 +185,7 @@ def make_imported(command: Import) -> None:
 
 def _free(name: str, overwrite: bool) -> Location:
     location = locate(name)
+    refuse_foreign(location)
     refuse_existing(location.folder, overwrite)
     return location
 
@@ -193,7 +194,7 @@ def _part(text: str) -> Part:
     name, _, steps = text.rpartition(":")
     if not name or not steps.isdecimal():
         raise UsageError(f"{text!r} is no DATASET:STEPS, such as good:20000")
-    return Part(load_dataset(name), int(steps))
+    return Part(read_dataset(name), int(steps))
 
 
 def _tell(locations: list[Location], as_json: bool) -> None:

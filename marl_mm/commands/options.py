@@ -1,6 +1,7 @@
 """What several commands share: defaults, and policies by name."""
 
 import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,6 +9,8 @@ from rich.console import Console
 
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
+from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.datasets.location import Location
 from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.eval.tables import evaluation_table
@@ -55,6 +58,28 @@ def print_evaluations(evaluations: Sequence[Evaluation]) -> None:
         longest = max(len(evaluation.policy) for evaluation in evaluations)
         console = Console(width=80 + longest)
     console.print(evaluation_table(evaluations, console.width))
+
+
+def read_dataset(name: str | Location) -> Dataset:
+    """A dataset, with a line on stderr if its collection was stopped.
+
+    Raises:
+        UnknownDatasetError: If there is none.
+        DatasetError: If its files are damaged.
+    """
+    dataset = load_dataset(name)
+    warn_if_stopped(dataset)
+    return dataset
+
+
+def warn_if_stopped(dataset: Dataset) -> None:
+    """Say so on stderr if a dataset holds less than was asked for."""
+    if not dataset.metadata["marl_mm"].get("complete", True):
+        print(
+            f"marl-mm: {dataset.location.name} is of a collection that was stopped: "
+            f"{dataset.arrays.steps} steps",
+            file=sys.stderr,
+        )
 
 
 def check_positive(**values: float) -> None:

@@ -8,6 +8,7 @@ from typing import Any, cast, get_args
 import tyro
 
 from marl_mm.algorithms.presets import Preset
+from marl_mm.commands.options import read_dataset
 from marl_mm.commands.parser import Subcommand, parse_subcommand, value_of
 from marl_mm.commands.runs import check_options, saved_options, told
 from marl_mm.commands.train_offline import (
@@ -22,7 +23,6 @@ from marl_mm.commands.train_online import (
     online_options,
     train_online_run,
 )
-from marl_mm.datasets.dataset import load_dataset
 from marl_mm.errors import UsageError
 
 
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _offline(options: TrainMabc, runs: dict[int, Path]) -> Any:
-    dataset = load_dataset(options.dataset)
+    dataset = read_dataset(options.dataset)
     for seed, run in runs.items():
         check_offline(dataset, options, seed, run)
     for seed, run in runs.items():
