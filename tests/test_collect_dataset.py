@@ -165,7 +165,7 @@ main(sys.argv[1:])
     [
         "marl_mm.datasets.storage:sign_metadata",  # the data are written
         "marl_mm.files:_exchange",  # all is written
-        "marl_mm.commands.collect_dataset:_clear",  # it stands in its place
+        "marl_mm.commands.collect_dataset:clear",  # it stands in its place
     ],
 )
 def test_killed_while_the_dataset_is_written(
@@ -179,7 +179,7 @@ def test_killed_while_the_dataset_is_written(
     more = [*words, "--steps", str(STEPS), "--resume"]
     killed = subprocess.run([sys.executable, "-c", KILLED, *more, moment], check=False)
     assert killed.returncode == -9
-    assert data(name) == (whole if moment.endswith("_clear") else before)
+    assert data(name) == (whole if moment.endswith("clear") else before)
     load_dataset(name)
     assert main([*words, "--resume"]) == 0  # as many as were asked for last
     assert data(name) == whole

@@ -14,10 +14,10 @@ from marl_mm.collectors.pretrained import PretrainedConfig
 from marl_mm.collectors.random import RandomConfig
 from marl_mm.commands.collect_dataset import (
     CollectOptions,
-    begun_with,
     collect_dataset,
 )
 from marl_mm.commands.collect_paper import Paper, collect_paper
+from marl_mm.commands.collect_resume import begun_with
 from marl_mm.commands.parser import (
     Subcommand,
     parse_subcommand,

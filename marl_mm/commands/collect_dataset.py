@@ -1,6 +1,5 @@
 """Collecting into a dataset that survives whatever stops it."""
 
-import shutil
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -14,21 +13,25 @@ from marl_mm.collectors.collect import (
     usual_steps,
 )
 from marl_mm.collectors.medium import MediumConfig
+from marl_mm.commands.collect_resume import (
+    clear,
+    is_complete,
+    known_attempts,
+    refuse_other,
+    remove_if_empty,
+)
 from marl_mm.commands.options import available_cores, check_positive, check_seed
 from marl_mm.datasets.arrays import arrays_of
-from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import FILE as JOURNAL
-from marl_mm.datasets.journal import Journal, noted
+from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import Location
 from marl_mm.datasets.storage import read_metadata, refuse_foreign, write_dataset
-from marl_mm.differences import refuse_difference
 from marl_mm.envs.config import config_dict, reach_config
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.episode import Episode
 from marl_mm.errors import (
     HopelessError,
     MarlMmError,
-    OtherConfigError,
     OutputExistsError,
     UsageError,
     WorkerDiedError,
@@ -118,7 +121,7 @@ def collect_dataset(
         "weights": collector.policy.describe().get("weights")
     }
     with only_here(location.working), ExitStack() as cleaning:
-        cleaning.callback(_remove_if_empty, location)
+        cleaning.callback(remove_if_empty, location)
         if options.overwrite:
             (location.working / JOURNAL).unlink(missing_ok=True)
         with Journal(location.working) as journal:
@@ -128,9 +131,9 @@ def collect_dataset(
             steps = _steps(options, begun, mine)
             known: dict[int, Episode | None] = {}
             for source in filter(None, (first, mine)):
-                known |= _known(source, about)
-            if mine is not None and _is_complete(mine, steps):
-                cleaning.callback(_clear, location)
+                known |= known_attempts(source, about)
+            if mine is not None and is_complete(mine, steps):
+                cleaning.callback(clear, location)
                 return Collection(_kept(known), len(known), complete=True)
             known |= _begun(journal, about, location, options, steps)
             try:
@@ -142,18 +145,8 @@ def collect_dataset(
         _refuse_loss(location, collection, replacing)
         _write(location, collection, about, steps)
         if collection.complete:
-            _clear(location)
+            clear(location)
     return collection
-
-
-def begun_with(location: Location) -> dict[str, Any] | None:
-    """What a collection that may go on was begun with; None if there is none."""
-    if about := noted(location.working):
-        return about
-    if not location.folder.exists():
-        return None
-    ours: dict[str, Any] = read_metadata(location)["marl_mm"]
-    return ours
 
 
 def _refuse_existing(location: Location, options: CollectOptions) -> None:
@@ -188,30 +181,6 @@ def _about(policy: PolicyConfig, options: CollectOptions) -> dict[str, Any]:
     }
 
 
-def _known(location: Location, about: dict[str, Any]) -> dict[int, Episode | None]:
-    """The attempts behind a dataset, by number; None for those it did not keep."""
-    if not location.folder.exists():
-        return {}
-    dataset = load_dataset(location)
-    ours = dataset.metadata["marl_mm"]
-    _refuse_other(location, ours, about)
-    known: dict[int, Episode | None] = dict.fromkeys(range(ours["attempts"]))
-    return known | {episode.index: episode for episode in dataset.episodes}
-
-
-def _refuse_other(
-    location: Location, theirs: dict[str, Any], about: dict[str, Any]
-) -> None:
-    """Raise if something else was collected there."""
-    who = theirs.get("collector", about["collector"])
-    if who != about["collector"]:
-        raise OtherConfigError(
-            f"{location.name} was collected by {who}, now asked for "
-            f"{about['collector']}: choose another --dataset or add --overwrite"
-        )
-    refuse_difference(location.folder, theirs, about)
-
-
 def _kept(known: dict[int, Episode | None]) -> list[Episode]:
     return [episode for episode in known.values() if episode is not None]
 
@@ -236,14 +205,6 @@ def _steps(
             "another --dataset, or draw as many of these with marl-mm datasets mix"
         )
     return options.steps
-
-
-def _is_complete(location: Location, steps: int) -> bool:
-    """Whether the dataset to resume has all its steps."""
-    if not location.folder.exists():
-        return False
-    ours = read_metadata(location)["marl_mm"]
-    return bool(ours["complete"]) and ours["steps_asked"] == steps
 
 
 def _refuse_loss(location: Location, collection: Collection, replacing: bool) -> None:
@@ -284,7 +245,7 @@ def _begun(
         replaces = options.overwrite and location.folder.exists()
         journal.begin({**about, "steps_asked": steps, "replaces": replaces})
         return {}
-    _refuse_other(location, before, about)
+    refuse_other(location, before, about)
     journal.note({**before, "steps_asked": steps})
     return dict(journal.episodes())
 
@@ -344,20 +305,3 @@ def _write(
         raise MarlMmError(
             f"{error}; finished episodes are kept: make room and go on with --resume"
         ) from error
-
-
-def _clear(location: Location) -> None:
-    """Forget the journal of a dataset that is complete."""
-    shutil.rmtree(location.working)
-
-
-def _remove_if_empty(location: Location) -> None:
-    """No trace of a collection that kept nothing."""
-    journal = location.working / JOURNAL
-    if journal.exists():
-        with Journal(location.working) as known:
-            if len(known):
-                return
-        journal.unlink()
-    if location.working.exists() and not any(location.working.iterdir()):
-        location.working.rmdir()

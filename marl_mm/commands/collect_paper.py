@@ -10,9 +10,9 @@ from marl_mm.collectors.pretrained import PretrainedConfig
 from marl_mm.collectors.random import RandomConfig
 from marl_mm.commands.collect_dataset import (
     CollectOptions,
-    begun_with,
     collect_dataset,
 )
+from marl_mm.commands.collect_resume import begun_with
 from marl_mm.commands.options import available_cores, check_seed
 from marl_mm.datasets.card import card_text, keep_card
 from marl_mm.datasets.dataset import load_dataset
