@@ -1,17 +1,11 @@
 """What the training loop and checkpoints need of an algorithm."""
 
-from collections.abc import Mapping
-from typing import Any, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Protocol
+
+import torch
 
 from marl_mm.algorithms.actors import AgentActor
-
-
-class AlgorithmConfig(Protocol):
-    """Hyper-parameters, a frozen dataclass."""
-
-    @property
-    def updates(self) -> int:
-        """Gradient steps in all."""
 
 
 class Resumable(Protocol):
@@ -32,15 +26,29 @@ class Resumable(Protocol):
         """Continue from another run's state."""
 
 
-class Algorithm(Resumable, Protocol):
-    """An offline algorithm in training."""
+class OfflineAlgorithm(Protocol):
+    """An offline algorithm in training, for several seeds at once."""
 
+    name: ClassVar[str]
+    seeds: tuple[int, ...]
     step: int
     """Updates made."""
 
     @property
-    def config(self) -> AlgorithmConfig:
-        """Its hyper-parameters."""
+    def config(self) -> Any:
+        """Its hyper-parameters, a frozen dataclass with ``updates``."""
 
-    def update(self) -> dict[str, float]:
-        """One gradient step; what it measured."""
+    def update(self) -> dict[str, torch.Tensor]:
+        """One gradient step; what each seed measured, shape (S,)."""
+
+    def diagnose(self) -> dict[str, torch.Tensor]:
+        """What actors and critics do on some of the data, shape (S,)."""
+
+    def agents(self, number: int) -> dict[str, AgentActor]:
+        """One seed's actors as they are now."""
+
+    def state(self, number: int) -> dict[str, Any]:
+        """Everything that acting and resuming bit-equally need, of one seed."""
+
+    def load_states(self, states: Sequence[Mapping[str, Any]]) -> None:
+        """Continue all seeds from other runs' states."""

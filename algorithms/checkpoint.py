@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 from marl_mm.algorithms.actors import AgentActor, actors_from
-from marl_mm.algorithms.algorithm import Resumable
+from marl_mm.algorithms.algorithm import OfflineAlgorithm, Resumable
 from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.files import new_file
 from marl_mm.layout import ACTION_HIGH, ACTION_LOW, AGENTS
@@ -18,7 +18,10 @@ FILE = "checkpoint.pt"
 BEST = "best.pt"
 """The best policy of an online run, by its evaluations."""
 
-KNOWN = ("mabc", "ddpg", "ddpg-her", "maddpg", "maddpg-her")
+OFFLINE = ("mabc", "td3-bc", "matd3-bc")
+"""Algorithms that learn from dataset files."""
+
+KNOWN = (*OFFLINE, "ddpg", "ddpg-her", "maddpg", "maddpg-her")
 """Algorithms whose checkpoints this version can load."""
 
 _FORMAT = "marl_mm checkpoint 1"
@@ -38,13 +41,20 @@ def save_checkpoint(path: Path, algorithm: Resumable) -> None:
     _save(path, algorithm, algorithm.state())
 
 
+def save_seed(path: Path, algorithm: OfflineAlgorithm, number: int) -> None:
+    """Write one seed's state of an offline algorithm, likewise."""
+    _save(path, algorithm, algorithm.state(number))
+
+
 def save_policy(path: Path, algorithm: Resumable) -> None:
     """Write what acting needs, and no more, as a checkpoint."""
     actors = {name: a.actor.state_dict() for name, a in algorithm.agents.items()}
     _save(path, algorithm, {"actors": actors})
 
 
-def _save(path: Path, algorithm: Resumable, state: dict[str, Any]) -> None:
+def _save(
+    path: Path, algorithm: Resumable | OfflineAlgorithm, state: dict[str, Any]
+) -> None:
     contents = {
         "format": _FORMAT,
         "algorithm": algorithm.name,

@@ -4,18 +4,20 @@ Two decentralised actors, each on its own observation, no critic:
 loss_i = MSE(a_i, pi_i(o_i)).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
-from torch.nn import functional
 
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.config_checks import check_ranges
-from marl_mm.algorithms.networks import Actor, Normalizer
-from marl_mm.datasets.dataset import Transitions
-from marl_mm.layout import AGENTS
+from marl_mm.algorithms.networks import Normalizer
+from marl_mm.algorithms.offline_batches import OfflineBatches
+from marl_mm.algorithms.replay import Judge
+from marl_mm.algorithms.seeded import DIAGNOSED, SeededActors
+from marl_mm.datasets.arrays import EpisodeArrays
+from marl_mm.layout import AGENTS, AgentLayout
 
 # --- Config ------------------------------------------------------------------
 
@@ -34,6 +36,9 @@ class MabcConfig:
     learning_rate: float = 5e-4
     """Of Adam (Table 3)."""
 
+    future: float = 0.0
+    """Share of transitions whose goal becomes one that their episode came to later."""
+
     hidden: tuple[int, ...] = (128, 128)
     """Units of each actor's hidden layers; the paper is silent."""
 
@@ -42,91 +47,89 @@ class MabcConfig:
 
     def __post_init__(self) -> None:
         positive = ("updates", "batch_size", "learning_rate", "std_floor")
-        check_ranges(self, positive)
+        check_ranges(self, positive, shares=("future",))
 
 
 class Mabc:
-    """Trains one actor per agent by supervised learning.
+    """Trains one actor per agent by supervised learning, for several seeds at once.
 
     Args:
         config: Hyper-parameters.
-        data: Each agent's transitions, by name.
-        seed: Of initial weights and batches.
+        arrays: The dataset's episodes.
+        judge: The task's reward and termination; nothing here depends on it.
+        seeds: Of initial weights and batches, S of them.
+        device: "cpu" or "cuda".
     """
 
-    name = "mabc"
+    name: ClassVar[str] = "mabc"
+    layouts: ClassVar[tuple[AgentLayout, ...]] = AGENTS
 
     def __init__(
-        self, config: MabcConfig, data: Mapping[str, Transitions], seed: int
+        self,
+        config: MabcConfig,
+        arrays: EpisodeArrays,
+        judge: Judge,
+        seeds: Sequence[int],
+        device: str = "cpu",
     ) -> None:
-        self.config = config
-        self.step = 0
-        self._rng = torch.Generator().manual_seed(seed)
-        self._data = {name: _AgentData(part) for name, part in data.items()}
+        self.config, self.seeds, self.step = config, tuple(seeds), 0
+        shares = config.future, 0.0
+        self._batches = OfflineBatches(
+            arrays, config.batch_size, shares, judge, seeds, device
+        )
         # --- Networks --------------------------------------------------------
-        with torch.random.fork_rng():
-            torch.manual_seed(seed)
-            self.agents = {
-                agent.name: AgentActor(
-                    agent,
-                    Actor(
-                        Normalizer.of(
-                            self._data[agent.name].observation, config.std_floor
-                        ),
-                        len(agent.action),
-                        config.hidden,
-                    ),
-                )
-                for agent in AGENTS
-            }
-        self._optimizers = {
-            name: torch.optim.Adam(agent.actor.parameters(), lr=config.learning_rate)
-            for name, agent in self.agents.items()
-        }
+        states = torch.from_numpy(arrays.states).float()
+        self.normalizer = Normalizer.of(states, config.std_floor).to(device)
+        self.actors = SeededActors(
+            self.layouts,
+            self.normalizer,
+            config.hidden,
+            config.learning_rate,
+            seeds,
+            device,
+        )
 
     # --- Update --------------------------------------------------------------
 
-    def update(self) -> dict[str, float]:
-        """One gradient step of every actor on a shared batch."""
+    def update(self) -> dict[str, torch.Tensor]:
+        """One gradient step of every actor; losses of each seed, shape (S,)."""
+        batch = self._batches.next()
         self.step += 1
-        size = len(next(iter(self._data.values())).observation)
-        index = torch.randint(size, (self.config.batch_size,), generator=self._rng)
-        metrics = {}
-        for name, agent in self.agents.items():
-            observation = self._data[name].observation[index]
-            action = agent.scale.normalize(self._data[name].action[index])
+        state = self.normalizer(batch.observation)
+        losses = {}
+        for agent in AGENTS:
+            own = self.actors.own(agent.name, state)
+            error = (own - batch.action[..., list(agent.action)]).square()
+            loss = error.mean(dim=(1, 2))
+            self.actors.descend(agent.name, loss)
+            losses[f"loss/{agent.name}"] = loss.detach()
+        return losses
 
-            loss = functional.mse_loss(agent.actor(observation), action)
+    @torch.no_grad()
+    def diagnose(self) -> dict[str, torch.Tensor]:
+        """How far the actors are from some of the data, shape (S,)."""
+        state, action = self._batches.some(DIAGNOSED)
+        return self.actors.diagnose(self.normalizer(state), action)
 
-            self._optimizers[name].zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            self._optimizers[name].step()
-            metrics[f"loss/{name}"] = loss.item()
-        return metrics
+    # --- Act -----------------------------------------------------------------
+
+    def agents(self, number: int) -> dict[str, AgentActor]:
+        """One seed's actors as they are now."""
+        return self.actors.agents(number)
 
     # --- State ---------------------------------------------------------------
 
-    def state(self) -> dict[str, Any]:
-        """Everything that a checkpoint needs to act and to resume bit-equally."""
+    def state(self, number: int) -> dict[str, Any]:
+        """Everything that one seed needs to act and to resume bit-equally."""
         return {
             "step": self.step,
-            "actors": {n: a.actor.state_dict() for n, a in self.agents.items()},
-            "optimizers": {n: o.state_dict() for n, o in self._optimizers.items()},
-            "rng": self._rng.get_state(),
+            **self.actors.state(number),
+            "batches": self._batches.state(number),
         }
 
-    def load_state(self, state: Mapping[str, Any]) -> None:
-        """Continue from another run's ``state``."""
-        self.step = state["step"]
-        for name, agent in self.agents.items():
-            agent.actor.load_state_dict(state["actors"][name])
-            self._optimizers[name].load_state_dict(state["optimizers"][name])
-        self._rng.set_state(state["rng"])
-
-
-class _AgentData:
-    """An agent's observations and actions as tensors."""
-
-    def __init__(self, part: Transitions) -> None:
-        self.observation = torch.as_tensor(part.observation, dtype=torch.float32)
-        self.action = torch.as_tensor(part.action, dtype=torch.float32)
+    def load_states(self, states: Sequence[Mapping[str, Any]]) -> None:
+        """Continue all seeds from their ``state``."""
+        self.step = states[0]["step"]
+        for number, state in enumerate(states):
+            self.actors.load_state(number, state)
+        self._batches.load_states([state["batches"] for state in states])

@@ -1,21 +1,24 @@
-"""The training loop and the run folder it fills.
+"""The training loop and the run folders it fills.
 
 A run is a folder: ``config.json`` (written before the first step), ``metrics.jsonl``,
 TensorBoard's ``events*``, ``checkpoint.pt`` and, from the last evaluation,
 ``eval.json``.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import torch
 
-from marl_mm.algorithms.algorithm import Algorithm, Resumable
-from marl_mm.algorithms.checkpoint import FILE, read_checkpoint, save_checkpoint
+from marl_mm.algorithms.algorithm import OfflineAlgorithm, Resumable
+from marl_mm.algorithms.checkpoint import FILE, read_checkpoint, save_seed
 from marl_mm.algorithms.policy import LearnedPolicy
-from marl_mm.algorithms.runlog import RunLog
+from marl_mm.algorithms.runlog import Row, RunLog
 from marl_mm.differences import refuse_difference
+from marl_mm.errors import CheckpointError, DivergedError
 from marl_mm.progress import Advance, silent
 
 Evaluate = Callable[[LearnedPolicy], dict[str, float]]
@@ -26,8 +29,8 @@ LOG_EVERY = 100
 
 
 def train(
-    algorithm: Algorithm,
-    run: Path,
+    algorithm: OfflineAlgorithm,
+    runs: Sequence[Path],
     evaluate: Evaluate,
     evaluate_every: int,
     advance: Advance = silent,
@@ -35,42 +38,95 @@ def train(
     """Update until the config's number of updates, from wherever the algorithm stands.
 
     Args:
-        algorithm: Fresh, or resumed by ``resume``.
-        run: Its folder.
+        algorithm: Fresh, or resumed by ``resume_seeds``.
+        runs: The folder of each seed's run.
         evaluate: Called before the first, every ``evaluate_every``-th and last update.
         evaluate_every: [updates]
         advance: Told the updates.
 
     Raises:
         KeyboardInterrupt: After Ctrl-C, saying which checkpoint there is.
+        DivergedError: If a loss is not finite; the last checkpoint is left as it is.
     """
     torch.set_num_threads(1)  # small batches: a second thread only costs
-    total = algorithm.config.updates
-    with RunLog(run, "step", since=algorithm.step) as log:
-        saved = algorithm.step
-        sums: dict[str, float] = {}
-        advance(algorithm.step, "")
+    total, saved = algorithm.config.updates, algorithm.step
+    advance(saved, "")
+    with ExitStack() as stack:
+        logs = [stack.enter_context(RunLog(run, "step", since=saved)) for run in runs]
+
+        def note(step: int, rows: Sequence[Row]) -> None:
+            for log, row in zip(logs, rows, strict=True):
+                log.add({"step": step, **row})
+
         try:
-            if algorithm.step == 0:
-                log.add({"step": 0, **evaluate(_policy(algorithm))})
-            while algorithm.step < total:
-                for key, value in algorithm.update().items():
-                    sums[key] = sums.get(key, 0.0) + value
-                step = algorithm.step
-                measure = step % evaluate_every == 0 or step == total
-                if not measure and step % LOG_EVERY:
-                    continue
-                means = {key: value / (step - saved) for key, value in sums.items()}
-                measured = evaluate(_policy(algorithm)) if measure else {}
-                log.add({"step": step, **means, **measured})
-                save_checkpoint(run / FILE, algorithm)
-                losses = [v for key, v in means.items() if key.startswith("loss/")]
-                advance(step - saved, f"loss {sum(losses):.4f}")
-                saved, sums = step, {}
-        except KeyboardInterrupt:
-            kept = f"{run} holds the checkpoint of update {saved}: go on with --resume"
-            nothing = "before the first checkpoint: start again with --resume"
-            raise KeyboardInterrupt(f"stopped; {kept if saved else nothing}") from None
+            if saved == 0:
+                note(0, _evaluated(algorithm, evaluate))
+            while saved < total:
+                step = min(_after(saved, LOG_EVERY), _after(saved, evaluate_every))
+                step = min(step, total)
+                means = _updated(algorithm, step)
+                rows = _each_seeds(algorithm, means | algorithm.diagnose())
+                if step % evaluate_every == 0 or step == total:
+                    measured = _evaluated(algorithm, evaluate)
+                    rows = [a | b for a, b in zip(rows, measured, strict=True)]
+                note(step, rows)
+                for number, run in enumerate(runs):
+                    save_seed(run / FILE, algorithm, number)
+                loss = sum(value.mean().item() for value in means.values())
+                advance(step - saved, f"loss {loss:.4f}")
+                saved = step
+        except (KeyboardInterrupt, DivergedError) as error:
+            kept = f"the checkpoint of update {saved}" if saved else "no checkpoint"
+            where = f"{', '.join(map(str, runs))}: {kept}"
+            if isinstance(error, DivergedError):
+                raise DivergedError(f"{error}; {where}") from None
+            raise KeyboardInterrupt(f"stopped; {where}; go on with --resume") from None
+
+
+def _after(step: int, every: int) -> int:
+    """The next multiple."""
+    return (step // every + 1) * every
+
+
+def _updated(algorithm: OfflineAlgorithm, step: int) -> dict[str, torch.Tensor]:
+    """Update up to a step; means of what was measured, shape (S,).
+
+    Raises:
+        DivergedError: If one is not finite.
+    """
+    sums: dict[str, torch.Tensor] = {}
+    counts: dict[str, int] = {}
+    while algorithm.step < step:
+        for key, value in algorithm.update().items():
+            sums[key] = sums[key] + value if key in sums else value
+            counts[key] = counts.get(key, 0) + 1
+    means = {key: value / counts[key] for key, value in sums.items()}
+    for key, value in means.items():
+        for seed, mean in zip(algorithm.seeds, value.tolist(), strict=True):
+            if not -float("inf") < mean < float("inf"):
+                raise DivergedError(
+                    f"{key} is {mean} with seed {seed} after {algorithm.step} updates: "
+                    "lower the learning rates, or look for odd values with marl-mm "
+                    "datasets verify"
+                )
+    return means
+
+
+def _each_seeds(
+    algorithm: OfflineAlgorithm, values: Mapping[str, torch.Tensor]
+) -> list[Row]:
+    lists = {key: value.tolist() for key, value in values.items()}
+    return [
+        {key: numbers[i] for key, numbers in lists.items()}
+        for i in range(len(algorithm.seeds))
+    ]
+
+
+def _evaluated(algorithm: OfflineAlgorithm, evaluate: Evaluate) -> list[Row]:
+    return [
+        evaluate(LearnedPolicy(algorithm.name, algorithm.agents(number)))
+        for number in range(len(algorithm.seeds))
+    ]
 
 
 def resume(algorithm: Resumable, run: Path, ignored: Sequence[str] = ()) -> None:
@@ -85,13 +141,34 @@ def resume(algorithm: Resumable, run: Path, ignored: Sequence[str] = ()) -> None
         CheckpointError: If the run is of another algorithm.
         OtherConfigError: If it is of another config.
     """
+    algorithm.load_state(_state(algorithm, run, ignored))
+
+
+def resume_seeds(algorithm: OfflineAlgorithm, runs: Sequence[Path]) -> None:
+    """Bring a fresh offline algorithm to the checkpoints of its seeds' runs.
+
+    Raises:
+        CheckpointError: If a run is of another algorithm, or they stand at different
+            updates.
+        OtherConfigError: If one is of another config.
+    """
+    states = [_state(algorithm, run, ()) for run in runs]
+    steps = [state["step"] for state in states]
+    if len(set(steps)) > 1:
+        raise CheckpointError(
+            f"the runs stand at updates {', '.join(map(str, steps))}: resume them one "
+            "by one"
+        )
+    algorithm.load_states(states)
+
+
+def _state(
+    algorithm: Resumable | OfflineAlgorithm, run: Path, ignored: Sequence[str]
+) -> dict[str, Any]:
     checkpoint = read_checkpoint(run, algorithm.name)
     mine = asdict(algorithm.config)
     for name in ignored:
         del mine[name]
     refuse_difference(run, checkpoint["config"], mine)
-    algorithm.load_state(checkpoint["state"])
-
-
-def _policy(algorithm: Algorithm) -> LearnedPolicy:
-    return LearnedPolicy(algorithm.name, algorithm.agents)
+    state: dict[str, Any] = checkpoint["state"]
+    return state

@@ -101,7 +101,10 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         (["collect", "pd", "--task", "Fly-v0"], "unknown task 'Fly-v0', expected one"),
         (["collect", "pd", "--steps", "1.5"], "Error parsing --steps"),
         (["collect", "pd", "--stpes", "5"], "--stpes, 5; Perhaps you meant: --steps"),
-        (["train", "sac"], "marl-mm train knows no 'sac', expected one of mabc, ddpg"),
+        (
+            ["train", "sac"],
+            "marl-mm train knows no 'sac', expected one of mabc, td3-bc",
+        ),
         (["train", "mabc"], "Missing from marl-mm train mabc: --dataset"),
         (["play", "pd", "--camera.width", "0"], "camera width is 0, expected even"),
         (["collect", "pd", "--dataset", "marl_mm/reach/pd"], "without its version"),

@@ -10,10 +10,12 @@ import tyro
 from marl_mm.algorithms.presets import Preset
 from marl_mm.commands.options import read_dataset
 from marl_mm.commands.parser import Subcommand, parse_subcommand, value_of
-from marl_mm.commands.runs import check_options, saved_options, told
+from marl_mm.commands.runs import TrainOptions, check_options, saved_options, told
 from marl_mm.commands.train_offline import (
-    TrainMabc,
+    OFFLINE,
+    Offline,
     check_offline,
+    offline_options,
     train_offline,
 )
 from marl_mm.commands.train_online import (
@@ -29,25 +31,25 @@ from marl_mm.errors import UsageError
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm train``."""
     preset = _preset(arguments)
-    online = {
-        name: Subcommand(online_options(name, preset), description)
-        for name, description in ONLINE.items()
+    commands: dict[str, type | Subcommand] = {
+        name: Subcommand(_options(name, preset), description)
+        for name, description in (OFFLINE | ONLINE).items()
     }
-    commands: dict[str, type | Subcommand] = {"mabc": TrainMabc, **online}
     named = value_of(arguments, "--preset", "")  # asks for that one's values
     if "--resume" in arguments and arguments[0] in commands and not named:
         commands[arguments[0]] = _resumed(arguments, preset)
     name, options = parse_subcommand(
         commands,
         "marl-mm train",
-        "Train a policy: from a dataset file (mabc), or from its own episodes.",
+        f"Train a policy: from a dataset file ({', '.join(OFFLINE)}), or from its own "
+        "episodes.",
         arguments,
     )
     out = options.out or Path("runs") / name
     check_options(options, out)
     runs = {seed: out / str(seed) for seed in options.seeds}
     trained = (
-        _offline(options, runs) if name == "mabc" else _online(name, options, runs)
+        _offline(options, runs) if name in OFFLINE else _online(name, options, runs)
     )
     results = []
     for run, last, best in trained:
@@ -59,7 +61,7 @@ def main(arguments: Sequence[str]) -> None:
         print(json.dumps(results, indent=2))
 
 
-def _offline(options: TrainMabc, runs: dict[int, Path]) -> Any:
+def _offline(options: Offline, runs: dict[int, Path]) -> Any:
     dataset = read_dataset(options.dataset)
     for seed, run in runs.items():
         check_offline(dataset, options, seed, run)
@@ -79,17 +81,21 @@ def _resumed(arguments: Sequence[str], preset: Preset) -> Subcommand:
     """Options whose defaults are the values that the first run was made of."""
     name = arguments[0]
     out = Path(value_of(arguments, "--out", f"runs/{name}"))
-    if name in ONLINE:
-        options = saved_options(online_options(name, preset), out)
-        return Subcommand(options, ONLINE[name])
-    offline = saved_options(TrainMabc(dataset=tyro.MISSING), out)
-    return Subcommand(offline, TrainMabc.__doc__ or "")
+    options = saved_options(_options(name, preset), out)
+    return Subcommand(options, (OFFLINE | ONLINE)[name])
+
+
+def _options(name: str, preset: Preset) -> TrainOptions:
+    """An algorithm's options if nothing is said."""
+    if name in OFFLINE:
+        return offline_options(name, preset, dataset=tyro.MISSING)
+    return online_options(name, preset)
 
 
 def _preset(arguments: Sequence[str]) -> Preset:
     """The preset that the other options' defaults depend on."""
     name = value_of(arguments, "--preset", "tuned")
-    if name not in get_args(Preset) and arguments[0] in ONLINE:
+    if name not in get_args(Preset) and arguments[0] in (OFFLINE | ONLINE):
         choices = ", ".join(get_args(Preset))
         raise UsageError(f"--preset is {name!r}, expected one of {choices}")
     return cast(Preset, name)

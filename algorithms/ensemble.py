@@ -1,0 +1,141 @@
+"""Perceptrons that learn together: the twins of a critic, the seeds of a run.
+
+A layer of all members is one product of matrices, and all weights stand in one flat
+array, so that a step of Adam and one of a target network are one operation each.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+State = dict[str, torch.Tensor]
+
+
+class Ensemble:
+    """N perceptrons of the same widths.
+
+    Args:
+        members: What ``perceptron`` made, N of them; their weights are copied.
+        device: Where they go.
+    """
+
+    def __init__(self, members: Sequence[nn.Sequential], device: str = "cpu") -> None:
+        self._layers = list(members[0])
+        states = [member.state_dict() for member in members]
+        self._shapes = {
+            name: (len(members), *value.shape) for name, value in states[0].items()
+        }
+        stacks = [torch.stack([state[name] for state in states]) for name in states[0]]
+        self.flat = torch.cat([stack.flatten() for stack in stacks]).to(device)
+        """All weights and biases of all members."""
+
+        self.weights = self.views(self.flat)
+        """The same by name, as in ``nn.Sequential``, each of shape (N, ...)."""
+
+    def __call__(
+        self, inputs: torch.Tensor, chosen: slice = slice(None)
+    ) -> torch.Tensor:
+        """Shapes (N, B, d) to (N, B, k); of the chosen members."""
+        values = inputs
+        for number, layer in enumerate(self._layers):
+            if isinstance(layer, nn.ReLU):
+                values = values.relu_()  # what it overwrites nobody needs
+                continue
+            weight = self.weights[f"{number}.weight"][chosen]
+            bias = self.weights[f"{number}.bias"][chosen][:, None]
+            if isinstance(layer, nn.Linear):
+                values = torch.baddbmm(bias, values, weight.transpose(1, 2))
+            else:
+                values = functional.layer_norm(values, values.shape[-1:])
+                values = torch.addcmul(bias, values, weight[:, None])
+        return values
+
+    def views(self, flat: torch.Tensor) -> State:
+        """The parts of an array that is as long as ``flat``, by name."""
+        sizes = [torch.Size(shape).numel() for shape in self._shapes.values()]
+        parts = torch.split(flat, sizes)
+        named = zip(self._shapes.items(), parts, strict=True)
+        return {name: part.view(shape) for (name, shape), part in named}
+
+    def copy(self) -> "Ensemble":
+        """The same weights once more, for a target network."""
+        other = object.__new__(Ensemble)
+        other._layers, other._shapes = self._layers, self._shapes
+        other.flat = self.flat.detach().clone()
+        other.weights = other.views(other.flat)
+        return other
+
+    def follow(self, other: "Ensemble", rate: float) -> None:
+        """Go a share of the way to another's weights."""
+        self.flat.lerp_(other.flat, rate)
+
+    def member(self, number: int) -> State:
+        """One perceptron's state, as ``nn.Sequential`` has it."""
+        return part_of(self.weights, number)
+
+    def load_member(self, number: int, state: Mapping[str, torch.Tensor]) -> None:
+        """Give one perceptron another state."""
+        set_part(self.weights, number, state)
+
+
+class Learner:
+    """Adam for all members of an ensemble at once.
+
+    Args:
+        ensemble: Whose weights it changes.
+        rate: Learning rate.
+    """
+
+    def __init__(self, ensemble: Ensemble, rate: float) -> None:
+        self._ensemble = ensemble
+        flat = ensemble.flat
+        flat.grad = torch.zeros_like(flat)
+        self._gradients = list(ensemble.views(flat.grad).values())
+        self._weights = [view.requires_grad_() for view in ensemble.weights.values()]
+        self._adam = torch.optim.Adam([flat], lr=rate, fused=True)
+        moments = torch.zeros_like(flat), torch.zeros_like(flat)
+        self._adam.state[flat] = {
+            "step": torch.zeros((), device=flat.device),
+            "exp_avg": moments[0],
+            "exp_avg_sq": moments[1],
+        }
+        self._moments = {
+            "exp_avg": ensemble.views(moments[0]),
+            "exp_avg_sq": ensemble.views(moments[1]),
+        }
+
+    def descend(self, loss: torch.Tensor) -> None:
+        """One step down; no other gradient is computed."""
+        found = torch.autograd.grad(loss, self._weights)
+        for gradient, one in zip(self._gradients, found, strict=True):
+            gradient.copy_(one)
+        self._adam.step()
+
+    def member(self, number: int) -> dict[str, Any]:
+        """What Adam knows of one perceptron."""
+        step = self._adam.state[self._ensemble.flat]["step"].item()
+        parts = {name: part_of(m, number) for name, m in self._moments.items()}
+        return {"step": step, **parts}
+
+    def load_member(self, number: int, state: Mapping[str, Any]) -> None:
+        """Continue with one perceptron from another's state."""
+        self._adam.state[self._ensemble.flat]["step"].fill_(state["step"])
+        for name, moments in self._moments.items():
+            set_part(moments, number, state[name])
+
+
+def part_of(stacked: Mapping[str, torch.Tensor], number: int) -> State:
+    """One member's part of stacked tensors, copied to the CPU."""
+    return {name: v.detach()[number].cpu().clone() for name, v in stacked.items()}
+
+
+@torch.no_grad()
+def set_part(
+    stacked: Mapping[str, torch.Tensor], number: int, state: Mapping[str, torch.Tensor]
+) -> None:
+    """Put one member's part in its place."""
+    for name, values in stacked.items():
+        values[number] = state[name]

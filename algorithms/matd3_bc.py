@@ -1,0 +1,72 @@
+"""MATD3+BC (paper, Algorithm 2; Pan 2022): TD3+BC with an actor per agent.
+
+Actors see their own observations only; their twin critics, in training only, see the
+joint state and action. Loss of agent i's actor: -lambda_i Q_i(s, (pi_i(o_i), a_-i))
++ MSE(a_i, pi_i(o_i)), where a_-i is what the others did or would do now.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import torch
+
+from marl_mm.algorithms.offline_batches import OfflineBatch
+from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
+from marl_mm.layout import AGENTS, AgentLayout
+
+# --- Config ------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Matd3BcConfig(Td3BcConfig):
+    """Hyper-parameters: those of TD3+BC, and what the agents share."""
+
+    critics: Literal["shared", "own"] = "shared"
+    """Whether each agent has a pair of critics of its own, as in the source: they learn
+    from the same reward."""
+
+    others: Literal["data", "policy"] = "policy"
+    """What the other agent's action is in an actor's loss: the dataset's (as in Lowe
+    2017) or the one it would take now."""
+
+
+class Matd3Bc(Td3Bc):
+    """Learns decentralised actors with centralised critics; see ``Td3Bc``."""
+
+    name: ClassVar[str] = "matd3-bc"
+    layouts: ClassVar[tuple[AgentLayout, ...]] = AGENTS
+    config: Matd3BcConfig
+
+    @property
+    def pairs(self) -> int:  # type: ignore[override]
+        """One pair of critics for each agent, or one for all."""
+        return len(AGENTS) if self.config.critics == "own" else 1
+
+    # --- Update --------------------------------------------------------------
+
+    def _improve(
+        self, state: torch.Tensor, batch: OfflineBatch
+    ) -> dict[str, torch.Tensor]:
+        """One gradient step of every actor."""
+        losses = {}
+        with torch.no_grad():
+            now = self.actors.joint(state)
+        for number, agent in enumerate(AGENTS):
+            entries = list(agent.action)
+            pair = number if self.config.critics == "own" else 0
+            own = self.actors.own(agent.name, state)
+            action = (now if self.config.others == "policy" else batch.action).clone()
+            action[..., entries] = own
+            value = self.critics.first(state, action, pair)
+            scale = value.detach().abs().mean(dim=1, keepdim=True)
+            imitated = batch.imitated
+            if self.config.imitate == "better":
+                with torch.no_grad():
+                    taken = self.critics.first(state, batch.action, pair)
+                imitated = imitated * (taken > value.detach())
+            error = (own - batch.action[..., entries]).square().mean(dim=2) * imitated
+            loss = (error - self.config.q_weight / scale * value).mean(dim=1)
+            self.actors.descend(agent.name, loss)
+            losses[f"loss/{agent.name}"] = loss.detach()
+            losses[f"loss/imitation/{agent.name}"] = error.detach().mean(dim=1)
+        return losses

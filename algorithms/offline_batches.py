@@ -1,0 +1,185 @@
+"""Batches of a dataset, drawn many at a time, with goals exchanged in hindsight.
+
+How the robot moves does not depend on the goal, so that any goal may be put in place
+of a step's own, and reward and termination computed anew: one that its episode came to
+later (Andrychowicz 2017), or another episode's, which shows the critic what actions
+that go elsewhere are worth (Chebotar 2021).
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+
+from marl_mm.algorithms.replay import COSTS, Judge
+from marl_mm.datasets.arrays import EpisodeArrays
+from marl_mm.errors import UsageError
+from marl_mm.layout import ACTION, ACTION_HIGH, ACTION_LOW, EE, GOAL
+
+_TOGETHER = 40
+"""Batches drawn at once."""
+
+
+class OfflineBatch(NamedTuple):
+    """Transitions of S seeds, float32; actions in normalised coordinates."""
+
+    observation: torch.Tensor
+    """Joint states, shape (S, B, 10)."""
+
+    action: torch.Tensor
+    """Joint actions in [-1, 1], shape (S, B, 4)."""
+
+    reward: torch.Tensor
+    """Shape (S, B)."""
+
+    next_observation: torch.Tensor
+    """Shape (S, B, 10)."""
+
+    terminated: torch.Tensor
+    """1 where the goal was reached, shape (S, B)."""
+
+    imitated: torch.Tensor
+    """0 where the goal is another episode's, so that the action was not for it, shape
+    (S, B)."""
+
+    noise: torch.Tensor
+    """Standard normal, for the target's actions, shape (S, B, 4)."""
+
+
+def highest_reward(judge: Judge) -> float:
+    """That of a perfect hit, which no return can pass, as all others are negative."""
+    hit = np.zeros((1, 3))
+    rewards, _ = judge(hit, hit, dict.fromkeys(COSTS, np.zeros(1)))
+    return float(rewards[0])
+
+
+class OfflineBatches:
+    """Draws the batches of S seeds, each from a stream of its own.
+
+    Args:
+        arrays: The dataset's episodes.
+        size: Transitions per batch.
+        shares: Of transitions whose goal becomes one that their episode came to later,
+            and of those whose goal becomes that of any other step.
+        judge: The task's reward and termination.
+        seeds: Of the streams.
+        device: Where the batches go.
+
+    Raises:
+        UsageError: If goals are to be exchanged and the dataset does not tell the costs
+            that rewards depend on.
+    """
+
+    def __init__(
+        self,
+        arrays: EpisodeArrays,
+        size: int,
+        shares: tuple[float, float],
+        judge: Judge,
+        seeds: Sequence[int],
+        device: str = "cpu",
+    ) -> None:
+        self._size, self._judge, self._device = size, judge, device
+        self._future, self._elsewhere = shares
+        # float64, so that a reward computed again is the step's own to the bit.
+        self._state = arrays.states[~arrays.is_last_state()]
+        self._next_state = arrays.states[~arrays.is_first_state()]
+        low, high = np.array(ACTION_LOW), np.array(ACTION_HIGH)
+        scaled = 2 * (arrays.actions - low) / (high - low) - 1
+        self._action = scaled.astype(np.float32)
+        self._reward, self._terminated = arrays.rewards, arrays.terminated
+        self._costs = {name: arrays.info[name] for name in COSTS}
+        self._end = np.repeat(np.cumsum(arrays.lengths), arrays.lengths)
+        """One past the last step of each step's episode."""
+
+        known = all(np.isfinite(values).all() for values in self._costs.values())
+        if any(shares) and not known:
+            raise UsageError(
+                "the dataset does not tell "
+                f"{', '.join(COSTS)} of all steps, which rewards for other goals "
+                "depend on: set --future 0 --elsewhere 0"
+            )
+        self._streams = [np.random.default_rng(seed) for seed in seeds]
+        self._begun = [stream.bit_generator.state for stream in self._streams]
+        self._drawn: list[OfflineBatch] = []
+        self._taken = 0
+
+    def __len__(self) -> int:
+        return len(self._reward)
+
+    def next(self) -> OfflineBatch:
+        """The next batch of every seed."""
+        if self._taken == len(self._drawn):
+            self._draw()
+        self._taken += 1
+        return self._drawn[self._taken - 1]
+
+    def some(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """States and actions of the dataset, always the same: (1, n, 10), (1, n, 4)."""
+        rows = np.linspace(0, len(self) - 1, min(count, len(self))).astype(np.int64)
+        state = torch.from_numpy(self._state[rows].astype(np.float32))
+        action = torch.from_numpy(self._action[rows])
+        return state[None].to(self._device), action[None].to(self._device)
+
+    def state(self, number: int) -> dict[str, Any]:
+        """Where one seed's stream stands."""
+        return {"begun": json.dumps(self._begun[number]), "taken": self._taken}
+
+    def load_states(self, states: Sequence[Mapping[str, Any]]) -> None:
+        """Continue all streams from there."""
+        for stream, state in zip(self._streams, states, strict=True):
+            stream.bit_generator.state = json.loads(state["begun"])
+        self._drawn, self._taken = [], 0
+        if states[0]["taken"]:
+            self._draw()
+            self._taken = states[0]["taken"]
+        else:
+            self._begun = [stream.bit_generator.state for stream in self._streams]
+
+    def _draw(self) -> None:
+        self._begun = [stream.bit_generator.state for stream in self._streams]
+        parts = [self._sample(stream) for stream in self._streams]
+        columns = []
+        for arrays in zip(*parts, strict=True):
+            shape = (_TOGETHER, self._size, *arrays[0].shape[1:])
+            stacked = np.stack([array.reshape(shape) for array in arrays], axis=1)
+            columns.append(torch.from_numpy(stacked).to(self._device))
+        self._drawn = [
+            OfflineBatch(*(column[i] for column in columns)) for i in range(_TOGETHER)
+        ]
+        self._taken = 0
+
+    def _sample(self, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+        """One seed's transitions of many batches, in the order of ``OfflineBatch``."""
+        count = _TOGETHER * self._size
+        rows = rng.integers(len(self), size=count)
+        kind, later = rng.random(count), rng.random(count)
+        others = rng.integers(len(self), size=count)
+        noise = rng.standard_normal((count, len(ACTION)), np.float32)
+        state, next_state = self._state[rows], self._next_state[rows]
+        reward, terminated = self._reward[rows], self._terminated[rows]
+        future = kind < self._future
+        elsewhere = ~future & (kind < self._future + self._elsewhere)
+
+        span = (later * (self._end[rows] - rows)).astype(np.int64)
+        goal = state[:, GOAL]
+        goal = np.where(future[:, None], self._next_state[rows + span][:, EE], goal)
+        goal = np.where(elsewhere[:, None], self._state[others][:, GOAL], goal)
+        state[:, GOAL], next_state[:, GOAL] = goal, goal
+        changed = np.flatnonzero(future | elsewhere)
+        reward[changed], terminated[changed] = self._judge(
+            next_state[changed][:, EE],
+            goal[changed],
+            {name: values[rows[changed]] for name, values in self._costs.items()},
+        )
+        return (
+            state.astype(np.float32),
+            self._action[rows],
+            reward.astype(np.float32),
+            next_state.astype(np.float32),
+            terminated.astype(np.float32),
+            (~elsewhere).astype(np.float32),
+            noise,
+        )

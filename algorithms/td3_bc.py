@@ -1,0 +1,253 @@
+"""TD3+BC (paper, Algorithm 2; Fujimoto & Gu 2021): one actor that sees and sets all.
+
+Loss of the twin critics: (Q_j(s, a) - r - gamma (1 - terminated) min_j Q_j'(s', a'))^2,
+where a' is the target actor's action with clipped noise. Every second update the actor
+follows: -lambda Q_1(s, pi(s)) + MSE(a, pi(s)), where lambda = c / mean |Q_1(s, pi(s))|.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import torch
+
+from marl_mm.algorithms.actors import AgentActor
+from marl_mm.algorithms.config_checks import check_ranges
+from marl_mm.algorithms.networks import Normalizer
+from marl_mm.algorithms.offline_batches import (
+    OfflineBatch,
+    OfflineBatches,
+    highest_reward,
+)
+from marl_mm.algorithms.replay import Judge
+from marl_mm.algorithms.seeded import DIAGNOSED, SeededActors, SeededCritics
+from marl_mm.datasets.arrays import EpisodeArrays
+from marl_mm.errors import UsageError
+from marl_mm.layout import EE, GOAL, JOINT, AgentLayout
+
+# --- Config ------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Td3BcConfig:
+    """Hyper-parameters."""
+
+    updates: int = 10_000
+    """Gradient steps of the critics; the paper has 100,000 and 180,000 (Table 3)."""
+
+    batch_size: int = 256
+    """Transitions per update (Table 3)."""
+
+    actor_learning_rate: float = 5e-4
+    """Of Adam (Table 3)."""
+
+    critic_learning_rate: float = 5e-4
+    """Of Adam (Table 3)."""
+
+    discount: float = 0.95
+    """gamma (Table 3)."""
+
+    target_rate: float = 0.005
+    """tau, the share of the networks that goes into their targets (Table 3)."""
+
+    q_weight: float = 0.5
+    """c, the weight of the value against imitation; 2.5 in Fujimoto & Gu 2021."""
+
+    policy_delay: int = 2
+    """Updates of the critics per update of the actor (Fujimoto 2018)."""
+
+    target_noise: float = 0.2
+    """Standard deviation of the noise on the target's action, of half its range."""
+
+    target_noise_clip: float = 0.5
+    """Largest such noise, of half the action's range."""
+
+    future: float = 0.2
+    """Share of transitions whose goal becomes one that their episode came to later."""
+
+    elsewhere: float = 0.4
+    """Share of transitions whose goal becomes another episode's; they are not
+    imitated."""
+
+    clip_targets: bool = True
+    """Cut the critics' targets off at the reward of a perfect hit, which no return can
+    pass, as all other rewards are negative."""
+
+    layer_norm: bool = True
+    """Whether the critics' hidden layers are normalised (Ball 2023)."""
+
+    imitate: Literal["all", "better"] = "all"
+    """Which actions are imitated: all, or those that the critic thinks better than the
+    actor's (Nair 2018)."""
+
+    hidden: tuple[int, ...] = (128, 128)
+    """Units of the hidden layers of actor and critics; the paper is silent."""
+
+    std_floor: float = 0.01
+    """Least standard deviation an observation is scaled by."""
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            positive=(
+                "updates",
+                "batch_size",
+                "actor_learning_rate",
+                "critic_learning_rate",
+                "target_rate",
+                "policy_delay",
+                "std_floor",
+            ),
+            not_negative=("q_weight", "target_noise", "target_noise_clip"),
+            shares=("discount", "target_rate", "future", "elsewhere"),
+        )
+        if self.future + self.elsewhere > 1:
+            raise UsageError(
+                f"future is {self.future} and elsewhere {self.elsewhere}, expected at "
+                "most 1 together"
+            )
+
+
+class Td3Bc:
+    """Learns from a dataset's transitions, for several seeds at once.
+
+    Args:
+        config: Hyper-parameters.
+        arrays: The dataset's episodes.
+        judge: The task's reward and termination.
+        seeds: Of initial weights and batches, S of them.
+        device: "cpu" or "cuda".
+    """
+
+    name: ClassVar[str] = "td3-bc"
+    layouts: ClassVar[tuple[AgentLayout, ...]] = (JOINT,)
+    pairs = 1
+    """Of critics, for each seed."""
+
+    def __init__(
+        self,
+        config: Td3BcConfig,
+        arrays: EpisodeArrays,
+        judge: Judge,
+        seeds: Sequence[int],
+        device: str = "cpu",
+    ) -> None:
+        self.config, self.seeds, self.step = config, tuple(seeds), 0
+        shares = config.future, config.elsewhere
+        self._batches = OfflineBatches(
+            arrays, config.batch_size, shares, judge, seeds, device
+        )
+        self._highest = highest_reward(judge)
+        # --- Networks --------------------------------------------------------
+        states = torch.from_numpy(arrays.states).float()
+        self.normalizer = Normalizer.of(states, config.std_floor).to(device)
+        self.actors = SeededActors(
+            self.layouts,
+            self.normalizer,
+            config.hidden,
+            config.actor_learning_rate,
+            seeds,
+            device,
+        )
+        self.critics = SeededCritics(
+            self.pairs,
+            config.hidden,
+            config.layer_norm,
+            config.critic_learning_rate,
+            seeds,
+            device,
+        )
+
+    # --- Update --------------------------------------------------------------
+
+    def update(self) -> dict[str, torch.Tensor]:
+        """One gradient step; losses of each seed, shape (S,)."""
+        config, batch = self.config, self._batches.next()
+        self.step += 1
+        state = self.normalizer(batch.observation)
+        next_state = self.normalizer(batch.next_observation)
+
+        with torch.no_grad():
+            noise = batch.noise * config.target_noise
+            noise.clamp_(-config.target_noise_clip, config.target_noise_clip)
+            next_action = (self.actors.joint_target(next_state) + noise).clamp_(-1, 1)
+            value = self.critics.least_target(next_state, next_action)
+            alive = config.discount * (1 - batch.terminated)
+            target = batch.reward[:, None] + alive[:, None] * value
+            if config.clip_targets:
+                target.clamp_max_(self._highest)
+
+        errors = self.critics.values(state, batch.action) - target[:, :, None]
+        loss = errors.square().mean(dim=3).sum(dim=(1, 2))
+        self.critics.descend(loss)
+        losses = {"loss/critic": loss.detach()}
+
+        if self.step % config.policy_delay == 0:
+            losses |= self._improve(state, batch)
+            self.actors.follow(config.target_rate)
+            self.critics.follow(config.target_rate)
+        return losses
+
+    def _improve(
+        self, state: torch.Tensor, batch: OfflineBatch
+    ) -> dict[str, torch.Tensor]:
+        """One gradient step of the actor."""
+        action = self.actors.joint(state)
+        value = self.critics.first(state, action)
+        weight = self.config.q_weight / value.detach().abs().mean(dim=1, keepdim=True)
+        imitated = batch.imitated
+        if self.config.imitate == "better":
+            with torch.no_grad():
+                taken = self.critics.first(state, batch.action)
+            imitated = imitated * (taken > value.detach())
+        error = (action - batch.action).square().mean(dim=2) * imitated
+        loss = (error - weight * value).mean(dim=1)
+        self.actors.descend(JOINT.name, loss)
+        return {"loss/actor": loss.detach(), "loss/imitation": error.detach().mean(1)}
+
+    @torch.no_grad()
+    def diagnose(self) -> dict[str, torch.Tensor]:
+        """What critics and actors do on some of the data, shape (S,).
+
+        ``q/slope``: how much more the first critic values going to the goal than away
+        from it, along x; below 0 it has learnt the opposite.
+        """
+        state, action = self._batches.some(DIAGNOSED)
+        towards = torch.sign(state[..., GOAL.start] - state[..., EE.start])
+        inputs = self.normalizer(state).expand(len(self.seeds), -1, -1)
+        action = action.expand(len(self.seeds), -1, -1)
+        there, back = action.clone(), action.clone()
+        there[..., 0], back[..., 0] = towards, -towards
+        slope = self.critics.first(inputs, there) - self.critics.first(inputs, back)
+        now = self.actors.joint(inputs)
+        return {
+            "q/data": self.critics.first(inputs, action).mean(dim=1),
+            "q/policy": self.critics.first(inputs, now).mean(dim=1),
+            "q/slope": slope.mean(dim=1),
+            **self.actors.diagnose(self.normalizer(state), action[:1]),
+        }
+
+    # --- Act -----------------------------------------------------------------
+
+    def agents(self, number: int) -> dict[str, AgentActor]:
+        """One seed's actors as they are now."""
+        return self.actors.agents(number)
+
+    # --- State ---------------------------------------------------------------
+
+    def state(self, number: int) -> dict[str, Any]:
+        """Everything that one seed needs to act and to resume bit-equally."""
+        return {
+            "step": self.step,
+            **self.actors.state(number),
+            **self.critics.state(number),
+            "batches": self._batches.state(number),
+        }
+
+    def load_states(self, states: Sequence[Mapping[str, Any]]) -> None:
+        """Continue all seeds from their ``state``."""
+        self.step = states[0]["step"]
+        for number, state in enumerate(states):
+            self.actors.load_state(number, state)
+            self.critics.load_state(number, state)
+        self._batches.load_states([state["batches"] for state in states])

@@ -1,0 +1,301 @@
+"""TD3+BC and MATD3+BC: their updates by hand, resumed runs, seeds side by side."""
+
+import io
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+from torch.nn import functional
+
+from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
+from marl_mm.algorithms.networks import perceptron
+from marl_mm.algorithms.offline_batches import OfflineBatch
+from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
+from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
+from marl_mm.envs.config import reach_config
+from marl_mm.envs.terms import judge
+from marl_mm.episode import Episode
+from marl_mm.errors import UsageError
+from marl_mm.layout import ACTION_HIGH, ACTION_LOW, AGENTS, JOINT
+
+MakeEpisode = Callable[..., Episode]
+JUDGE = partial(judge, config=reach_config("Reach-v0"))
+SMALL: dict[str, Any] = {"hidden": (16, 16), "batch_size": 32}
+PLAIN = {"future": 0.0, "elsewhere": 0.0, "layer_norm": False, "clip_targets": False}
+KINDS = (
+    (Td3Bc, Td3BcConfig(**SMALL)),
+    (Matd3Bc, Matd3BcConfig(**SMALL)),
+    (Matd3Bc, Matd3BcConfig(critics="own", others="data", **SMALL)),
+)
+
+
+@pytest.fixture
+def arrays(make_episode: MakeEpisode) -> EpisodeArrays:
+    return arrays_of([make_episode(i, steps=3 + i % 4) for i in range(20)], "x")
+
+
+class Reference:
+    """The update written down once more, plainly: one network per critic and actor."""
+
+    def __init__(self, algorithm: Td3Bc) -> None:
+        self.config = config = algorithm.config
+        self.layouts = algorithm.layouts
+        self.mean = algorithm.normalizer.mean
+        self.std = algorithm.normalizer.std
+
+        def net(widths: list[int], state: dict[str, torch.Tensor]) -> nn.Sequential:
+            layers = perceptron(widths, layer_norm="1.weight" in state)
+            network = nn.Sequential(*layers)
+            network.load_state_dict(state)
+            return network
+
+        hidden = list(config.hidden)
+        self.actors = [
+            net(
+                [len(a.observation), *hidden, len(a.action)],
+                algorithm.actors.networks[a.name].member(0),
+            )
+            for a in self.layouts
+        ]
+        self.critics = [
+            net([14, *hidden, 1], algorithm.critics.networks.member(i))
+            for i in range(2 * algorithm.pairs)
+        ]
+        self.target_actors, self.target_critics = deepcopy((self.actors, self.critics))
+        self.actor_adams = [
+            torch.optim.Adam(a.parameters(), config.actor_learning_rate)
+            for a in self.actors
+        ]
+        self.critic_adam = torch.optim.Adam(
+            [p for c in self.critics for p in c.parameters()],
+            config.critic_learning_rate,
+        )
+        self.step = 0
+
+    def act(self, actors: list[nn.Sequential], state: torch.Tensor) -> torch.Tensor:
+        parts = [
+            torch.tanh(actor(state[:, list(a.observation)]))
+            for actor, a in zip(actors, self.layouts, strict=True)
+        ]
+        return torch.cat(parts, dim=1)
+
+    def update(self, batch: OfflineBatch) -> None:
+        self.step += 1
+        config = self.config
+        b = OfflineBatch(*(column[0] for column in batch))
+        state = (b.observation - self.mean) / self.std
+        next_state = (b.next_observation - self.mean) / self.std
+        with torch.no_grad():
+            noise = (b.noise * config.target_noise).clamp(
+                -config.target_noise_clip, config.target_noise_clip
+            )
+            action = (self.act(self.target_actors, next_state) + noise).clamp(-1, 1)
+            inputs = torch.cat([next_state, action], dim=1)
+            targets = []
+            for pair in range(len(self.critics) // 2):
+                one, two = self.target_critics[2 * pair : 2 * pair + 2]
+                value = torch.min(one(inputs), two(inputs))[:, 0]
+                target = b.reward + config.discount * (1 - b.terminated) * value
+                if config.clip_targets:
+                    target = target.clamp(max=10.0)
+                targets += [target, target]
+        loss = torch.zeros(())
+        for critic, target in zip(self.critics, targets, strict=True):
+            value = critic(torch.cat([state, b.action], dim=1))[:, 0]
+            loss = loss + functional.mse_loss(value, target)
+        self.critic_adam.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        self.critic_adam.step()
+        if self.step % config.policy_delay:
+            return
+        now = self.act(self.actors, state).detach()
+        for number, layout in enumerate(self.layouts):
+            own = torch.tanh(self.actors[number](state[:, list(layout.observation)]))
+            others = getattr(config, "others", "policy")
+            action = (now if others == "policy" else b.action).clone()
+            action[:, list(layout.action)] = own
+            critic = self.critics[2 * number if len(self.critics) > 2 else 0]
+            value = critic(torch.cat([state, action], dim=1))[:, 0]
+            taken = critic(torch.cat([state, b.action], dim=1))[:, 0]
+            weight = config.q_weight / value.abs().mean().detach()
+            error = (own - b.action[:, list(layout.action)]).square().mean(dim=1)
+            error = error * b.imitated
+            if config.imitate == "better":
+                error = error * (taken > value).detach()
+            loss = error.mean() - weight * value.mean()
+            self.actor_adams[number].zero_grad()
+            loss.backward()
+            self.actor_adams[number].step()
+        pairs = [*zip(self.actors, self.target_actors, strict=True)]
+        pairs += [*zip(self.critics, self.target_critics, strict=True)]
+        with torch.no_grad():
+            for network, target in pairs:
+                for p, t in zip(network.parameters(), target.parameters(), strict=True):
+                    t.copy_(config.target_rate * p + (1 - config.target_rate) * t)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        PLAIN,
+        {"future": 0.3, "elsewhere": 0.3, "imitate": "better", "q_weight": 0.5},
+        {"layer_norm": True, "clip_targets": True, "policy_delay": 1},
+    ],
+)
+@pytest.mark.parametrize(("kind", "config"), KINDS)
+def test_updates_are_those_by_hand(
+    arrays: EpisodeArrays,
+    kind: type[Td3Bc],
+    config: Td3BcConfig,
+    changes: dict[str, object],
+) -> None:
+    config = replace(config, **changes)  # type: ignore[arg-type]
+    algorithm = kind(config, arrays, JUDGE, [3])
+    reference = Reference(algorithm)
+    twin = kind(config, arrays, JUDGE, [3])._batches
+    for _ in range(4):
+        algorithm.update()
+        reference.update(twin.next())
+    for i, critic in enumerate(reference.critics):
+        for name, value in critic.state_dict().items():
+            expected = algorithm.critics.networks.member(i)[name]
+            torch.testing.assert_close(value, expected, atol=1e-6, rtol=1e-5)
+    for layout, actor in zip(algorithm.layouts, reference.actors, strict=True):
+        for name, value in actor.state_dict().items():
+            expected = algorithm.actors.networks[layout.name].member(0)[name]
+            torch.testing.assert_close(value, expected, atol=1e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("kind", "config"), KINDS)
+def test_a_resumed_run_is_bit_equal(
+    arrays: EpisodeArrays, kind: type[Td3Bc], config: Td3BcConfig
+) -> None:
+    """Stopped within the batches that were drawn together."""
+    config = replace(config, future=0.4, elsewhere=0.2)
+    whole, first = (kind(config, arrays, JUDGE, [5]) for _ in range(2))
+    for _ in range(70):
+        whole.update()
+    for _ in range(47):
+        first.update()
+    file = io.BytesIO()
+    torch.save(first.state(0), file)
+    file.seek(0)
+    again = kind(config, arrays, JUDGE, [5])
+    again.load_states([torch.load(file, weights_only=True)])
+    for _ in range(23):
+        again.update()
+    assert again.critics.networks.flat.equal(whole.critics.networks.flat)
+    for name, actor in whole.actors.networks.items():
+        assert again.actors.networks[name].flat.equal(actor.flat)
+
+
+@pytest.mark.parametrize(("kind", "config"), KINDS)
+def test_seeds_side_by_side_are_those_alone(
+    arrays: EpisodeArrays, kind: type[Td3Bc], config: Td3BcConfig
+) -> None:
+    alone, together = (kind(config, arrays, JUDGE, s) for s in ([7], [6, 7, 8]))
+    for _ in range(20):
+        one, three = alone.update(), together.update()
+        for name, value in one.items():
+            torch.testing.assert_close(three[name][1:2], value, atol=1e-5, rtol=1e-4)
+    for name, actor in alone.actors.networks.items():
+        for key, value in actor.member(0).items():
+            expected = together.actors.networks[name].member(1)[key]
+            torch.testing.assert_close(value, expected, atol=1e-6, rtol=1e-4)
+
+
+def test_an_agents_gradient_does_not_reach_what_it_cannot_see(
+    arrays: EpisodeArrays,
+) -> None:
+    """What an agent does depends on its own observation alone."""
+    algorithm = Matd3Bc(KINDS[1][1], arrays, JUDGE, [0])
+    for _ in range(10):
+        algorithm.update()
+    state = torch.randn(1, 5, 10, requires_grad=True)
+    action = algorithm.actors.joint(state)
+    for agent in AGENTS:
+        (slope,) = torch.autograd.grad(
+            action[..., list(agent.action)].sum(), state, retain_graph=True
+        )
+        unseen = sorted(set(range(10)) - set(agent.observation))
+        assert (slope[..., unseen] == 0).all()
+        assert (slope[..., list(agent.observation)] != 0).any()
+
+
+def test_goals_are_exchanged_as_by_hand(arrays: EpisodeArrays) -> None:
+    """Each transition of a batch is one of the data, by one of three kinds of goals."""
+    config = Td3BcConfig(future=0.4, elsewhere=0.3, batch_size=500, hidden=(4,))
+    batch = Td3Bc(config, arrays, JUDGE, [0])._batches.next()
+    joint_states = arrays.states.astype(np.float32)
+    first = np.flatnonzero(~arrays.is_last_state())
+    owner = np.cumsum(arrays.is_first_state()) - 1
+    goals = {tuple(state[7:]) for state in joint_states}
+    kinds = {"own": 0, "future": 0, "elsewhere": 0}
+    for i in range(500):
+        state, after = batch.observation[0, i].numpy(), batch.next_observation[0, i]
+        (row,) = [r for r in first if (joint_states[r, :7] == state[:7]).all()]
+        np.testing.assert_array_equal(joint_states[row + 1, :7], after[:7].numpy())
+        np.testing.assert_array_equal(after[7:].numpy(), state[7:])
+        goal = state[7:]
+        later = joint_states[row + 1 :][owner[row + 1 :] == owner[row]]
+        if not batch.imitated[0, i]:
+            kinds["elsewhere"] += 1
+            assert tuple(goal) in goals
+        elif (goal == joint_states[row, 7:]).all():
+            kinds["own"] += 1
+        else:
+            kinds["future"] += 1
+            assert (later[:, :3] == goal).all(axis=1).any()
+        step = np.flatnonzero(first == row)
+        costs = {k: arrays.info[k][step] for k in ("d_mm", "d_mp", "base_jerk_rms")}
+        hand = arrays.states[row + 1 : row + 2, :3]
+        exact = goal.astype(float)[None]
+        if kinds and batch.imitated[0, i] and (goal == joint_states[row, 7:]).all():
+            expected = arrays.rewards[step], arrays.terminated[step]
+        else:
+            expected = JUDGE(hand, exact, costs)
+        np.testing.assert_allclose(batch.reward[0, i], expected[0][0], atol=1e-5)
+        assert batch.terminated[0, i] == expected[1][0]
+    assert abs(kinds["elsewhere"] - 150) < 50 and abs(kinds["future"] - 200) < 60
+
+
+def test_unknown_costs_forbid_other_goals(arrays: EpisodeArrays) -> None:
+    arrays.info["d_mp"][4] = np.nan
+    own = Td3BcConfig(future=0, elsewhere=0, **SMALL)
+    Td3Bc(own, arrays, JUDGE, [0]).update()
+    with pytest.raises(UsageError, match="--future 0 --elsewhere 0"):
+        Td3Bc(replace(own, future=0.2), arrays, JUDGE, [0])
+
+
+def test_the_slope_that_is_logged_by_hand(arrays: EpisodeArrays) -> None:
+    """Towards the goal along x less away from it, by the first critic."""
+    algorithm = Td3Bc(Td3BcConfig(**SMALL), arrays, JUDGE, [0])
+    rows = np.flatnonzero(~arrays.is_last_state())
+    state = torch.tensor(arrays.states[rows], dtype=torch.float32)
+    low, high = torch.tensor(ACTION_LOW), torch.tensor(ACTION_HIGH)
+    action = 2 * (torch.tensor(arrays.actions) - low) / (high - low) - 1
+    there, back = action.clone(), action.clone()
+    there[:, 0] = torch.sign(state[:, 7] - state[:, 0])
+    back[:, 0] = -there[:, 0]
+    inputs = algorithm.normalizer(state)[None]
+    first = algorithm.critics.first
+    expected = (first(inputs, there[None]) - first(inputs, back[None])).mean()
+    found = algorithm.diagnose()["q/slope"]
+    torch.testing.assert_close(found[0], expected.detach(), atol=1e-5, rtol=1e-4)
+
+
+def test_shares_beyond_one_are_refused() -> None:
+    with pytest.raises(UsageError, match="together"):
+        Td3BcConfig(future=0.7, elsewhere=0.6)
+    with pytest.raises(UsageError, match="q_weight is nan"):
+        Td3BcConfig(q_weight=float("nan"))
+
+
+def test_the_joint_actor_sees_everything() -> None:
+    assert Td3Bc.layouts == (JOINT,) and Matd3Bc.layouts == AGENTS
