@@ -103,7 +103,7 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         (["collect", "pd", "--stpes", "5"], "--stpes, 5; Perhaps you meant: --steps"),
         (
             ["train", "sac"],
-            "marl-mm train knows no 'sac', expected one of mabc, td3-bc",
+            "train knows no 'sac', expected one of mabc, td3-bc",
         ),
         (["train", "mabc"], "Missing from marl-mm train mabc: --dataset"),
         (["play", "pd", "--camera.width", "0"], "camera width is 0, expected even"),
