@@ -295,9 +295,9 @@ def test_a_checkpoint_of_another_algorithm_fails_with_1(
     capsys.readouterr()
     path = run_folder / "checkpoint.pt"
     checkpoint = torch.load(path, weights_only=True)
-    torch.save({**checkpoint, "algorithm": "td3-bc"}, path)
+    torch.save({**checkpoint, "algorithm": "cql"}, path)
     assert run("eval", str(run_folder)) == 1
-    assert "'td3-bc', expected 'mabc'" in one_line(capsys)
+    assert "'cql', expected 'mabc'" in one_line(capsys)
     path.write_bytes(b"not a checkpoint")
     assert run("play", str(run_folder)) == 1
     assert "is damaged" in one_line(capsys)
