@@ -23,11 +23,17 @@ from marl_mm.algorithms.demonstrations import Demonstrations
 from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.networks import Actor, Critic, Normalizer, descend
 from marl_mm.algorithms.policy import LearnedPolicy
-from marl_mm.algorithms.replay import COSTS, Batch, Judge, Replay, concatenated
+from marl_mm.algorithms.replay import (
+    Batch,
+    Judge,
+    Replay,
+    concatenated,
+    highest_reward,
+)
 from marl_mm.algorithms.statistics import RunningStatistics
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
-from marl_mm.layout import ACTION, ALPHA, EE, JOINT, STATE, AgentLayout
+from marl_mm.layout import ACTION, ALPHA, JOINT, STATE, AgentLayout
 
 # --- Config ------------------------------------------------------------------
 
@@ -158,8 +164,7 @@ class Ddpg:
         self.name = self.base_name + "-her" * (config.hindsight > 0)
         self.episodes = self.env_steps = self.updates = 0
         self.replay = Replay(config.capacity, config.hindsight, judge)
-        hit = np.zeros((1, len(STATE[EE])))
-        self._highest = float(judge(hit, hit, dict.fromkeys(COSTS, np.zeros(1)))[0][0])
+        self._highest = highest_reward(judge)
         self._demonstrations = Demonstrations(
             demonstrations, config.demonstration_successes, config.hindsight, judge
         )

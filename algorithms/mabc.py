@@ -15,9 +15,9 @@ from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.networks import Normalizer
 from marl_mm.algorithms.offline_batches import OfflineBatches
 from marl_mm.algorithms.replay import Judge
-from marl_mm.algorithms.seeded import DIAGNOSED, SeededActors
+from marl_mm.algorithms.seeded import DIAGNOSED, SeededActors, imitation_errors
 from marl_mm.datasets.arrays import EpisodeArrays
-from marl_mm.layout import AGENTS, AgentLayout
+from marl_mm.layout import AGENTS, AgentLayout, columns
 
 # --- Config ------------------------------------------------------------------
 
@@ -99,7 +99,7 @@ class Mabc:
         losses = {}
         for agent in AGENTS:
             own = self.actors.own(agent.name, state)
-            error = (own - batch.action[..., list(agent.action)]).square()
+            error = (own - batch.action[..., columns(agent.action)]).square()
             loss = error.mean(dim=(1, 2))
             self.actors.descend(agent.name, loss)
             losses[f"loss/{agent.name}"] = loss.detach()
@@ -109,7 +109,8 @@ class Mabc:
     def diagnose(self) -> dict[str, torch.Tensor]:
         """How far the actors are from some of the data, shape (S,)."""
         state, action = self._batches.some(DIAGNOSED)
-        return self.actors.diagnose(self.normalizer(state), action)
+        inputs = self.normalizer(state).expand(len(self.seeds), -1, -1)
+        return imitation_errors(self.actors.joint(inputs), action)
 
     # --- Act -----------------------------------------------------------------
 
@@ -123,7 +124,8 @@ class Mabc:
         """Everything that one seed needs to act and to resume bit-equally."""
         return {
             "step": self.step,
-            **self.actors.state(number),
+            "actors": self.actors.state(number),
+            "actor_learners": self.actors.learner_state(number),
             "batches": self._batches.state(number),
         }
 
@@ -131,5 +133,6 @@ class Mabc:
         """Continue all seeds from their ``state``."""
         self.step = states[0]["step"]
         for number, state in enumerate(states):
-            self.actors.load_state(number, state)
+            self.actors.load_state(number, state["actors"])
+            self.actors.load_learner_state(number, state["actor_learners"])
         self._batches.load_states([state["batches"] for state in states])

@@ -12,7 +12,7 @@ import torch
 
 from marl_mm.algorithms.offline_batches import OfflineBatch
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
-from marl_mm.layout import AGENTS, AgentLayout
+from marl_mm.layout import AGENTS, AgentLayout, columns
 
 # --- Config ------------------------------------------------------------------
 
@@ -37,8 +37,7 @@ class Matd3Bc(Td3Bc):
     layouts: ClassVar[tuple[AgentLayout, ...]] = AGENTS
     config: Matd3BcConfig
 
-    @property
-    def pairs(self) -> int:  # type: ignore[override]
+    def _pairs(self) -> int:
         """One pair of critics for each agent, or one for all."""
         return len(AGENTS) if self.config.critics == "own" else 1
 
@@ -52,7 +51,7 @@ class Matd3Bc(Td3Bc):
         with torch.no_grad():
             now = self.actors.joint(state)
         for number, agent in enumerate(AGENTS):
-            entries = list(agent.action)
+            entries = columns(agent.action)
             pair = number if self.config.critics == "own" else 0
             own = self.actors.own(agent.name, state)
             action = (now if self.config.others == "policy" else batch.action).clone()

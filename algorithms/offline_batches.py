@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from marl_mm.algorithms.replay import COSTS, Judge
+from marl_mm.algorithms.replay import COSTS, Judge, normalized_actions
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.errors import UsageError
-from marl_mm.layout import ACTION, ACTION_HIGH, ACTION_LOW, EE, GOAL
+from marl_mm.layout import ACTION, EE, GOAL
 
 _TOGETHER = 40
 """Batches drawn at once."""
@@ -46,13 +46,6 @@ class OfflineBatch(NamedTuple):
 
     noise: torch.Tensor
     """Standard normal, for the target's actions, shape (S, B, 4)."""
-
-
-def highest_reward(judge: Judge) -> float:
-    """That of a perfect hit, which no return can pass, as all others are negative."""
-    hit = np.zeros((1, 3))
-    rewards, _ = judge(hit, hit, dict.fromkeys(COSTS, np.zeros(1)))
-    return float(rewards[0])
 
 
 class OfflineBatches:
@@ -86,9 +79,7 @@ class OfflineBatches:
         # float64, so that a reward computed again is the step's own to the bit.
         self._state = arrays.states[~arrays.is_last_state()]
         self._next_state = arrays.states[~arrays.is_first_state()]
-        low, high = np.array(ACTION_LOW), np.array(ACTION_HIGH)
-        scaled = 2 * (arrays.actions - low) / (high - low) - 1
-        self._action = scaled.astype(np.float32)
+        self._action = normalized_actions(arrays.actions)
         self._reward, self._terminated = arrays.rewards, arrays.terminated
         self._costs = {name: arrays.info[name] for name in COSTS}
         self._end = np.repeat(np.cumsum(arrays.lengths), arrays.lengths)

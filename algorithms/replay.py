@@ -25,6 +25,20 @@ Judge = Callable[
 first positions, shape (n, 3) [m], by goals, shape (n, 3) [m], and costs by name."""
 
 
+def highest_reward(judge: Judge) -> float:
+    """That of a perfect hit, which no return can pass, as all others are negative."""
+    hit = np.zeros((1, 3))
+    rewards, _ = judge(hit, hit, dict.fromkeys(COSTS, np.zeros(1)))
+    return float(rewards[0])
+
+
+def normalized_actions(actions: np.ndarray) -> np.ndarray:
+    """Joint actions in [-1, 1], float32, shape (n, 4)."""
+    low, high = np.array(ACTION_LOW), np.array(ACTION_HIGH)
+    scaled: np.ndarray = (2 * (actions - low) / (high - low) - 1).astype(np.float32)
+    return scaled
+
+
 class Batch(NamedTuple):
     """Transitions, float32; actions in normalised coordinates."""
 
@@ -105,10 +119,9 @@ class Replay:
         while len(self) + count > self._capacity:
             self._oldest = int(self._end[self._oldest % self._capacity]) + 1
         rows = np.arange(self._total, self._total + count) % self._capacity
-        low, high = np.array(ACTION_LOW), np.array(ACTION_HIGH)
         self._state[rows] = episode.states[:-1]
         self._next_state[rows] = episode.states[1:]
-        self._action[rows] = 2 * (episode.actions - low) / (high - low) - 1
+        self._action[rows] = normalized_actions(episode.actions)
         self._reward[rows] = episode.rewards
         self._terminated[rows] = episode.terminated
         for name, values in self._costs.items():

@@ -6,6 +6,7 @@ process; on a GPU, many seeds take hardly longer than one.
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import copy
 from typing import Any
 
 import torch
@@ -14,7 +15,7 @@ from torch import nn
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.ensemble import Ensemble, Learner
 from marl_mm.algorithms.networks import Actor, Normalizer, perceptron
-from marl_mm.layout import ACTION, STATE, AgentLayout
+from marl_mm.layout import ACTION, STATE, AgentLayout, columns
 
 TWINS = 2
 """Critics of a pair (Fujimoto 2018)."""
@@ -56,51 +57,32 @@ class SeededActors:
                     widths = len(agent.observation), *hidden, len(agent.action)
                     members[name].append(nn.Sequential(*perceptron(widths)))
         self.networks = {name: Ensemble(m, device) for name, m in members.items()}
-        self.targets = {name: one.copy() for name, one in self.networks.items()}
         self._learners = {n: Learner(one, rate) for n, one in self.networks.items()}
 
     def own(self, name: str, state: torch.Tensor) -> torch.Tensor:
         """One agent's actions in [-1, 1], shape (S, B, k)."""
-        entries = self._layouts[name].observation
-        return torch.tanh(self.networks[name](_columns(state, entries)))
+        entries = columns(self._layouts[name].observation)
+        return torch.tanh(self.networks[name](state[..., entries]))
 
     def joint(self, state: torch.Tensor) -> torch.Tensor:
         """All agents' actions, shape (S, B, 4)."""
         return torch.cat([self.own(name, state) for name in self._layouts], dim=-1)
 
-    def joint_target(self, state: torch.Tensor) -> torch.Tensor:
-        """What the target actors would do, shape (S, B, 4)."""
-        parts = [
-            self.targets[name](_columns(state, layout.observation))
-            for name, layout in self._layouts.items()
-        ]
-        return torch.tanh(torch.cat(parts, dim=-1))
-
     def descend(self, name: str, loss: torch.Tensor) -> None:
         """One step of one agent's actors down their losses, shape (S,)."""
         self._learners[name].descend(loss.sum())
 
-    def follow(self, rate: float) -> None:
-        """Bring the target actors nearer."""
-        for name, target in self.targets.items():
-            target.follow(self.networks[name], rate)
+    def copy(self) -> "SeededActors":
+        """Target actors: the same now, and without learners."""
+        other = copy(self)
+        other.networks = {name: one.copy() for name, one in self.networks.items()}
+        other._learners = {}
+        return other
 
-    def diagnose(
-        self, state: torch.Tensor, action: torch.Tensor
-    ) -> dict[str, torch.Tensor]:
-        """Mean square difference to actions of the data by entry, and saturation.
-
-        Args:
-            state: Normalised, shape (1, n, 10).
-            action: In [-1, 1], shape (1, n, 4).
-        """
-        seeds = len(next(iter(self.networks.values())).weights["0.bias"])
-        now = self.joint(state.expand(seeds, -1, -1))
-        errors = (now - action).square().mean(dim=1)
-        return {
-            **{f"imitation/{name}": errors[:, i] for i, name in enumerate(ACTION)},
-            "action/saturation": (now.abs() > _SATURATED).float().mean(dim=(1, 2)),
-        }
+    def follow(self, others: "SeededActors", rate: float) -> None:
+        """Go a share of the way to others' weights."""
+        for name, network in self.networks.items():
+            network.follow(others.networks[name], rate)
 
     def agents(self, number: int) -> dict[str, AgentActor]:
         """One seed's actors, on the CPU, with the input statistics within."""
@@ -115,23 +97,26 @@ class SeededActors:
         return found
 
     def state(self, number: int) -> dict[str, Any]:
-        """One seed's part of a checkpoint."""
+        """One seed's actors, with the input statistics within."""
         agents = self.agents(number)
-        return {
-            "actors": {name: one.actor.state_dict() for name, one in agents.items()},
-            "target_actors": {n: t.member(number) for n, t in self.targets.items()},
-            "actor_learners": {n: o.member(number) for n, o in self._learners.items()},
-        }
+        return {name: agent.actor.state_dict() for name, agent in agents.items()}
 
     def load_state(self, number: int, state: Mapping[str, Any]) -> None:
-        """Continue with one seed from its ``state``."""
+        """Give one seed the actors of a ``state``."""
+        prefix = "layers."
         for name, network in self.networks.items():
-            actor = state["actors"][name].items()
-            prefix = "layers."
+            actor = state[name].items()
             layers = {k.removeprefix(prefix): v for k, v in actor if prefix in k}
             network.load_member(number, layers)
-            self.targets[name].load_member(number, state["target_actors"][name])
-            self._learners[name].load_member(number, state["actor_learners"][name])
+
+    def learner_state(self, number: int) -> dict[str, Any]:
+        """One seed's learners."""
+        return {name: one.member(number) for name, one in self._learners.items()}
+
+    def load_learner_state(self, number: int, state: Mapping[str, Any]) -> None:
+        """Continue with one seed's learners from their ``learner_state``."""
+        for name, learner in self._learners.items():
+            learner.load_member(number, state[name])
 
 
 class SeededCritics:
@@ -165,16 +150,19 @@ class SeededCritics:
                     for _ in range(self._each)
                 ]
         self.networks = Ensemble(members, device)
-        self.targets = self.networks.copy()
         self._learner = Learner(self.networks, rate)
 
     def values(self, state: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
         """What all critics say, shape (S, pairs, 2, B)."""
-        return self._all(self.networks, state, action)
+        inputs = torch.cat([state, action], dim=-1)
+        seeds, size, width = inputs.shape
+        each = inputs[:, None].expand(seeds, self._each, size, width)
+        values = self.networks(each.reshape(seeds * self._each, size, width))
+        return values.view(seeds, self._pairs, TWINS, size)
 
-    def least_target(self, state: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-        """The lower value of each pair of target critics, shape (S, pairs, B)."""
-        values = self._all(self.targets, state, action)
+    def least(self, state: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        """The lower value of each pair, shape (S, pairs, B)."""
+        values = self.values(state, action)
         return torch.minimum(values[:, :, 0], values[:, :, 1])
 
     def first(
@@ -189,45 +177,53 @@ class SeededCritics:
         """One step of all critics down their losses, shape (S,)."""
         self._learner.descend(loss.sum())
 
-    def follow(self, rate: float) -> None:
-        """Bring the target critics nearer."""
-        self.targets.follow(self.networks, rate)
+    def copy(self) -> "SeededCritics":
+        """Target critics: the same now, and without a learner."""
+        other = copy(self)
+        other.networks = self.networks.copy()
+        del other._learner
+        return other
 
-    def state(self, number: int) -> dict[str, Any]:
-        """One seed's part of a checkpoint."""
-        return {
-            name: [part.member(i) for i in self._members(number)]
-            for name, part in self._parts().items()
-        }
+    def follow(self, others: "SeededCritics", rate: float) -> None:
+        """Go a share of the way to others' weights."""
+        self.networks.follow(others.networks, rate)
 
-    def load_state(self, number: int, state: Mapping[str, Any]) -> None:
-        """Continue with one seed from its ``state``."""
-        for name, part in self._parts().items():
-            for i, own in zip(self._members(number), state[name], strict=True):
-                part.load_member(i, own)
+    def state(self, number: int) -> list[Any]:
+        """One seed's critics."""
+        return [self.networks.member(i) for i in self._members(number)]
 
-    def _all(
-        self, networks: Ensemble, state: torch.Tensor, action: torch.Tensor
-    ) -> torch.Tensor:
-        inputs = torch.cat([state, action], dim=-1)
-        seeds, size, width = inputs.shape
-        each = inputs[:, None].expand(seeds, self._each, size, width)
-        values = networks(each.reshape(seeds * self._each, size, width))
-        return values.view(seeds, self._pairs, TWINS, size)
+    def load_state(self, number: int, state: Sequence[Any]) -> None:
+        """Give one seed the critics of a ``state``."""
+        for i, own in zip(self._members(number), state, strict=True):
+            self.networks.load_member(i, own)
 
-    def _parts(self) -> dict[str, Ensemble | Learner]:
-        return {
-            "critics": self.networks,
-            "target_critics": self.targets,
-            "critic_learners": self._learner,
-        }
+    def learner_state(self, number: int) -> list[Any]:
+        """What the learner knows of one seed's critics."""
+        return [self._learner.member(i) for i in self._members(number)]
+
+    def load_learner_state(self, number: int, state: Sequence[Any]) -> None:
+        """Continue with one seed's learner from its ``learner_state``."""
+        for i, own in zip(self._members(number), state, strict=True):
+            self._learner.load_member(i, own)
 
     def _members(self, number: int) -> range:
         return range(number * self._each, (number + 1) * self._each)
 
 
-def _columns(state: torch.Tensor, entries: tuple[int, ...]) -> torch.Tensor:
-    return state if len(entries) == len(STATE) else state[..., list(entries)]
+def imitation_errors(
+    now: torch.Tensor, action: torch.Tensor
+) -> dict[str, torch.Tensor]:
+    """Mean square difference to actions of the data by entry, and saturation.
+
+    Args:
+        now: What the actors do, in [-1, 1], shape (S, n, 4).
+        action: What the data did, likewise.
+    """
+    errors = (now - action).square().mean(dim=1)
+    return {
+        **{f"imitation/{name}": errors[:, i] for i, name in enumerate(ACTION)},
+        "action/saturation": (now.abs() > _SATURATED).float().mean(dim=(1, 2)),
+    }
 
 
 @contextmanager

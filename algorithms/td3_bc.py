@@ -14,13 +14,14 @@ import torch
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.networks import Normalizer
-from marl_mm.algorithms.offline_batches import (
-    OfflineBatch,
-    OfflineBatches,
-    highest_reward,
+from marl_mm.algorithms.offline_batches import OfflineBatch, OfflineBatches
+from marl_mm.algorithms.replay import Judge, highest_reward
+from marl_mm.algorithms.seeded import (
+    DIAGNOSED,
+    SeededActors,
+    SeededCritics,
+    imitation_errors,
 )
-from marl_mm.algorithms.replay import Judge
-from marl_mm.algorithms.seeded import DIAGNOSED, SeededActors, SeededCritics
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.errors import UsageError
 from marl_mm.layout import EE, GOAL, JOINT, AgentLayout
@@ -121,8 +122,6 @@ class Td3Bc:
 
     name: ClassVar[str] = "td3-bc"
     layouts: ClassVar[tuple[AgentLayout, ...]] = (JOINT,)
-    pairs = 1
-    """Of critics, for each seed."""
 
     def __init__(
         self,
@@ -150,13 +149,19 @@ class Td3Bc:
             device,
         )
         self.critics = SeededCritics(
-            self.pairs,
+            self._pairs(),
             config.hidden,
             config.layer_norm,
             config.critic_learning_rate,
             seeds,
             device,
         )
+        self._target_actors = self.actors.copy()
+        self._target_critics = self.critics.copy()
+
+    def _pairs(self) -> int:
+        """Pairs of critics that each seed has."""
+        return 1
 
     # --- Update --------------------------------------------------------------
 
@@ -170,8 +175,8 @@ class Td3Bc:
         with torch.no_grad():
             noise = batch.noise * config.target_noise
             noise.clamp_(-config.target_noise_clip, config.target_noise_clip)
-            next_action = (self.actors.joint_target(next_state) + noise).clamp_(-1, 1)
-            value = self.critics.least_target(next_state, next_action)
+            next_action = (self._target_actors.joint(next_state) + noise).clamp_(-1, 1)
+            value = self._target_critics.least(next_state, next_action)
             alive = config.discount * (1 - batch.terminated)
             target = batch.reward[:, None] + alive[:, None] * value
             if config.clip_targets:
@@ -184,8 +189,8 @@ class Td3Bc:
 
         if self.step % config.policy_delay == 0:
             losses |= self._improve(state, batch)
-            self.actors.follow(config.target_rate)
-            self.critics.follow(config.target_rate)
+            self._target_actors.follow(self.actors, config.target_rate)
+            self._target_critics.follow(self.critics, config.target_rate)
         return losses
 
     def _improve(
@@ -224,7 +229,7 @@ class Td3Bc:
             "q/data": self.critics.first(inputs, action).mean(dim=1),
             "q/policy": self.critics.first(inputs, now).mean(dim=1),
             "q/slope": slope.mean(dim=1),
-            **self.actors.diagnose(self.normalizer(state), action[:1]),
+            **imitation_errors(now, action),
         }
 
     # --- Act -----------------------------------------------------------------
@@ -239,8 +244,12 @@ class Td3Bc:
         """Everything that one seed needs to act and to resume bit-equally."""
         return {
             "step": self.step,
-            **self.actors.state(number),
-            **self.critics.state(number),
+            "actors": self.actors.state(number),
+            "actor_learners": self.actors.learner_state(number),
+            "target_actors": self._target_actors.state(number),
+            "critics": self.critics.state(number),
+            "critic_learners": self.critics.learner_state(number),
+            "target_critics": self._target_critics.state(number),
             "batches": self._batches.state(number),
         }
 
@@ -248,6 +257,10 @@ class Td3Bc:
         """Continue all seeds from their ``state``."""
         self.step = states[0]["step"]
         for number, state in enumerate(states):
-            self.actors.load_state(number, state)
-            self.critics.load_state(number, state)
+            self.actors.load_state(number, state["actors"])
+            self.actors.load_learner_state(number, state["actor_learners"])
+            self._target_actors.load_state(number, state["target_actors"])
+            self.critics.load_state(number, state["critics"])
+            self.critics.load_learner_state(number, state["critic_learners"])
+            self._target_critics.load_state(number, state["target_critics"])
         self._batches.load_states([state["batches"] for state in states])

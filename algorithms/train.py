@@ -72,9 +72,9 @@ def train(
                 note(step, rows)
                 for number, run in enumerate(runs):
                     save_seed(run / FILE, algorithm, number)
+                done, saved = step - saved, step
                 loss = sum(value.mean().item() for value in means.values())
-                advance(step - saved, f"loss {loss:.4f}")
-                saved = step
+                advance(done, f"loss {loss:.4f}")
         except (KeyboardInterrupt, DivergedError) as error:
             kept = f"the checkpoint of update {saved}" if saved else "no checkpoint"
             where = f"{', '.join(map(str, runs))}: {kept}"

@@ -18,7 +18,7 @@ from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.datasets.location import SHIPPED, Location, find, locate
 from marl_mm.datasets.storage import read_arrays, read_metadata
 from marl_mm.episode import Episode
-from marl_mm.layout import AGENTS
+from marl_mm.layout import AGENTS, columns
 
 
 @dataclass(frozen=True)
@@ -58,10 +58,10 @@ class Transitions:
     ) -> "Transitions":
         """Some entries of observation and action, everything else shared."""
         return Transitions(
-            self.observation[:, _columns(observation)],
-            self.action[:, _columns(action)],
+            self.observation[:, columns(observation)],
+            self.action[:, columns(action)],
             self.reward,
-            self.next_observation[:, _columns(observation)],
+            self.next_observation[:, columns(observation)],
             self.terminated,
             self.truncated,
             self.episode,
@@ -148,9 +148,3 @@ def existing(text: str) -> Location:
     if location == locate(SHIPPED) and not location.folder.exists():
         shipped.install(location)
     return location
-
-
-def _columns(entries: tuple[int, ...]) -> slice | list[int]:
-    """A slice where it says the same, as that makes a view."""
-    run = slice(entries[0], entries[-1] + 1)
-    return run if entries == tuple(range(run.start, run.stop)) else list(entries)

@@ -34,6 +34,12 @@ ACTION_LOW = (-1.0, -1.0, -1.0, 0.0)
 ACTION_HIGH = (1.0, 1.0, 1.0, 1.0)
 
 
+def columns(entries: tuple[int, ...]) -> slice | list[int]:
+    """Index of these entries; a slice where it says the same, as that makes a view."""
+    run = slice(entries[0], entries[-1] + 1)
+    return run if entries == tuple(range(run.start, run.stop)) else list(entries)
+
+
 @dataclass(frozen=True)
 class AgentLayout:
     """What one agent sees of the joint state and sets of the joint action."""

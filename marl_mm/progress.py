@@ -1,8 +1,12 @@
 """Progress with ETA on stderr, so that stdout holds nothing but results."""
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from multiprocessing.queues import Queue
+from multiprocessing.synchronize import Event
+from typing import Any
 
 from rich.console import Console
 from rich.progress import (
@@ -17,16 +21,18 @@ from rich.progress import (
 Advance = Callable[[int, str], None]
 """Called with the work done since the last call and a short note."""
 
+Bar = Callable[[str, int], Advance]
+"""Begins a bar with this label for this much work."""
 
 _LINE = 60.0
 """Seconds between lines where there is no terminal to redraw."""
 
 
 @contextmanager
-def progress_bar(label: str, total: int) -> Iterator[Advance]:
-    """A bar for ``total`` units of work; into a pipe or a file, a line per minute."""
-    bar = Progress(
-        TextColumn(f"{label:<16}"),
+def progress_bars() -> Iterator[Bar]:
+    """Bars below one another; into a pipe or a file, a line for each per minute."""
+    bars = Progress(
+        TextColumn("{task.description:<16}"),
         BarColumn(bar_width=6),  # all of it and a note fit into 80 columns
         MofNCompleteColumn(),
         TimeElapsedColumn(),
@@ -36,21 +42,76 @@ def progress_bar(label: str, total: int) -> Iterator[Advance]:
         console=Console(stderr=True),
         speed_estimate_period=600,  # an evaluation between may take a minute
     )
-    with bar:
-        task = bar.add_task(label, total=total, note="")
-        shown = time.monotonic()
+    shown = time.monotonic()
+
+    def bar(label: str, total: int) -> Advance:
+        task = bars.add_task(label, total=total, note="")
 
         def advance(done: int, note: str) -> None:
             nonlocal shown
-            bar.update(task, advance=done)
+            bars.update(task, advance=done)
             if note:
-                bar.update(task, note=note)
-            if not bar.console.is_terminal and time.monotonic() - shown > _LINE:
+                bars.update(task, note=note)
+            if not bars.console.is_terminal and time.monotonic() - shown > _LINE:
                 shown = time.monotonic()
-                bar.console.print(bar.get_renderable())
+                bars.console.print(bars.get_renderable())
 
-        yield advance
+        return advance
+
+    with bars:
+        yield bar
+
+
+@contextmanager
+def progress_bar(label: str, total: int) -> Iterator[Advance]:
+    """One bar for ``total`` units of work."""
+    with progress_bars() as bar:
+        yield bar(label, total)
 
 
 def silent(done: int, note: str) -> None:
     """Progress for callers who do not want any."""
+
+
+def distant_bars(messages: "Queue[Any]", stop: Event) -> Bar:
+    """Bars of this process, shown in the one that reads ``messages``.
+
+    Args:
+        messages: See ``show_distant_bars``.
+        stop: Set by that process when the work is to end; the next step of a bar then
+            raises KeyboardInterrupt.
+    """
+
+    def bar(label: str, total: int) -> Advance:
+        messages.put((label, total, 0, ""))
+
+        def advance(done: int, note: str) -> None:
+            messages.put((label, total, done, note))
+            if stop.is_set():
+                raise KeyboardInterrupt
+
+        return advance
+
+    return bar
+
+
+@contextmanager
+def show_distant_bars(messages: "Queue[Any]") -> Iterator[None]:
+    """Show the bars of other processes, whose labels differ, until the block ends."""
+
+    def show(bar: Bar) -> None:
+        bars: dict[str, Advance] = {}
+        while (message := messages.get()) is not None:
+            label, total, done, note = message
+            if label not in bars:
+                bars[label] = bar(label, total)
+            bars[label](done, note)
+
+    with progress_bars() as bar:
+        thread = threading.Thread(target=show, args=(bar,), daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            messages.put(None)
+            thread.join()

@@ -65,7 +65,7 @@ class Reference:
         ]
         self.critics = [
             net([14, *hidden, 1], algorithm.critics.networks.member(i))
-            for i in range(2 * algorithm.pairs)
+            for i in range(4 if getattr(config, "critics", "shared") == "own" else 2)
         ]
         self.target_actors, self.target_critics = deepcopy((self.actors, self.critics))
         self.actor_adams = [
@@ -245,18 +245,19 @@ def test_goals_are_exchanged_as_by_hand(arrays: EpisodeArrays) -> None:
         goal = state[7:]
         later = joint_states[row + 1 :][owner[row + 1 :] == owner[row]]
         if not batch.imitated[0, i]:
-            kinds["elsewhere"] += 1
+            kind = "elsewhere"
             assert tuple(goal) in goals
         elif (goal == joint_states[row, 7:]).all():
-            kinds["own"] += 1
+            kind = "own"
         else:
-            kinds["future"] += 1
+            kind = "future"
             assert (later[:, :3] == goal).all(axis=1).any()
+        kinds[kind] += 1
         step = np.flatnonzero(first == row)
         costs = {k: arrays.info[k][step] for k in ("d_mm", "d_mp", "base_jerk_rms")}
         hand = arrays.states[row + 1 : row + 2, :3]
         exact = goal.astype(float)[None]
-        if kinds and batch.imitated[0, i] and (goal == joint_states[row, 7:]).all():
+        if kind == "own":
             expected = arrays.rewards[step], arrays.terminated[step]
         else:
             expected = JUDGE(hand, exact, costs)

@@ -160,7 +160,9 @@ def _train(options: Quickstart, size: Size) -> Evaluation:
         config=MabcConfig(updates=size.updates),
     )
     dataset = load_dataset(options.out.resolve() / "dataset")
-    return train_offline(dataset, training, options.seed, options.out / "mabc")
+    runs = {options.seed: options.out / "mabc"}
+    ((_, evaluation),) = train_offline(dataset, training, runs)
+    return evaluation
 
 
 def _evaluate(policy: Policy, options: Quickstart, size: Size) -> Evaluation:

@@ -20,7 +20,7 @@ from marl_mm.differences import as_json, refuse_difference
 from marl_mm.errors import CheckpointError, OutputExistsError, UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate
 from marl_mm.files import refuse_existing, write_json
-from marl_mm.progress import progress_bar
+from marl_mm.progress import Bar
 
 T = TypeVar("T")
 
@@ -182,7 +182,13 @@ def continue_run(run: Path, changes: dict[str, Any]) -> None:
 
 
 def evaluate_run(
-    run: Path, options: TrainOptions, task: str, checkpoint: str, result: str
+    run: Path,
+    options: TrainOptions,
+    task: str,
+    checkpoint: str,
+    result: str,
+    bar: Bar,
+    label: str,
 ) -> Evaluation:
     """Evaluate a trained run and keep the result beside it, unless that is there.
 
@@ -198,17 +204,15 @@ def evaluate_run(
         if (len(known.rows), known.seed) == asked:
             return known
     policy = load_policy(run / checkpoint)
-    label = f"eval {Path(checkpoint).stem}"
     try:
-        with progress_bar(label, options.eval_episodes) as advance:
-            evaluation = evaluate(
-                policy,
-                options.eval_episodes,
-                options.eval_seed,
-                task,
-                workers=options.workers,
-                advance=advance,
-            )
+        evaluation = evaluate(
+            policy,
+            options.eval_episodes,
+            options.eval_seed,
+            task,
+            workers=options.workers,
+            advance=bar(label, options.eval_episodes),
+        )
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"stopped; {run} is trained: evaluate it with --resume"

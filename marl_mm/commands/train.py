@@ -14,7 +14,6 @@ from marl_mm.commands.runs import TrainOptions, check_options, saved_options, to
 from marl_mm.commands.train_offline import (
     OFFLINE,
     Offline,
-    check_offline,
     offline_options,
     train_offline,
 )
@@ -63,10 +62,8 @@ def main(arguments: Sequence[str]) -> None:
 
 def _offline(options: Offline, runs: dict[int, Path]) -> Any:
     dataset = read_dataset(options.dataset)
-    for seed, run in runs.items():
-        check_offline(dataset, options, seed, run)
-    for seed, run in runs.items():
-        yield run, train_offline(dataset, options, seed, run), None
+    for run, evaluation in train_offline(dataset, options, runs):
+        yield run, evaluation, None
 
 
 def _online(name: str, options: Any, runs: dict[int, Path]) -> Any:

@@ -1,10 +1,14 @@
 """Runs that learn from a dataset file."""
 
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
+import torch
 import tyro
 
 from marl_mm.algorithms.algorithm import OfflineAlgorithm
@@ -12,7 +16,7 @@ from marl_mm.algorithms.checkpoint import FILE
 from marl_mm.algorithms.mabc import Mabc, MabcConfig
 from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
 from marl_mm.algorithms.policy import LearnedPolicy
-from marl_mm.algorithms.presets import OfflineConfig, Preset, offline_preset
+from marl_mm.algorithms.presets import Preset, offline_preset
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
 from marl_mm.algorithms.train import resume_seeds, train
@@ -29,11 +33,13 @@ from marl_mm.commands.runs import (
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.terms import judge
+from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate
 from marl_mm.eval.figures import learning_curve
 from marl_mm.files import only_here
-from marl_mm.progress import progress_bar
+from marl_mm.progress import Bar, distant_bars, progress_bars, show_distant_bars
 from marl_mm.versions import versions
+from marl_mm.workers import Workers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +55,10 @@ class TrainOffline(TrainOptions):
     task: str | None = None
     """To evaluate on: Reach-v0, SmoothReach-v0 or PreciseReach-v0; default that of the
     dataset."""
+
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where to train. On a CPU each seed is a process of one thread, at most --workers
+    at once; on a GPU all seeds are trained side by side."""
 
     curve_every: int = 2_000
     """Updates between points of the learning curve."""
@@ -87,83 +97,178 @@ OFFLINE = {
 }
 """Algorithms, and what helps say of them."""
 
+_KINDS: dict[type, tuple[Any, Any]] = {
+    MabcConfig: (Mabc, TrainMabc),
+    Td3BcConfig: (Td3Bc, TrainTd3Bc),
+    Matd3BcConfig: (Matd3Bc, TrainMatd3Bc),
+}
+"""Algorithm and options by the class of the hyper-parameters."""
+
 
 def offline_options(algorithm: str, name: Preset = "tuned", **changes: Any) -> Offline:
     """The options of an offline algorithm, with some replaced."""
-    config: Any = offline_preset(algorithm, name)
-    kinds: dict[str, Any] = {
-        "mabc": TrainMabc,
-        "td3-bc": TrainTd3Bc,
-        "matd3-bc": TrainMatd3Bc,
-    }
-    options: Offline = kinds[algorithm](config=config, preset=name, **changes)
+    config = offline_preset(algorithm, name)
+    _, kind = _KINDS[type(config)]
+    options: Offline = kind(config=config, preset=name, **changes)
     return options
 
 
-def check_offline(dataset: Dataset, options: Offline, seed: int, run: Path) -> None:
+def train_offline(
+    dataset: Dataset, options: Offline, runs: Mapping[int, Path]
+) -> Iterator[tuple[Path, Evaluation]]:
+    """Train, evaluate, and leave a folder of each seed's run, as they come.
+
+    On a CPU seeds are trained in processes of their own, and on a GPU all at once.
+
+    Raises:
+        DivergedError: If a loss is not finite; there may be a checkpoint from before.
+        KeyboardInterrupt: After Ctrl-C, saying how to go on.
+    """
+    _check(dataset, options, runs)
+    workers = min(options.workers, len(runs))
+    with ExitStack() as stack:
+        for seed, run in runs.items():
+            stack.enter_context(only_here(run))
+            if not (options.resume and (run / FILE).exists()):
+                start_run(run, _run_config(dataset, options, seed))
+        if options.device == "cuda":
+            yield from _train_together(dataset, options, runs)
+        elif workers > 1:
+            yield from _train_apart(dataset, options, runs, workers)
+        else:
+            for seed, run in runs.items():
+                yield from _train_together(dataset, options, {seed: run})
+
+
+def _check(dataset: Dataset, options: Offline, runs: Mapping[int, Path]) -> None:
     """Raise before any work is done for what would stop a run; see ``check_run``."""
     check_positive(
         curve_every=options.curve_every, curve_episodes=options.curve_episodes
     )
-    config = _run_config(dataset, options, seed)
-    reach_config(config["task"])
-    check_run(run, config, options, ("preset",))
+    if options.device == "cuda" and not torch.cuda.is_available():
+        raise UsageError(
+            "--device is cuda, but torch finds no such GPU: leave it out, or install "
+            "a torch that is built for yours"
+        )
+    reach_config(_task(dataset, options))
+    for seed, run in runs.items():
+        check_run(run, _run_config(dataset, options, seed), options, _MAY_DIFFER)
+    _algorithm(dataset, options, list(runs))  # which refuses what it cannot learn from
 
 
-def train_offline(
-    dataset: Dataset, options: Offline, seed: int, run: Path
-) -> Evaluation:
-    """Train one seed, evaluate it, and leave a run folder.
+def _train_apart(
+    dataset: Dataset, options: Offline, runs: Mapping[int, Path], workers: int
+) -> Iterator[tuple[Path, Evaluation]]:
+    """Seeds in processes of their own, which Ctrl-C and a failure of one stop."""
+    context = get_context("spawn")
+    messages, stop = context.Queue(), context.Event()
+    alone = replace(options, workers=1)
+    arguments = dataset, alone, messages, stop
+    try:
+        with (
+            show_distant_bars(messages),
+            Workers(workers, _begin_process, arguments) as pool,
+        ):
+            try:
+                yield from pool.completed(_train_here, runs.items(), ahead=1)
+            except BaseException:
+                stop.set()
+                raise
+    except KeyboardInterrupt:
+        folders = ", ".join(map(str, runs.values()))
+        raise KeyboardInterrupt(f"stopped; {folders}: go on with --resume") from None
 
-    Raises:
-        DivergedError: If a loss is not finite; there may be a checkpoint from before.
-    """
-    check_offline(dataset, options, seed, run)
-    with only_here(run):
-        _train(dataset, options, seed, run)
-        task = _run_config(dataset, options, seed)["task"]
-        return evaluate_run(run, options, task, FILE, EVALUATION)
+
+_process: tuple[Any, ...] = ()
+"""What a process that trains seeds was begun with."""
 
 
-def _train(dataset: Dataset, options: Offline, seed: int, run: Path) -> None:
-    config = _run_config(dataset, options, seed)
-    algorithm = _algorithm(dataset, options.config, seed)
-    if options.resume and (run / FILE).exists():
-        resume_seeds(algorithm, [run])
-    else:
-        start_run(run, config)
+def _begin_process(*arguments: Any) -> None:
+    global _process
+    _process = arguments
+
+
+def _train_here(cell: tuple[int, Path]) -> tuple[Path, Evaluation]:
+    dataset, options, messages, stop = _process
+    (trained,) = _train(dataset, options, dict([cell]), distant_bars(messages, stop))
+    return trained
+
+
+def _train_together(
+    dataset: Dataset, options: Offline, runs: Mapping[int, Path]
+) -> list[tuple[Path, Evaluation]]:
+    """Seeds side by side in this process."""
+    with progress_bars() as bar:
+        return _train(dataset, options, runs, bar)
+
+
+def _train(
+    dataset: Dataset, options: Offline, runs: Mapping[int, Path], bar: Bar
+) -> list[tuple[Path, Evaluation]]:
+    """Train what has been started, and evaluate one seed after the other."""
+    algorithm = _algorithm(dataset, options, list(runs))
+    begun = [(run / FILE).exists() for run in runs.values()]
+    if any(begun):
+        if not all(begun):
+            raise UsageError("some of the seeds have not begun: resume them one by one")
+        resume_seeds(algorithm, list(runs.values()))
+
+    task = _task(dataset, options)
 
     def point(policy: LearnedPolicy) -> dict[str, float]:
         goals = options.eval_seed + 1  # not those of the final evaluation
-        return curve_point(
-            evaluate(policy, options.curve_episodes, goals, config["task"])
-        )
+        return curve_point(evaluate(policy, options.curve_episodes, goals, task))
 
-    total = options.config.updates
-    with progress_bar(f"{algorithm.name} {seed}", total) as advance:
-        train(algorithm, [run], point, options.curve_every, advance)
-    learning_curve(read_metrics(run), run / CURVE)
+    label = f"{algorithm.name} {' '.join(map(str, runs))}"
+    advance = bar(label, options.config.updates)
+    train(algorithm, list(runs.values()), point, options.curve_every, advance)
+    trained = []
+    for seed, run in runs.items():
+        learning_curve(read_metrics(run), run / CURVE)
+        label = f"eval {seed}"
+        last = evaluate_run(run, options, task, FILE, EVALUATION, bar, label)
+        trained.append((run, last))
+    return trained
 
 
-def _algorithm(dataset: Dataset, config: OfflineConfig, seed: int) -> OfflineAlgorithm:
-    task = reach_config(dataset.metadata["marl_mm"]["task"])
-    rewards = partial(judge, config=task)
-    if isinstance(config, MabcConfig):
-        return Mabc(config, dataset.arrays, rewards, [seed])
-    if isinstance(config, Matd3BcConfig):
-        return Matd3Bc(config, dataset.arrays, rewards, [seed])
-    return Td3Bc(config, dataset.arrays, rewards, [seed])
+def _algorithm(
+    dataset: Dataset, options: Offline, seeds: Sequence[int]
+) -> OfflineAlgorithm:
+    rewards = partial(judge, config=reach_config(_dataset_task(dataset)))
+    kind, _ = _KINDS[type(options.config)]
+    algorithm: OfflineAlgorithm = kind(
+        options.config, dataset.arrays, rewards, seeds, options.device
+    )
+    return algorithm
+
+
+def _task(dataset: Dataset, options: Offline) -> str:
+    """What is evaluated on."""
+    return options.task or _dataset_task(dataset)
+
+
+def _dataset_task(dataset: Dataset) -> str:
+    task: str = dataset.metadata["marl_mm"]["task"]
+    return task
+
+
+_MAY_DIFFER = ("preset", "device")
+"""Of a run's config, when it is resumed."""
 
 
 def _run_config(dataset: Dataset, options: Offline, seed: int) -> dict[str, Any]:
     """What a run is made of; ``config.json``."""
-    names = {MabcConfig: "mabc", Td3BcConfig: "td3-bc", Matd3BcConfig: "matd3-bc"}
+    kind, _ = _KINDS[type(options.config)]
     return {
-        "algorithm": names[type(options.config)],
+        "algorithm": kind.name,
         "preset": options.preset,
         "seed": seed,
-        "task": options.task or dataset.metadata["marl_mm"]["task"],
+        "device": options.device,
+        "task": _task(dataset, options),
         "dataset": dataset.identity(),
+        "curve_every": options.curve_every,
+        "curve_episodes": options.curve_episodes,
+        "eval_seed": options.eval_seed,
         "packages": versions(),
         **asdict(options.config),
     }

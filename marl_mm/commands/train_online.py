@@ -38,7 +38,7 @@ from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate_with
 from marl_mm.eval.figures import online_curve
 from marl_mm.files import only_here
-from marl_mm.progress import progress_bar
+from marl_mm.progress import progress_bar, progress_bars
 from marl_mm.versions import versions
 
 
@@ -148,10 +148,15 @@ def train_online_run(
 def evaluate_online_run(options: TrainDdpg, run: Path) -> tuple[Evaluation, Evaluation]:
     """Draw a trained run's learning curve; evaluate its last and its best policy."""
     online_curve(read_metrics(run), run / CURVE)
-    return (
-        evaluate_run(run, options, options.task, FILE, EVALUATION),
-        evaluate_run(run, options, options.task, BEST, BEST_EVALUATION),
-    )
+    with progress_bars() as bar:
+        last, best = (
+            evaluate_run(run, options, options.task, file, result, bar, label)
+            for file, result, label in (
+                (FILE, EVALUATION, "eval last"),
+                (BEST, BEST_EVALUATION, "eval best"),
+            )
+        )
+    return last, best
 
 
 def _train(options: TrainDdpg, seed: int, run: Path) -> None:

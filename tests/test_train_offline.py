@@ -1,0 +1,99 @@
+"""Several seeds in one command: in processes, stopped, resumed."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+from marl_mm.algorithms.checkpoint import FILE
+from marl_mm.cli import main
+
+SMALL = (
+    "td3-bc --dataset good-5k --updates 300 --hidden 8 8 --batch-size 16 "
+    "--curve-every 200 --curve-episodes 1 --eval-episodes 2"
+).split()
+KEPT = ("metrics.jsonl", FILE)
+
+
+def evaluated(run: Path) -> object:
+    return json.loads((run / "eval.json").read_text())["episodes"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Where the dataset that ships is unpacked."""
+    with pytest.MonkeyPatch.context() as patch:
+        folder = tmp_path_factory.mktemp("datasets")
+        patch.setenv("MINARI_DATASETS_PATH", str(folder))
+        yield
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Seeds one after the other in this process."""
+    out = tmp_path_factory.mktemp("runs") / "alone"
+    seeds = ["--seeds", "0", "1", "2", "--workers", "1", "--out", str(out)]
+    assert main(["train", *SMALL, *seeds]) == 0
+    return out
+
+
+@pytest.mark.slow
+def test_seeds_in_processes_leave_the_same_bytes(alone: Path, tmp_path: Path) -> None:
+    seeds = ["--seeds", "0", "1", "2", "--workers", "2", "--out", str(tmp_path)]
+    assert main(["train", *SMALL, *seeds]) == 0
+    for seed in "012":
+        for name in KEPT:
+            one, other = tmp_path / seed / name, alone / seed / name
+            assert one.read_bytes() == other.read_bytes()
+        assert evaluated(tmp_path / seed) == evaluated(alone / seed)
+
+
+@pytest.mark.slow
+def test_interrupted_processes_go_on_to_the_same_end(
+    alone: Path, tmp_path: Path
+) -> None:
+    """A real Ctrl-C, and ``--resume`` with nothing else said."""
+    out = ["--out", str(tmp_path), "--workers", "2"]
+    words = ["train", *SMALL, "--seeds", "0", "1", "2", *out]
+    command = [sys.executable, "-m", "marl_mm", *words]
+    job = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    while not (tmp_path / "0" / FILE).exists():
+        time.sleep(0.05)
+        assert job.poll() is None
+    job.send_signal(signal.SIGINT)
+    _, complaint = job.communicate(timeout=60)
+    assert job.returncode == 130
+    assert complaint.strip().endswith("go on with --resume")
+    assert not (tmp_path / "2" / "eval.json").exists()
+    assert main(["train", "td3-bc", "--resume", "--eval-episodes", "2", *out]) == 0
+    for seed in "012":
+        metrics = (tmp_path / seed / "metrics.jsonl").read_bytes()
+        assert metrics == (alone / seed / "metrics.jsonl").read_bytes()
+        assert evaluated(tmp_path / seed) == evaluated(alone / seed)
+
+
+@pytest.mark.slow
+def test_one_seed_that_diverges_ends_all_with_a_message(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wild = ["--critic-learning-rate", "1e30", "--no-layer-norm", "--no-clip-targets"]
+    seeds = ["--seeds", "0", "1", "--workers", "2", "--out", str(tmp_path)]
+    assert main(["train", *SMALL, *wild, *seeds]) == 1
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert last.startswith("marl-mm: ") and "lower the learning rates" in last
+
+
+def test_a_missing_gpu_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    words = [*SMALL, "--device", "cuda", "--out", str(tmp_path / "run")]
+    assert main(["train", *words]) == 2
+    assert "torch finds no such GPU" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
