@@ -227,7 +227,8 @@ def _verify(command: Verify) -> None:
         raise UsageError("name at least one dataset")
     found = {}
     for name in command.datasets:
-        problems = verify(existing(name))
+        location = existing(name)
+        problems = verify(location)
         if not problems and command.replay:
             try:
                 problems = _replayed(name, command.workers)
@@ -235,7 +236,7 @@ def _verify(command: Verify) -> None:
                 problems = [str(error)]
         found[name] = problems
         if not problems:
-            warn_if_stopped(load_dataset(name))
+            warn_if_stopped(location, read_metadata(location))
         if not command.json:
             print(f"{name}: {'; '.join(problems) or 'all is well'}", flush=True)
     if command.json:

@@ -2,8 +2,9 @@
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -68,16 +69,16 @@ def read_dataset(name: str | Location) -> Dataset:
         DatasetError: If its files are damaged.
     """
     dataset = load_dataset(name)
-    warn_if_stopped(dataset)
+    warn_if_stopped(dataset.location, dataset.metadata)
     return dataset
 
 
-def warn_if_stopped(dataset: Dataset) -> None:
+def warn_if_stopped(location: Location, metadata: Mapping[str, Any]) -> None:
     """Say so on stderr if a dataset holds less than was asked for."""
-    if not dataset.metadata["marl_mm"].get("complete", True):
+    if not metadata["marl_mm"].get("complete", True):
         print(
-            f"marl-mm: {dataset.location.name} is of a collection that was stopped: "
-            f"{dataset.arrays.steps} steps",
+            f"marl-mm: {location.name} is of a collection that was stopped: "
+            f"{metadata['total_steps']} steps",
             file=sys.stderr,
         )
 
