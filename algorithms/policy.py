@@ -19,7 +19,7 @@ class LearnedPolicy:
 
     Args:
         name: How tables call it.
-        agents: The actors, by agent.
+        agents: The actors, by agent; in the order of their actions.
         source: Where it was loaded from.
     """
 
@@ -27,7 +27,7 @@ class LearnedPolicy:
         self, name: str, agents: Mapping[str, AgentActor], source: str | None = None
     ) -> None:
         self.name = name
-        self._agents = dict(agents)
+        self.agents = dict(agents)
         self._source = source
 
     def describe(self) -> dict[str, Any]:
@@ -38,7 +38,7 @@ class LearnedPolicy:
     def fingerprint(self) -> str:
         """Hash of all weights: who acted, wherever the file is by now."""
         digest = hashlib.sha256()
-        for agent in self._agents.values():
+        for agent in self.agents.values():
             for name, tensor in agent.actor.state_dict().items():
                 digest.update(name.encode() + tensor.numpy().tobytes())
         return digest.hexdigest()[:16]
@@ -57,7 +57,7 @@ class LearnedPolicy:
         """
         state = joint_state(observation)
         action = np.empty(len(ACTION), np.float32)
-        for agent in self._agents.values():
+        for agent in self.agents.values():
             layout = agent.layout
             action[list(layout.action)] = agent.act(state[list(layout.observation)])
         return action
@@ -70,13 +70,13 @@ class LearnedPolicy:
         Raises:
             UsageError: If one joint actor sees and sets everything.
         """
-        if JOINT.name in self._agents:
+        if JOINT.name in self.agents:
             raise UsageError(
                 f"{self.name} has one joint actor, which needs the joint state: step "
                 "the parallel environment with marl_mm.envs.parallel.split_action of "
                 "policy.act of its state()"
             )
-        return {name: self._agents[name].act(o) for name, o in observations.items()}
+        return {name: self.agents[name].act(o) for name, o in observations.items()}
 
 
 def joint_state(observation: np.ndarray | Mapping[str, np.ndarray]) -> np.ndarray:

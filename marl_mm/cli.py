@@ -15,6 +15,7 @@ COMMANDS = {
     "datasets": "list, show, mix, split, filter, verify, export, import, delete",
     "train": "train a policy: from a dataset, or online",
     "eval": "evaluate runs and scripted policies on fixed goals",
+    "export": "a policy as TorchScript or ONNX",
     "play": "film an episode, or watch it in a window",
     "sweep-alpha": "what alpha does: tables and figures over alpha, form and task",
     "ablate": "reproduce figures and tables, training the runs they need",

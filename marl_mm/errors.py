@@ -37,6 +37,10 @@ class CheckpointError(MarlMmError):
     """A checkpoint is damaged or belongs to something else."""
 
 
+class ExportError(MarlMmError):
+    """An exported policy does not act as the run's."""
+
+
 class WorkerDiedError(MarlMmError):
     """A process that did part of the work is gone."""
 

@@ -1,0 +1,189 @@
+"""Policies as files that run without this package: TorchScript and ONNX.
+
+A file takes observations, float32, shape (n, d), and returns actions in the action
+space, shape (n, k); within it lie the names of their entries and the actions' bounds.
+"""
+
+import json
+import logging
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from torch import nn
+
+from marl_mm.algorithms.actors import AgentActor
+from marl_mm.algorithms.policy import LearnedPolicy
+from marl_mm.errors import ExportError, UsageError
+from marl_mm.files import new_file
+from marl_mm.layout import ACTION, ACTION_HIGH, ACTION_LOW, STATE
+
+Format = Literal["torchscript", "onnx"]
+
+SUFFIXES: dict[Format, str] = {"torchscript": ".ts", "onnx": ".onnx"}
+
+TOLERANCE = 1e-5
+"""Largest difference between a file's actions and the policy's."""
+
+_CHECKS = 1_000
+"""Observations at which they are compared."""
+
+_METADATA = "marl_mm"
+"""Its name in TorchScript's extra files and ONNX's properties."""
+
+
+def export_policy(
+    policy: LearnedPolicy, path: Path, form: Format, agent: str | None = None
+) -> dict[str, Any]:
+    """Write a policy, and compare what the file does with what the policy does.
+
+    Args:
+        policy: Trained.
+        path: The file; it appears when the comparison has passed.
+        form: TorchScript or ONNX.
+        agent: One decentralised actor on its own observation; None for the joint
+            action at the joint state.
+
+    Returns:
+        The file's metadata, and the largest difference found.
+
+    Raises:
+        UsageError: If there is no such agent, or a library is missing.
+        ExportError: If the file's actions differ by more than ``TOLERANCE``.
+    """
+    needed = ("onnx", "onnxscript", "onnxruntime")
+    if form == "onnx" and any(find_spec(name) is None for name in needed):
+        raise UsageError(f"{', '.join(needed)} missing: pip install 'marl-mm[onnx]'")
+    module = _Exported(policy, agent).eval()
+    metadata = module.metadata | {"policy": policy.name, "weights": policy.fingerprint}
+    observations = module.some(_CHECKS)
+    with new_file(path) as temporary:
+        with _quiet():
+            if form == "torchscript":
+                run = _torchscript(module, observations[:2], temporary, metadata)
+            else:
+                run = _onnx(module, observations[:2], temporary, metadata)
+        difference = np.abs(run(observations.numpy()) - module.expected(observations))
+        if not difference.max() <= TOLERANCE:
+            raise ExportError(
+                f"the exported policy's actions differ from the run's by "
+                f"{difference.max():.2g}, expected at most {TOLERANCE:g}: no file was "
+                "written"
+            )
+    return metadata | {"largest_difference": float(difference.max())}
+
+
+class _Exported(nn.Module):
+    """Some of a policy's actors, from what is observed to what is set."""
+
+    def __init__(self, policy: LearnedPolicy, agent: str | None) -> None:
+        super().__init__()
+        agents = policy.agents
+        if agent is not None and agent not in agents:
+            raise UsageError(
+                f"{policy.name} has no agent {agent!r}, expected {' or '.join(agents)}"
+            )
+        self._agents = [agents[agent]] if agent else list(agents.values())
+        self._alone = agent is not None
+        self._actors = nn.ModuleList(one.actor for one in self._agents)
+        entries = [i for one in self._agents for i in one.layout.action]
+        own = self._agents[0].layout.observation
+        seen = own if self._alone else range(len(STATE))
+        self.metadata: dict[str, Any] = {
+            "observation": [STATE[i] for i in seen],
+            "action": [ACTION[i] for i in entries],
+            "action_low": [ACTION_LOW[i] for i in entries],
+            "action_high": [ACTION_HIGH[i] for i in entries],
+        }
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        parts = [
+            one.scale.denormalize(one.actor(self._own(one, observation)))
+            for one in self._agents
+        ]
+        return torch.cat(parts, dim=-1)
+
+    def _own(self, agent: AgentActor, observation: torch.Tensor) -> torch.Tensor:
+        return observation if self._alone else agent.own(observation)
+
+    def some(self, count: int) -> torch.Tensor:
+        """Observations around those that the actors were trained on."""
+        rng = np.random.default_rng(0)
+        mean, std = torch.zeros(len(STATE)), torch.ones(len(STATE))
+        for one in self._agents:
+            entries = list(one.layout.observation)
+            mean[entries] = one.actor.normalizer.mean
+            std[entries] = one.actor.normalizer.std
+        draws = torch.from_numpy(rng.standard_normal((count, len(STATE)), np.float32))
+        states = mean + 2 * std * draws
+        return self._agents[0].own(states) if self._alone else states
+
+    def expected(self, observations: torch.Tensor) -> np.ndarray:
+        """What the actors do, one observation at a time, as in an episode."""
+        rows = []
+        for row in observations:
+            own = [one.act(self._own(one, row).numpy()) for one in self._agents]
+            rows.append(np.concatenate(own))
+        return np.array(rows)
+
+
+Run = Callable[[np.ndarray], np.ndarray]
+
+
+def _torchscript(
+    module: nn.Module, example: torch.Tensor, path: Path, metadata: dict[str, Any]
+) -> Run:
+    traced = torch.jit.trace(module, example)  # type: ignore[no-untyped-call]
+    torch.jit.save(traced, path, {_METADATA: json.dumps(metadata)})
+    loaded = torch.jit.load(path)  # type: ignore[no-untyped-call]
+
+    def run(observations: np.ndarray) -> np.ndarray:
+        with torch.no_grad():
+            actions: np.ndarray = loaded(torch.from_numpy(observations)).numpy()
+        return actions
+
+    return run
+
+
+def _onnx(
+    module: nn.Module, example: torch.Tensor, path: Path, metadata: dict[str, Any]
+) -> Run:
+    import onnxruntime
+
+    program = torch.onnx.export(
+        module,
+        (example,),
+        dynamo=True,
+        input_names=["observation"],
+        output_names=["action"],
+        dynamic_shapes=({0: torch.export.Dim("n")},),
+        verbose=False,
+    )
+    assert program is not None
+    program.model.metadata_props[_METADATA] = json.dumps(metadata)
+    program.save(path)
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+
+    def run(observations: np.ndarray) -> np.ndarray:
+        (actions,) = session.run(None, {"observation": observations})
+        return np.asarray(actions)
+
+    return run
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without what the exporters say about themselves and what is not installed."""
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logging.disable(before)

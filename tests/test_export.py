@@ -1,0 +1,121 @@
+"""Exported policies act as the run's do, without this package."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+
+from marl_mm.algorithms.export import TOLERANCE, export_policy
+from marl_mm.algorithms.policy import load_policy
+from marl_mm.algorithms.pretrained import load_pretrained
+from marl_mm.cli import main
+from marl_mm.datasets.arrays import load_arrays
+from marl_mm.datasets.shipped import ARRAYS
+from marl_mm.errors import ExportError
+from marl_mm.layout import ACTION, AGENTS, STATE
+
+SMALL = (
+    "mabc --dataset good-5k --updates 100 --hidden 8 --curve-every 100 "
+    "--curve-episodes 1 --eval-episodes 2 --workers 1"
+).split()
+
+
+@pytest.fixture(scope="module")
+def mabc(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("export")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MINARI_DATASETS_PATH", str(folder))
+        assert main(["train", *SMALL, "--out", str(folder / "run")]) == 0
+    return folder / "run" / "0"
+
+
+@pytest.fixture(scope="module")
+def states() -> np.ndarray:
+    """Those of the dataset that ships."""
+    states: np.ndarray = load_arrays(ARRAYS).states[::7].astype(np.float32)
+    return states
+
+
+def test_torchscript_acts_without_the_package(
+    mabc: Path, states: np.ndarray, tmp_path: Path
+) -> None:
+    """In a process that cannot import it."""
+    assert main(["export", str(mabc)]) == 0
+    np.save(tmp_path / "states.npy", states)
+    code = (
+        "import sys, numpy as np, torch; sys.modules['marl_mm'] = None;"
+        "policy = torch.jit.load(sys.argv[1]);"
+        "states = torch.from_numpy(np.load('states.npy'));"
+        "np.save('actions.npy', policy(states).detach().numpy())"
+    )
+    command = [sys.executable, "-c", code, str(mabc / "policy.ts")]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    policy = load_policy(mabc)
+    expected = [policy.act(state) for state in states]
+    found = np.load(tmp_path / "actions.npy")
+    np.testing.assert_allclose(found, expected, atol=TOLERANCE)
+
+
+def test_onnx_of_one_agent_acts_on_its_own_observation(
+    mabc: Path, states: np.ndarray, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--format", "onnx", "--agent", "balance", "--json"]
+    assert main(["export", str(mabc), *words]) == 0
+    told = json.loads(capsys.readouterr().out)
+    session = onnxruntime.InferenceSession(told["file"])
+    inside = json.loads(session.get_modelmeta().custom_metadata_map["marl_mm"])
+    layout = AGENTS[1]
+    assert inside["observation"] == [STATE[i] for i in layout.observation]
+    assert (inside["action"], inside["action_low"]) == (["alpha"], [0.0])
+    own = states[:, list(layout.observation)]
+    (found,) = session.run(None, {"observation": own})
+    policy = load_policy(mabc)
+    expected = [policy.act(state)[[3]] for state in states]
+    np.testing.assert_allclose(found, expected, atol=TOLERANCE)
+
+
+def test_a_joint_policy_as_onnx(states: np.ndarray, tmp_path: Path) -> None:
+    policy = load_pretrained()
+    told = export_policy(policy, tmp_path / "p.onnx", "onnx")
+    assert (told["observation"], told["action"]) == (list(STATE), list(ACTION))
+    session = onnxruntime.InferenceSession(tmp_path / "p.onnx")
+    (found,) = session.run(None, {"observation": states[:50]})
+    expected = [policy.act(state) for state in states[:50]]
+    np.testing.assert_allclose(found, expected, atol=TOLERANCE)
+
+
+def test_a_file_that_acts_otherwise_is_not_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load: Callable[[Path], Any] = torch.jit.load
+
+    def spoilt(path: Path) -> Callable[[torch.Tensor], torch.Tensor]:
+        policy: Callable[[torch.Tensor], torch.Tensor] = load(path)
+        return lambda observations: policy(observations) + 0.1
+
+    monkeypatch.setattr(torch.jit, "load", spoilt)
+    with pytest.raises(ExportError, match="differ from the run's by"):
+        export_policy(load_pretrained(), tmp_path / "p.ts", "torchscript")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["nowhere"], "no checkpoint at nowhere"),
+        (["pretrained", "--agent", "balance"], "no agent 'balance', expected joint"),
+        (["pretrained", "--out", "."], "is a folder, expected a file"),
+    ],
+)
+def test_bad_requests(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["export", *words]) == 2
+    assert message in capsys.readouterr().err
