@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import nn
 from torch.nn import functional
+from torch.optim.adam import adam
 
 State = dict[str, torch.Tensor]
 
@@ -90,39 +91,46 @@ class Learner:
     """
 
     def __init__(self, ensemble: Ensemble, rate: float) -> None:
-        self._ensemble = ensemble
-        flat = ensemble.flat
-        flat.grad = torch.zeros_like(flat)
-        self._gradients = list(ensemble.views(flat.grad).values())
+        self._rate = rate
+        self._flat = flat = ensemble.flat
         self._weights = [view.requires_grad_() for view in ensemble.weights.values()]
-        self._adam = torch.optim.Adam([flat], lr=rate, fused=True)
-        moments = torch.zeros_like(flat), torch.zeros_like(flat)
-        self._adam.state[flat] = {
-            "step": torch.zeros((), device=flat.device),
-            "exp_avg": moments[0],
-            "exp_avg_sq": moments[1],
-        }
+        self._step = torch.zeros((), device=flat.device)
+        self._mean, self._square = torch.zeros_like(flat), torch.zeros_like(flat)
         self._moments = {
-            "exp_avg": ensemble.views(moments[0]),
-            "exp_avg_sq": ensemble.views(moments[1]),
+            "exp_avg": ensemble.views(self._mean),
+            "exp_avg_sq": ensemble.views(self._square),
         }
 
     def descend(self, loss: torch.Tensor) -> None:
         """One step down; no other gradient is computed."""
         found = torch.autograd.grad(loss, self._weights)
-        for gradient, one in zip(self._gradients, found, strict=True):
-            gradient.copy_(one)
-        self._adam.step()
+        gradient = torch.cat([one.flatten() for one in found])
+        # The function itself: what torch.optim.Adam does around it takes as long.
+        adam(
+            [self._flat],
+            [gradient],
+            [self._mean],
+            [self._square],
+            [],
+            [self._step],
+            fused=True,
+            amsgrad=False,
+            beta1=0.9,
+            beta2=0.999,
+            lr=self._rate,
+            weight_decay=0.0,
+            eps=1e-8,
+            maximize=False,
+        )
 
     def member(self, number: int) -> dict[str, Any]:
         """What Adam knows of one perceptron."""
-        step = self._adam.state[self._ensemble.flat]["step"].item()
         parts = {name: part_of(m, number) for name, m in self._moments.items()}
-        return {"step": step, **parts}
+        return {"step": self._step.item(), **parts}
 
     def load_member(self, number: int, state: Mapping[str, Any]) -> None:
         """Continue with one perceptron from another's state."""
-        self._adam.state[self._ensemble.flat]["step"].fill_(state["step"])
+        self._step.fill_(state["step"])
         for name, moments in self._moments.items():
             set_part(moments, number, state[name])
 

@@ -1,12 +1,27 @@
 """The benchmark's numbers belong together; abuse is counted and limits hold."""
 
-import pytest
+from dataclasses import replace
+from functools import partial
 
+import pytest
+import torch
+
+from marl_mm.algorithms.td3_bc import Td3Bc
 from marl_mm.control.config import Form
+from marl_mm.datasets.arrays import load_arrays
+from marl_mm.datasets.shipped import ARRAYS
 from marl_mm.envs.config import reach_config
+from marl_mm.envs.terms import judge
 from marl_mm.eval.abuse import abuse
 from marl_mm.eval.bench import bench_control
+from marl_mm.eval.bench_offline import (
+    AUTHORS,
+    LEARNERS,
+    bench_offline,
+    plain_config,
+)
 from marl_mm.eval.bench_train import bench_success, bench_train
+from marl_mm.eval.td3_bc_reference import PlainTd3Bc
 
 
 @pytest.mark.slow
@@ -83,3 +98,66 @@ def test_bench_train_compares_success_after_equal_steps() -> None:
         low, high = measured["interval"]
         assert 0 <= low <= measured["success_rate"] <= high <= 1
     assert 2 * 60 <= sum(told) < 2 * 60 + 5 * 25  # whole cycles, whole episodes
+
+
+@pytest.mark.slow
+def test_bench_offline_times_all_in_turns() -> None:
+    told: list[int] = []
+    result = bench_offline(100, seeds=2, advance=lambda done, note: told.append(done))
+    rates = result["updates_per_second"]
+    assert len(rates) == LEARNERS and min(rates.values()) > 0
+    assert sum(told) == 100 * (LEARNERS + 1)
+    ratio = rates["mabc"] / rates[AUTHORS]
+    assert result["over_authors"]["mabc"] == pytest.approx(ratio)  # of a single turn
+    assert 0.2 < result["seeds"]["throughput_over_one"] < 2.5
+    assert result["seeds"]["memory_mb"] > result["memory_mb"] / 2 > 50
+
+
+def ours_in_their_order(ours: Td3Bc) -> list[torch.Tensor]:
+    """Weights and biases of the actor, the first critic and the second one."""
+    names = [f"{layer}.{kind}" for layer in (0, 2, 4) for kind in ("weight", "bias")]
+    critic = ours.critics.networks.member
+    members = ours.actors.networks["joint"].member(0), critic(0), critic(1)
+    return [member[name] for member in members for name in names]
+
+
+def theirs_in_order(*networks: torch.nn.Module) -> list[torch.Tensor]:
+    states = [sorted(one.state_dict().items()) for one in networks]  # l1.bias, ...
+    pairs = [
+        (state[i + 1][1], state[i][1])
+        for state in states
+        for i in range(0, len(state), 2)
+    ]
+    return [tensor for pair in pairs for tensor in pair]
+
+
+def test_ours_without_its_additions_is_the_authors() -> None:
+    """From the same weights, on the same batches and noise: the same networks."""
+    config = replace(plain_config(), hidden=(16, 16), batch_size=32)
+    arrays, rewards = load_arrays(ARRAYS), partial(judge, config=reach_config())
+    ours, twin = (Td3Bc(config, arrays, rewards, [0]) for _ in range(2))
+    theirs = PlainTd3Bc(arrays, config, 0)
+    networks = (
+        (theirs.actor, theirs.critic),
+        (theirs.actor_target, theirs.critic_target),
+    )
+    for pair in networks:
+        for mine, other in zip(
+            theirs_in_order(*pair), ours_in_their_order(ours), strict=True
+        ):
+            mine.copy_(other)
+    for _ in range(6):
+        batch = twin._batches.next()
+        theirs.learn(
+            twin.normalizer(batch.observation[0]),
+            batch.action[0],
+            twin.normalizer(batch.next_observation[0]),
+            batch.reward[0][:, None],
+            1 - batch.terminated[0][:, None],
+            batch.noise[0],
+        )
+        ours.update()
+    for mine, other in zip(
+        theirs_in_order(*learning), ours_in_their_order(ours), strict=True
+    ):
+        torch.testing.assert_close(mine, other, atol=1e-6, rtol=1e-5)

@@ -66,10 +66,12 @@ class BenchAbuse:
 
 @dataclass(frozen=True)
 class BenchTrain:
-    """Count gradient updates per second of DDPG+HER and MADDPG+HER on one thread.
+    """Count gradient updates per second on one thread, of online and offline learners.
 
-    Beside them, in turns: Stable-Baselines3's DDPG+HER (optional extra "bench") with
-    the same batch, hidden layers (it has no layer norm) and hindsight.
+    Beside DDPG+HER and MADDPG+HER, in turns: Stable-Baselines3's DDPG+HER (optional
+    extra "bench") with the same batch, hidden layers (it has no layer norm) and
+    hindsight. Beside TD3+BC, MATD3+BC and MABC, with batches of 256 and two layers of
+    256: TD3+BC as its authors wrote it; and several seeds at once beside one.
     """
 
     updates: int = 2_000
@@ -78,6 +80,9 @@ class BenchTrain:
     env_steps: int = 3_000
     """Also train ours and theirs from nothing for so many steps of the environment, and
     compare their success; 3,000 take about three minutes, 0 leaves it out."""
+
+    seeds: int = 3
+    """Processes that learn offline at once."""
 
     seed: int = 0
     """Of networks and episodes."""
@@ -157,11 +162,13 @@ def _abuse(options: BenchAbuse) -> dict[str, Any]:
 
 
 def _train(options: BenchTrain) -> dict[str, Any]:
+    from marl_mm.eval.bench_offline import LEARNERS, bench_offline
     from marl_mm.eval.bench_train import (  # torch takes a second to import
         bench_success,
         bench_train,
     )
 
+    check_positive(seeds=options.seeds)
     if options.updates < 100:
         raise UsageError(f"--updates is {options.updates}, expected >= 100")
     if options.env_steps < 0:
@@ -177,6 +184,11 @@ def _train(options: BenchTrain) -> dict[str, Any]:
             result["success"] = bench_success(
                 options.env_steps, options.seed, sb3=sb3, advance=advance
             )
+    total = turns * (LEARNERS + 1)
+    with progress_bar("bench offline", total) as advance:
+        result["offline"] = bench_offline(
+            turns, options.seed, options.seeds, advance=advance
+        )
     return result
 
 
