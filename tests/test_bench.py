@@ -122,13 +122,13 @@ def ours_in_their_order(ours: Td3Bc) -> list[torch.Tensor]:
 
 
 def theirs_in_order(*networks: torch.nn.Module) -> list[torch.Tensor]:
-    states = [sorted(one.state_dict().items()) for one in networks]  # l1.bias, ...
-    pairs = [
-        (state[i + 1][1], state[i][1])
-        for state in states
-        for i in range(0, len(state), 2)
+    """The same of their actor and critic."""
+    return [
+        one.state_dict()[f"l{number}.{kind}"]
+        for one in networks
+        for number in range(1, len(one.state_dict()) // 2 + 1)
+        for kind in ("weight", "bias")
     ]
-    return [tensor for pair in pairs for tensor in pair]
 
 
 def test_ours_without_its_additions_is_the_authors() -> None:
@@ -137,11 +137,8 @@ def test_ours_without_its_additions_is_the_authors() -> None:
     arrays, rewards = load_arrays(ARRAYS), partial(judge, config=reach_config())
     ours, twin = (Td3Bc(config, arrays, rewards, [0]) for _ in range(2))
     theirs = PlainTd3Bc(arrays, config, 0)
-    networks = (
-        (theirs.actor, theirs.critic),
-        (theirs.actor_target, theirs.critic_target),
-    )
-    for pair in networks:
+    learning = theirs.actor, theirs.critic
+    for pair in (learning, (theirs.actor_target, theirs.critic_target)):
         for mine, other in zip(
             theirs_in_order(*pair), ours_in_their_order(ours), strict=True
         ):
