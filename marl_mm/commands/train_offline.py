@@ -57,8 +57,8 @@ class TrainOffline(TrainOptions):
     dataset."""
 
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where to train. On a CPU each seed is a process of one thread, at most --workers
-    at once; on a GPU all seeds are trained side by side."""
+    """Where to train. On a CPU each seed is a process of one thread, about --workers at
+    once; on a GPU all seeds are trained side by side."""
 
     curve_every: int = 2_000
     """Updates between points of the learning curve."""
@@ -125,7 +125,8 @@ def train_offline(
         KeyboardInterrupt: After Ctrl-C, saying how to go on.
     """
     _check(dataset, options, runs)
-    workers = min(options.workers, len(runs))
+    # Those of an incomplete last round go beside the others: no core is idle then.
+    workers = min(len(runs), options.workers + len(runs) % options.workers)
     with ExitStack() as stack:
         for seed, run in runs.items():
             stack.enter_context(only_here(run))
@@ -133,7 +134,7 @@ def train_offline(
                 start_run(run, _run_config(dataset, options, seed))
         if options.device == "cuda":
             yield from _train_together(dataset, options, runs)
-        elif workers > 1:
+        elif min(workers, options.workers) > 1:
             yield from _train_apart(dataset, options, runs, workers)
         else:
             for seed, run in runs.items():
