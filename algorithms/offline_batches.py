@@ -15,7 +15,7 @@ import torch
 
 from marl_mm.algorithms.replay import COSTS, Judge, normalized_actions
 from marl_mm.datasets.arrays import EpisodeArrays
-from marl_mm.errors import UsageError
+from marl_mm.errors import DatasetError, UsageError
 from marl_mm.layout import ACTION, EE, GOAL
 
 _TOGETHER = 40
@@ -61,6 +61,7 @@ class OfflineBatches:
         device: Where the batches go.
 
     Raises:
+        DatasetError: If a value of the dataset is not finite.
         UsageError: If goals are to be exchanged and the dataset does not tell the costs
             that rewards depend on.
     """
@@ -74,6 +75,7 @@ class OfflineBatches:
         seeds: Sequence[int],
         device: str = "cpu",
     ) -> None:
+        _refuse_odd_values(arrays)
         self._size, self._judge, self._device = size, judge, device
         self._future, self._elsewhere = shares
         # float64, so that a reward computed again is the step's own to the bit.
@@ -174,3 +176,14 @@ class OfflineBatches:
             (~elsewhere).astype(np.float32),
             noise,
         )
+
+
+def _refuse_odd_values(arrays: EpisodeArrays) -> None:
+    for name in ("states", "actions", "rewards"):
+        finite = np.isfinite(getattr(arrays, name))
+        if not finite.all():
+            raise DatasetError(
+                f"{np.sum(~finite)} values of the dataset's {name} are not finite, the "
+                f"first in row {np.argwhere(~finite)[0][0]}: marl-mm datasets verify "
+                "tells more"
+            )

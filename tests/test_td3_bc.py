@@ -21,7 +21,7 @@ from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.terms import judge
 from marl_mm.episode import Episode
-from marl_mm.errors import UsageError
+from marl_mm.errors import DatasetError, UsageError
 from marl_mm.layout import ACTION_HIGH, ACTION_LOW, AGENTS, JOINT
 
 MakeEpisode = Callable[..., Episode]
@@ -264,6 +264,14 @@ def test_goals_are_exchanged_as_by_hand(arrays: EpisodeArrays) -> None:
         np.testing.assert_allclose(batch.reward[0, i], expected[0][0], atol=1e-5)
         assert batch.terminated[0, i] == expected[1][0]
     assert abs(kinds["elsewhere"] - 150) < 50 and abs(kinds["future"] - 200) < 60
+
+
+@pytest.mark.parametrize("name", ["states", "actions", "rewards"])
+def test_a_nan_in_the_data_is_named(arrays: EpisodeArrays, name: str) -> None:
+    values = getattr(arrays, name)
+    values[7] = np.inf
+    with pytest.raises(DatasetError, match=rf"{name} are not .* in row 7:"):
+        Td3Bc(Td3BcConfig(**SMALL), arrays, JUDGE, [0])
 
 
 def test_unknown_costs_forbid_other_goals(arrays: EpisodeArrays) -> None:

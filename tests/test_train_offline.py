@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -13,6 +13,12 @@ import torch
 
 from marl_mm.algorithms.checkpoint import FILE
 from marl_mm.cli import main
+from marl_mm.datasets.arrays import arrays_of
+from marl_mm.datasets.location import locate
+from marl_mm.datasets.storage import write_dataset
+from marl_mm.episode import Episode
+
+MakeEpisode = Callable[..., Episode]
 
 SMALL = (
     "td3-bc --dataset good-5k --updates 300 --hidden 8 8 --batch-size 16 "
@@ -87,6 +93,21 @@ def test_one_seed_that_diverges_ends_all_with_a_message(
     assert main(["train", *SMALL, *wild, *seeds]) == 1
     last = capsys.readouterr().err.strip().splitlines()[-1]
     assert last.startswith("marl-mm: ") and "lower the learning rates" in last
+
+
+def test_a_dataset_without_successes_is_refused(
+    make_episode: MakeEpisode, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    failures = [make_episode(i, steps=9, success=False) for i in range(3)]
+    location = locate(str(tmp_path / "failures"))
+    description = {"task": "Reach-v0", "complete": True}
+    write_dataset(location, arrays_of(failures, "x"), description)
+    words = [*SMALL, "--out", str(tmp_path / "run"), "--dataset", str(location.folder)]
+    assert main(["train", *words]) == 1
+    said = capsys.readouterr().err
+    assert "none of the 3 episodes of" in said
+    assert "--no-require-success" in said
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_missing_gpu_is_said(

@@ -33,7 +33,7 @@ from marl_mm.commands.runs import (
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.terms import judge
-from marl_mm.errors import UsageError
+from marl_mm.errors import DatasetError, UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate
 from marl_mm.eval.figures import learning_curve
 from marl_mm.files import only_here
@@ -55,6 +55,9 @@ class TrainOffline(TrainOptions):
     task: str | None = None
     """To evaluate on: Reach-v0, SmoothReach-v0 or PreciseReach-v0; default that of the
     dataset."""
+
+    require_success: bool = True
+    """Refuse a dataset in which no episode reaches its goal."""
 
     device: Literal["cpu", "cuda"] = "cpu"
     """Where to train. On a CPU each seed is a process of one thread, about --workers at
@@ -121,6 +124,7 @@ def train_offline(
     On a CPU seeds are trained in processes of their own, and on a GPU all at once.
 
     Raises:
+        DatasetError: If there is nothing to learn from.
         DivergedError: If a loss is not finite; there may be a checkpoint from before.
         KeyboardInterrupt: After Ctrl-C, saying how to go on.
     """
@@ -150,6 +154,12 @@ def _check(dataset: Dataset, options: Offline, runs: Mapping[int, Path]) -> None
         raise UsageError(
             "--device is cuda, but torch finds no such GPU: leave it out, or install "
             "a torch that is built for yours"
+        )
+    if options.require_success and not dataset.arrays.successes().any():
+        raise DatasetError(
+            f"none of the {len(dataset.arrays)} episodes of {dataset.location.name} "
+            "reaches its goal, so that there is nothing to imitate; with "
+            "--no-require-success it is tried all the same"
         )
     reach_config(_task(dataset, options))
     for seed, run in runs.items():
