@@ -57,14 +57,9 @@ class Matd3Bc(Td3Bc):
             action = (now if self.config.others == "policy" else batch.action).clone()
             action[..., entries] = own
             value = self.critics.first(state, action, pair)
-            scale = value.detach().abs().mean(dim=1, keepdim=True)
-            imitated = batch.imitated
-            if self.config.imitate == "better":
-                with torch.no_grad():
-                    taken = self.critics.first(state, batch.action, pair)
-                imitated = imitated * (taken > value.detach())
-            error = (own - batch.action[..., entries]).square().mean(dim=2) * imitated
-            loss = (error - self.config.q_weight / scale * value).mean(dim=1)
+            errors = self._errors(action, state, batch, value, pair)
+            error = errors[..., entries].mean(dim=2)
+            loss = (error - self._weight(value) * value).mean(dim=1)
             self.actors.descend(agent.name, loss)
             losses[f"loss/{agent.name}"] = loss.detach()
             losses[f"loss/imitation/{agent.name}"] = error.detach().mean(dim=1)

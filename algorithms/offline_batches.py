@@ -44,6 +44,9 @@ class OfflineBatch(NamedTuple):
     """0 where the goal is another episode's, so that the action was not for it, shape
     (S, B)."""
 
+    successful: torch.Tensor
+    """1 in episodes that reached their goal, shape (S, B)."""
+
     noise: torch.Tensor
     """Standard normal, for the target's actions, shape (S, B, 4)."""
 
@@ -83,6 +86,8 @@ class OfflineBatches:
         self._next_state = arrays.states[~arrays.is_first_state()]
         self._action = normalized_actions(arrays.actions)
         self._reward, self._terminated = arrays.rewards, arrays.terminated
+        successes = np.repeat(arrays.successes(), arrays.lengths)
+        self._successful = successes.astype(np.float32)
         self._costs = {name: arrays.info[name] for name in COSTS}
         self._end = np.repeat(np.cumsum(arrays.lengths), arrays.lengths)
         """One past the last step of each step's episode."""
@@ -174,6 +179,7 @@ class OfflineBatches:
             next_state.astype(np.float32),
             terminated.astype(np.float32),
             (~elsewhere).astype(np.float32),
+            self._successful[rows],
             noise,
         )
 

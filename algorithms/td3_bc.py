@@ -5,6 +5,7 @@ where a' is the target actor's action with clipped noise. Every second update th
 follows: -lambda Q_1(s, pi(s)) + MSE(a, pi(s)), where lambda = c / mean |Q_1(s, pi(s))|.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
@@ -24,7 +25,7 @@ from marl_mm.algorithms.seeded import (
 )
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.errors import UsageError
-from marl_mm.layout import EE, GOAL, JOINT, AgentLayout
+from marl_mm.layout import ACTION, EE, GOAL, JOINT, AgentLayout
 
 # --- Config ------------------------------------------------------------------
 
@@ -54,6 +55,9 @@ class Td3BcConfig:
     q_weight: float = 0.5
     """c, the weight of the value against imitation; 2.5 in Fujimoto & Gu 2021."""
 
+    q_weight_end: float | None = None
+    """c at the last update, to which it goes in a straight line; default c."""
+
     policy_delay: int = 2
     """Updates of the critics per update of the actor (Fujimoto 2018)."""
 
@@ -77,9 +81,12 @@ class Td3BcConfig:
     layer_norm: bool = True
     """Whether the critics' hidden layers are normalised (Ball 2023)."""
 
-    imitate: Literal["all", "better"] = "all"
-    """Which actions are imitated: all, or those that the critic thinks better than the
-    actor's (Nair 2018)."""
+    imitate: Literal["all", "better", "successful"] = "all"
+    """Which actions are imitated: all, those that the critic thinks better than the
+    actor's (Nair 2018), or those of episodes that reached their goal."""
+
+    imitation_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
+    """Of the action's entries in the imitation error."""
 
     hidden: tuple[int, ...] = (128, 128)
     """Units of the hidden layers of actor and critics; the paper is silent."""
@@ -102,6 +109,14 @@ class Td3BcConfig:
             not_negative=("q_weight", "target_noise", "target_noise_clip"),
             shares=("discount", "target_rate", "future", "elsewhere"),
         )
+        if self.q_weight_end is not None:
+            check_ranges(self, (), not_negative=("q_weight_end",))
+        weights = self.imitation_weights
+        if len(weights) != len(ACTION) or not all(0 <= w < math.inf for w in weights):
+            raise UsageError(
+                f"imitation_weights is {weights}, expected one >= 0 for each of "
+                f"{', '.join(ACTION)}"
+            )
         if self.future + self.elsewhere > 1:
             raise UsageError(
                 f"future is {self.future} and elsewhere {self.elsewhere}, expected at "
@@ -137,6 +152,7 @@ class Td3Bc:
             arrays, config.batch_size, shares, judge, seeds, device
         )
         self._highest = highest_reward(judge)
+        self._weights = torch.tensor(config.imitation_weights, device=device)
         # --- Networks --------------------------------------------------------
         states = torch.from_numpy(arrays.states).float()
         self.normalizer = Normalizer.of(states, config.std_floor).to(device)
@@ -199,16 +215,36 @@ class Td3Bc:
         """One gradient step of the actor."""
         action = self.actors.joint(state)
         value = self.critics.first(state, action)
-        weight = self.config.q_weight / value.detach().abs().mean(dim=1, keepdim=True)
-        imitated = batch.imitated
-        if self.config.imitate == "better":
-            with torch.no_grad():
-                taken = self.critics.first(state, batch.action)
-            imitated = imitated * (taken > value.detach())
-        error = (action - batch.action).square().mean(dim=2) * imitated
-        loss = (error - weight * value).mean(dim=1)
+        error = self._errors(action, state, batch, value).mean(dim=2)
+        loss = (error - self._weight(value) * value).mean(dim=1)
         self.actors.descend(JOINT.name, loss)
         return {"loss/actor": loss.detach(), "loss/imitation": error.detach().mean(1)}
+
+    def _errors(
+        self,
+        action: torch.Tensor,
+        state: torch.Tensor,
+        batch: OfflineBatch,
+        value: torch.Tensor,
+        pair: int = 0,
+    ) -> torch.Tensor:
+        """Weighted squares of what is to be imitated, shape (S, B, 4)."""
+        imitated = batch.imitated
+        if self.config.imitate == "successful":
+            imitated = imitated * batch.successful
+        elif self.config.imitate == "better":
+            with torch.no_grad():
+                taken = self.critics.first(state, batch.action, pair)
+            imitated = imitated * (taken > value.detach())
+        squares = (action - batch.action).square() * self._weights
+        return squares * imitated[..., None]
+
+    def _weight(self, value: torch.Tensor) -> torch.Tensor:
+        """lambda, of each seed, shape (S, 1)."""
+        c, end = self.config.q_weight, self.config.q_weight_end
+        if end is not None:
+            c += (end - c) * self.step / self.config.updates
+        return c / value.detach().abs().mean(dim=1, keepdim=True)
 
     @torch.no_grad()
     def diagnose(self) -> dict[str, torch.Tensor]:

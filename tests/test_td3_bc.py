@@ -16,6 +16,7 @@ from torch.nn import functional
 from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
 from marl_mm.algorithms.networks import perceptron
 from marl_mm.algorithms.offline_batches import OfflineBatch
+from marl_mm.algorithms.replay import normalized_actions
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
 from marl_mm.envs.config import reach_config
@@ -37,7 +38,7 @@ KINDS = (
 
 @pytest.fixture
 def arrays(make_episode: MakeEpisode) -> EpisodeArrays:
-    return arrays_of([make_episode(i, steps=3 + i % 4) for i in range(20)], "x")
+    return arrays_of([make_episode(i, 3 + i % 4, i % 3 > 0) for i in range(20)], "x")
 
 
 class Reference:
@@ -123,11 +124,19 @@ class Reference:
             critic = self.critics[2 * number if len(self.critics) > 2 else 0]
             value = critic(torch.cat([state, action], dim=1))[:, 0]
             taken = critic(torch.cat([state, b.action], dim=1))[:, 0]
-            weight = config.q_weight / value.abs().mean().detach()
-            error = (own - b.action[:, list(layout.action)]).square().mean(dim=1)
-            error = error * b.imitated
+            c = config.q_weight
+            if config.q_weight_end is not None:
+                share = self.step / config.updates
+                c = (1 - share) * c + share * config.q_weight_end
+            weight = c / value.abs().mean().detach()
+            entries = list(layout.action)
+            squares = (own - b.action[:, entries]).square()
+            squares = squares * torch.tensor(config.imitation_weights)[entries]
+            error = squares.mean(dim=1) * b.imitated
             if config.imitate == "better":
                 error = error * (taken > value).detach()
+            if config.imitate == "successful":
+                error = error * b.successful
             loss = error.mean() - weight * value.mean()
             self.actor_adams[number].zero_grad()
             loss.backward()
@@ -146,6 +155,11 @@ class Reference:
         PLAIN,
         {"future": 0.3, "elsewhere": 0.3, "imitate": "better", "q_weight": 0.5},
         {"layer_norm": True, "clip_targets": True, "policy_delay": 1},
+        {
+            "imitate": "successful",
+            "imitation_weights": (2.0, 1.0, 0.5, 0.0),
+            "q_weight_end": 0.1,
+        },
     ],
 )
 @pytest.mark.parametrize(("kind", "config"), KINDS)
@@ -282,6 +296,15 @@ def test_unknown_costs_forbid_other_goals(arrays: EpisodeArrays) -> None:
         Td3Bc(replace(own, future=0.2), arrays, JUDGE, [0])
 
 
+def test_episodes_that_failed_are_marked(arrays: EpisodeArrays) -> None:
+    batch = Td3Bc(Td3BcConfig(**SMALL), arrays, JUDGE, [0])._batches.next()
+    owners = arrays.step_episode()
+    taken = normalized_actions(arrays.actions)
+    for action, successful in zip(batch.action[0], batch.successful[0], strict=True):
+        (row,) = np.flatnonzero((taken == action.numpy()).all(axis=1))
+        assert successful.item() == (owners[row] % 3 > 0)
+
+
 def test_the_slope_that_is_logged_by_hand(arrays: EpisodeArrays) -> None:
     """Towards the goal along x less away from it, by the first critic."""
     algorithm = Td3Bc(Td3BcConfig(**SMALL), arrays, JUDGE, [0])
@@ -304,6 +327,10 @@ def test_shares_beyond_one_are_refused() -> None:
         Td3BcConfig(future=0.7, elsewhere=0.6)
     with pytest.raises(UsageError, match="q_weight is nan"):
         Td3BcConfig(q_weight=float("nan"))
+    with pytest.raises(UsageError, match="q_weight_end is -1"):
+        Td3BcConfig(q_weight_end=-1.0)
+    with pytest.raises(UsageError, match=r"imitation_weights .* delta_x"):
+        Td3BcConfig(imitation_weights=(1.0, 1.0, 1.0))
 
 
 def test_the_joint_actor_sees_everything() -> None:
