@@ -4,6 +4,7 @@ Functions of run folders ``RUNS/SETTING/SEED`` and of the rows read from them.
 """
 
 import json
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -102,16 +103,18 @@ SETTINGS = (
 def curve_rows(runs: Path, setting: str, seed: int) -> list[Row]:
     """A run's learning curve: one row per evaluation."""
     run = runs / setting / str(seed)
-    keys = (
+    measured = (
         "episode",
         "env_steps",
-        "updates",
         "success/all",
         "success/forward",
         "success/backward",
         "return/all",
         "alpha/forward",
         "alpha/backward",
+    )
+    told_by_ours = (  # once it has learnt; SB3's runs do not have them
+        "updates",
         "train/return",
         "train/success",
         "q/data",
@@ -123,7 +126,9 @@ def curve_rows(runs: Path, setting: str, seed: int) -> list[Row]:
         raise UsageError(f"{run} has no evaluations: train it first")
     head: Row = {"setting": setting, "seed": seed}
     return [
-        head | {k.replace("/", "_"): row.get(k, float("nan")) for k in keys}
+        head
+        | {k.replace("/", "_"): row[k] for k in measured}
+        | {k.replace("/", "_"): row.get(k, math.nan) for k in told_by_ours}
         for row in rows
     ]
 
@@ -251,20 +256,22 @@ def success_at(curves: Sequence[Row], setting: Setting, env_steps: int) -> list[
 
 
 def on_a_grid(
-    curves: Sequence[Row], setting: str, key: str, clock: str = "episode"
+    curves: Sequence[Row], setting: str, key: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Every seed's curve at common times.
+    """Every seed's curve at common numbers of episodes.
 
     A run that ended when it was flat keeps its last value. Returns the times, shape
     (t,), and values, shape (seeds, t).
     """
     own = [row for row in curves if row["setting"] == setting]
     seeds = sorted({row["seed"] for row in own})
-    times = np.unique([row[clock] for row in own])
+    times = np.unique([row["episode"] for row in own])
     values = []
     for seed in seeds:
         rows = [row for row in own if row["seed"] == seed]
         values.append(
-            np.interp(times, [row[clock] for row in rows], [row[key] for row in rows])
+            np.interp(
+                times, [row["episode"] for row in rows], [row[key] for row in rows]
+            )
         )
     return times, np.stack(values)

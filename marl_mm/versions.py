@@ -17,10 +17,10 @@ PACKAGES = (
 )
 
 
-def versions() -> dict[str, str]:
-    """Version of Python and of every package that takes part."""
+def versions(*others: str) -> dict[str, str]:
+    """Version of Python and of every package that takes part, and of others."""
     found = {"python": platform.python_version()}
-    for name in PACKAGES:
+    for name in (*PACKAGES, *others):
         try:
             found[name] = version(name)
         except PackageNotFoundError:  # a copied folder, not an installed package

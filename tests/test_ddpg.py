@@ -318,6 +318,21 @@ def test_exploration_stays_in_the_action_space_and_is_its_episodes_own(
     assert runs[0].dtype == np.float32
 
 
+def test_noise_is_a_share_of_half_of_each_range(episodes: list[Episode]) -> None:
+    """Around what the policy does, once it is asked."""
+    config = replace(KINDS[0][1], random_share=0.0, noise=0.02)  # far from the bounds
+    algorithm = taught(Ddpg, config, episodes)
+    algorithm.learn(1)
+    explorer, state = algorithm.behaviour(), np.zeros(10)
+    policy = LearnedPolicy("ddpg", algorithm.agents)
+    explorer.begin(np.random.default_rng(0))
+    errors = [explorer.act(state) - policy.act(state) for _ in range(4000)]
+    half = np.array([1, 1, 1, 0.5])
+    expected = 0.02 * half
+    np.testing.assert_allclose(np.std(errors, axis=0), expected, rtol=0.05)
+    np.testing.assert_allclose(np.mean(errors, axis=0), 0, atol=0.002)
+
+
 def test_before_the_warm_up_is_over_actions_are_uniform() -> None:
     explorer = Ddpg(DdpgConfig(), JUDGE, 0).behaviour()
     explorer.begin(np.random.default_rng(0))

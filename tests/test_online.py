@@ -401,6 +401,9 @@ def test_training_does_not_depend_on_workers_or_interruptions(
         words = ["train", "ddpg-her", *TINY, "--out", name, "--workers", workers]
         assert main(words) == 0
     assert files(Path("one/0")) == files(Path("two/0"))
+    last = read_metrics(Path("one/0"))[-1].keys()
+    for kind in ("success", "return", "alpha"):
+        assert {f"{kind}/{part}" for part in ("all", "forward", "backward")} <= last
     half = [word if word != "8" else "4" for word in TINY]
     assert main(["train", "ddpg-her", *half, "--out", "cut", "--workers", "1"]) == 0
     words = ["train", "ddpg-her", *TINY, "--out", "cut", "--workers", "1"]
@@ -434,6 +437,10 @@ def test_training_does_not_depend_on_workers_or_interruptions(
     fewer = [word if word != "8" else "4" for word in words]
     assert main([*fewer, "--resume"]) == 2
     assert "has 8 episodes already, --episodes is 4" in capsys.readouterr().err
+    Path("cut/0/metrics.jsonl").rename("metrics.jsonl")
+    assert main([*words, "--resume"]) == 1
+    assert "cut/0" in capsys.readouterr().err
+    Path("metrics.jsonl").rename("cut/0/metrics.jsonl")
     assert main(["eval", "cut"]) == 2
     assert "did you mean cut/0?" in capsys.readouterr().err
     for name in (FILE, BEST):

@@ -48,7 +48,7 @@ def test_commands_and_code_run_as_written(
         for line in block.splitlines()
         if line.startswith("marl-mm")
     ]
-    assert len(commands) == 5
+    assert len(commands) == 6
     for line in commands:
         assert main(shrunk(line)) == 0, line
     quickstart = tmp_path / "runs" / "quickstart"

@@ -49,15 +49,16 @@ def origin(batch: Batch, row: int, episodes: list[Episode]) -> tuple[Episode, in
     raise AssertionError("a transition of no episode")
 
 
+@pytest.mark.parametrize("capacity", [1000, 23])
 @pytest.mark.parametrize("task", list(TASKS))
 def test_relabelled_transitions_equal_a_brute_force_recomputation(
-    some: list[Episode], task: str
+    some: list[Episode], task: str, capacity: int
 ) -> None:
     """Every goal is the original or a later hand of the same episode; reward and
     termination are what the environment says of the step with that goal."""
     config = reach_config(task)
     env = ReachEnv(task)
-    replay = Replay(1000, 4, partial(judge, config=config))
+    replay = Replay(capacity, 4, partial(judge, config=config))  # 23: a full ring
     for episode in some:
         replay.add(episode)
     batch = replay.sample(2000, np.random.default_rng(0))

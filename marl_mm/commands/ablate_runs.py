@@ -76,15 +76,15 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
         OtherConfigError: If a run was made with something else.
     """
     wanted = [setting for setting in SETTINGS if setting.name in names]
-    if any(setting.library == "sb3" for setting in wanted):
-        check_sb3()
     demonstrations = None
     if any(setting.demonstrations for setting in wanted):
         demonstrations = _demonstrations(options)
     cells = [(setting, seed) for setting in wanted for seed in options.seeds]
+    if any(s.library == "sb3" and not _finished(options, s, n) for s, n in cells):
+        check_sb3()
     for setting, seed in cells:
-        run = options.runs_folder() / setting.name / str(seed)
-        finished = (run / EVALUATION).exists() and (run / BEST_EVALUATION).exists()
+        run = _run(options, setting, seed)
+        finished = _finished(options, setting, seed)
         training = _training(options, setting, demonstrations, finished, run)
         sb3 = setting.library == "sb3"
         if finished or training.resume:
@@ -108,6 +108,15 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
             raise KeyboardInterrupt(
                 f"stopped in {run}; the same command {again}"
             ) from None
+
+
+def _run(options: Ablate, setting: Setting, seed: int) -> Path:
+    return options.runs_folder() / setting.name / str(seed)
+
+
+def _finished(options: Ablate, setting: Setting, seed: int) -> bool:
+    run = _run(options, setting, seed)
+    return all((run / name).exists() for name in (EVALUATION, BEST_EVALUATION))
 
 
 def _train_or_keep(training: TrainDdpg, seed: int, run: Path) -> None:

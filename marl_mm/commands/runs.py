@@ -116,7 +116,7 @@ def refuse_other(
         OtherConfigError: Naming what differs.
         CheckpointError: If its config cannot be read.
     """
-    theirs = _read_config(run)
+    theirs = read_config(run)
     mine = as_json(config)
     for key in ("packages", *ignored):
         mine.pop(key, None)
@@ -151,20 +151,20 @@ def saved_options(options: T, out: Path) -> T:
     )
     if not runs:
         return options
-    config = _read_config(runs[0])
+    config = read_config(runs[0])
     dataset = (config.get("dataset") or {}).get("path")
     seeds = [int(run.name) for run in runs]
     known = {"seeds": seeds, "dataset": dataset, "demonstrations": dataset}
-    if (runs[0] / EVALUATION).exists():
-        evaluation = Evaluation.from_json(
-            json.loads((runs[0] / EVALUATION).read_text())
-        )
-        known["eval_episodes"] = len(evaluation.rows)
     resumed: T = with_values(options, config | known)
     return resumed
 
 
-def _read_config(run: Path) -> dict[str, Any]:
+def read_config(run: Path) -> dict[str, Any]:
+    """What a run is made of.
+
+    Raises:
+        CheckpointError: If it cannot be read.
+    """
     try:
         config: dict[str, Any] = json.loads((run / CONFIG).read_text())
     except (OSError, ValueError) as error:
@@ -174,7 +174,7 @@ def _read_config(run: Path) -> dict[str, Any]:
 
 def continue_run(run: Path, changes: dict[str, Any]) -> None:
     """Note in a run's config what it goes on with."""
-    config = _read_config(run)
+    config = read_config(run)
     if config | changes != config:  # evaluations were of where it ended before
         (run / EVALUATION).unlink(missing_ok=True)
         (run / BEST_EVALUATION).unlink(missing_ok=True)

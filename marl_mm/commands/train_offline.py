@@ -263,7 +263,7 @@ def _dataset_task(dataset: Dataset) -> str:
     return task
 
 
-_MAY_DIFFER = ("preset", "device")
+_MAY_DIFFER = ("preset", "device", "eval_episodes")
 """Of a run's config, when it is resumed."""
 
 
@@ -279,6 +279,7 @@ def _run_config(dataset: Dataset, options: Offline, seed: int) -> dict[str, Any]
         "dataset": dataset.identity(),
         "curve_every": options.curve_every,
         "curve_episodes": options.curve_episodes,
+        "eval_episodes": options.eval_episodes,
         "eval_seed": options.eval_seed,
         "packages": versions(),
         **asdict(options.config),

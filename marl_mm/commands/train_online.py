@@ -12,7 +12,7 @@ from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.ddpg import Ddpg, DdpgConfig
 from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.maddpg import Maddpg, MaddpgConfig
-from marl_mm.algorithms.online import Schedule, train_online
+from marl_mm.algorithms.online import Schedule, is_flat, train_online
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.presets import Preset, preset
 from marl_mm.algorithms.runlog import read_metrics
@@ -27,6 +27,7 @@ from marl_mm.commands.runs import (
     continue_run,
     curve_point,
     evaluate_run,
+    read_config,
     start_run,
 )
 from marl_mm.datasets.dataset import Dataset, load_dataset
@@ -121,14 +122,24 @@ def check_online(algorithm: str, options: TrainDdpg) -> None:
 def check_online_run(options: TrainDdpg, seed: int, run: Path) -> None:
     """Raise before any work is done for what would stop a run; see ``check_run``."""
     config = _run_config(options, _demonstrations(options), seed)
-    check_run(run, config, options, ("preset", *_CONTINUED))
+    check_run(run, config, options, ("preset", "eval_episodes", *_CONTINUED))
     if options.resume and (run / FILE).exists():
-        done = read_metrics(run)[-1]["episode"]
-        if done > options.config.episodes:
-            raise UsageError(
-                f"{run} has {done} episodes already, --episodes is "
-                f"{options.config.episodes}"
-            )
+        _check_end(options, run)
+
+
+def _check_end(options: TrainDdpg, run: Path) -> None:
+    """Raise if a run cannot go on to the episodes asked for."""
+    rows = read_metrics(run)
+    done = rows[-1]["episode"] if rows else 0
+    asked = options.config.episodes
+    if done > asked:
+        raise UsageError(f"{run} has {done} episodes already, --episodes is {asked}")
+    patience = options.schedule.patience
+    if asked != read_config(run)["episodes"] and is_flat(rows, patience):
+        raise UsageError(
+            f"{run} ended at episode {done}, as its success rate had been flat for "
+            f"{patience}: --patience 0 goes on to --episodes {asked} all the same"
+        )
 
 
 def train_online_run(
@@ -219,6 +230,7 @@ def _run_config(
         "task": options.task,
         "dataset": demonstrations.identity() if demonstrations else None,
         "curve_episodes": options.curve_episodes,
+        "eval_episodes": options.eval_episodes,
         "eval_seed": options.eval_seed,
         "packages": versions(),
         **asdict(options.schedule),

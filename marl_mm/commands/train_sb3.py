@@ -93,14 +93,31 @@ def _train(options: TrainDdpg, seed: int, run: Path) -> None:
     write_json(run / BEST_EVALUATION, chosen.to_json())
 
 
+_UNUSED = (
+    "action_penalty",
+    "clip_targets",
+    "critic_learning_rate",
+    "demonstration_share",
+    "demonstration_successes",
+    "episodes_per_cycle",
+    "layer_norm",
+    "random_share",
+    "std_floor",
+)
+"""Of our hyper-parameters: SB3 has no such thing."""
+
+
 def _run_config(options: TrainDdpg, seed: int) -> dict[str, Any]:
+    config = asdict(options.config)
+    for name in _UNUSED:
+        del config[name]
     return {
         "algorithm": SB3,
         "seed": seed,
         "task": options.task,
         "curve_episodes": options.curve_episodes,
         "eval_seed": options.eval_seed,
-        "packages": versions(),
+        "packages": versions("stable-baselines3"),
         **asdict(options.schedule),
-        **asdict(options.config),
+        **config,
     }
