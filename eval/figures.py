@@ -9,24 +9,28 @@ from matplotlib.figure import Figure
 from marl_mm.episode import Episode
 from marl_mm.eval.metrics import Row
 from marl_mm.files import new_file
-from marl_mm.layout import ALPHA
+from marl_mm.layout import ACTION, ALPHA
 
 COLORS = {"forward": "#1b6ca8", "backward": "#c8553d", "all": "#333333"}
 
 
 def learning_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
-    """Loss per agent and success rate over updates, from an offline run's metrics."""
-    figure = Figure(figsize=(9, 3.2), layout="constrained")
-    loss, success = figure.subplots(1, 2)
-    for key in sorted({k for row in metrics for k in row if k.startswith("loss/")}):
-        rows = [row for row in metrics if key in row]
-        steps = [row["step"] for row in rows]
-        loss.semilogy(steps, [row[key] for row in rows], label=key.split("/")[1])
-    loss.set(xlabel="updates", ylabel="behaviour cloning loss")
-    loss.legend(frameon=False)
+    """Success, imitation and, with critics, Q over updates of an offline run."""
+    critics = any("q/data" in row for row in metrics)
+    figure = Figure(figsize=(9 + 3 * critics, 3.2), layout="constrained")
+    success, imitation, *value = figure.subplots(1, 2 + critics)
     _over_directions(success, metrics, "step", "success", 100)
-    success.set(xlabel="updates", ylabel="goals reached [%]", ylim=(-3, 103))
-    success.legend(frameon=False)
+    success.set(ylabel="goals reached [%]", ylim=(-3, 103))
+    for name in ACTION:
+        _plot(imitation, metrics, "step", f"imitation/{name}", name)
+    imitation.set(ylabel="mean square difference to the data", yscale="log")
+    for axis in value:
+        _plot(axis, metrics, "step", "q/policy", "of the policy")
+        _plot(axis, metrics, "step", "q/data", "of the data")
+        axis.set(ylabel="Q")
+    for axis in (success, imitation, *value):
+        axis.set_xlabel("updates")
+        axis.legend(frameon=False)
     save(figure, path)
 
 
@@ -38,11 +42,8 @@ def online_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
     success.set(ylabel="goals reached [%]", ylim=(-3, 103))
     _over_directions(returns, metrics, "episode", "return")
     returns.set(ylabel="return")
-    rows = [row for row in metrics if "q/data" in row]
-    for key, label in (("q/policy", "of the policy"), ("q/data", "of the data")):
-        value.plot(
-            [row["episode"] for row in rows], [row[key] for row in rows], label=label
-        )
+    _plot(value, metrics, "episode", "q/policy", "of the policy")
+    _plot(value, metrics, "episode", "q/data", "of the data")
     value.set(ylabel="Q")
     value.legend(frameon=False)
     _over_directions(alpha, metrics, "episode", "alpha")
@@ -51,6 +52,14 @@ def online_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
         axis.set_xlabel("episodes")
     success.legend(frameon=False)
     save(figure, path)
+
+
+def _plot(
+    axis: Any, metrics: Sequence[dict[str, Any]], clock: str, key: str, label: str
+) -> None:
+    """What is known of one key."""
+    rows = [row for row in metrics if key in row]
+    axis.plot([row[clock] for row in rows], [row[key] for row in rows], label=label)
 
 
 def _over_directions(

@@ -60,7 +60,7 @@ class Setting:
 
 def _departure(name: str, about: str, **changes: Any) -> Setting:
     """The tuned preset with one hyper-parameter back at Table 2's or the plain one."""
-    changes["episodes"] = 400
+    changes = {"episodes": 300, **changes}
     return Setting(f"ddpg-her-{name}", f"DDPG + HER, {about}", changes=changes)
 
 
@@ -78,21 +78,15 @@ SETTINGS = (
     Setting("ddpg-her-smooth", "DDPG + HER", task="SmoothReach-v0"),
     Setting("maddpg-her-smooth", "MADDPG + HER", "maddpg-her", task="SmoothReach-v0"),
     Setting(
-        "ddpg-no-layer-norm",
-        "DDPG, no layer norm",
-        "ddpg",
-        changes={"layer_norm": False, "episodes": 800},
-    ),
-    Setting(
         "maddpg-her-others",
         "MADDPG + HER, others' replayed actions",
         "maddpg-her",
-        changes={"others": "replay", "episodes": 400},
+        changes={"others": "replay", "episodes": 300},
     ),
     _departure("no-layer-norm", "no layer norm", layer_norm=False),
     _departure("no-clip", "targets not cut off", clip_targets=False),
     _departure("no-penalty", "no action penalty", action_penalty=0.0),
-    _departure("warm-up", "warm-up 5,000", warm_up=5_000),
+    _departure("warm-up", "warm-up 5,000", warm_up=5_000, episodes=400),
     _departure("capacity", "replay of 5,000", capacity=5_000),
     _departure("updates", "25 updates an episode", updates_per_episode=25),
     _departure("cycle", "1 episode a cycle", episodes_per_cycle=1),

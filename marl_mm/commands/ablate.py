@@ -13,6 +13,7 @@ from typing import Any
 from marl_mm.algorithms.checkpoint import BEST
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.pretrained import FOLDER, ship
+from marl_mm.commands.ablate_offline import AblateOffline, draw_table
 from marl_mm.commands.ablate_runs import Ablate, train_missing
 from marl_mm.commands.options import check_positive, check_seeds
 from marl_mm.commands.parser import Subcommand, parse_subcommand
@@ -20,6 +21,7 @@ from marl_mm.envs.config import reach_config
 from marl_mm.errors import UsageError
 from marl_mm.eval.alpha_study import ALPHAS, alpha_steps, summarize_worth, worth_rows
 from marl_mm.eval.metrics import Row
+from marl_mm.eval.offline import STUDIES
 from marl_mm.eval.online import (
     SETTINGS,
     Setting,
@@ -47,13 +49,19 @@ FPS = 1
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm ablate``."""
     target, options = parse_subcommand(
-        {name: Subcommand(Ablate(), about) for name, (about, _) in TARGETS.items()},
+        {
+            **{n: Subcommand(Ablate(), about) for n, (about, _) in TARGETS.items()},
+            **{n: Subcommand(AblateOffline(), s.about) for n, s in STUDIES.items()},
+        },
         "marl-mm ablate",
         "Reproduce figures and tables, training the runs they need.",
         arguments,
     )
     check_positive(workers=options.workers)
     check_seeds(options.seeds)
+    if isinstance(options, AblateOffline):
+        _print(options, *draw_table(options, target))
+        return
     known = [setting.name for setting in SETTINGS]
     if options.settings is not None:
         unknown = [name for name in options.settings if name not in known]
@@ -217,7 +225,7 @@ def _best_run(options: Ablate, name: str) -> Path:
     return options.runs_folder() / name / str(best["seed"])
 
 
-def _print(options: Ablate, summary: Sequence[Row], text: str) -> None:
+def _print(options: Ablate | AblateOffline, summary: Sequence[Row], text: str) -> None:
     """The summary as JSON, where null is what could not be measured; or the text."""
     if not options.json:
         print(text)

@@ -128,7 +128,7 @@ def train_offline(
         DivergedError: If a loss is not finite; there may be a checkpoint from before.
         KeyboardInterrupt: After Ctrl-C, saying how to go on.
     """
-    _check(dataset, options, runs)
+    check_offline(dataset, options, runs)
     # Those of an incomplete last round go beside the others: no core is idle then.
     workers = min(len(runs), options.workers + len(runs) % options.workers)
     with ExitStack() as stack:
@@ -145,7 +145,7 @@ def train_offline(
                 yield from _train_together(dataset, options, {seed: run})
 
 
-def _check(dataset: Dataset, options: Offline, runs: Mapping[int, Path]) -> None:
+def check_offline(dataset: Dataset, options: Offline, runs: Mapping[int, Path]) -> None:
     """Raise before any work is done for what would stop a run; see ``check_run``."""
     check_positive(
         curve_every=options.curve_every, curve_episodes=options.curve_episodes

@@ -1,0 +1,207 @@
+"""Tables of offline learning; the runs that they need are trained first."""
+
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from marl_mm.commands.collect_paper import paper_location
+from marl_mm.commands.options import available_cores
+from marl_mm.commands.runs import EVALUATION
+from marl_mm.commands.train_offline import (
+    Offline,
+    check_offline,
+    offline_options,
+    train_offline,
+)
+from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.datasets.location import SHIPPED
+from marl_mm.errors import (
+    DivergedError,
+    OtherConfigError,
+    UnknownDatasetError,
+    UsageError,
+)
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.offline import (
+    STUDIES,
+    Setting,
+    Study,
+    evaluation_rows,
+    offline_table,
+    summarize,
+)
+from marl_mm.eval.rows import write_csv
+from marl_mm.files import new_file, refuse_existing
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class AblateOffline:
+    """What every table of offline learning needs."""
+
+    runs: Path | None = None
+    """Folder of the raw runs, RUNS/DATASET/SETTING/SEED; missing ones are trained;
+    default runs/offline, or runs/offline-smoke."""
+
+    out: Path | None = None
+    """Folder of tables; default RUNS/results."""
+
+    seeds: tuple[int, ...] = (0, 1, 2)
+    """Runs per dataset and setting."""
+
+    datasets: tuple[str, ...] | None = None
+    """Those named, of which "marl-mm collect paper" makes the paper's; default all of
+    the table."""
+
+    settings: tuple[str, ...] | None = None
+    """Those named; default all of the table."""
+
+    budget: Literal["full", "smoke"] = "full"
+    """"smoke": hardly any training, on the dataset that ships, to see that everything
+    works."""
+
+    workers: int = field(default_factory=available_cores)
+    """Seeds that are trained at once, about, and processes that run episodes; the
+    result does not depend on it."""
+
+    overwrite: bool = False
+    """Replace tables that exist; runs are never replaced."""
+
+    json: bool = False
+    """Print the table as JSON."""
+
+    def runs_folder(self) -> Path:
+        """``runs`` or its default."""
+        name = "offline-smoke" if self.budget == "smoke" else "offline"
+        return self.runs or Path("runs") / name
+
+    def results(self, name: str) -> Path:
+        """Where a table goes."""
+        return (self.out or self.runs_folder() / "results") / name
+
+
+def draw_table(options: AblateOffline, name: str) -> tuple[list[Row], str]:
+    """Train what is missing of a study, and write its table.
+
+    Returns:
+        The table's rows, and its text.
+
+    Raises:
+        UsageError: If a dataset or a setting is not the study's, or not there.
+        OtherConfigError: If a run was made with something else.
+    """
+    study = _chosen(STUDIES[name], options)
+    files = [
+        options.results(f"{name}{end}") for end in (".csv", ".md", "_goals.csv.gz")
+    ]
+    for file in files:
+        refuse_existing(file, options.overwrite)
+    datasets = {one: _dataset(options, one) for one in study.datasets}
+    cells = [(dataset, setting) for dataset in datasets for setting in study.settings]
+    for dataset, setting in cells:  # before any work is done
+        runs = _runs(options, dataset, setting)
+        try:
+            check_offline(datasets[dataset], _training(options, setting), runs)
+        except OtherConfigError as error:
+            before, _, _ = str(error).partition(": go on with the same")
+            raise OtherConfigError(
+                f"{before}: name another folder with --runs, or delete this one"
+            ) from error
+    for dataset, setting in cells:
+        _train_missing(datasets[dataset], options, dataset, setting)
+    rows = list(_evaluations(options, cells))
+    summary = summarize(rows)
+    text = offline_table(summary, study.settings)
+    write_csv(files[0], summary)
+    with new_file(files[1]) as temporary:
+        temporary.write_text(f"# {study.about}\n\n{text}")
+    write_csv(files[2], rows)
+    return summary, text
+
+
+def _chosen(study: Study, options: AblateOffline) -> Study:
+    """The part of a study that was asked for."""
+    settings = {setting.name: setting for setting in study.settings}
+    datasets = {name: name for name in study.datasets}
+    return replace(
+        study,
+        settings=_named("settings", options.settings, settings),
+        datasets=_named("datasets", options.datasets, datasets),
+    )
+
+
+def _named(
+    option: str, asked: tuple[str, ...] | None, choices: Mapping[str, T]
+) -> tuple[T, ...]:
+    unknown = [one for one in asked or () if one not in choices]
+    if unknown or asked == ():
+        missing = f"has no {unknown[0]!r}" if unknown else "is empty"
+        raise UsageError(f"--{option} {missing}: expected {', '.join(choices)}")
+    return tuple(choices[one] for one in (choices if asked is None else asked))
+
+
+def _dataset(options: AblateOffline, name: str) -> Dataset:
+    if options.budget == "smoke":
+        return load_dataset(SHIPPED)
+    try:
+        return load_dataset(paper_location(name))
+    except UnknownDatasetError as error:
+        raise UnknownDatasetError(
+            f"{error}; marl-mm collect paper makes the paper's"
+        ) from error
+
+
+def _runs(options: AblateOffline, dataset: str, setting: Setting) -> Mapping[int, Path]:
+    folder = options.runs_folder() / dataset / setting.name
+    return {seed: folder / str(seed) for seed in options.seeds}
+
+
+def _training(options: AblateOffline, setting: Setting) -> Offline:
+    """Options of one setting's runs."""
+    small = options.budget == "smoke"
+    changes = dict(setting.changes) | ({"updates": 60} if small else {})
+    training: Any = offline_options(
+        setting.algorithm,
+        setting.preset,
+        dataset="",
+        eval_episodes=2 if small else 200,
+        curve_episodes=1 if small else 20,
+        workers=options.workers,
+        resume=True,  # what there is of them
+    )
+    trained: Offline = replace(training, config=replace(training.config, **changes))
+    return trained
+
+
+def _train_missing(
+    dataset: Dataset, options: AblateOffline, name: str, setting: Setting
+) -> None:
+    runs = _runs(options, name, setting)
+    missing = {
+        seed: run for seed, run in runs.items() if not (run / EVALUATION).exists()
+    }
+    if not missing:
+        return
+    print(f"{name}, {setting.about}", file=sys.stderr)
+    try:
+        for _ in train_offline(dataset, _training(options, setting), missing):
+            pass
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"stopped in {options.runs_folder()}; the same command goes on from there"
+        ) from None
+    except DivergedError as error:
+        raise DivergedError(f"{name}, {setting.about}: {error}") from None
+
+
+def _evaluations(
+    options: AblateOffline, cells: list[tuple[str, Setting]]
+) -> Iterator[Row]:
+    for dataset, setting in cells:
+        for seed in options.seeds:
+            yield from evaluation_rows(
+                options.runs_folder(), dataset, setting.name, seed
+            )
