@@ -5,6 +5,7 @@ array, so that a step of Adam and one of a target network are one operation each
 """
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from typing import Any
 
 import torch
@@ -25,7 +26,9 @@ class Ensemble:
 
     def __init__(self, members: Sequence[nn.Sequential], device: str = "cpu") -> None:
         self._layers = list(members[0])
-        states = [member.state_dict() for member in members]
+        first = members[0].state_dict()
+        self._matrices = {name for name, value in first.items() if value.dim() == 2}
+        states = [as_stored(member.state_dict()) for member in members]
         self._shapes = {
             name: (len(members), *value.shape) for name, value in states[0].items()
         }
@@ -34,24 +37,26 @@ class Ensemble:
         """All weights and biases of all members."""
 
         self.weights = self.views(self.flat)
-        """The same by name, as in ``nn.Sequential``, each of shape (N, ...)."""
+        """The same by name, as products want them: (N, in, out) and (N, 1, out)."""
 
     def __call__(
         self, inputs: torch.Tensor, chosen: slice = slice(None)
     ) -> torch.Tensor:
         """Shapes (N, B, d) to (N, B, k); of the chosen members."""
+        weights = self.weights
+        if chosen != slice(None):
+            weights = {name: value[chosen] for name, value in weights.items()}
         values = inputs
         for number, layer in enumerate(self._layers):
             if isinstance(layer, nn.ReLU):
                 values = values.relu_()  # what it overwrites nobody needs
                 continue
-            weight = self.weights[f"{number}.weight"][chosen]
-            bias = self.weights[f"{number}.bias"][chosen][:, None]
+            weight, bias = weights[f"{number}.weight"], weights[f"{number}.bias"]
             if isinstance(layer, nn.Linear):
-                values = torch.baddbmm(bias, values, weight.transpose(1, 2))
+                values = torch.baddbmm(bias, values, weight)
             else:
                 values = functional.layer_norm(values, values.shape[-1:])
-                values = torch.addcmul(bias, values, weight[:, None])
+                values = torch.addcmul(bias, values, weight)
         return values
 
     def views(self, flat: torch.Tensor) -> State:
@@ -63,8 +68,7 @@ class Ensemble:
 
     def copy(self) -> "Ensemble":
         """The same weights once more, for a target network."""
-        other = object.__new__(Ensemble)
-        other._layers, other._shapes = self._layers, self._shapes
+        other = copy(self)
         other.flat = self.flat.detach().clone()
         other.weights = other.views(other.flat)
         return other
@@ -75,11 +79,14 @@ class Ensemble:
 
     def member(self, number: int) -> State:
         """One perceptron's state, as ``nn.Sequential`` has it."""
-        return part_of(self.weights, number)
+        return {
+            name: value.T.contiguous() if name in self._matrices else value[0]
+            for name, value in part_of(self.weights, number).items()
+        }
 
     def load_member(self, number: int, state: Mapping[str, torch.Tensor]) -> None:
         """Give one perceptron another state."""
-        set_part(self.weights, number, state)
+        set_part(self.weights, number, as_stored(state))
 
 
 class Learner:
@@ -133,6 +140,14 @@ class Learner:
         self._step.fill_(state["step"])
         for name, moments in self._moments.items():
             set_part(moments, number, state[name])
+
+
+def as_stored(state: Mapping[str, torch.Tensor]) -> State:
+    """One perceptron's state as the ensemble keeps it: (in, out) and (1, out)."""
+    return {
+        name: value.T if value.dim() == 2 else value[None]
+        for name, value in state.items()
+    }
 
 
 def part_of(stacked: Mapping[str, torch.Tensor], number: int) -> State:
