@@ -34,6 +34,9 @@ class OfflineAlgorithm(Protocol):
     step: int
     """Updates made."""
 
+    sound: dict[str, float]
+    """Largest absolute values of what it measures that can be right, by name."""
+
     @property
     def config(self) -> Any:
         """Its hyper-parameters, a frozen dataclass with ``updates``."""

@@ -1,5 +1,6 @@
 """Checks that the hyper-parameters of all algorithms share."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,18 +17,18 @@ def check_ranges(
 
     Args:
         config: A dataclass with these fields and ``hidden``.
-        positive: Fields above 0.
-        not_negative: Fields of 0 or more.
+        positive: Fields above 0, and finite.
+        not_negative: Fields of 0 or more, and finite.
         shares: Fields from 0 to 1.
 
     Raises:
         UsageError: Naming the field, its value and its range.
     """
     for name in positive:
-        if not getattr(config, name) > 0:
+        if not 0 < getattr(config, name) < math.inf:
             raise UsageError(f"{name} is {getattr(config, name)}, expected > 0")
     for name in not_negative:
-        if not getattr(config, name) >= 0:
+        if not 0 <= getattr(config, name) < math.inf:
             raise UsageError(f"{name} is {getattr(config, name)}, expected >= 0")
     for name in shares:
         if not 0 <= getattr(config, name) <= 1:

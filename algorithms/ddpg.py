@@ -21,7 +21,14 @@ from marl_mm.algorithms.actors import AgentActor, joint_action
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.demonstrations import Demonstrations
 from marl_mm.algorithms.explore import Explorer
-from marl_mm.algorithms.networks import Actor, Critic, Normalizer, descend
+from marl_mm.algorithms.networks import (
+    DIAGNOSED,
+    SATURATED,
+    Actor,
+    Critic,
+    Normalizer,
+    descend,
+)
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.replay import (
     Batch,
@@ -295,13 +302,13 @@ class Ddpg:
     def diagnose(self) -> dict[str, float]:
         """What critic and actor do on a batch of the replay."""
         rng = np.random.default_rng(self.updates)
-        batch = self.replay.sample(_DIAGNOSED, rng)
+        batch = self.replay.sample(DIAGNOSED, rng)
         action = joint_action(self.agents, batch.observation)
         taken = self.critic(batch.observation, batch.action)
         return {
             "q/data": taken.mean().item(),
             "q/policy": self.critic(batch.observation, action).mean().item(),
-            "action/saturation": (action.abs() > _SATURATED).float().mean().item(),
+            "action/saturation": (action.abs() > SATURATED).float().mean().item(),
             "action/alpha": ((action[:, ALPHA] + 1) / 2).mean().item(),
         }
 
@@ -345,9 +352,3 @@ class Ddpg:
 
 _DRAWN_TOGETHER = 40
 """Batches drawn from the replay at once."""
-
-_DIAGNOSED = 1_024
-"""Transitions that diagnostics look at."""
-
-_SATURATED = 0.98
-"""Beyond this an action counts as saturated, in [-1, 1] coordinates."""

@@ -12,10 +12,10 @@ import torch
 
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.config_checks import check_ranges
-from marl_mm.algorithms.networks import Normalizer
+from marl_mm.algorithms.networks import DIAGNOSED, Normalizer
 from marl_mm.algorithms.offline_batches import OfflineBatches
 from marl_mm.algorithms.replay import Judge
-from marl_mm.algorithms.seeded import DIAGNOSED, SeededActors, imitation_errors
+from marl_mm.algorithms.seeded import SeededActors, imitation_errors
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.layout import AGENTS, AgentLayout, columns
 
@@ -73,6 +73,7 @@ class Mabc:
         device: str = "cpu",
     ) -> None:
         self.config, self.seeds, self.step = config, tuple(seeds), 0
+        self.sound: dict[str, float] = {}
         shares = config.future, 0.0
         self._batches = OfflineBatches(
             arrays, config.batch_size, shares, judge, seeds, device

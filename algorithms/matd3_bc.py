@@ -57,10 +57,9 @@ class Matd3Bc(Td3Bc):
             action = (now if self.config.others == "policy" else batch.action).clone()
             action[..., entries] = own
             value = self.critics.first(state, action, pair)
-            errors = self._errors(action, state, batch, value, pair)
-            error = errors[..., entries].mean(dim=2)
-            loss = (error - self._weight(value) * value).mean(dim=1)
+            error = self._imitation(action, state, batch, value, entries, pair)
+            loss = error - self._weight(value) * value.mean(dim=1)
             self.actors.descend(agent.name, loss)
             losses[f"loss/{agent.name}"] = loss.detach()
-            losses[f"loss/imitation/{agent.name}"] = error.detach().mean(dim=1)
+            losses[f"loss/imitation/{agent.name}"] = error.detach()
         return losses

@@ -6,6 +6,12 @@ from itertools import pairwise
 import torch
 from torch import nn
 
+DIAGNOSED = 1_024
+"""Transitions that diagnostics look at."""
+
+SATURATED = 0.98
+"""Beyond this an action counts as saturated, in [-1, 1] coordinates."""
+
 
 class Normalizer(nn.Module):
     """Shifts and scales observations by statistics kept as buffers.

@@ -26,15 +26,25 @@ _TABLE_2 = {
 
 _TABLE_3: dict[str, Any] = {
     "updates": 100_000,  # Table 3; 180,000 in Table 4
+    "batch_size": 256,  # Table 3
+    "actor_learning_rate": 5e-4,  # Table 3
+    "critic_learning_rate": 5e-4,  # Table 3
+    "discount": 0.95,  # Table 3
+    "target_rate": 0.005,  # Table 3
     "q_weight": 2.5,  # Fujimoto & Gu 2021
+    "q_weight_end": None,
+    "policy_delay": 2,  # Fujimoto 2018
     "target_noise": 0.1,  # Table 3
+    "target_noise_clip": 0.5,  # Fujimoto 2018
     "future": 0.0,
     "elsewhere": 0.0,
     "imitate": "all",
+    "imitation_weights": (1.0, 1.0, 1.0, 1.0),
     "clip_targets": False,
     "layer_norm": False,
 }
-"""Table 3, and the cited source's choice where it is silent."""
+"""Table 3, and the cited source's choice where it is silent; ours in hidden layers and
+the floor of deviations."""
 
 OfflineConfig = MabcConfig | Td3BcConfig | Matd3BcConfig
 
@@ -56,7 +66,13 @@ def offline_preset(algorithm: str, name: Preset = "tuned") -> OfflineConfig:
     if name == "tuned":
         return config
     if isinstance(config, MabcConfig):
-        return replace(config, updates=_TABLE_3["updates"])
+        return replace(
+            config,
+            updates=_TABLE_3["updates"],
+            batch_size=_TABLE_3["batch_size"],
+            learning_rate=_TABLE_3["actor_learning_rate"],
+            future=0.0,
+        )
     config = replace(config, **_TABLE_3)
     if isinstance(config, Matd3BcConfig):
         config = replace(config, critics="own", others="data")  # Pan 2022

@@ -14,17 +14,16 @@ from torch import nn
 
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.ensemble import Ensemble, Learner
-from marl_mm.algorithms.networks import Actor, Normalizer, perceptron
+from marl_mm.algorithms.networks import (
+    SATURATED,
+    Actor,
+    Normalizer,
+    perceptron,
+)
 from marl_mm.layout import ACTION, STATE, AgentLayout, columns
 
 TWINS = 2
 """Critics of a pair (Fujimoto 2018)."""
-
-DIAGNOSED = 1_024
-"""Transitions that diagnostics look at."""
-
-_SATURATED = 0.98
-"""Beyond this an action counts as saturated, in [-1, 1] coordinates."""
 
 
 class SeededActors:
@@ -162,8 +161,7 @@ class SeededCritics:
 
     def least(self, state: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
         """The lower value of each pair, shape (S, pairs, B)."""
-        values = self.values(state, action)
-        return torch.minimum(values[:, :, 0], values[:, :, 1])
+        return self.values(state, action).amin(dim=2)
 
     def first(
         self, state: torch.Tensor, action: torch.Tensor, pair: int = 0
@@ -222,7 +220,7 @@ def imitation_errors(
     errors = (now - action).square().mean(dim=1)
     return {
         **{f"imitation/{name}": errors[:, i] for i, name in enumerate(ACTION)},
-        "action/saturation": (now.abs() > _SATURATED).float().mean(dim=(1, 2)),
+        "action/saturation": (now.abs() > SATURATED).float().mean(dim=(1, 2)),
     }
 
 

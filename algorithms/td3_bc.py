@@ -10,19 +10,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
+import numpy as np
 import torch
 
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.config_checks import check_ranges
-from marl_mm.algorithms.networks import Normalizer
+from marl_mm.algorithms.networks import DIAGNOSED, Normalizer
 from marl_mm.algorithms.offline_batches import OfflineBatch, OfflineBatches
 from marl_mm.algorithms.replay import Judge, highest_reward
-from marl_mm.algorithms.seeded import (
-    DIAGNOSED,
-    SeededActors,
-    SeededCritics,
-    imitation_errors,
-)
+from marl_mm.algorithms.seeded import SeededActors, SeededCritics, imitation_errors
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.errors import UsageError
 from marl_mm.layout import ACTION, EE, GOAL, JOINT, AgentLayout
@@ -35,7 +31,8 @@ class Td3BcConfig:
     """Hyper-parameters."""
 
     updates: int = 10_000
-    """Gradient steps of the critics; the paper has 100,000 and 180,000 (Table 3)."""
+    """Gradient steps of the critics; the paper has 100,000 (Table 3) and 180,000
+    (Table 4)."""
 
     batch_size: int = 256
     """Transitions per update (Table 3)."""
@@ -71,7 +68,7 @@ class Td3BcConfig:
     """Share of transitions whose goal becomes one that their episode came to later."""
 
     elsewhere: float = 0.4
-    """Share of transitions whose goal becomes another episode's; they are not
+    """Share of transitions whose goal becomes that of any other step; they are not
     imitated."""
 
     clip_targets: bool = True
@@ -86,7 +83,7 @@ class Td3BcConfig:
     actor's (Nair 2018), or those of episodes that reached their goal."""
 
     imitation_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
-    """Of the action's entries in the imitation error."""
+    """Of the action's entries in the imitation error, against one another."""
 
     hidden: tuple[int, ...] = (128, 128)
     """Units of the hidden layers of actor and critics; the paper is silent."""
@@ -112,9 +109,9 @@ class Td3BcConfig:
         if self.q_weight_end is not None:
             check_ranges(self, (), not_negative=("q_weight_end",))
         weights = self.imitation_weights
-        if len(weights) != len(ACTION) or not all(0 <= w < math.inf for w in weights):
+        if len(weights) != len(ACTION) or not all(0 < w < math.inf for w in weights):
             raise UsageError(
-                f"imitation_weights is {weights}, expected one >= 0 for each of "
+                f"imitation_weights is {weights}, expected one > 0 for each of "
                 f"{', '.join(ACTION)}"
             )
         if self.future + self.elsewhere > 1:
@@ -152,7 +149,10 @@ class Td3Bc:
             arrays, config.batch_size, shares, judge, seeds, device
         )
         self._highest = highest_reward(judge)
-        self._weights = torch.tensor(config.imitation_weights, device=device)
+        weights = torch.tensor(config.imitation_weights, device=device)
+        self._weights = weights / weights.mean()
+        largest = float(np.abs(arrays.rewards).max()) / max(1 - config.discount, 1e-3)
+        self.sound = dict.fromkeys(("q/data", "q/policy"), 100 * largest)
         # --- Networks --------------------------------------------------------
         states = torch.from_numpy(arrays.states).float()
         self.normalizer = Normalizer.of(states, config.std_floor).to(device)
@@ -215,43 +215,51 @@ class Td3Bc:
         """One gradient step of the actor."""
         action = self.actors.joint(state)
         value = self.critics.first(state, action)
-        error = self._errors(action, state, batch, value).mean(dim=2)
-        loss = (error - self._weight(value) * value).mean(dim=1)
+        error = self._imitation(action, state, batch, value)
+        loss = error - self._weight(value) * value.mean(dim=1)
         self.actors.descend(JOINT.name, loss)
-        return {"loss/actor": loss.detach(), "loss/imitation": error.detach().mean(1)}
+        return {"loss/actor": loss.detach(), "loss/imitation": error.detach()}
 
-    def _errors(
+    def _imitation(
         self,
         action: torch.Tensor,
         state: torch.Tensor,
         batch: OfflineBatch,
         value: torch.Tensor,
+        own: slice | list[int] = slice(None),
         pair: int = 0,
     ) -> torch.Tensor:
-        """Weighted squares of what is to be imitated, shape (S, B, 4)."""
+        """Weighted mean square of an agent's entries that it is to imitate, shape (S,).
+
+        It is the mean over what is imitated, so that c weighs the same however much of
+        a batch that is.
+        """
         imitated = batch.imitated
         if self.config.imitate == "successful":
             imitated = imitated * batch.successful
         elif self.config.imitate == "better":
             with torch.no_grad():
-                taken = self.critics.first(state, batch.action, pair)
+                other = action.clone()
+                other[..., own] = batch.action[..., own]
+                taken = self.critics.first(state, other, pair)
             imitated = imitated * (taken > value.detach())
-        squares = (action - batch.action).square() * self._weights
-        return squares * imitated[..., None]
+        squares = (action[..., own] - batch.action[..., own]).square()
+        errors = (squares * self._weights[own]).mean(dim=2) * imitated
+        return errors.sum(dim=1) / imitated.sum(dim=1).clamp_min(1)
 
     def _weight(self, value: torch.Tensor) -> torch.Tensor:
-        """lambda, of each seed, shape (S, 1)."""
+        """lambda, of each seed, shape (S,)."""
         c, end = self.config.q_weight, self.config.q_weight_end
         if end is not None:
             c += (end - c) * self.step / self.config.updates
-        return c / value.detach().abs().mean(dim=1, keepdim=True)
+        return c / value.detach().abs().mean(dim=1)
 
     @torch.no_grad()
     def diagnose(self) -> dict[str, torch.Tensor]:
         """What critics and actors do on some of the data, shape (S,).
 
-        ``q/slope``: how much more the first critic values going to the goal than away
-        from it, along x; below 0 it has learnt the opposite.
+        Q is the first critic's. ``q/slope``: how much more it values going to the goal
+        than away from it, along x; below 0 it has learnt the opposite.
         """
         state, action = self._batches.some(DIAGNOSED)
         towards = torch.sign(state[..., GOAL.start] - state[..., EE.start])

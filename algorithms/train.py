@@ -5,6 +5,7 @@ TensorBoard's ``events*``, ``checkpoint.pt`` and, from the last evaluation,
 ``eval.json``.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
@@ -19,6 +20,7 @@ from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.runlog import Row, RunLog
 from marl_mm.differences import refuse_difference
 from marl_mm.errors import CheckpointError, DivergedError
+from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.progress import Advance, silent
 
 Evaluate = Callable[[LearnedPolicy], dict[str, float]]
@@ -64,17 +66,18 @@ def train(
             while saved < total:
                 step = min(_after(saved, LOG_EVERY), _after(saved, evaluate_every))
                 step = min(step, total)
-                means = _updated(algorithm, step)
-                rows = _each_seeds(algorithm, means | algorithm.diagnose())
+                measured = _updated(algorithm, step) | algorithm.diagnose()
+                _refuse_odd_values(algorithm, measured)
+                rows = _each_seeds(algorithm, measured)
                 if step % evaluate_every == 0 or step == total:
-                    measured = _evaluated(algorithm, evaluate)
-                    rows = [a | b for a, b in zip(rows, measured, strict=True)]
-                note(step, rows)
-                for number, run in enumerate(runs):
-                    save_seed(run / FILE, algorithm, number)
-                done, saved = step - saved, step
-                loss = sum(value.mean().item() for value in means.values())
-                advance(done, f"loss {loss:.4f}")
+                    points = _evaluated(algorithm, evaluate)
+                    rows = [a | b for a, b in zip(rows, points, strict=True)]
+                with deaf_to_interrupts():  # all seeds at the same step
+                    note(step, rows)
+                    for number, run in enumerate(runs):
+                        save_seed(run / FILE, algorithm, number)
+                    done, saved = step - saved, step
+                advance(done, _note(measured))
         except (KeyboardInterrupt, DivergedError) as error:
             kept = f"the checkpoint of update {saved}" if saved else "no checkpoint"
             where = f"{', '.join(map(str, runs))}: {kept}"
@@ -89,27 +92,45 @@ def _after(step: int, every: int) -> int:
 
 
 def _updated(algorithm: OfflineAlgorithm, step: int) -> dict[str, torch.Tensor]:
-    """Update up to a step; means of what was measured, shape (S,).
-
-    Raises:
-        DivergedError: If one is not finite.
-    """
+    """Update up to a step; means of what was measured, shape (S,)."""
     sums: dict[str, torch.Tensor] = {}
     counts: dict[str, int] = {}
     while algorithm.step < step:
         for key, value in algorithm.update().items():
             sums[key] = sums[key] + value if key in sums else value
             counts[key] = counts.get(key, 0) + 1
-    means = {key: value / counts[key] for key, value in sums.items()}
-    for key, value in means.items():
-        for seed, mean in zip(algorithm.seeds, value.tolist(), strict=True):
-            if not -float("inf") < mean < float("inf"):
+    return {key: value / counts[key] for key, value in sums.items()}
+
+
+def _refuse_odd_values(
+    algorithm: OfflineAlgorithm, measured: Mapping[str, torch.Tensor]
+) -> None:
+    """Raise for what cannot be: after a last step that overflowed, weights are NaN.
+
+    Raises:
+        DivergedError: Naming it.
+    """
+    for key, value in measured.items():
+        limit = algorithm.sound.get(key, math.inf)
+        for seed, number in zip(algorithm.seeds, value.tolist(), strict=True):
+            if not (abs(number) <= limit and math.isfinite(number)):
+                told = f", more than {limit:.3g}" if math.isfinite(number) else ""
                 raise DivergedError(
-                    f"{key} is {mean} with seed {seed} after {algorithm.step} updates: "
-                    "lower the learning rates, or look for odd values with marl-mm "
-                    "datasets verify"
+                    f"{key} is {number:.3g}{told} with seed {seed} after "
+                    f"{algorithm.step} updates: lower the learning rates, leave on "
+                    "what bounds critics (--clip-targets, --layer-norm), or look for "
+                    "odd values with marl-mm datasets verify"
                 )
-    return means
+
+
+def _note(measured: Mapping[str, torch.Tensor]) -> str:
+    """Losses, mean over seeds, for the bar."""
+    losses = {
+        key.removeprefix("loss/"): value.mean().item()
+        for key, value in measured.items()
+        if key.count("/") == 1 and key.startswith("loss/") and "imitation" not in key
+    }
+    return ", ".join(f"{name} {loss:.3g}" for name, loss in losses.items())
 
 
 def _each_seeds(

@@ -17,6 +17,7 @@ import torch
 
 from marl_mm.algorithms.mabc import Mabc, MabcConfig
 from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
+from marl_mm.algorithms.presets import offline_preset
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
 from marl_mm.datasets.arrays import load_arrays
 from marl_mm.datasets.shipped import ARRAYS
@@ -92,15 +93,9 @@ def _learners(seed: int) -> dict[str, Callable[[], object]]:
 
 def plain_config() -> Td3BcConfig:
     """What the authors' code does, of ours."""
-    return replace(
-        Td3BcConfig(hidden=HIDDEN),
-        q_weight=2.5,
-        target_noise=0.1,
-        future=0.0,
-        elsewhere=0.0,
-        clip_targets=False,
-        layer_norm=False,
-    )
+    config = offline_preset("td3-bc", "paper")
+    assert isinstance(config, Td3BcConfig)
+    return replace(config, hidden=HIDDEN)
 
 
 def _rate(update: Callable[[], object], updates: int) -> float:

@@ -27,8 +27,8 @@ def refuse_difference(what: Path, theirs: dict[str, Any], mine: dict[str, Any]) 
         differences[_NAMED:] = [f"{len(differences) - _NAMED} more"]
     if differences:
         raise OtherConfigError(
-            f"{what} was made with {', '.join(differences)}: go on with the same, or "
-            "start anew in another folder or with --overwrite"
+            f"{what} was made with {', '.join(differences)}",
+            "go on with the same, or start anew in another folder or with --overwrite",
         )
 
 

@@ -22,7 +22,19 @@ class OutputExistsError(UsageError):
 
 
 class OtherConfigError(UsageError):
-    """A run was made with other options than those that are to go on with it."""
+    """A run was made with other options than those that are to go on with it.
+
+    Args:
+        difference: What was made with what.
+        advice: What to do.
+    """
+
+    def __init__(self, difference: str, advice: str) -> None:
+        super().__init__(difference, advice)
+        self.difference, self.advice = difference, advice
+
+    def __str__(self) -> str:
+        return f"{self.difference}: {self.advice}"
 
 
 class UnknownDatasetError(UsageError):

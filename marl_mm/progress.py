@@ -27,6 +27,9 @@ Bar = Callable[[str, int], Advance]
 _LINE = 60.0
 """Seconds between lines where there is no terminal to redraw."""
 
+_LOST = 5.0
+"""Seconds to wait for last messages: a process that was killed may hold the queue."""
+
 
 @contextmanager
 def progress_bars() -> Iterator[Bar]:
@@ -101,11 +104,16 @@ def show_distant_bars(messages: "Queue[Any]") -> Iterator[None]:
 
     def show(bar: Bar) -> None:
         bars: dict[str, Advance] = {}
+        seen = True
         while (message := messages.get()) is not None:
             label, total, done, note = message
-            if label not in bars:
-                bars[label] = bar(label, total)
-            bars[label](done, note)
+            try:
+                if seen and label not in bars:
+                    bars[label] = bar(label, total)
+                if seen:
+                    bars[label](done, note)
+            except OSError:  # nobody reads stderr any more
+                seen = False
 
     with progress_bars() as bar:
         thread = threading.Thread(target=show, args=(bar,), daemon=True)
@@ -114,4 +122,5 @@ def show_distant_bars(messages: "Queue[Any]") -> Iterator[None]:
             yield
         finally:
             messages.put(None)
-            thread.join()
+            thread.join(_LOST)
+            messages.cancel_join_thread()

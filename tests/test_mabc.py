@@ -21,7 +21,7 @@ from marl_mm.envs.parallel import split_state
 from marl_mm.envs.terms import judge
 from marl_mm.episode import Episode
 from marl_mm.errors import CheckpointError, DivergedError, UsageError
-from marl_mm.layout import AGENTS
+from marl_mm.layout import AGENTS, AgentLayout
 
 MakeEpisode = Callable[..., Episode]
 JUDGE = partial(judge, config=reach_config())
@@ -43,23 +43,26 @@ def weights(algorithm: Mabc) -> list[torch.Tensor]:
     return [p for agent in agents for p in agent.actor.state_dict().values()]
 
 
-def test_one_update_equals_the_hand_written_one(arrays: EpisodeArrays) -> None:
+@pytest.mark.parametrize("agent", AGENTS, ids=lambda agent: agent.name)
+def test_one_update_equals_the_hand_written_one(
+    arrays: EpisodeArrays, agent: AgentLayout
+) -> None:
     """MSE in [-1, 1] coordinates, Adam's first step."""
     algorithm = Mabc(CONFIG, arrays, JUDGE, [4])
     batch = Mabc(CONFIG, arrays, JUDGE, [4])._batches.next()
-    states = torch.tensor(arrays.states, dtype=torch.float32)[:, BALANCE.observation]
-    inputs = batch.observation[0][:, BALANCE.observation]
+    states = torch.tensor(arrays.states, dtype=torch.float32)[:, agent.observation]
+    inputs = batch.observation[0][:, agent.observation]
     inputs = (inputs - states.mean(0)) / states.std(0, correction=0).clamp_min(0.01)
-    wanted = batch.action[0][:, list(BALANCE.action)]
+    wanted = batch.action[0][:, list(agent.action)]
     names = [f"{layer}.{kind}" for layer in (0, 2, 4) for kind in ("weight", "bias")]
-    member = algorithm.actors.networks["balance"].member
+    member = algorithm.actors.networks[agent.name].member
     before = [member(0)[name].requires_grad_() for name in names]
     hidden = torch.relu(inputs @ before[0].T + before[1])
     hidden = torch.relu(hidden @ before[2].T + before[3])
     loss = ((torch.tanh(hidden @ before[4].T + before[5]) - wanted) ** 2).mean()
     gradients = torch.autograd.grad(loss, before)
     metrics = algorithm.update()
-    assert metrics["loss/balance"].item() == pytest.approx(loss.item(), rel=1e-5)
+    assert metrics[f"loss/{agent.name}"].item() == pytest.approx(loss.item(), rel=1e-5)
     for old, gradient, name in zip(before, gradients, names, strict=True):
         # Adam's first step is the sign of the gradient, softened by its epsilon.
         expected = old - CONFIG.learning_rate * gradient / (gradient.abs() + 1e-8)

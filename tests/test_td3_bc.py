@@ -5,6 +5,7 @@ from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,16 +14,22 @@ import torch
 from torch import nn
 from torch.nn import functional
 
+from marl_mm.algorithms.checkpoint import FILE, read_checkpoint, save_seed
+from marl_mm.algorithms.mabc import MabcConfig
 from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
 from marl_mm.algorithms.networks import perceptron
 from marl_mm.algorithms.offline_batches import OfflineBatch
+from marl_mm.algorithms.policy import load_policy
+from marl_mm.algorithms.presets import offline_preset
 from marl_mm.algorithms.replay import normalized_actions
+from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
+from marl_mm.algorithms.train import resume_seeds, train
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.terms import judge
 from marl_mm.episode import Episode
-from marl_mm.errors import DatasetError, UsageError
+from marl_mm.errors import CheckpointError, DatasetError, DivergedError, UsageError
 from marl_mm.layout import ACTION_HIGH, ACTION_LOW, AGENTS, JOINT
 
 MakeEpisode = Callable[..., Episode]
@@ -86,7 +93,7 @@ class Reference:
         ]
         return torch.cat(parts, dim=1)
 
-    def update(self, batch: OfflineBatch) -> None:
+    def update(self, batch: OfflineBatch) -> dict[str, torch.Tensor]:
         self.step += 1
         config = self.config
         b = OfflineBatch(*(column[0] for column in batch))
@@ -113,8 +120,11 @@ class Reference:
         self.critic_adam.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         self.critic_adam.step()
+        losses = {"loss/critic": loss.detach()}
         if self.step % config.policy_delay:
-            return
+            return losses
+        weights = torch.tensor(config.imitation_weights)
+        weights = weights / weights.sum() * 4
         now = self.act(self.actors, state).detach()
         for number, layout in enumerate(self.layouts):
             own = torch.tanh(self.actors[number](state[:, list(layout.observation)]))
@@ -123,7 +133,9 @@ class Reference:
             action[:, list(layout.action)] = own
             critic = self.critics[2 * number if len(self.critics) > 2 else 0]
             value = critic(torch.cat([state, action], dim=1))[:, 0]
-            taken = critic(torch.cat([state, b.action], dim=1))[:, 0]
+            data = action.clone()
+            data[:, list(layout.action)] = b.action[:, list(layout.action)]
+            taken = critic(torch.cat([state, data], dim=1))[:, 0]
             c = config.q_weight
             if config.q_weight_end is not None:
                 share = self.step / config.updates
@@ -131,13 +143,16 @@ class Reference:
             weight = c / value.abs().mean().detach()
             entries = list(layout.action)
             squares = (own - b.action[:, entries]).square()
-            squares = squares * torch.tensor(config.imitation_weights)[entries]
-            error = squares.mean(dim=1) * b.imitated
+            error = (squares * weights[entries]).mean(dim=1)
+            imitated = b.imitated > 0
             if config.imitate == "better":
-                error = error * (taken > value).detach()
+                imitated = imitated & (taken > value)
             if config.imitate == "successful":
-                error = error * b.successful
-            loss = error.mean() - weight * value.mean()
+                imitated = imitated & (b.successful > 0)
+            error = error[imitated].sum() / imitated.sum().clamp_min(1)
+            loss = error - weight * value.mean()
+            name = "actor" if len(self.layouts) == 1 else layout.name
+            losses[f"loss/{name}"] = loss.detach()
             self.actor_adams[number].zero_grad()
             loss.backward()
             self.actor_adams[number].step()
@@ -147,6 +162,7 @@ class Reference:
             for network, target in pairs:
                 for p, t in zip(network.parameters(), target.parameters(), strict=True):
                     t.copy_(config.target_rate * p + (1 - config.target_rate) * t)
+        return losses
 
 
 @pytest.mark.parametrize(
@@ -157,9 +173,11 @@ class Reference:
         {"layer_norm": True, "clip_targets": True, "policy_delay": 1},
         {
             "imitate": "successful",
-            "imitation_weights": (2.0, 1.0, 0.5, 0.0),
+            "imitation_weights": (2.0, 1.0, 0.5, 0.1),
             "q_weight_end": 0.1,
         },
+        # By so much that what targets do would show.
+        {**PLAIN, "target_rate": 0.5, "target_noise": 1.0, "policy_delay": 1},
     ],
 )
 @pytest.mark.parametrize(("kind", "config"), KINDS)
@@ -174,16 +192,26 @@ def test_updates_are_those_by_hand(
     reference = Reference(algorithm)
     twin = kind(config, arrays, JUDGE, [3])._batches
     for _ in range(4):
-        algorithm.update()
-        reference.update(twin.next())
-    for i, critic in enumerate(reference.critics):
-        for name, value in critic.state_dict().items():
-            expected = algorithm.critics.networks.member(i)[name]
-            torch.testing.assert_close(value, expected, atol=1e-6, rtol=1e-5)
-    for layout, actor in zip(algorithm.layouts, reference.actors, strict=True):
-        for name, value in actor.state_dict().items():
-            expected = algorithm.actors.networks[layout.name].member(0)[name]
-            torch.testing.assert_close(value, expected, atol=1e-6, rtol=1e-5)
+        found, expected = algorithm.update(), reference.update(twin.next())
+        for name, loss in expected.items():
+            torch.testing.assert_close(found[name][0], loss, atol=1e-6, rtol=1e-6)
+    pairs = (
+        (reference.critics, algorithm.critics.networks),
+        (reference.target_critics, algorithm._target_critics.networks),
+    )
+    for theirs, ours in pairs:
+        for i, critic in enumerate(theirs):
+            equal(ours.member(i), critic.state_dict())
+    for number, layout in enumerate(algorithm.layouts):
+        ours = algorithm.actors.networks[layout.name]
+        equal(ours.member(0), reference.actors[number].state_dict())
+        ours = algorithm._target_actors.networks[layout.name]
+        equal(ours.member(0), reference.target_actors[number].state_dict())
+
+
+def equal(ours: dict[str, torch.Tensor], theirs: dict[str, torch.Tensor]) -> None:
+    for name, value in theirs.items():
+        torch.testing.assert_close(ours[name], value, atol=1e-6, rtol=0)
 
 
 @pytest.mark.parametrize(("kind", "config"), KINDS)
@@ -292,7 +320,7 @@ def test_unknown_costs_forbid_other_goals(arrays: EpisodeArrays) -> None:
     arrays.info["d_mp"][4] = np.nan
     own = Td3BcConfig(future=0, elsewhere=0, **SMALL)
     Td3Bc(own, arrays, JUDGE, [0]).update()
-    with pytest.raises(UsageError, match="--future 0 --elsewhere 0"):
+    with pytest.raises(UsageError, match="--future 0, and --elsewhere 0"):
         Td3Bc(replace(own, future=0.2), arrays, JUDGE, [0])
 
 
@@ -335,3 +363,89 @@ def test_shares_beyond_one_are_refused() -> None:
 
 def test_the_joint_actor_sees_everything() -> None:
     assert Td3Bc.layouts == (JOINT,) and Matd3Bc.layouts == AGENTS
+
+
+def test_a_value_beyond_all_returns_ends_the_run(
+    arrays: EpisodeArrays, tmp_path: Path
+) -> None:
+    """And weights that the last step spoilt are not kept."""
+    config = Td3BcConfig(updates=300, **SMALL)
+    algorithm = Td3Bc(config, arrays, JUDGE, [0])
+
+    def spoil(done: int, note: str) -> None:
+        if algorithm.step == 200:
+            with torch.no_grad():
+                algorithm.critics.networks.flat.mul_(1e4)
+
+    with pytest.raises(DivergedError, match=r"q/data is .* more than .* update 200"):
+        train(algorithm, [tmp_path], lambda policy: {}, 100, spoil)
+    assert np.isfinite(load_policy(tmp_path).act(np.zeros(10))).all()
+
+
+def test_weights_that_the_last_step_spoilt_are_not_kept(
+    arrays: EpisodeArrays, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    algorithm = Td3Bc(Td3BcConfig(updates=300, **SMALL), arrays, JUDGE, [0])
+    update = algorithm.update
+
+    def spoilt() -> dict[str, torch.Tensor]:
+        losses = update()
+        if algorithm.step == 200:  # where a checkpoint would be
+            algorithm.actors.networks["joint"].flat.fill_(torch.nan)
+        return losses
+
+    monkeypatch.setattr(algorithm, "update", spoilt)
+    with pytest.raises(DivergedError, match=r"nan with seed 0 .* of update 100"):
+        train(algorithm, [tmp_path], lambda policy: {}, 100)
+    assert np.isfinite(load_policy(tmp_path).act(np.zeros(10))).all()
+
+
+@pytest.mark.parametrize(("kind", "config"), KINDS)
+def test_several_seeds_in_one_process_leave_runs_of_their_own(
+    arrays: EpisodeArrays, tmp_path: Path, kind: type[Td3Bc], config: Td3BcConfig
+) -> None:
+    """As on a GPU; and go on together, or refuse to."""
+    config = replace(config, updates=200)
+    runs = [tmp_path / str(seed) for seed in (4, 5)]
+    for run in runs:
+        run.mkdir()
+    whole = kind(config, arrays, JUDGE, [4, 5])
+    train(whole, runs, lambda policy: {}, 100)
+    first, second = (read_metrics(run) for run in runs)
+    assert [row["step"] for row in first] == [0, 100, 200]
+    assert first[1]["loss/critic"] != second[1]["loss/critic"]
+    cut = kind(replace(config, updates=100), arrays, JUDGE, [4, 5])
+    train(cut, runs, lambda policy: {}, 100)
+    states = [read_checkpoint(run)["state"] for run in runs]
+    again = kind(config, arrays, JUDGE, [4, 5])
+    again.load_states(states)
+    train(again, runs, lambda policy: {}, 100)
+    for number in (0, 1):
+        for name, one in again.agents(number).items():
+            other = whole.agents(number)[name].actor.state_dict()
+            for key, value in one.actor.state_dict().items():
+                assert torch.equal(value, other[key])
+    early = kind(config, arrays, JUDGE, [4, 5])
+    early.update()
+    save_seed(runs[1] / FILE, early, 1)
+    with pytest.raises(CheckpointError, match="stand at updates 200, 1:"):
+        resume_seeds(early, runs)
+
+
+def test_the_papers_preset_is_the_papers() -> None:
+    """Table 3; Fujimoto & Gu 2021 and Fujimoto 2018 where it is silent."""
+    config = offline_preset("td3-bc", "paper")
+    assert isinstance(config, Td3BcConfig)
+    assert (config.updates, config.batch_size, config.discount) == (100_000, 256, 0.95)
+    assert config.actor_learning_rate == config.critic_learning_rate == 5e-4
+    assert (config.target_rate, config.target_noise) == (0.005, 0.1)
+    assert (config.q_weight, config.q_weight_end, config.policy_delay) == (2.5, None, 2)
+    assert not (config.clip_targets or config.layer_norm)
+    assert config.future == config.elsewhere == 0.0 and config.imitate == "all"
+    multi = offline_preset("matd3-bc", "paper")
+    assert isinstance(multi, Matd3BcConfig)
+    assert (multi.critics, multi.others) == ("own", "data")
+    cloning = offline_preset("mabc", "paper")
+    assert isinstance(cloning, MabcConfig)
+    assert (cloning.updates, cloning.learning_rate) == (100_000, 5e-4)
+    assert cloning.future == 0.0

@@ -6,12 +6,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+from marl_mm.commands.ablate_runs import ANOTHER_FOLDER
 from marl_mm.commands.collect_paper import paper_location
 from marl_mm.commands.options import available_cores
 from marl_mm.commands.runs import EVALUATION
 from marl_mm.commands.train_offline import (
     Offline,
     check_offline,
+    evaluate_offline_run,
     offline_options,
     train_offline,
 )
@@ -29,11 +31,13 @@ from marl_mm.eval.offline import (
     Setting,
     Study,
     evaluation_rows,
+    made_by,
     offline_table,
     summarize,
 )
 from marl_mm.eval.rows import write_csv
 from marl_mm.files import new_file, refuse_existing
+from marl_mm.progress import progress_bars
 
 T = TypeVar("T")
 
@@ -53,8 +57,8 @@ class AblateOffline:
     """Runs per dataset and setting."""
 
     datasets: tuple[str, ...] | None = None
-    """Those named, of which "marl-mm collect paper" makes the paper's; default all of
-    the table."""
+    """Those named; default all of the table. What is missing is not made, but the
+    command that makes it is told."""
 
     settings: tuple[str, ...] | None = None
     """Those named; default all of the table."""
@@ -106,10 +110,7 @@ def draw_table(options: AblateOffline, name: str) -> tuple[list[Row], str]:
         try:
             check_offline(datasets[dataset], _training(options, setting), runs)
         except OtherConfigError as error:
-            before, _, _ = str(error).partition(": go on with the same")
-            raise OtherConfigError(
-                f"{before}: name another folder with --runs, or delete this one"
-            ) from error
+            raise OtherConfigError(error.difference, ANOTHER_FOLDER) from error
     for dataset, setting in cells:
         _train_missing(datasets[dataset], options, dataset, setting)
     rows = list(_evaluations(options, cells))
@@ -149,9 +150,7 @@ def _dataset(options: AblateOffline, name: str) -> Dataset:
     try:
         return load_dataset(paper_location(name))
     except UnknownDatasetError as error:
-        raise UnknownDatasetError(
-            f"{error}; marl-mm collect paper makes the paper's"
-        ) from error
+        raise UnknownDatasetError(f"{error}; make it with {made_by(name)}") from error
 
 
 def _runs(options: AblateOffline, dataset: str, setting: Setting) -> Mapping[int, Path]:
@@ -186,15 +185,20 @@ def _train_missing(
     if not missing:
         return
     print(f"{name}, {setting.about}", file=sys.stderr)
+    training = _training(options, setting)
     try:
-        for _ in train_offline(dataset, _training(options, setting), missing):
+        for _ in train_offline(dataset, training, missing):
             pass
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"stopped in {options.runs_folder()}; the same command goes on from there"
         ) from None
     except DivergedError as error:
-        raise DivergedError(f"{name}, {setting.about}: {error}") from None
+        print(f"{error}; it counts as it is", file=sys.stderr)
+        for seed, run in missing.items():
+            if not (run / EVALUATION).exists():
+                with progress_bars() as bar:
+                    evaluate_offline_run(dataset, training, run, bar, f"eval {seed}")
 
 
 def _evaluations(

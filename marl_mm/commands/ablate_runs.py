@@ -25,6 +25,9 @@ from marl_mm.errors import DivergedError, OtherConfigError
 from marl_mm.eval.online import SETTINGS, Setting
 from marl_mm.files import only_here
 
+ANOTHER_FOLDER = "name another folder with --runs, or delete this one"
+"""What to do about a run that was made with something else."""
+
 DEMONSTRATIONS = "demonstrations"
 """Dataset of the PD agent, in the folder of the runs."""
 
@@ -92,10 +95,7 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
                 check = check_sb3_run if sb3 else check_online_run
                 check(training, seed, run)
             except OtherConfigError as error:
-                before, _, _ = str(error).partition(": go on with the same")
-                raise OtherConfigError(
-                    f"{before}: name another folder with --runs, or delete this one"
-                ) from error
+                raise OtherConfigError(error.difference, ANOTHER_FOLDER) from error
         if finished:
             continue
         try:

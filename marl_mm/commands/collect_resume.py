@@ -48,7 +48,8 @@ def refuse_other(
     if who != about["collector"]:
         raise OtherConfigError(
             f"{location.name} was collected by {who}, now asked for "
-            f"{about['collector']}: choose another --dataset or add --overwrite"
+            f"{about['collector']}",
+            "choose another --dataset or add --overwrite",
         )
     refuse_difference(location.folder, theirs, about)
 

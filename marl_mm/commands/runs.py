@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
+from marl_mm.algorithms.export import SUFFIXES
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.runlog import METRICS
 from marl_mm.commands.options import (
@@ -130,7 +131,9 @@ def start_run(run: Path, config: dict[str, Any]) -> None:
     """A run folder with its config; what an older run left there goes."""
     run.mkdir(parents=True, exist_ok=True)
     names = (FILE, BEST, METRICS, EVALUATION, BEST_EVALUATION, CURVE, SB3_BEST)
-    for path in (*(run / name for name in names), *run.glob("events.out.tfevents.*")):
+    patterns = ("events.out.tfevents.*", *(f"*{end}" for end in SUFFIXES.values()))
+    others = [path for pattern in patterns for path in run.glob(pattern)]
+    for path in (*(run / name for name in names), *others):
         path.unlink(missing_ok=True)
     write_json(run / CONFIG, config)
 

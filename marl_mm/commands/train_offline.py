@@ -1,6 +1,6 @@
 """Runs that learn from a dataset file."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -12,7 +12,7 @@ import torch
 import tyro
 
 from marl_mm.algorithms.algorithm import OfflineAlgorithm
-from marl_mm.algorithms.checkpoint import FILE
+from marl_mm.algorithms.checkpoint import FILE, read_checkpoint
 from marl_mm.algorithms.mabc import Mabc, MabcConfig
 from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
 from marl_mm.algorithms.policy import LearnedPolicy
@@ -32,9 +32,10 @@ from marl_mm.commands.runs import (
 )
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.envs.config import reach_config
+from marl_mm.envs.rollout import Rollouts
 from marl_mm.envs.terms import judge
-from marl_mm.errors import DatasetError, UsageError
-from marl_mm.eval.evaluate import Evaluation, evaluate
+from marl_mm.errors import DatasetError, DivergedError, UsageError, WorkerDiedError
+from marl_mm.eval.evaluate import Evaluation, evaluate_with
 from marl_mm.eval.figures import learning_curve
 from marl_mm.files import only_here
 from marl_mm.progress import Bar, distant_bars, progress_bars, show_distant_bars
@@ -125,24 +126,36 @@ def train_offline(
 
     Raises:
         DatasetError: If there is nothing to learn from.
-        DivergedError: If a loss is not finite; there may be a checkpoint from before.
+        DivergedError: At the end, if a seed's losses were not finite; there may be a
+            checkpoint from before.
         KeyboardInterrupt: After Ctrl-C, saying how to go on.
     """
     check_offline(dataset, options, runs)
     # Those of an incomplete last round go beside the others: no core is idle then.
-    workers = min(len(runs), options.workers + len(runs) % options.workers)
+    processes = min(len(runs), options.workers + len(runs) % options.workers)
     with ExitStack() as stack:
-        for seed, run in runs.items():
+        for run in runs.values():
             stack.enter_context(only_here(run))
+        for seed, run in runs.items():
             if not (options.resume and (run / FILE).exists()):
                 start_run(run, _run_config(dataset, options, seed))
         if options.device == "cuda":
-            yield from _train_together(dataset, options, runs)
-        elif min(workers, options.workers) > 1:
-            yield from _train_apart(dataset, options, runs, workers)
+            parts: Iterable[_Trained] = _together(dataset, options, runs)
+        elif min(processes, options.workers) > 1:
+            parts = _apart(dataset, options, runs, processes)
         else:
-            for seed, run in runs.items():
-                yield from _train_together(dataset, options, {seed: run})
+            parts = (_here(dataset, options, {s: run}) for s, run in runs.items())
+        failures = []
+        for trained in parts:
+            if isinstance(trained, DivergedError):
+                failures.append(trained)
+            else:
+                yield from trained
+        if failures:
+            raise DivergedError("; ".join(map(str, failures)))
+
+
+_Trained = list[tuple[Path, Evaluation]] | DivergedError
 
 
 def check_offline(dataset: Dataset, options: Offline, runs: Mapping[int, Path]) -> None:
@@ -152,8 +165,8 @@ def check_offline(dataset: Dataset, options: Offline, runs: Mapping[int, Path]) 
     )
     if options.device == "cuda" and not torch.cuda.is_available():
         raise UsageError(
-            "--device is cuda, but torch finds no such GPU: leave it out, or install "
-            "a torch that is built for yours"
+            "--device is cuda, but torch finds no such GPU: use --device cpu, or "
+            "install a torch that is built for yours"
         )
     if options.require_success and not dataset.arrays.successes().any():
         raise DatasetError(
@@ -167,27 +180,29 @@ def check_offline(dataset: Dataset, options: Offline, runs: Mapping[int, Path]) 
     _algorithm(dataset, options, list(runs))  # which refuses what it cannot learn from
 
 
-def _train_apart(
-    dataset: Dataset, options: Offline, runs: Mapping[int, Path], workers: int
-) -> Iterator[tuple[Path, Evaluation]]:
-    """Seeds in processes of their own, which Ctrl-C and a failure of one stop."""
+def _apart(
+    dataset: Dataset, options: Offline, runs: Mapping[int, Path], processes: int
+) -> Iterator[_Trained]:
+    """Seeds in processes of their own, which Ctrl-C or one that dies stops."""
     context = get_context("spawn")
     messages, stop = context.Queue(), context.Event()
     alone = replace(options, workers=1)
     arguments = dataset, alone, messages, stop
+    go_on = f"{', '.join(map(str, runs.values()))}: go on with --resume"
     try:
         with (
             show_distant_bars(messages),
-            Workers(workers, _begin_process, arguments) as pool,
+            Workers(processes, _begin_process, arguments) as pool,
         ):
             try:
-                yield from pool.completed(_train_here, runs.items(), ahead=1)
+                yield from pool.completed(_train_in_process, runs.items(), ahead=1)
             except BaseException:
                 stop.set()
                 raise
+    except WorkerDiedError as error:
+        raise WorkerDiedError(f"{error}; {go_on}") from None
     except KeyboardInterrupt:
-        folders = ", ".join(map(str, runs.values()))
-        raise KeyboardInterrupt(f"stopped; {folders}: go on with --resume") from None
+        raise KeyboardInterrupt(f"stopped; {go_on}") from None
 
 
 _process: tuple[Any, ...] = ()
@@ -199,47 +214,71 @@ def _begin_process(*arguments: Any) -> None:
     _process = arguments
 
 
-def _train_here(cell: tuple[int, Path]) -> tuple[Path, Evaluation]:
+def _train_in_process(cell: tuple[int, Path]) -> _Trained:
     dataset, options, messages, stop = _process
-    (trained,) = _train(dataset, options, dict([cell]), distant_bars(messages, stop))
-    return trained
+    return _try(dataset, options, dict([cell]), distant_bars(messages, stop))
 
 
-def _train_together(
+def _together(
     dataset: Dataset, options: Offline, runs: Mapping[int, Path]
-) -> list[tuple[Path, Evaluation]]:
-    """Seeds side by side in this process."""
+) -> Iterator[_Trained]:
+    """Seeds side by side in this process, those together that stand at one update."""
+    steps: dict[int, dict[int, Path]] = {}
+    for seed, run in runs.items():
+        begun = (run / FILE).exists()
+        step = read_checkpoint(run)["state"]["step"] if begun else 0
+        steps.setdefault(step, {})[seed] = run
+    for group in steps.values():
+        yield _here(dataset, options, group)
+
+
+def _here(dataset: Dataset, options: Offline, runs: Mapping[int, Path]) -> _Trained:
     with progress_bars() as bar:
+        return _try(dataset, options, runs, bar)
+
+
+def _try(
+    dataset: Dataset, options: Offline, runs: Mapping[int, Path], bar: Bar
+) -> _Trained:
+    """Train; that one seed diverges is no reason to stop others."""
+    try:
         return _train(dataset, options, runs, bar)
+    except DivergedError as error:
+        return error
 
 
 def _train(
     dataset: Dataset, options: Offline, runs: Mapping[int, Path], bar: Bar
 ) -> list[tuple[Path, Evaluation]]:
     """Train what has been started, and evaluate one seed after the other."""
+    torch.set_num_threads(1)  # small batches: a second thread only costs
     algorithm = _algorithm(dataset, options, list(runs))
-    begun = [(run / FILE).exists() for run in runs.values()]
-    if any(begun):
-        if not all(begun):
-            raise UsageError("some of the seeds have not begun: resume them one by one")
+    if any((run / FILE).exists() for run in runs.values()):
         resume_seeds(algorithm, list(runs.values()))
-
     task = _task(dataset, options)
-
-    def point(policy: LearnedPolicy) -> dict[str, float]:
-        goals = options.eval_seed + 1  # not those of the final evaluation
-        return curve_point(evaluate(policy, options.curve_episodes, goals, task))
-
     label = f"{algorithm.name} {' '.join(map(str, runs))}"
     advance = bar(label, options.config.updates)
-    train(algorithm, list(runs.values()), point, options.curve_every, advance)
-    trained = []
-    for seed, run in runs.items():
-        learning_curve(read_metrics(run), run / CURVE)
-        label = f"eval {seed}"
-        last = evaluate_run(run, options, task, FILE, EVALUATION, bar, label)
-        trained.append((run, last))
-    return trained
+    with Rollouts(reach_config(task), options.workers) as rollouts:
+
+        def point(policy: LearnedPolicy) -> dict[str, float]:
+            goals = options.eval_seed + 1  # not those of the final evaluation
+            count = options.curve_episodes
+            return curve_point(evaluate_with(rollouts, policy, count, goals, task))
+
+        train(algorithm, list(runs.values()), point, options.curve_every, advance)
+    return [
+        (run, evaluate_offline_run(dataset, options, run, bar, f"eval {seed}"))
+        for seed, run in runs.items()
+    ]
+
+
+def evaluate_offline_run(
+    dataset: Dataset, options: Offline, run: Path, bar: Bar, label: str
+) -> Evaluation:
+    """Draw a trained run's learning curve; evaluate its last policy."""
+    learning_curve(read_metrics(run), run / CURVE)
+    task = _task(dataset, options)
+    return evaluate_run(run, options, task, FILE, EVALUATION, bar, label)
 
 
 def _algorithm(

@@ -11,7 +11,7 @@ lives in an environment of its own, see ``d3rlpy_reads.py``::
 
 import json
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,6 @@ WEIGHTS = (2.5, 0.5)
 """c; the authors' and one at which both learn to reach."""
 
 SEEDS = (0, 1, 2)
-SIZE = 256
 GOALS = 200
 
 
@@ -49,7 +48,8 @@ def data(dataset: str, folder: Path) -> None:
         mean=mean,
         std=std,
     )
-    (folder / "dataset.json").write_text(json.dumps({"dataset": dataset}))
+    config = asdict(plain_config()) | {"dataset": dataset}
+    (folder / "config.json").write_text(json.dumps(config))
 
 
 def theirs(folder: Path) -> None:
@@ -66,17 +66,22 @@ def theirs(folder: Path) -> None:
         terminals=arrays["terminals"],
         timeouts=arrays["timeouts"],
     )
-    encoder = d3rlpy.models.VectorEncoderFactory([SIZE, SIZE])
+    config = json.loads((folder / "config.json").read_text())
+    encoder = d3rlpy.models.VectorEncoderFactory(config["hidden"])
     for c in WEIGHTS:
         for seed in SEEDS:
             d3rlpy.seed(seed)
             algorithm = d3rlpy.algos.TD3PlusBCConfig(
-                actor_learning_rate=5e-4,
-                critic_learning_rate=5e-4,
+                actor_learning_rate=config["actor_learning_rate"],
+                critic_learning_rate=config["critic_learning_rate"],
                 actor_encoder_factory=encoder,
                 critic_encoder_factory=encoder,
-                gamma=0.95,
-                target_smoothing_sigma=0.1,
+                batch_size=config["batch_size"],
+                gamma=config["discount"],
+                tau=config["target_rate"],
+                target_smoothing_sigma=config["target_noise"],
+                target_smoothing_clip=config["target_noise_clip"],
+                update_actor_interval=config["policy_delay"],
                 alpha=c,
             ).create(device="cpu")
             algorithm.fit(
@@ -132,7 +137,7 @@ def ours(folder: Path) -> None:
     from marl_mm.policy import Policy
 
     torch.set_num_threads(1)
-    dataset = json.loads((folder / "dataset.json").read_text())["dataset"]
+    dataset = json.loads((folder / "config.json").read_text())["dataset"]
     arrays = load_dataset(dataset).arrays
     rewards = partial(judge, config=reach_config())
     known = np.load(folder / "data.npz")
