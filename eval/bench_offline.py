@@ -1,14 +1,16 @@
-"""Offline learning: updates per second beside the authors' TD3+BC, seeds, memory.
+"""Offline learning: updates per second beside the authors' TD3+BC; several seeds.
 
 All learn from the dataset that ships, with batches of 256 and two layers of 256, and
 take turns, so that a noisy machine is as noisy for each.
 """
 
-import resource
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from multiprocessing import get_context
+from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import Any
 
@@ -20,12 +22,13 @@ from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
 from marl_mm.algorithms.presets import offline_preset
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
 from marl_mm.datasets.arrays import load_arrays
+from marl_mm.datasets.location import SHIPPED
 from marl_mm.datasets.shipped import ARRAYS
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.terms import judge
+from marl_mm.errors import MarlMmError
 from marl_mm.eval.td3_bc_reference import PlainTd3Bc
 from marl_mm.progress import Advance, silent
-from marl_mm.workers import Workers
 
 AUTHORS = "td3-bc, its authors'"
 PLAIN = "td3-bc, no more than theirs"
@@ -40,25 +43,19 @@ _TURN = 100
 
 
 def bench_offline(
-    updates: int, seed: int = 0, seeds: int = 3, advance: Advance = silent
+    updates: int, seed: int = 0, advance: Advance = silent
 ) -> dict[str, Any]:
     """Updates per second of each, and ours over the authors'.
 
     Args:
-        updates: Of each algorithm, in turns, and of each seed.
+        updates: Of each algorithm, in turns.
         seed: Of networks and batches.
-        seeds: How many to train at once.
         advance: Told the updates.
-
-    Returns:
-        Medians and ratios; the throughput of several seeds, each a process of one
-        thread, over that of one; and a process's largest memory [MB].
     """
     torch.set_num_threads(1)
     learners = _learners(seed)
     rates: dict[str, list[float]] = {name: [] for name in learners}
-    turns = max(1, updates // _TURN)
-    for turn in range(-1, turns):
+    for turn in range(-1, max(1, updates // _TURN)):
         for name, update in learners.items():
             rate = _rate(update, _TURN)
             if turn >= 0:  # the first one warms caches
@@ -72,9 +69,61 @@ def bench_offline(
             for name in rates
             if name != AUTHORS
         },
-        "seeds": _several(seeds, turns, advance),
-        "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }
+
+
+def bench_seeds(
+    updates: int, seeds: int, turns: int = 2, advance: Advance = silent
+) -> dict[str, float]:
+    """The command ``marl-mm train td3-bc`` with several seeds, over one, in turns.
+
+    Args:
+        updates: Of each seed; the time that a command takes to begin counts, too.
+        seeds: How many.
+        turns: Of each; the shortest counts.
+        advance: Told the seeds that are trained.
+
+    Returns:
+        Seconds of each, how many times the throughput of one several have, and the
+        largest process's memory [MB].
+    """
+    walls: dict[int, list[float]] = {1: [], seeds: []}
+    memory = 0.0
+    for _ in range(turns):
+        for count, found in walls.items():
+            with TemporaryDirectory() as folder:
+                wall, largest = _train(updates, count, folder)
+            found.append(wall)
+            memory = max(memory, largest)
+            advance(count, f"{count} seeds")
+    one, several = min(walls[1]), min(walls[seeds])
+    return {
+        "seeds": seeds,
+        "one_s": one,
+        "several_s": several,
+        "throughput_over_one": seeds * one / several,
+        "largest_process_mb": memory,
+    }
+
+
+def _train(updates: int, seeds: int, folder: str) -> tuple[float, float]:
+    """Seconds that the command took, and its largest process [MB]."""
+    words = (
+        f"-m marl_mm train td3-bc --dataset {SHIPPED} --updates {updates} --hidden "
+        f"{' '.join(map(str, HIDDEN))} --curve-every {updates} --curve-episodes 1 "
+        f"--eval-episodes 2 --out {folder} --overwrite --seeds"
+    ).split()
+    command = [sys.executable, *words, *map(str, range(seeds))]
+    begin = perf_counter()
+    quiet = subprocess.DEVNULL
+    with subprocess.Popen(command, stdout=quiet, stderr=subprocess.PIPE) as job:
+        assert job.stderr is not None
+        complaint = job.stderr.read().decode()
+        _, status, usage = os.wait4(job.pid, 0)
+        job.returncode = os.waitstatus_to_exitcode(status)
+    if job.returncode:
+        raise MarlMmError(f"{' '.join(command)} failed: {complaint.strip()[-200:]}")
+    return perf_counter() - begin, usage.ru_maxrss / 1024
 
 
 def _learners(seed: int) -> dict[str, Callable[[], object]]:
@@ -103,44 +152,3 @@ def _rate(update: Callable[[], object], updates: int) -> float:
     for _ in range(updates):
         update()
     return updates / (perf_counter() - begin)
-
-
-def _several(seeds: int, turns: int, advance: Advance) -> dict[str, float]:
-    """Processes that learn at once, over one alone, in turns."""
-    barrier = get_context("spawn").Barrier(seeds)
-    ratios, memories = [], []
-    with Workers(seeds, _begin_learner, (barrier,)) as pool:
-        for turn in range(-1, turns):
-            together = list(pool.map(_together, [_TURN] * seeds, ahead=1))
-            (alone,) = pool.map(_alone, [_TURN])
-            if turn >= 0:
-                ratios.append(sum(rate for rate, _ in together) / alone[0])
-                memories.append(sum(memory for _, memory in together))
-                advance(_TURN, f"{seeds} seeds")
-    return {
-        "seeds": seeds,
-        "throughput_over_one": float(np.median(ratios)),
-        "memory_mb": max(memories),
-    }
-
-
-_learner: tuple[Callable[[], object], Any]
-"""A process's update, and where it waits for the others."""
-
-
-def _begin_learner(barrier: Any) -> None:
-    global _learner
-    torch.set_num_threads(1)
-    arrays, rewards = load_arrays(ARRAYS), partial(judge, config=reach_config())
-    learner = Td3Bc(Td3BcConfig(hidden=HIDDEN), arrays, rewards, [0])
-    _learner = learner.update, barrier
-
-
-def _together(updates: int) -> tuple[float, float]:
-    _learner[1].wait()  # for the others
-    return _alone(updates)
-
-
-def _alone(updates: int) -> tuple[float, float]:
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return _rate(_learner[0], updates), memory

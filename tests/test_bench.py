@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
@@ -12,12 +13,14 @@ from marl_mm.datasets.arrays import load_arrays
 from marl_mm.datasets.shipped import ARRAYS
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.terms import judge
+from marl_mm.errors import MarlMmError
 from marl_mm.eval.abuse import abuse
 from marl_mm.eval.bench import bench_control
 from marl_mm.eval.bench_offline import (
     AUTHORS,
     LEARNERS,
     bench_offline,
+    bench_seeds,
     plain_config,
 )
 from marl_mm.eval.bench_train import bench_success, bench_train
@@ -103,14 +106,26 @@ def test_bench_train_compares_success_after_equal_steps() -> None:
 @pytest.mark.slow
 def test_bench_offline_times_all_in_turns() -> None:
     told: list[int] = []
-    result = bench_offline(100, seeds=2, advance=lambda done, note: told.append(done))
+    result = bench_offline(100, advance=lambda done, note: told.append(done))
     rates = result["updates_per_second"]
     assert len(rates) == LEARNERS and min(rates.values()) > 0
-    assert sum(told) == 100 * (LEARNERS + 1)
+    assert sum(told) == 100 * LEARNERS
     ratio = rates["mabc"] / rates[AUTHORS]
     assert result["over_authors"]["mabc"] == pytest.approx(ratio)  # of a single turn
-    assert 0.2 < result["seeds"]["throughput_over_one"] < 2.5
-    assert result["seeds"]["memory_mb"] > result["memory_mb"] / 2 > 50
+
+
+@pytest.mark.slow
+def test_bench_seeds_runs_the_command(
+    monkeypatch: pytest.MonkeyPatch, datasets_home: Path
+) -> None:
+    told: list[int] = []
+    result = bench_seeds(100, 2, 1, lambda done, note: told.append(done))
+    assert told == [1, 2] and result["largest_process_mb"] > 100
+    expected = 2 * result["one_s"] / result["several_s"]
+    assert result["throughput_over_one"] == pytest.approx(expected)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", "/proc/nowhere")
+    with pytest.raises(MarlMmError, match=r"train td3-bc .* failed: marl-mm: "):
+        bench_seeds(100, 2, 1)
 
 
 def ours_in_their_order(ours: Td3Bc) -> list[torch.Tensor]:
