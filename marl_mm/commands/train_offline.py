@@ -117,6 +117,10 @@ def offline_options(algorithm: str, name: Preset = "tuned", **changes: Any) -> O
     return options
 
 
+_Trained = list[tuple[Path, Evaluation]] | DivergedError
+"""Runs and their evaluations, or why there are none."""
+
+
 def train_offline(
     dataset: Dataset, options: Offline, runs: Mapping[int, Path]
 ) -> Iterator[tuple[Path, Evaluation]]:
@@ -153,9 +157,6 @@ def train_offline(
                 yield from trained
         if failures:
             raise DivergedError("; ".join(map(str, failures)))
-
-
-_Trained = list[tuple[Path, Evaluation]] | DivergedError
 
 
 def check_offline(dataset: Dataset, options: Offline, runs: Mapping[int, Path]) -> None:
