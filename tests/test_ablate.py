@@ -139,4 +139,4 @@ def test_a_table_of_offline_learning(
     assert main([*words, "1", "--settings", "ppo"]) == 2
     assert "--settings has no 'ppo': expected mabc" in capsys.readouterr().err
     assert main(["ablate", "cures", "--runs", str(tmp_path)]) == 2
-    assert "marl-mm collect paper makes" in capsys.readouterr().err
+    assert "make it with marl-mm collect paper" in capsys.readouterr().err

@@ -38,7 +38,12 @@ def evaluated(run: Path) -> object:
 @contextmanager
 def started(words: list[str]) -> Iterator[subprocess.Popen[str]]:
     """The command in a process of its own, which does not outlive the test."""
-    command = [sys.executable, "-m", "marl_mm", *words]
+    code = (  # shells let jobs in the background ignore Ctrl-C
+        "import signal, sys; from marl_mm.cli import main;"
+        "signal.signal(signal.SIGINT, signal.default_int_handler);"
+        "sys.exit(main(sys.argv[1:]))"
+    )
+    command = [sys.executable, "-c", code, *words]
     job = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     try:
         yield job
