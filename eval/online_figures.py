@@ -23,6 +23,7 @@ def seed_curves(
     path: Path,
     scale: float = 1.0,
     bottom: float | None = None,
+    top: float | None = None,
 ) -> None:
     """Mean and standard deviation over seeds, a line per setting.
 
@@ -34,6 +35,7 @@ def seed_curves(
         path: Of the PNG.
         scale: Factor of the values.
         bottom: Where the figure cuts off; None shows everything.
+        top: Likewise.
     """
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axis: Any = figure.subplots()
@@ -47,8 +49,8 @@ def seed_curves(
             times, mean - std, mean + std, color=color, alpha=0.2, linewidth=0
         )
     axis.set(xlabel="training episodes", ylabel=ylabel)
-    if bottom is not None:
-        axis.set_ylim(bottom=bottom)
+    if bottom is not None or top is not None:
+        axis.set_ylim(bottom, top)
     axis.legend(frameon=False)
     save(figure, path)
 

@@ -6,7 +6,7 @@ kept, interrupted ones go on.
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,8 +39,11 @@ from marl_mm.progress import progress_bar
 COMPARED = ("ddpg", "ddpg-her", "maddpg-her")
 """Settings in Figs 4 and 5."""
 
-CUT_OFF = -40
-"""Lowest return in Fig. 4: an agent that has learnt nothing can drive off, to -200."""
+CUT_OFF = -30
+"""Lowest return in Fig. 4: few agents that have learnt nothing drive off, to -200."""
+
+PERCENT = {"scale": 100.0, "bottom": 0.0, "top": 102.0}
+"""How success rates are drawn."""
 
 FPS = 1
 """Pictures per simulated second and step, of which Fig. 6 takes five an episode."""
@@ -109,17 +112,17 @@ def _online(options: Ablate) -> None:
 
 def _fig4(options: Ablate) -> None:
     label = f"return of the evaluation, cut off at {CUT_OFF}"
-    _compare(options, "fig4.png", "return_all", label, bottom=CUT_OFF)
+    _compare(options, "fig4.png", "return_all", label, {"bottom": CUT_OFF})
 
 
 def _fig5(options: Ablate) -> None:
-    _compare(options, "fig5.png", "success_all", "goals reached [%]", scale=100)
+    _compare(options, "fig5.png", "success_all", "goals reached [%]", PERCENT)
 
 
 def _demonstrated(options: Ablate) -> None:
     settings = ("ddpg", "ddpg-her", "ddpg-demonstrations", "ddpg-her-demonstrations")
     name, label = "demonstrations.png", "goals reached [%]"
-    _compare(options, name, "success_all", label, settings, scale=100)
+    _compare(options, name, "success_all", label, PERCENT, settings)
 
 
 def _compare(
@@ -127,8 +130,8 @@ def _compare(
     name: str,
     key: str,
     label: str,
+    look: Mapping[str, float],
     settings: Sequence[str] = COMPARED,
-    **look: float,
 ) -> None:
     """Draw one column of the learning curves of some settings."""
     _refuse(options, name)
