@@ -1,7 +1,8 @@
 """What online runs show, as Markdown."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.online import LEVELS, SB3, Setting, success_at
@@ -100,6 +101,17 @@ def steps_table(curves: Sequence[Row], settings: Sequence[Setting]) -> str:
     return markdown_table(header, lines)
 
 
+def updates_table(result: Mapping[str, Any], settings: Sequence[Setting]) -> str:
+    """Gradient updates per second from ``marl-mm bench train``, as Markdown."""
+    about = {setting.name: setting.about for setting in settings}
+    lines = [
+        (about[name], f"{rate:.0f}", f"{result.get(f'{name}_over_sb3', 1.0):.2f}")
+        for name, rate in result["updates_per_second"].items()
+    ]
+    header = ("one thread", "updates per second", "over Stable-Baselines3")
+    return markdown_table(header, lines)
+
+
 def online_markdown(
     summary: Sequence[Row], settings: Sequence[Setting], curves: Sequence[Row]
 ) -> str:
@@ -116,14 +128,14 @@ had the rate, as it was reached in between. The last column is where the longest
 ended: 500 episodes after its best success rate, or with as many as it was to have.
 
 {online_table(summary, settings)}
-{_hindsight(summary)}
+{hindsight_in_words(summary)}
 At equal steps of the environment: success [%] between the evaluations of the learning
 curve, mean over seeds and every seed; - beyond the end of runs that were cut short.
 
 {steps_table(curves, settings)}"""
 
 
-def _hindsight(summary: Sequence[Row]) -> str:
+def hindsight_in_words(summary: Sequence[Row]) -> str:
     """How many of plain DDPG's episodes to 70 % it takes with hindsight, in words."""
     rows = {row["setting"]: row for row in summary}
     if not {"ddpg", "ddpg-her"} <= rows.keys():
