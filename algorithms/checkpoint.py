@@ -18,10 +18,7 @@ FILE = "checkpoint.pt"
 BEST = "best.pt"
 """The best policy of an online run, by its evaluations."""
 
-OFFLINE = ("mabc", "td3-bc", "matd3-bc")
-"""Algorithms that learn from dataset files."""
-
-KNOWN = (*OFFLINE, "ddpg", "ddpg-her", "maddpg", "maddpg-her")
+KNOWN = ("mabc", "td3-bc", "matd3-bc", "ddpg", "ddpg-her", "maddpg", "maddpg-her")
 """Algorithms whose checkpoints this version can load."""
 
 _FORMAT = "marl_mm checkpoint 1"

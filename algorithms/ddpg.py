@@ -23,14 +23,15 @@ from marl_mm.algorithms.demonstrations import Demonstrations
 from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.networks import (
     DIAGNOSED,
-    SATURATED,
     Actor,
     Critic,
     Normalizer,
     descend,
+    saturation,
 )
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.replay import (
+    DRAWN_TOGETHER,
     Batch,
     Judge,
     Replay,
@@ -103,8 +104,7 @@ class DdpgConfig:
     nobody has tried stay in bounds (Ball 2023)."""
 
     action_penalty: float = 0.5
-    """Weight of the actions' mean square in the actor's loss, against saturation. It
-    also draws the learnt alpha towards 0.5."""
+    """Of the mean square action in the actor's loss; it draws alpha to 0.5, too."""
 
     hidden: tuple[int, ...] = (128, 128)
     """Units of the hidden layers of actor and critic; the paper is silent."""
@@ -279,7 +279,7 @@ class Ddpg:
         shown = round(share * size)
         sources = (self.replay, size - shown), (self._demonstrations, shown)
         while count:
-            many = min(count, _DRAWN_TOGETHER)
+            many = min(count, DRAWN_TOGETHER)
             parts = [
                 source.sample(many * part, self._rng).split(part)
                 for source, part in sources
@@ -308,7 +308,7 @@ class Ddpg:
         return {
             "q/data": taken.mean().item(),
             "q/policy": self.critic(batch.observation, action).mean().item(),
-            "action/saturation": (action.abs() > SATURATED).float().mean().item(),
+            "action/saturation": saturation(action).item(),
             "action/alpha": ((action[:, ALPHA] + 1) / 2).mean().item(),
         }
 
@@ -348,7 +348,3 @@ class Ddpg:
         self._statistics.load_state(state["statistics"])
         self.replay.load_state(state["replay"])
         self._rng.bit_generator.state = json.loads(state["rng"])
-
-
-_DRAWN_TOGETHER = 40
-"""Batches drawn from the replay at once."""

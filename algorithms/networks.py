@@ -9,7 +9,7 @@ from torch import nn
 DIAGNOSED = 1_024
 """Transitions that diagnostics look at."""
 
-SATURATED = 0.98
+_SATURATED = 0.98
 """Beyond this an action counts as saturated, in [-1, 1] coordinates."""
 
 
@@ -121,7 +121,7 @@ def perceptron(widths: Sequence[int], *, layer_norm: bool = False) -> list[nn.Mo
 
 
 class ActionScale:
-    """Between an action space and [-1, 1] coordinates.
+    """From [-1, 1] coordinates to an action space.
 
     Args:
         low: Lowest actions, shape (k,).
@@ -132,13 +132,14 @@ class ActionScale:
         self._low = low
         self._range = high - low
 
-    def normalize(self, action: torch.Tensor) -> torch.Tensor:
-        """From the action space to [-1, 1]."""
-        return 2 * (action - self._low) / self._range - 1
-
     def denormalize(self, action: torch.Tensor) -> torch.Tensor:
         """From [-1, 1] to the action space."""
         return self._low + (action + 1) / 2 * self._range
+
+
+def saturation(action: torch.Tensor) -> torch.Tensor:
+    """Share of entries near their bounds, shapes (..., n, k) to (...)."""
+    return (action.abs() > _SATURATED).float().mean(dim=(-2, -1))
 
 
 def descend(optimizer: torch.optim.Optimizer, loss: torch.Tensor) -> None:

@@ -13,13 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from marl_mm.algorithms.replay import COSTS, Judge, normalized_actions
+from marl_mm.algorithms.replay import COSTS, DRAWN_TOGETHER, Judge, normalized_actions
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.errors import DatasetError, UsageError
 from marl_mm.layout import ACTION, EE, GOAL
-
-_TOGETHER = 40
-"""Batches drawn at once."""
 
 
 class OfflineBatch(NamedTuple):
@@ -141,17 +138,15 @@ class OfflineBatches:
         parts = [self._sample(stream) for stream in self._streams]
         columns = []
         for arrays in zip(*parts, strict=True):
-            shape = (_TOGETHER, self._size, *arrays[0].shape[1:])
+            shape = (DRAWN_TOGETHER, self._size, *arrays[0].shape[1:])
             stacked = np.stack([array.reshape(shape) for array in arrays], axis=1)
             columns.append(torch.from_numpy(stacked).to(self._device))
-        self._drawn = [
-            OfflineBatch(*(column[i] for column in columns)) for i in range(_TOGETHER)
-        ]
+        self._drawn = [OfflineBatch(*batch) for batch in zip(*columns, strict=True)]
         self._taken = 0
 
     def _sample(self, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
         """One seed's transitions of many batches, in the order of ``OfflineBatch``."""
-        count = _TOGETHER * self._size
+        count = DRAWN_TOGETHER * self._size
         rows = rng.integers(len(self), size=count)
         kind, later = rng.random(count), rng.random(count)
         others = rng.integers(len(self), size=count)

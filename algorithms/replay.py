@@ -18,6 +18,9 @@ from marl_mm.layout import ACTION, ACTION_HIGH, ACTION_LOW, EE, GOAL, STATE
 COSTS = ("d_mm", "d_mp", "base_jerk_rms")
 """What of a step's info its reward depends on, apart from the goal."""
 
+DRAWN_TOGETHER = 40
+"""Batches drawn at once: relabelling costs hardly more for many."""
+
 Judge = Callable[
     [np.ndarray, np.ndarray, Mapping[str, np.ndarray]], tuple[np.ndarray, np.ndarray]
 ]

@@ -15,10 +15,10 @@ from torch import nn
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.ensemble import Ensemble, Learner
 from marl_mm.algorithms.networks import (
-    SATURATED,
     Actor,
     Normalizer,
     perceptron,
+    saturation,
 )
 from marl_mm.layout import ACTION, STATE, AgentLayout, columns
 
@@ -220,7 +220,7 @@ def imitation_errors(
     errors = (now - action).square().mean(dim=1)
     return {
         **{f"imitation/{name}": errors[:, i] for i, name in enumerate(ACTION)},
-        "action/saturation": (now.abs() > SATURATED).float().mean(dim=(1, 2)),
+        "action/saturation": saturation(now),
     }
 
 

@@ -13,6 +13,7 @@ from marl_mm.algorithms.checkpoint import FILE, read_checkpoint, save_seed
 from marl_mm.algorithms.mabc import Mabc, MabcConfig
 from marl_mm.algorithms.networks import ActionScale, Normalizer
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
+from marl_mm.algorithms.replay import normalized_actions
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.train import resume_seeds, train
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
@@ -21,7 +22,7 @@ from marl_mm.envs.parallel import split_state
 from marl_mm.envs.terms import judge
 from marl_mm.episode import Episode
 from marl_mm.errors import CheckpointError, DivergedError, UsageError
-from marl_mm.layout import AGENTS, AgentLayout
+from marl_mm.layout import ACTION_HIGH, ACTION_LOW, AGENTS, AgentLayout
 
 MakeEpisode = Callable[..., Episode]
 JUDGE = partial(judge, config=reach_config())
@@ -260,8 +261,10 @@ def test_normalizer_by_hand_and_its_floor() -> None:
     torch.testing.assert_close(result, torch.tensor([[2.0, 10.0]]), atol=1e-4, rtol=0)
 
 
-def test_action_scale_is_its_own_inverse() -> None:
-    scale = ActionScale(torch.tensor([-1.0, 0.0]), torch.tensor([1.0, 1.0]))
-    action = torch.tensor([[0.3, 0.25]])
-    torch.testing.assert_close(scale.normalize(action), torch.tensor([[0.3, -0.5]]))
-    torch.testing.assert_close(scale.denormalize(scale.normalize(action)), action)
+def test_actors_undo_what_batches_do_to_actions() -> None:
+    low, high = torch.tensor(ACTION_LOW), torch.tensor(ACTION_HIGH)
+    actions = low + torch.rand(8, len(low)) * (high - low)
+    scaled = torch.from_numpy(normalized_actions(actions.numpy()))
+    assert scaled.abs().max() <= 1
+    back = ActionScale(low, high).denormalize(scaled)
+    torch.testing.assert_close(back, actions)
