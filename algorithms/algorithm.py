@@ -39,7 +39,7 @@ class OfflineAlgorithm(Protocol):
 
     @property
     def config(self) -> Any:
-        """Its hyper-parameters, a frozen dataclass with ``updates``."""
+        """Its hyper-parameters, with ``updates`` and ``precision``; frozen."""
 
     def update(self) -> dict[str, torch.Tensor]:
         """One gradient step; what each seed measured, shape (S,)."""

@@ -1,7 +1,9 @@
 """Networks that carry their own input statistics: no checkpoint can lose them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
+from typing import Literal
 
 import torch
 from torch import nn
@@ -11,6 +13,9 @@ DIAGNOSED = 1_024
 
 _SATURATED = 0.98
 """Beyond this an action counts as saturated, in [-1, 1] coordinates."""
+
+
+Precision = Literal["highest", "medium"]
 
 
 class Normalizer(nn.Module):
@@ -135,6 +140,17 @@ class ActionScale:
     def denormalize(self, action: torch.Tensor) -> torch.Tensor:
         """From [-1, 1] to the action space."""
         return self._low + (action + 1) / 2 * self._range
+
+
+@contextmanager
+def matrix_products(precision: Precision) -> Iterator[None]:
+    """Have torch multiply float32 matrices so, and as before afterwards."""
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision(precision)
+    try:
+        yield
+    finally:
+        torch.set_float32_matmul_precision(before)
 
 
 def saturation(action: torch.Tensor) -> torch.Tensor:

@@ -15,7 +15,7 @@ import torch
 
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.config_checks import check_ranges
-from marl_mm.algorithms.networks import DIAGNOSED, Normalizer
+from marl_mm.algorithms.networks import DIAGNOSED, Normalizer, Precision
 from marl_mm.algorithms.offline_batches import OfflineBatch, OfflineBatches
 from marl_mm.algorithms.replay import Judge, highest_reward
 from marl_mm.algorithms.seeded import SeededActors, SeededCritics, imitation_errors
@@ -90,6 +90,10 @@ class Td3BcConfig:
 
     std_floor: float = 0.01
     """Least standard deviation an observation is scaled by."""
+
+    precision: Precision = "highest"
+    """Of products of float32 matrices, as torch has it. With medium they are faster on
+    many CPUs and GPUs; where these have units for bfloat16, they are rounded to it."""
 
     def __post_init__(self) -> None:
         check_ranges(

@@ -16,6 +16,7 @@ import torch
 
 from marl_mm.algorithms.algorithm import OfflineAlgorithm, Resumable
 from marl_mm.algorithms.checkpoint import FILE, read_checkpoint, save_seed
+from marl_mm.algorithms.networks import matrix_products
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.runlog import Row, RunLog
 from marl_mm.differences import refuse_difference
@@ -95,10 +96,11 @@ def _updated(algorithm: OfflineAlgorithm, step: int) -> dict[str, torch.Tensor]:
     """Update up to a step; means of what was measured, shape (S,)."""
     sums: dict[str, torch.Tensor] = {}
     counts: dict[str, int] = {}
-    while algorithm.step < step:
-        for key, value in algorithm.update().items():
-            sums[key] = sums[key] + value if key in sums else value
-            counts[key] = counts.get(key, 0) + 1
+    with matrix_products(algorithm.config.precision):
+        while algorithm.step < step:
+            for key, value in algorithm.update().items():
+                sums[key] = sums[key] + value if key in sums else value
+                counts[key] = counts.get(key, 0) + 1
     return {key: value / counts[key] for key, value in sums.items()}
 
 

@@ -19,6 +19,7 @@ import torch
 
 from marl_mm.algorithms.mabc import Mabc, MabcConfig
 from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
+from marl_mm.algorithms.networks import matrix_products
 from marl_mm.algorithms.presets import offline_preset
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
 from marl_mm.datasets.arrays import load_arrays
@@ -32,10 +33,12 @@ from marl_mm.progress import Advance, silent
 
 AUTHORS = "td3-bc, its authors'"
 PLAIN = "td3-bc, no more than theirs"
+PLAIN_MEDIUM = f"{PLAIN}, --precision medium"
+MEDIUM = "td3-bc, --precision medium"
 
 HIDDEN = (256, 256)
 
-LEARNERS = 5
+LEARNERS = 7
 """How many are timed."""
 
 _TURN = 100
@@ -131,10 +134,13 @@ def _learners(seed: int) -> dict[str, Callable[[], object]]:
     tuned, plain = Td3BcConfig(hidden=HIDDEN), plain_config()
     others = Matd3BcConfig(hidden=HIDDEN)
     cloning = MabcConfig(hidden=HIDDEN)
+    medium = matrix_products("medium")  # as a decorator
     return {
         AUTHORS: PlainTd3Bc(arrays, plain, seed).update,
         PLAIN: Td3Bc(plain, arrays, rewards, [seed]).update,
+        PLAIN_MEDIUM: medium(Td3Bc(plain, arrays, rewards, [seed]).update),
         "td3-bc": Td3Bc(tuned, arrays, rewards, [seed]).update,
+        MEDIUM: medium(Td3Bc(tuned, arrays, rewards, [seed]).update),
         "matd3-bc": Matd3Bc(others, arrays, rewards, [seed]).update,
         "mabc": Mabc(cloning, arrays, rewards, [seed]).update,
     }

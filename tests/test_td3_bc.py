@@ -17,9 +17,9 @@ from torch.nn import functional
 from marl_mm.algorithms.checkpoint import FILE, read_checkpoint, save_seed
 from marl_mm.algorithms.mabc import MabcConfig
 from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
-from marl_mm.algorithms.networks import perceptron
+from marl_mm.algorithms.networks import Precision, perceptron
 from marl_mm.algorithms.offline_batches import OfflineBatch
-from marl_mm.algorithms.policy import load_policy
+from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.presets import offline_preset
 from marl_mm.algorithms.replay import normalized_actions
 from marl_mm.algorithms.runlog import read_metrics
@@ -430,6 +430,39 @@ def test_several_seeds_in_one_process_leave_runs_of_their_own(
     save_seed(runs[1] / FILE, early, 1)
     with pytest.raises(CheckpointError, match="stand at updates 200, 1:"):
         resume_seeds(early, runs)
+
+
+def test_precision_is_of_updates_only(arrays: EpisodeArrays, tmp_path: Path) -> None:
+    """Whoever evaluates meanwhile, or goes on after a run that failed, has torch's."""
+    seen: list[str] = []
+
+    def trained(precision: Precision, spoilt: bool = False) -> Td3Bc:
+        config = Td3BcConfig(updates=20, precision=precision, **SMALL)
+        algorithm = Td3Bc(config, arrays, JUDGE, [0])
+        update = algorithm.update
+
+        def noted() -> dict[str, torch.Tensor]:
+            seen.append(torch.get_float32_matmul_precision())
+            if spoilt:
+                raise KeyboardInterrupt
+            return update()
+
+        algorithm.update = noted  # type: ignore[method-assign]
+
+        def evaluate(policy: LearnedPolicy) -> dict[str, float]:
+            assert torch.get_float32_matmul_precision() == "highest"
+            return {}
+
+        train(algorithm, [tmp_path], evaluate, 10)
+        return algorithm
+
+    exact, rounded = trained("highest"), trained("medium")
+    assert seen == ["highest"] * 20 + ["medium"] * 20
+    own = exact.critics.networks.flat
+    torch.testing.assert_close(own, rounded.critics.networks.flat, atol=0.02, rtol=0)
+    with pytest.raises(KeyboardInterrupt):
+        trained("medium", spoilt=True)
+    assert torch.get_float32_matmul_precision() == "highest"
 
 
 def test_the_papers_preset_is_the_papers() -> None:
