@@ -12,10 +12,11 @@ import torch
 
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.config_checks import check_ranges
-from marl_mm.algorithms.networks import DIAGNOSED, Normalizer, Precision
+from marl_mm.algorithms.networks import DIAGNOSED, Normalizer
 from marl_mm.algorithms.offline_batches import OfflineBatches
 from marl_mm.algorithms.replay import Judge
 from marl_mm.algorithms.seeded import SeededActors, imitation_errors
+from marl_mm.algorithms.speed import Precision
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.layout import AGENTS, AgentLayout, columns
 

@@ -1,9 +1,7 @@
 """Networks that carry their own input statistics: no checkpoint can lose them."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from itertools import pairwise
-from typing import Literal
 
 import torch
 from torch import nn
@@ -13,9 +11,6 @@ DIAGNOSED = 1_024
 
 _SATURATED = 0.98
 """Beyond this an action counts as saturated, in [-1, 1] coordinates."""
-
-
-Precision = Literal["highest", "medium"]
 
 
 class Normalizer(nn.Module):
@@ -140,17 +135,6 @@ class ActionScale:
     def denormalize(self, action: torch.Tensor) -> torch.Tensor:
         """From [-1, 1] to the action space."""
         return self._low + (action + 1) / 2 * self._range
-
-
-@contextmanager
-def matrix_products(precision: Precision) -> Iterator[None]:
-    """Have torch multiply float32 matrices so, and as before afterwards."""
-    before = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision(precision)
-    try:
-        yield
-    finally:
-        torch.set_float32_matmul_precision(before)
 
 
 def saturation(action: torch.Tensor) -> torch.Tensor:

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-import torch
 
 from marl_mm.algorithms.algorithm import Resumable
 from marl_mm.algorithms.checkpoint import BEST, FILE, save_checkpoint, save_policy
 from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.runlog import Row, RunLog
+from marl_mm.algorithms.speed import prepare_for_small_networks
 from marl_mm.algorithms.train import Evaluate
 from marl_mm.episode import Episode
 from marl_mm.errors import DivergedError, UsageError
@@ -121,7 +121,7 @@ def train_online(
         KeyboardInterrupt: After Ctrl-C, saying which checkpoint there is.
         DivergedError: If a loss is not finite; the last checkpoint is left as it is.
     """
-    torch.set_num_threads(1)  # small batches: a second thread only costs
+    prepare_for_small_networks()
     total = algorithm.config.episodes
     advance(algorithm.episodes, "")
     with RunLog(run, "episode", since=algorithm.episodes) as log:

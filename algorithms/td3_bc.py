@@ -15,10 +15,11 @@ import torch
 
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.config_checks import check_ranges
-from marl_mm.algorithms.networks import DIAGNOSED, Normalizer, Precision
+from marl_mm.algorithms.networks import DIAGNOSED, Normalizer
 from marl_mm.algorithms.offline_batches import OfflineBatch, OfflineBatches
 from marl_mm.algorithms.replay import Judge, highest_reward
 from marl_mm.algorithms.seeded import SeededActors, SeededCritics, imitation_errors
+from marl_mm.algorithms.speed import Precision
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.errors import UsageError
 from marl_mm.layout import ACTION, EE, GOAL, JOINT, AgentLayout

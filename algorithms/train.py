@@ -16,9 +16,9 @@ import torch
 
 from marl_mm.algorithms.algorithm import OfflineAlgorithm, Resumable
 from marl_mm.algorithms.checkpoint import FILE, read_checkpoint, save_seed
-from marl_mm.algorithms.networks import matrix_products
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.runlog import Row, RunLog
+from marl_mm.algorithms.speed import matrix_products, prepare_for_small_networks
 from marl_mm.differences import refuse_difference
 from marl_mm.errors import CheckpointError, DivergedError
 from marl_mm.interrupts import deaf_to_interrupts
@@ -51,7 +51,7 @@ def train(
         KeyboardInterrupt: After Ctrl-C, saying which checkpoint there is.
         DivergedError: If a loss is not finite; the last checkpoint is left as it is.
     """
-    torch.set_num_threads(1)  # small batches: a second thread only costs
+    prepare_for_small_networks()
     total, saved = algorithm.config.updates, algorithm.step
     advance(saved, "")
     with ExitStack() as stack:

@@ -15,12 +15,11 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-import torch
 
 from marl_mm.algorithms.mabc import Mabc, MabcConfig
 from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
-from marl_mm.algorithms.networks import matrix_products
 from marl_mm.algorithms.presets import offline_preset
+from marl_mm.algorithms.speed import matrix_products, prepare_for_small_networks
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
 from marl_mm.datasets.arrays import load_arrays
 from marl_mm.datasets.location import SHIPPED
@@ -55,7 +54,7 @@ def bench_offline(
         seed: Of networks and batches.
         advance: Told the updates.
     """
-    torch.set_num_threads(1)
+    prepare_for_small_networks()
     learners = _learners(seed)
     rates: dict[str, list[float]] = {name: [] for name in learners}
     for turn in range(-1, max(1, updates // _TURN)):

@@ -13,7 +13,6 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-import torch
 
 from marl_mm.algorithms.ddpg import Ddpg, DdpgConfig
 from marl_mm.algorithms.explore import Explorer
@@ -21,6 +20,7 @@ from marl_mm.algorithms.maddpg import Maddpg, MaddpgConfig
 from marl_mm.algorithms.online import run_cycle
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.presets import preset
+from marl_mm.algorithms.speed import prepare_for_small_networks
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.rollout import EpisodePlan, Rollouts, episode_seed
 from marl_mm.envs.terms import judge
@@ -52,7 +52,7 @@ def bench_train(
         episodes: Random ones in the replays.
         advance: Told the updates.
     """
-    torch.set_num_threads(1)
+    prepare_for_small_networks()
     learners = _learners(seed, sb3, episodes, advance)
     rates: dict[str, list[float]] = {name: [] for name in learners}
     for turn in range(-1, max(1, updates // _TURN)):
@@ -119,7 +119,7 @@ def bench_success(
     Returns:
         Success rate and its 95 % interval over the goals, by name.
     """
-    torch.set_num_threads(1)
+    prepare_for_small_networks()
     hyper = preset("ddpg-her")
     success: dict[str, Any] = {}
     with Rollouts(reach_config(TASK)) as rollouts:

@@ -17,12 +17,13 @@ from torch.nn import functional
 from marl_mm.algorithms.checkpoint import FILE, read_checkpoint, save_seed
 from marl_mm.algorithms.mabc import MabcConfig
 from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
-from marl_mm.algorithms.networks import Precision, perceptron
+from marl_mm.algorithms.networks import perceptron
 from marl_mm.algorithms.offline_batches import OfflineBatch
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.presets import offline_preset
 from marl_mm.algorithms.replay import normalized_actions
 from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.algorithms.speed import Precision
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
 from marl_mm.algorithms.train import resume_seeds, train
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of

@@ -18,6 +18,7 @@ from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.presets import Preset, offline_preset
 from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.algorithms.speed import prepare_for_small_networks
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
 from marl_mm.algorithms.train import resume_seeds, train
 from marl_mm.commands.options import check_positive
@@ -252,7 +253,7 @@ def _train(
     dataset: Dataset, options: Offline, runs: Mapping[int, Path], bar: Bar
 ) -> list[tuple[Path, Evaluation]]:
     """Train what has been started, and evaluate one seed after the other."""
-    torch.set_num_threads(1)  # small batches: a second thread only costs
+    prepare_for_small_networks()
     algorithm = _algorithm(dataset, options, list(runs))
     if any((run / FILE).exists() for run in runs.values()):
         resume_seeds(algorithm, list(runs.values()))
