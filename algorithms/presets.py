@@ -40,6 +40,7 @@ _TABLE_3: dict[str, Any] = {
     "elsewhere": 0.0,
     "imitate": "all",
     "imitation_weights": (1.0, 1.0, 1.0, 1.0),
+    "imitation_scaled": False,
     "clip_targets": False,
     "layer_norm": False,
 }

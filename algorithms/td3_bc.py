@@ -17,7 +17,7 @@ from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.networks import DIAGNOSED, Normalizer
 from marl_mm.algorithms.offline_batches import OfflineBatch, OfflineBatches
-from marl_mm.algorithms.replay import Judge, highest_reward
+from marl_mm.algorithms.replay import Judge, highest_reward, normalized_actions
 from marl_mm.algorithms.seeded import SeededActors, SeededCritics, imitation_errors
 from marl_mm.algorithms.speed import Precision
 from marl_mm.datasets.arrays import EpisodeArrays
@@ -25,6 +25,11 @@ from marl_mm.errors import UsageError
 from marl_mm.layout import ACTION, EE, GOAL, JOINT, AgentLayout
 
 # --- Config ------------------------------------------------------------------
+
+
+LEAST_SPREAD = 0.1
+"""Of an action's entry in the data that imitation errors are measured by, of half its
+range."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +90,10 @@ class Td3BcConfig:
 
     imitation_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
     """Of the action's entries in the imitation error, against one another."""
+
+    imitation_scaled: bool = True
+    """Measure the imitation error of each entry by its spread in the data: where the
+    data hardly vary, the critic knows no better."""
 
     hidden: tuple[int, ...] = (128, 128)
     """Units of the hidden layers of actor and critics; the paper is silent."""
@@ -154,8 +163,7 @@ class Td3Bc:
             arrays, config.batch_size, shares, judge, seeds, device
         )
         self._highest = highest_reward(judge)
-        weights = torch.tensor(config.imitation_weights, device=device)
-        self._weights = weights / weights.mean()
+        self._weights = self._imitation_weights(arrays).to(device)
         largest = float(np.abs(arrays.rewards).max()) / max(1 - config.discount, 1e-3)
         self.sound = dict.fromkeys(("q/data", "q/policy"), 100 * largest)
         # --- Networks --------------------------------------------------------
@@ -179,6 +187,15 @@ class Td3Bc:
         )
         self._target_actors = self.actors.copy()
         self._target_critics = self.critics.copy()
+
+    def _imitation_weights(self, arrays: EpisodeArrays) -> torch.Tensor:
+        """Of the squared error of each entry, shape (4,)."""
+        weights = torch.tensor(self.config.imitation_weights)
+        weights = weights / weights.mean()
+        if self.config.imitation_scaled:
+            actions = torch.from_numpy(normalized_actions(arrays.actions))
+            weights /= actions.var(dim=0, correction=0).clamp_min(LEAST_SPREAD**2)
+        return weights
 
     def _pairs(self) -> int:
         """Pairs of critics that each seed has."""

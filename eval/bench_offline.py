@@ -101,6 +101,7 @@ def bench_seeds(
     one, several = min(walls[1]), min(walls[seeds])
     return {
         "seeds": seeds,
+        "cores": len(os.sched_getaffinity(0)),
         "one_s": one,
         "several_s": several,
         "throughput_over_one": seeds * one / several,

@@ -52,8 +52,10 @@ def arrays(make_episode: MakeEpisode) -> EpisodeArrays:
 class Reference:
     """The update written down once more, plainly: one network per critic and actor."""
 
-    def __init__(self, algorithm: Td3Bc) -> None:
+    def __init__(self, algorithm: Td3Bc, actions: np.ndarray) -> None:
         self.config = config = algorithm.config
+        spread = np.maximum(normalized_actions(actions).std(axis=0), 0.1)
+        self.spread = torch.from_numpy(spread) if config.imitation_scaled else 1.0
         self.layouts = algorithm.layouts
         self.mean = algorithm.normalizer.mean
         self.std = algorithm.normalizer.std
@@ -143,7 +145,8 @@ class Reference:
                 c = (1 - share) * c + share * config.q_weight_end
             weight = c / value.abs().mean().detach()
             entries = list(layout.action)
-            squares = (own - b.action[:, entries]).square()
+            off = (action - b.action) / self.spread
+            squares = off[:, entries].square()
             error = (squares * weights[entries]).mean(dim=1)
             imitated = b.imitated > 0
             if config.imitate == "better":
@@ -175,6 +178,7 @@ class Reference:
         {
             "imitate": "successful",
             "imitation_weights": (2.0, 1.0, 0.5, 0.1),
+            "imitation_scaled": False,
             "q_weight_end": 0.1,
         },
         # By so much that what targets do would show.
@@ -190,7 +194,7 @@ def test_updates_are_those_by_hand(
 ) -> None:
     config = replace(config, **changes)  # type: ignore[arg-type]
     algorithm = kind(config, arrays, JUDGE, [3])
-    reference = Reference(algorithm)
+    reference = Reference(algorithm, arrays.actions)
     twin = kind(config, arrays, JUDGE, [3])._batches
     for _ in range(4):
         found, expected = algorithm.update(), reference.update(twin.next())
@@ -332,6 +336,17 @@ def test_episodes_that_failed_are_marked(arrays: EpisodeArrays) -> None:
     for action, successful in zip(batch.action[0], batch.successful[0], strict=True):
         (row,) = np.flatnonzero((taken == action.numpy()).all(axis=1))
         assert successful.item() == (owners[row] % 3 > 0)
+
+
+def test_what_hardly_varies_is_imitated_most(arrays: EpisodeArrays) -> None:
+    """A hundred times as much as what varies over its whole range, and no more."""
+    actions = arrays.actions.copy()
+    actions[:, 0] = np.where(np.arange(len(actions)) % 2, ACTION_HIGH[0], ACTION_LOW[0])
+    actions[:, 3] = 0.7
+    known = replace(arrays, actions=actions)
+    weights = Td3Bc(Td3BcConfig(**SMALL), known, JUDGE, [0])._weights
+    assert weights[3] / weights[0] == pytest.approx(100.0, rel=1e-2)
+    assert weights.argmax() == 3
 
 
 def test_the_slope_that_is_logged_by_hand(arrays: EpisodeArrays) -> None:
