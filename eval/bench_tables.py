@@ -125,7 +125,8 @@ def offline_speed_table(result: Mapping[str, Any]) -> str:
     header = ("one thread", "updates per second", "over the authors'")
     table, seeds = markdown_table(header, lines), result["seeds"]
     return (
-        f"{table}\n{seeds['seeds']} seeds of `marl-mm train td3-bc` on {seeds['cores']} cores: "
-        f"{seeds['throughput_over_one']:.2f} times the updates per second of one; "
-        f"{seeds['largest_process_mb']:.0f} MB for the largest process.\n"
+        f"{table}\n{seeds['seeds']} seeds of `marl-mm train td3-bc` on "
+        f"{seeds['cores']} cores: {seeds['throughput_over_one']:.2f} times the updates "
+        f"per second of one; {seeds['largest_process_mb']:.0f} MB for the largest "
+        "process.\n"
     )
