@@ -84,7 +84,7 @@ class Td3BcConfig:
     layer_norm: bool = True
     """Whether the critics' hidden layers are normalised (Ball 2023)."""
 
-    imitate: Literal["all", "better", "successful"] = "all"
+    imitate: Literal["all", "better", "successful"] = "successful"
     """Which actions are imitated: all, those that the critic thinks better than the
     actor's (Nair 2018), or those of episodes that reached their goal."""
 

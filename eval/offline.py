@@ -126,7 +126,7 @@ _CURES = (
     _cure("no-elsewhere", "no other episodes' goals", elsewhere=0.0),
     _cure("no-future", "no goals of later steps", future=0.0),
     _cure("better", "better actions imitated", imitate="better"),
-    _cure("successful", "successful episodes imitated", imitate="successful"),
+    _cure("all", "all episodes imitated", imitate="all"),
     _cure("unscaled", "imitation not scaled by spread", imitation_scaled=False),
     _cure("a-x", "delta_x imitated fourfold", imitation_weights=(4.0, 1.0, 1.0, 1.0)),
     Setting(

@@ -174,7 +174,7 @@ def check_offline(dataset: Dataset, options: Offline, runs: Mapping[int, Path]) 
         raise DatasetError(
             f"none of the {len(dataset.arrays)} episodes of {dataset.location.name} "
             "reaches its goal, so that there is nothing to imitate; with "
-            "--no-require-success it is tried all the same"
+            "--no-require-success (and --imitate all) it is tried all the same"
         )
     reach_config(_task(dataset, options))
     for seed, run in runs.items():
