@@ -113,20 +113,3 @@ def data_table(result: Mapping[str, Any]) -> str:
         ),
     ]
     return markdown_table(("what", "measured", "beside"), lines)
-
-
-def offline_speed_table(result: Mapping[str, Any]) -> str:
-    """Updates per second of offline learners, and of several seeds, as Markdown."""
-    ratios = result["offline"]["over_authors"]
-    lines = [
-        (name, f"{rate:.0f}", f"{ratios.get(name, 1.0):.2f}")
-        for name, rate in result["offline"]["updates_per_second"].items()
-    ]
-    header = ("one thread", "updates per second", "over the authors'")
-    table, seeds = markdown_table(header, lines), result["seeds"]
-    return (
-        f"{table}\n{seeds['seeds']} seeds of `marl-mm train td3-bc` on "
-        f"{seeds['cores']} cores: {seeds['throughput_over_one']:.2f} times the updates "
-        f"per second of one; {seeds['largest_process_mb']:.0f} MB for the largest "
-        "process.\n"
-    )

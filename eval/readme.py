@@ -5,16 +5,10 @@ test holds that this changes nothing.
 """
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
-from marl_mm.eval.bench_tables import (
-    abuse_table,
-    bench_table,
-    data_table,
-    offline_speed_table,
-)
-from marl_mm.eval.offline import STUDIES, offline_table
+from marl_mm.eval.bench_tables import abuse_table, bench_table, data_table
 from marl_mm.eval.online import SETTINGS
 from marl_mm.eval.online_tables import (
     hindsight_in_words,
@@ -102,38 +96,6 @@ def _updates() -> str:
     return updates_table(result, SETTINGS)
 
 
-def _offline() -> str:
-    return _study("offline")
-
-
-def _tasks() -> str:
-    return _study("tasks")
-
-
-_SHOWN_CURES = (
-    "td3-bc-literal",
-    "td3-bc-literal-c0.5",
-    "td3-bc",
-    "matd3-bc-literal",
-    "matd3-bc",
-)
-"""Rows of the README's table; all are in the committed one."""
-
-
-def _cures() -> str:
-    return _study("cures", _SHOWN_CURES)
-
-
-def _study(name: str, settings: Sequence[str] | None = None) -> str:
-    rows = read_rows(RESULTS / f"offline/{name}.csv")
-    shown = [row for row in rows if settings is None or row["setting"] in settings]
-    return offline_table(shown, STUDIES[name].settings)
-
-
-def _offline_updates() -> str:
-    return offline_speed_table(json.loads((RESULTS / "offline/bench.json").read_text()))
-
-
 TABLES: dict[str, Callable[[], str]] = {
     "alpha": _alpha,
     "responses": _responses,
@@ -145,10 +107,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "learnt": _learnt,
     "steps": _steps,
     "updates": _updates,
-    "offline": _offline,
-    "tasks": _tasks,
-    "cures": _cures,
-    "offline-updates": _offline_updates,
 }
 """Name of the marks, and what stands between them."""
 
