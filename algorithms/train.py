@@ -128,11 +128,13 @@ def _refuse_odd_values(
 def _note(measured: Mapping[str, torch.Tensor]) -> str:
     """Losses, mean over seeds, for the bar."""
     losses = {
-        key.removeprefix("loss/"): value.mean().item()
+        key: f"{value.mean().item():.3g}"
         for key, value in measured.items()
         if key.count("/") == 1 and key.startswith("loss/") and "imitation" not in key
     }
-    return ", ".join(f"{name} {loss:.3g}" for name, loss in losses.items())
+    critic = losses.pop("loss/critic", "")  # there is no room for agents' names
+    told = [f"critic {critic}"] if critic else []
+    return ", ".join([*told, f"actor {' '.join(losses.values())}"])
 
 
 def _each_seeds(

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from rich.box import SIMPLE_HEAD
+from rich.markup import escape
 from rich.table import Table
 
 from marl_mm.eval.evaluate import Evaluation
@@ -65,7 +66,7 @@ def evaluation_table(evaluations: Sequence[Evaluation], width: int = 80) -> Tabl
     What does not fit is the beginning of a policy's name, never a number.
     """
     room = max(width, 80) - _NUMBERS_WIDTH
-    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False)
+    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=escape(_CAPTION))
     for column, name in enumerate(HEADER):
         short = name.split(" [")[0]
         table.add_column(short, justify="left" if column < 2 else "right", no_wrap=True)
@@ -75,6 +76,11 @@ def evaluation_table(evaluations: Sequence[Evaluation], width: int = 80) -> Tabl
         table.add_row(short, goals, *numbers, end_section=goals.endswith("behind"))
     return table
 
+
+_CAPTION = (
+    "steps: of successes; d_mm, d_mp [m]: hand and base off their targets, mean over "
+    "steps; jerk [m/s^3]: of the base"
+)
 
 _NUMBERS_WIDTH = 70
 """Of all columns but the policy's, and of the gaps."""

@@ -153,6 +153,23 @@ def test_a_dataset_without_successes_is_refused(
     assert not (tmp_path / "run").exists()
 
 
+def test_a_run_in_the_place_of_its_folder_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "runs" / "3"
+    run.mkdir(parents=True)
+    (run / "config.json").write_text("{}")
+    assert main(["train", "ddpg-her", "--out", str(run), "--resume"]) == 2
+    asked = f"--out {run.parent} --seeds 3"
+    assert asked in capsys.readouterr().err
+
+
+def test_online_learners_take_no_dataset(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train", "ddpg-her", "--dataset", "good-5k"]) == 2
+    said = capsys.readouterr().err
+    assert "--demonstrations" in said and said.count("\n") == 1
+
+
 def test_a_missing_gpu_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from marl_mm.commands.ablate_runs import ANOTHER_FOLDER
+from marl_mm.commands.ablate_runs import ANOTHER_FOLDER, announce
 from marl_mm.commands.collect_paper import paper_location
 from marl_mm.commands.options import available_cores
 from marl_mm.commands.runs import EVALUATION
@@ -111,6 +111,9 @@ def draw_table(options: AblateOffline, name: str) -> tuple[list[Row], str]:
             check_offline(datasets[dataset], _training(options, setting), runs)
         except OtherConfigError as error:
             raise OtherConfigError(error.difference, ANOTHER_FOLDER) from error
+    wanted = [run for cell in cells for run in _runs(options, *cell).values()]
+    missing = [run for run in wanted if not (run / EVALUATION).exists()]
+    announce(options.runs_folder(), len(missing), len(wanted))
     for dataset, setting in cells:
         _train_missing(datasets[dataset], options, dataset, setting)
     rows = list(_evaluations(options, cells))

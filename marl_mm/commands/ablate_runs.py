@@ -85,6 +85,8 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
     cells = [(setting, seed) for setting in wanted for seed in options.seeds]
     if any(s.library == "sb3" and not _finished(options, s, n) for s, n in cells):
         check_sb3()
+    missing = [cell for cell in cells if not _finished(options, *cell)]
+    announce(options.runs_folder(), len(missing), len(cells))
     for setting, seed in cells:
         run = _run(options, setting, seed)
         finished = _finished(options, setting, seed)
@@ -108,6 +110,16 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
             raise KeyboardInterrupt(
                 f"stopped in {run}; the same command {again}"
             ) from None
+
+
+def announce(folder: Path, missing: int, wanted: int) -> None:
+    """Say how much is to be trained, which may take a night."""
+    if missing:
+        print(
+            f"{missing} of {wanted} runs are missing in {folder}, trained now; after "
+            "Ctrl-C the same command goes on",
+            file=sys.stderr,
+        )
 
 
 def _run(options: Ablate, setting: Setting, seed: int) -> Path:

@@ -74,6 +74,10 @@ def check_options(options: TrainOptions, out: Path) -> None:
     if options.resume and options.overwrite:
         raise UsageError("--resume and --overwrite contradict each other: choose one")
     runs = [out / str(seed) / CONFIG for seed in options.seeds]
+    if options.resume and (out / CONFIG).exists():
+        raise UsageError(
+            f"{out} is a run itself: --out {out.parent} --seeds {out.name} resumes it"
+        )
     if options.resume and not any(run.exists() for run in runs):
         raise UsageError(f"no run in {out} to resume: leave out --resume to start")
 

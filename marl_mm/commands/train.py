@@ -30,6 +30,11 @@ from marl_mm.errors import UsageError
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm train``."""
     preset = _preset(arguments)
+    if arguments[0] in ONLINE and value_of(arguments, "--dataset", ""):
+        raise UsageError(
+            f"{arguments[0]} learns from episodes of its own and takes no --dataset: "
+            f"use {', '.join(OFFLINE)}, or --demonstrations"
+        )
     commands: dict[str, type | Subcommand] = {
         name: Subcommand(_options(name, preset), description)
         for name, description in (OFFLINE | ONLINE).items()
