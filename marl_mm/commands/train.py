@@ -30,7 +30,7 @@ from marl_mm.errors import UsageError
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm train``."""
     preset = _preset(arguments)
-    if arguments[0] in ONLINE and value_of(arguments, "--dataset", ""):
+    if ONLINE.keys() & set(arguments[:1]) and value_of(arguments, "--dataset", ""):
         raise UsageError(
             f"{arguments[0]} learns from episodes of its own and takes no --dataset: "
             f"use {', '.join(OFFLINE)}, or --demonstrations"
