@@ -169,15 +169,22 @@ def resume(algorithm: Resumable, run: Path, ignored: Sequence[str] = ()) -> None
     algorithm.load_state(_state(algorithm, run, ignored))
 
 
-def resume_seeds(algorithm: OfflineAlgorithm, runs: Sequence[Path]) -> None:
+def resume_seeds(
+    algorithm: OfflineAlgorithm, runs: Sequence[Path], ignored: Sequence[str] = ()
+) -> None:
     """Bring a fresh offline algorithm to the checkpoints of its seeds' runs.
+
+    Args:
+        algorithm: Fresh, with the runs' config.
+        runs: Their folders.
+        ignored: Fields of the config that may differ.
 
     Raises:
         CheckpointError: If a run is of another algorithm, or they stand at different
             updates.
         OtherConfigError: If one is of another config.
     """
-    states = [_state(algorithm, run, ()) for run in runs]
+    states = [_state(algorithm, run, ignored) for run in runs]
     steps = [state["step"] for state in states]
     if len(set(steps)) > 1:
         raise CheckpointError(

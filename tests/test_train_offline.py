@@ -100,6 +100,27 @@ def test_interrupted_processes_go_on_to_the_same_end(
 
 
 @pytest.mark.slow
+def test_more_updates_go_on_as_if_they_had_been_asked_for_at_once(
+    alone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = ["--out", str(tmp_path / "runs"), "--workers", "1"]
+    short = [word if word != "300" else "100" for word in SMALL]
+    assert main(["train", *short, *out]) == 0
+    further = ["train", "td3-bc", *out, "--resume", "--updates"]
+    assert main([*further, "300", "--eval-episodes", "2"]) == 0
+    run = tmp_path / "runs" / "0"
+    assert (run / FILE).read_bytes() == (alone / "0" / FILE).read_bytes()
+    assert evaluated(run) == evaluated(alone / "0")
+    assert json.loads((run / "config.json").read_text())["updates"] == 300
+    assert main([*further, "200"]) == 2
+    assert "has 300 updates already" in capsys.readouterr().err
+    falling = [*short, "--q-weight-end", "0.1", *out, "--overwrite"]
+    assert main(["train", *falling]) == 0
+    assert main([*further, "200"]) == 2
+    assert "--q-weight-end with it" in capsys.readouterr().err
+
+
+@pytest.mark.slow
 def test_a_killed_process_ends_the_command_and_leaves_checkpoints(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

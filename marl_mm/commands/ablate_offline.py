@@ -108,7 +108,9 @@ def draw_table(options: AblateOffline, name: str) -> tuple[list[Row], str]:
     for dataset, setting in cells:  # before any work is done
         runs = _runs(options, dataset, setting)
         try:
-            check_offline(datasets[dataset], _training(options, setting), runs)
+            check_offline(
+                datasets[dataset], _training(options, setting), runs, further=False
+            )
         except OtherConfigError as error:
             raise OtherConfigError(error.difference, ANOTHER_FOLDER) from error
     wanted = [run for cell in cells for run in _runs(options, *cell).values()]

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -94,7 +95,7 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
         sb3 = setting.library == "sb3"
         if finished or training.resume:
             try:
-                check = check_sb3_run if sb3 else check_online_run
+                check = check_sb3_run if sb3 else _check_online_run
                 check(training, seed, run)
             except OtherConfigError as error:
                 raise OtherConfigError(error.difference, ANOTHER_FOLDER) from error
@@ -110,6 +111,9 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
             raise KeyboardInterrupt(
                 f"stopped in {run}; the same command {again}"
             ) from None
+
+
+_check_online_run = partial(check_online_run, further=False)
 
 
 def announce(folder: Path, missing: int, wanted: int) -> None:

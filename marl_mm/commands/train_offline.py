@@ -27,8 +27,10 @@ from marl_mm.commands.runs import (
     EVALUATION,
     TrainOptions,
     check_run,
+    continue_run,
     curve_point,
     evaluate_run,
+    read_config,
     start_run,
 )
 from marl_mm.datasets.dataset import Dataset
@@ -142,7 +144,9 @@ def train_offline(
         for run in runs.values():
             stack.enter_context(only_here(run))
         for seed, run in runs.items():
-            if not (options.resume and (run / FILE).exists()):
+            if options.resume and (run / FILE).exists():
+                continue_run(run, {"updates": options.config.updates})
+            else:
                 start_run(run, _run_config(dataset, options, seed))
         if options.device == "cuda":
             parts: Iterable[_Trained] = _together(dataset, options, runs)
@@ -160,8 +164,20 @@ def train_offline(
             raise DivergedError("; ".join(map(str, failures)))
 
 
-def check_offline(dataset: Dataset, options: Offline, runs: Mapping[int, Path]) -> None:
-    """Raise before any work is done for what would stop a run; see ``check_run``."""
+def check_offline(
+    dataset: Dataset,
+    options: Offline,
+    runs: Mapping[int, Path],
+    further: bool = True,
+) -> None:
+    """Raise before any work is done for what would stop a run; see ``check_run``.
+
+    Args:
+        dataset: What is to be learnt from.
+        options: How.
+        runs: Folders by seed.
+        further: Whether runs may go on to more updates than they were to make.
+    """
     check_positive(
         curve_every=options.curve_every, curve_episodes=options.curve_episodes
     )
@@ -177,9 +193,25 @@ def check_offline(dataset: Dataset, options: Offline, runs: Mapping[int, Path]) 
             "--no-require-success (and --imitate all) it is tried all the same"
         )
     reach_config(_task(dataset, options))
+    ignored = (*_MAY_DIFFER, *(_CONTINUED if further else ()))
     for seed, run in runs.items():
-        check_run(run, _run_config(dataset, options, seed), options, _MAY_DIFFER)
+        check_run(run, _run_config(dataset, options, seed), options, ignored)
+        if options.resume and (run / FILE).exists():
+            _check_end(options, run)
     _algorithm(dataset, options, list(runs))  # which refuses what it cannot learn from
+
+
+def _check_end(options: Offline, run: Path) -> None:
+    """Raise if a run cannot go on to the updates asked for."""
+    done, asked = read_metrics(run)[-1]["step"], options.config.updates
+    if done > asked:
+        raise UsageError(f"{run} has {done} updates already, --updates is {asked}")
+    before = read_config(run)["updates"]
+    if asked != before and getattr(options.config, "q_weight_end", None) is not None:
+        raise UsageError(
+            f"{run} was to end at {before} updates, and --q-weight-end with it: "
+            f"--updates {asked} needs a run of its own"
+        )
 
 
 def _apart(
@@ -256,7 +288,7 @@ def _train(
     prepare_for_small_networks()
     algorithm = _algorithm(dataset, options, list(runs))
     if any((run / FILE).exists() for run in runs.values()):
-        resume_seeds(algorithm, list(runs.values()))
+        resume_seeds(algorithm, list(runs.values()), _CONTINUED)
     task = _task(dataset, options)
     label = f"{algorithm.name} {' '.join(map(str, runs))}"
     advance = bar(label, options.config.updates)
@@ -306,6 +338,10 @@ def _dataset_task(dataset: Dataset) -> str:
 
 _MAY_DIFFER = ("preset", "device", "eval_episodes")
 """Of a run's config, when it is resumed."""
+
+_CONTINUED = ("updates",)
+"""What may be another then: more of it only continues. (The evaluation at the former
+end stays in the learning curve.)"""
 
 
 def _run_config(dataset: Dataset, options: Offline, seed: int) -> dict[str, Any]:

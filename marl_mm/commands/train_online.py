@@ -119,10 +119,20 @@ def check_online(algorithm: str, options: TrainDdpg) -> None:
         raise UsageError(f"--hindsight is {hindsight} with {algorithm}: use {other}")
 
 
-def check_online_run(options: TrainDdpg, seed: int, run: Path) -> None:
-    """Raise before any work is done for what would stop a run; see ``check_run``."""
+def check_online_run(
+    options: TrainDdpg, seed: int, run: Path, further: bool = True
+) -> None:
+    """Raise before any work is done for what would stop a run; see ``check_run``.
+
+    Args:
+        options: How to learn.
+        seed: Of the run.
+        run: Its folder.
+        further: Whether it may go on to more episodes than it was to have.
+    """
     config = _run_config(options, _demonstrations(options), seed)
-    check_run(run, config, options, ("preset", "eval_episodes", *_CONTINUED))
+    continued = _CONTINUED if further else ()
+    check_run(run, config, options, ("preset", "eval_episodes", *continued))
     if options.resume and (run / FILE).exists():
         _check_end(options, run)
 
