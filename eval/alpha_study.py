@@ -66,6 +66,7 @@ def worth_rows(
     goals: int,
     seed: int,
     workers: int,
+    alphas: Sequence[float] = ALPHAS,
     advance: Advance = silent,
 ) -> tuple[list[Row], list[Episode]]:
     """Returns per goal, with the learnt alpha and with each fixed one.
@@ -76,6 +77,7 @@ def worth_rows(
         goals: How many, half ahead.
         seed: Of the goals.
         workers: Processes.
+        alphas: Those that are held.
         advance: Told the episodes.
 
     Returns:
@@ -88,7 +90,7 @@ def worth_rows(
     learnt: list[Episode] = []
     with Rollouts(config, workers) as rollouts:
         actors: list[tuple[float | str, Policy]] = [(LEARNT, policy)]
-        actors += [(alpha, FixedAlpha(policy, alpha)) for alpha in ALPHAS]
+        actors += [(alpha, FixedAlpha(policy, alpha)) for alpha in alphas]
         for alpha, actor in actors:
             for episode in rollouts.run(actor, plans):
                 rows.append(
@@ -120,7 +122,8 @@ def summarize_worth(rows: Sequence[Row]) -> list[Row]:
 def _summarize_agent(rows: Sequence[Row], setting: str, seed: int) -> Iterator[Row]:
     rows = [row for row in rows if (row["setting"], row["seed"]) == (setting, seed)]
     learnt = _returns(rows, LEARNT)
-    for alpha in ALPHAS:
+    alphas = dict.fromkeys(row["alpha"] for row in rows if row["alpha"] != LEARNT)
+    for alpha in alphas:
         own = [row for row in rows if row["alpha"] == alpha]
         difference = learnt - _returns(rows, alpha)
         yield {

@@ -160,18 +160,25 @@ def _alpha(options: Ablate) -> None:
     _refuse(options, *files)
     names = ("ddpg-her", "ddpg-her-smooth", "maddpg-her-smooth")
     train_missing(options, names)
-    goals = 2 if options.budget == "smoke" else 100
+    small = options.budget == "smoke"
+    goals, alphas = (2, ALPHAS[::6]) if small else (100, ALPHAS)
     rows: list[Row] = []
     steps: list[Row] = []
     for name in names:
         for seed in options.seeds:
             run = options.runs_folder() / name / str(seed)
             task = json.loads((run / "config.json").read_text())["task"]
-            total = goals * (1 + len(ALPHAS))
+            total = goals * (1 + len(alphas))
             with progress_bar(f"{name} {seed}", total) as advance:
                 # Goals of seeds 0 and 1 are the runs' own evaluations.
                 own, learnt = worth_rows(
-                    load_policy(run / BEST), task, goals, 2, options.workers, advance
+                    load_policy(run / BEST),
+                    task,
+                    goals,
+                    2,
+                    options.workers,
+                    alphas,
+                    advance,
                 )
             head: Row = {"setting": name, "seed": seed}
             rows += [head | row for row in own]
