@@ -271,8 +271,8 @@ def test_train_refuses_and_resumes(run_folder: Path, capsys: Output) -> None:
     capsys.readouterr()
     assert run(*base) == 2
     assert "exists already" in one_line(capsys)
-    assert run(*base, "--resume", "--updates", "200") == 2
-    assert "was made with updates = 100 (now 200)" in one_line(capsys)
+    assert run(*base, "--resume", "--batch-size", "32") == 2
+    assert "batch_size = 256 (now 32)" in one_line(capsys)
     options = ["--updates", "100", "--workers", "1", "--curve-episodes", "1"]
     assert run(*base, "--resume", *options, "--task", "SmoothReach-v0") == 2
     assert "task = Reach-v0 (now SmoothReach-v0)" in one_line(capsys)

@@ -8,15 +8,10 @@ from typing import Any, Literal, TypeVar
 
 from marl_mm.commands.ablate_runs import ANOTHER_FOLDER, announce
 from marl_mm.commands.collect_paper import paper_location
+from marl_mm.commands.offline_options import Offline, check_offline, offline_options
 from marl_mm.commands.options import available_cores
 from marl_mm.commands.runs import EVALUATION
-from marl_mm.commands.train_offline import (
-    Offline,
-    check_offline,
-    evaluate_offline_run,
-    offline_options,
-    train_offline,
-)
+from marl_mm.commands.train_offline import evaluate_offline_run, train_offline
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import SHIPPED
 from marl_mm.errors import (

@@ -88,6 +88,7 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
         check_sb3()
     missing = [cell for cell in cells if not _finished(options, *cell)]
     announce(options.runs_folder(), len(missing), len(cells))
+    as_it_was_to_be = partial(check_online_run, further=False)
     for setting, seed in cells:
         run = _run(options, setting, seed)
         finished = _finished(options, setting, seed)
@@ -95,7 +96,7 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
         sb3 = setting.library == "sb3"
         if finished or training.resume:
             try:
-                check = check_sb3_run if sb3 else _check_online_run
+                check = check_sb3_run if sb3 else as_it_was_to_be
                 check(training, seed, run)
             except OtherConfigError as error:
                 raise OtherConfigError(error.difference, ANOTHER_FOLDER) from error
@@ -111,9 +112,6 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
             raise KeyboardInterrupt(
                 f"stopped in {run}; the same command {again}"
             ) from None
-
-
-_check_online_run = partial(check_online_run, further=False)
 
 
 def announce(folder: Path, missing: int, wanted: int) -> None:

@@ -17,6 +17,7 @@ from marl_mm.algorithms.policy import load_policy
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.commands.collect_dataset import CollectOptions, collect_dataset
+from marl_mm.commands.offline_options import TrainMabc
 from marl_mm.commands.options import (
     available_cores,
     check_positive,
@@ -24,7 +25,7 @@ from marl_mm.commands.options import (
     print_evaluations,
 )
 from marl_mm.commands.parser import parse_options
-from marl_mm.commands.train_offline import TrainMabc, train_offline
+from marl_mm.commands.train_offline import train_offline
 from marl_mm.datasets.card import card
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import locate

@@ -8,15 +8,11 @@ from typing import Any, cast, get_args
 import tyro
 
 from marl_mm.algorithms.presets import Preset
+from marl_mm.commands.offline_options import OFFLINE, Offline, offline_options
 from marl_mm.commands.options import read_dataset
 from marl_mm.commands.parser import Subcommand, parse_subcommand, value_of
 from marl_mm.commands.runs import TrainOptions, check_options, saved_options, told
-from marl_mm.commands.train_offline import (
-    OFFLINE,
-    Offline,
-    offline_options,
-    train_offline,
-)
+from marl_mm.commands.train_offline import train_offline
 from marl_mm.commands.train_online import (
     ONLINE,
     check_online,
