@@ -34,6 +34,12 @@ class Setting:
     changes: dict[str, Any] = field(default_factory=dict)
     """Of the preset's hyper-parameters."""
 
+    goals: int = 200
+    """Of the evaluation at the end."""
+
+    also: tuple[str, ...] = ()
+    """Datasets on which it is run, beside those of its study."""
+
     @property
     def config(self) -> OfflineConfig:
         """Its hyper-parameters."""
@@ -49,6 +55,17 @@ class Study:
 
     datasets: tuple[str, ...]
     """Of the paper, or of another task: marl_mm/reach/NAME-v0."""
+
+    @property
+    def cells(self) -> list[tuple[str, Setting]]:
+        """Datasets and settings that are run on them, in the order of the table."""
+        also = [name for setting in self.settings for name in setting.also]
+        return [
+            (dataset, setting)
+            for dataset in dict.fromkeys((*self.datasets, *also))
+            for setting in self.settings
+            if dataset in self.datasets or dataset in setting.also
+        ]
 
 
 GOOD = ("good-30k", "good-60k")
@@ -84,21 +101,33 @@ _LEARNERS = (
     Setting("matd3-bc", "MATD3+BC", "matd3-bc"),
 )
 
+_FEWER = 100
+"""Goals of what is only compared."""
+
 _UPDATES = {"updates": offline_preset("td3-bc").updates}
 """As many as in the rows that literal ones are compared with; Table 3 has 100,000."""
 
 
 def _cure(name: str, about: str, **changes: Any) -> Setting:
     """TD3+BC's tuned preset with one choice another."""
-    return Setting(f"td3-bc-{name}", f"TD3+BC, {about}", changes=changes)
+    return Setting(f"td3-bc-{name}", f"TD3+BC, {about}", changes=changes, goals=_FEWER)
 
 
 def _multi(name: str, about: str, **changes: Any) -> Setting:
     """MATD3+BC's tuned preset with one choice another."""
     return Setting(
-        f"matd3-bc-{name}", f"MATD3+BC, {about}", "matd3-bc", "tuned", changes
+        f"matd3-bc-{name}",
+        f"MATD3+BC, {about}",
+        "matd3-bc",
+        changes=changes,
+        goals=_FEWER,
     )
 
+
+_UNSCALED = replace(
+    _cure("unscaled", "imitation not scaled by spread", imitation_scaled=False),
+    also=("pd-30k",),
+)
 
 _CURES = (
     Setting(
@@ -107,6 +136,7 @@ _CURES = (
         "td3-bc",
         "paper",
         _UPDATES,
+        _FEWER,
     ),
     Setting(
         "td3-bc-literal-c0.5",
@@ -114,8 +144,9 @@ _CURES = (
         "td3-bc",
         "paper",
         {**_UPDATES, "q_weight": 0.5},
+        _FEWER,
     ),
-    Setting("td3-bc", "TD3+BC, tuned"),
+    Setting("td3-bc", "TD3+BC, tuned", also=("pd-30k",)),
     _cure("c2.5", "c = 2.5", q_weight=2.5),
     _cure("c1", "c = 1", q_weight=1.0),
     _cure("c0.1", "c = 0.1", q_weight=0.1),
@@ -127,7 +158,7 @@ _CURES = (
     _cure("no-future", "no goals of later steps", future=0.0),
     _cure("better", "better actions imitated", imitate="better"),
     _cure("all", "all episodes imitated", imitate="all"),
-    _cure("unscaled", "imitation not scaled by spread", imitation_scaled=False),
+    _UNSCALED,
     _cure("a-x", "delta_x imitated fourfold", imitation_weights=(4.0, 1.0, 1.0, 1.0)),
     Setting(
         "matd3-bc-literal",
@@ -135,6 +166,7 @@ _CURES = (
         "matd3-bc",
         "paper",
         _UPDATES,
+        _FEWER,
     ),
     Setting("matd3-bc", "MATD3+BC, tuned", "matd3-bc"),
     _multi("own", "a critic for each agent", critics="own"),
@@ -205,6 +237,7 @@ def _summarize(evaluations: Sequence[Row], dataset: str, setting: str) -> Row:
         "task": own[0]["task"],
         "setting": setting,
         "seeds": len(seeds),
+        "goals": len(own) // len(seeds),
         "success": float(np.mean(rates)),
         "success_std": deviation(rates),
         "success_interval": success_interval(
@@ -231,6 +264,7 @@ def offline_table(summary: Sequence[Row], settings: Sequence[Setting]) -> str:
                 setting.about,
                 f"{mean:.1f} +- {std:.1f} [{low:.1f}, {high:.1f}]",
                 str(row["success_seeds"]).replace(" ", ", "),
+                str(row["goals"]),
                 PAPER.get((row["dataset"], setting.name.removesuffix("-literal")), ""),
                 f"{row['return']:.2f}",
                 f"{row['d_mm']:.3f}",
@@ -243,6 +277,7 @@ def offline_table(summary: Sequence[Row], settings: Sequence[Setting]) -> str:
         "setting",
         "goals reached [%]",
         "every seed",
+        "goals",
         "paper",
         "return",
         "d_mm [m]",

@@ -138,5 +138,8 @@ def test_a_table_of_offline_learning(
     assert kept == {p: p.stat().st_mtime_ns for p in kept}
     assert main([*words, "1", "--settings", "ppo"]) == 2
     assert "--settings has no 'ppo': expected mabc" in capsys.readouterr().err
+    lone = ["--datasets", "pd-30k", "--settings", "matd3-bc"]
+    assert main(["ablate", "cures", "--runs", str(tmp_path), *lone]) == 2
+    assert "matd3-bc are not run on pd-30k: expected good" in capsys.readouterr().err
     assert main(["ablate", "cures", "--runs", str(tmp_path)]) == 2
     assert "make it with marl-mm collect paper" in capsys.readouterr().err

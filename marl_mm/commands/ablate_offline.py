@@ -1,11 +1,12 @@
 """Tables of offline learning; the runs that they need are trained first."""
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
+from marl_mm.algorithms.speed import Precision
 from marl_mm.commands.ablate_runs import ANOTHER_FOLDER, announce
 from marl_mm.commands.collect_paper import paper_location
 from marl_mm.commands.offline_options import Offline, check_offline, offline_options
@@ -34,7 +35,8 @@ from marl_mm.eval.rows import write_csv
 from marl_mm.files import new_file, refuse_existing
 from marl_mm.progress import progress_bars
 
-T = TypeVar("T")
+_CURVE_EVERY = 5_000
+"""Updates: the tables show the end, and evaluations cost as much as training."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,9 @@ class AblateOffline:
     budget: Literal["full", "smoke"] = "full"
     """"smoke": hardly any training, on the dataset that ships, to see that everything
     works."""
+
+    precision: Precision = "medium"
+    """Of matrix products; see "marl-mm train td3-bc --help"."""
 
     workers: int = field(default_factory=available_cores)
     """Seeds that are trained at once, about, and processes that run episodes; the
@@ -92,14 +97,15 @@ def draw_table(options: AblateOffline, name: str) -> tuple[list[Row], str]:
         UsageError: If a dataset or a setting is not the study's, or not there.
         OtherConfigError: If a run was made with something else.
     """
-    study = _chosen(STUDIES[name], options)
+    study = STUDIES[name]
+    cells = _chosen(study, options)
     files = [
         options.results(f"{name}{end}") for end in (".csv", ".md", "_goals.csv.gz")
     ]
     for file in files:
         refuse_existing(file, options.overwrite)
-    datasets = {one: _dataset(options, one) for one in study.datasets}
-    cells = [(dataset, setting) for dataset in datasets for setting in study.settings]
+    names = dict.fromkeys(dataset for dataset, _ in cells)
+    datasets = {one: _dataset(options, one) for one in names}
     for dataset, setting in cells:  # before any work is done
         runs = _runs(options, dataset, setting)
         try:
@@ -123,25 +129,33 @@ def draw_table(options: AblateOffline, name: str) -> tuple[list[Row], str]:
     return summary, text
 
 
-def _chosen(study: Study, options: AblateOffline) -> Study:
-    """The part of a study that was asked for."""
-    settings = {setting.name: setting for setting in study.settings}
-    datasets = {name: name for name in study.datasets}
-    return replace(
-        study,
-        settings=_named("settings", options.settings, settings),
-        datasets=_named("datasets", options.datasets, datasets),
-    )
+def _chosen(study: Study, options: AblateOffline) -> list[tuple[str, Setting]]:
+    """The datasets and settings that were asked for."""
+    known = dict.fromkeys(dataset for dataset, _ in study.cells)
+    datasets = _named("datasets", options.datasets, list(known))
+    names = [setting.name for setting in study.settings]
+    settings = _named("settings", options.settings, names)
+    chosen = [
+        (dataset, setting)
+        for dataset, setting in study.cells
+        if dataset in datasets and setting.name in settings
+    ]
+    if not chosen:
+        raise UsageError(
+            f"--settings {' '.join(settings)} are not run on {' '.join(datasets)}: "
+            f"expected {', '.join(study.datasets)} for --datasets"
+        )
+    return chosen
 
 
 def _named(
-    option: str, asked: tuple[str, ...] | None, choices: Mapping[str, T]
-) -> tuple[T, ...]:
+    option: str, asked: tuple[str, ...] | None, choices: Sequence[str]
+) -> Sequence[str]:
     unknown = [one for one in asked or () if one not in choices]
     if unknown or asked == ():
         missing = f"has no {unknown[0]!r}" if unknown else "is empty"
         raise UsageError(f"--{option} {missing}: expected {', '.join(choices)}")
-    return tuple(choices[one] for one in (choices if asked is None else asked))
+    return choices if asked is None else asked
 
 
 def _dataset(options: AblateOffline, name: str) -> Dataset:
@@ -161,12 +175,15 @@ def _runs(options: AblateOffline, dataset: str, setting: Setting) -> Mapping[int
 def _training(options: AblateOffline, setting: Setting) -> Offline:
     """Options of one setting's runs."""
     small = options.budget == "smoke"
-    changes = dict(setting.changes) | ({"updates": 60} if small else {})
+    changes = {**setting.changes, "precision": options.precision}
+    if small:
+        changes["updates"] = 60
     training: Any = offline_options(
         setting.algorithm,
         setting.preset,
         dataset="",
-        eval_episodes=2 if small else 200,
+        eval_episodes=2 if small else setting.goals,
+        curve_every=_CURVE_EVERY,
         curve_episodes=1 if small else 20,
         workers=options.workers,
         resume=True,  # what there is of them
