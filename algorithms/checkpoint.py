@@ -16,7 +16,7 @@ FILE = "checkpoint.pt"
 """The last state of a run."""
 
 BEST = "best.pt"
-"""The best policy of an online run, by its evaluations."""
+"""The best policy of a run, by its learning curve."""
 
 KNOWN = ("mabc", "td3-bc", "matd3-bc", "ddpg", "ddpg-her", "maddpg", "maddpg-her")
 """Algorithms whose checkpoints this version can load."""
@@ -46,6 +46,13 @@ def save_seed(path: Path, algorithm: OfflineAlgorithm, number: int) -> None:
 def save_policy(path: Path, algorithm: Resumable) -> None:
     """Write what acting needs, and no more, as a checkpoint."""
     actors = {name: a.actor.state_dict() for name, a in algorithm.agents.items()}
+    _save(path, algorithm, {"actors": actors})
+
+
+def save_seeds_policy(path: Path, algorithm: OfflineAlgorithm, number: int) -> None:
+    """Write what one seed's acting needs, likewise."""
+    agents = algorithm.agents(number).items()
+    actors = {name: agent.actor.state_dict() for name, agent in agents}
     _save(path, algorithm, {"actors": actors})
 
 

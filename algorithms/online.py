@@ -15,7 +15,7 @@ from marl_mm.algorithms.algorithm import Resumable
 from marl_mm.algorithms.checkpoint import BEST, FILE, save_checkpoint, save_policy
 from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.policy import LearnedPolicy
-from marl_mm.algorithms.runlog import Row, RunLog
+from marl_mm.algorithms.runlog import Row, RunLog, is_best
 from marl_mm.algorithms.speed import prepare_for_small_networks
 from marl_mm.algorithms.train import Evaluate
 from marl_mm.episode import Episode
@@ -134,7 +134,7 @@ def train_online(
                 if number % schedule.evaluate_every == 0 or end == total:
                     policy = LearnedPolicy(algorithm.name, algorithm.agents)
                     row |= evaluate(policy)
-                    if merit(row) > max(map(merit, log.rows), default=(-1.0,)):
+                    if is_best(row, log.rows):
                         save_policy(run / BEST, algorithm)
                 log.add(row)
                 save_checkpoint(run / FILE, algorithm)
@@ -214,13 +214,6 @@ def is_flat(rows: Sequence[Row], patience: int) -> bool:
     best = max(measured, key=lambda row: (row["success/all"], -row["episode"]))
     waited = measured[-1]["episode"] - best["episode"]
     return bool(best["success/all"] > LEARNT and waited >= patience)
-
-
-def merit(row: Row) -> tuple[float, ...]:
-    """Success first, then return; less than anything where nothing was measured."""
-    if "success/all" not in row:
-        return (-1.0,)
-    return row["success/all"], row["return/all"]
 
 
 def _note(rows: Sequence[Row]) -> str:

@@ -1,6 +1,7 @@
 """What a run writes as it trains: ``metrics.jsonl`` and TensorBoard's event files."""
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ class RunLog:
     """
 
     def __init__(self, run: Path, clock: str, since: int) -> None:
-        self._run, self._clock, self._since = run, clock, since
+        self.run, self._clock, self._since = run, clock, since
         self._writer: Any = None
         self.rows = [row for row in read_metrics(run) if row[clock] <= since]
         """All rows of the run so far."""
@@ -54,9 +55,9 @@ class RunLog:
             from torch.utils.tensorboard import SummaryWriter
 
             purge = self._since + 1 if self._since else None
-            self._writer = SummaryWriter(str(self._run), purge_step=purge)
+            self._writer = SummaryWriter(str(self.run), purge_step=purge)
         self.rows.append(row)
-        with (self._run / METRICS).open("a") as file:
+        with (self.run / METRICS).open("a") as file:
             file.write(_line(row))
         for key, value in row.items():
             if key != self._clock:
@@ -78,6 +79,18 @@ def read_metrics(run: Path) -> list[Row]:
         return [json.loads(line) for line in lines if line.endswith("\n")]
     except ValueError as error:
         raise CheckpointError(f"{path} is damaged ({error})") from error
+
+
+def merit(row: Row) -> tuple[float, ...]:
+    """Success first, then return; less than anything where nothing was measured."""
+    if "success/all" not in row:
+        return (-1.0,)
+    return row["success/all"], row["return/all"]
+
+
+def is_best(row: Row, earlier: Iterable[Row]) -> bool:
+    """Whether a row's evaluation is better than all before, of equals the first."""
+    return merit(row) > max(map(merit, earlier), default=(-1.0,))
 
 
 def _line(row: Row) -> str:

@@ -1,8 +1,8 @@
 """The training loop and the run folders it fills.
 
 A run is a folder: ``config.json`` (written before the first step), ``metrics.jsonl``,
-TensorBoard's ``events*``, ``checkpoint.pt`` and, from the last evaluation,
-``eval.json``.
+TensorBoard's ``events*``, ``checkpoint.pt``, the policy of the learning curve's best
+point in ``best.pt`` and, from the last evaluation, ``eval.json``.
 """
 
 import math
@@ -15,9 +15,15 @@ from typing import Any
 import torch
 
 from marl_mm.algorithms.algorithm import OfflineAlgorithm, Resumable
-from marl_mm.algorithms.checkpoint import FILE, read_checkpoint, save_seed
+from marl_mm.algorithms.checkpoint import (
+    BEST,
+    FILE,
+    read_checkpoint,
+    save_seed,
+    save_seeds_policy,
+)
 from marl_mm.algorithms.policy import LearnedPolicy
-from marl_mm.algorithms.runlog import Row, RunLog
+from marl_mm.algorithms.runlog import Row, RunLog, is_best
 from marl_mm.algorithms.speed import matrix_products, prepare_for_small_networks
 from marl_mm.differences import refuse_difference
 from marl_mm.errors import CheckpointError, DivergedError
@@ -63,7 +69,9 @@ def train(
 
         try:
             if saved == 0:
-                note(0, _evaluated(algorithm, evaluate))
+                points = _evaluated(algorithm, evaluate)
+                _keep_best(algorithm, points, logs)
+                note(0, points)
             while saved < total:
                 step = min(_after(saved, LOG_EVERY), _after(saved, evaluate_every))
                 step = min(step, total)
@@ -73,6 +81,7 @@ def train(
                 if step % evaluate_every == 0 or step == total:
                     points = _evaluated(algorithm, evaluate)
                     rows = [a | b for a, b in zip(rows, points, strict=True)]
+                    _keep_best(algorithm, rows, logs)
                 with deaf_to_interrupts():  # all seeds at the same step
                     note(step, rows)
                     for number, run in enumerate(runs):
@@ -152,6 +161,15 @@ def _evaluated(algorithm: OfflineAlgorithm, evaluate: Evaluate) -> list[Row]:
         evaluate(LearnedPolicy(algorithm.name, algorithm.agents(number)))
         for number in range(len(algorithm.seeds))
     ]
+
+
+def _keep_best(
+    algorithm: OfflineAlgorithm, rows: Sequence[Row], logs: Sequence[RunLog]
+) -> None:
+    """Keep the policy of each seed whose evaluation is its best so far."""
+    for number, (row, log) in enumerate(zip(rows, logs, strict=True)):
+        if is_best(row, log.rows):
+            save_seeds_policy(log.run / BEST, algorithm, number)
 
 
 def resume(algorithm: Resumable, run: Path, ignored: Sequence[str] = ()) -> None:

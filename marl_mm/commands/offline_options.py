@@ -43,6 +43,10 @@ class TrainOffline(TrainOptions):
     """To evaluate on: Reach-v0, SmoothReach-v0 or PreciseReach-v0; default that of the
     dataset."""
 
+    max_steps: int | None = None
+    """Steps of an evaluation's episodes, learning curve included; default the task's:
+    25."""
+
     require_success: bool = True
     """Refuse a dataset in which no episode reaches its goal."""
 
@@ -55,6 +59,11 @@ class TrainOffline(TrainOptions):
 
     curve_episodes: int = 20
     """Goals per point of the learning curve."""
+
+    @property
+    def overrides(self) -> dict[str, Any]:
+        """Of the task's, for evaluations."""
+        return {} if self.max_steps is None else {"max_steps": self.max_steps}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +140,7 @@ def check_offline(
             "reaches its goal, so that there is nothing to imitate; with "
             "--no-require-success (and --imitate all) it is tried all the same"
         )
-    reach_config(task_of(dataset, options))
+    reach_config(task_of(dataset, options), options.overrides)
     ignored = (*_MAY_DIFFER, *(CONTINUED if further else ()))
     for seed, run in runs.items():
         check_run(run, offline_config(dataset, options, seed), options, ignored)
@@ -194,6 +203,7 @@ def offline_config(dataset: Dataset, options: Offline, seed: int) -> dict[str, A
         "seed": seed,
         "device": options.device,
         "task": task_of(dataset, options),
+        **options.overrides,
         "dataset": dataset.identity(),
         "curve_every": options.curve_every,
         "curve_episodes": options.curve_episodes,

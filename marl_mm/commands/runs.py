@@ -1,7 +1,7 @@
 """What training commands share: a run's folder, its config, its evaluation."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -196,6 +196,7 @@ def evaluate_run(
     result: str,
     bar: Bar,
     label: str,
+    overrides: Mapping[str, Any],
 ) -> Evaluation:
     """Evaluate a trained run and keep the result beside it, unless that is there.
 
@@ -217,6 +218,7 @@ def evaluate_run(
             options.eval_episodes,
             options.eval_seed,
             task,
+            overrides,
             workers=options.workers,
             advance=bar(label, options.eval_episodes),
         )

@@ -61,11 +61,7 @@ def train_offline(
     with ExitStack() as stack:
         for run in runs.values():
             stack.enter_context(only_here(run))
-        for seed, run in runs.items():
-            if options.resume and (run / FILE).exists():
-                continue_run(run, {"updates": options.config.updates})
-            else:
-                start_run(run, offline_config(dataset, options, seed))
+        _begin(dataset, options, runs)
         if options.device == "cuda":
             parts: Iterable[_Trained] = _together(dataset, options, runs)
         elif min(processes, options.workers) > 1:
@@ -80,6 +76,29 @@ def train_offline(
                 yield from trained
         if failures:
             raise DivergedError("; ".join(map(str, failures)))
+
+
+def train_offline_run(
+    dataset: Dataset, options: Offline, seed: int, run: Path, bar: Bar
+) -> Evaluation:
+    """One seed, in this process.
+
+    Raises:
+        DivergedError: If its losses were not finite; see ``train_offline``.
+    """
+    with only_here(run):
+        _begin(dataset, options, {seed: run})
+        ((_, evaluation),) = _train(dataset, options, {seed: run}, bar)
+    return evaluation
+
+
+def _begin(dataset: Dataset, options: Offline, runs: Mapping[int, Path]) -> None:
+    """Make the folders of runs, or note in them what they go on with."""
+    for seed, run in runs.items():
+        if options.resume and (run / FILE).exists():
+            continue_run(run, {"updates": options.config.updates})
+        else:
+            start_run(run, offline_config(dataset, options, seed))
 
 
 def _apart(
@@ -160,12 +179,15 @@ def _train(
     task = task_of(dataset, options)
     label = f"{algorithm.name} {' '.join(map(str, runs))}"
     advance = bar(label, options.config.updates)
-    with Rollouts(reach_config(task), options.workers) as rollouts:
+    config = reach_config(task, options.overrides)
+    with Rollouts(config, options.workers) as rollouts:
 
         def point(policy: LearnedPolicy) -> dict[str, float]:
             goals = options.eval_seed + 1  # not those of the final evaluation
             count = options.curve_episodes
-            return curve_point(evaluate_with(rollouts, policy, count, goals, task))
+            return curve_point(
+                evaluate_with(rollouts, policy, count, goals, task, options.overrides)
+            )
 
         train(algorithm, list(runs.values()), point, options.curve_every, advance)
     return [
@@ -179,5 +201,5 @@ def evaluate_offline_run(
 ) -> Evaluation:
     """Draw a trained run's learning curve; evaluate its last policy."""
     learning_curve(read_metrics(run), run / CURVE)
-    task = task_of(dataset, options)
-    return evaluate_run(run, options, task, FILE, EVALUATION, bar, label)
+    task, overrides = task_of(dataset, options), options.overrides
+    return evaluate_run(run, options, task, FILE, EVALUATION, bar, label, overrides)

@@ -171,7 +171,7 @@ def evaluate_online_run(options: TrainDdpg, run: Path) -> tuple[Evaluation, Eval
     online_curve(read_metrics(run), run / CURVE)
     with progress_bars() as bar:
         last, best = (
-            evaluate_run(run, options, options.task, file, result, bar, label)
+            evaluate_run(run, options, options.task, file, result, bar, label, {})
             for file, result, label in (
                 (FILE, EVALUATION, "eval last"),
                 (BEST, BEST_EVALUATION, "eval best"),

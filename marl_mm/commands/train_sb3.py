@@ -5,8 +5,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from marl_mm.algorithms.online import is_flat, merit
-from marl_mm.algorithms.runlog import RunLog
+from marl_mm.algorithms.online import is_flat
+from marl_mm.algorithms.runlog import RunLog, is_best
 from marl_mm.commands.runs import (
     BEST_EVALUATION,
     EVALUATION,
@@ -77,7 +77,7 @@ def _train(options: TrainDdpg, seed: int, run: Path) -> None:
                 goals = options.eval_seed + 1
                 point = curve_point(measure(options.curve_episodes, goals))
                 row = {"episode": episode, "env_steps": steps, **point}
-                if merit(row) > max(map(merit, log.rows), default=(-1.0,)):
+                if is_best(row, log.rows):
                     model.save(best)
                 log.add(row)
                 advance(0, f"evaluated {100 * point['success/all']:.0f} %")
