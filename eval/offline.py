@@ -1,287 +1,191 @@
-"""What offline runs show: how well their last checkpoints do, by dataset and setting.
+"""What ablations of offline learning show: rows summarised, and as tables."""
 
-Functions of run folders ``RUNS/DATASET/SETTING/SEED`` and of the rows read from them.
-"""
-
-import json
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Sequence
+from itertools import count
 
 import numpy as np
+from scipy.stats import trim_mean
 
-from marl_mm.algorithms.presets import OfflineConfig, Preset, offline_preset
-from marl_mm.errors import UsageError
-from marl_mm.eval.metrics import Row, success_interval
+from marl_mm.eval.ablations import LAST, Ablation, Cell, Probe, reported
+from marl_mm.eval.metrics import CONFIDENCE, Row, success_interval
 from marl_mm.eval.online import deviation
 from marl_mm.eval.tables import markdown_table
 
-
-@dataclass(frozen=True)
-class Setting:
-    """One way to learn from a dataset, run with several seeds."""
-
-    name: str
-    """Of its folder and in tables."""
-
-    about: str
-    """In tables."""
-
-    algorithm: str = "td3-bc"
-    preset: Preset = "tuned"
-
-    changes: dict[str, Any] = field(default_factory=dict)
-    """Of the preset's hyper-parameters."""
-
-    goals: int = 200
-    """Of the evaluation at the end."""
-
-    also: tuple[str, ...] = ()
-    """Datasets on which it is run, beside those of its study."""
-
-    @property
-    def config(self) -> OfflineConfig:
-        """Its hyper-parameters."""
-        return replace(offline_preset(self.algorithm, self.preset), **self.changes)
+_RESAMPLES = 2_000
+"""Of the bootstrap."""
 
 
-@dataclass(frozen=True)
-class Study:
-    """Settings on datasets: a table."""
+def summarize_ablation(
+    ablation: Ablation, read: Callable[[Cell], Sequence[Row]]
+) -> list[Row]:
+    """One row per cell and probe.
 
-    about: str
-    settings: tuple[Setting, ...]
-
-    datasets: tuple[str, ...]
-    """Of the paper, or of another task: marl_mm/reach/NAME-v0."""
-
-    @property
-    def cells(self) -> list[tuple[str, Setting]]:
-        """Datasets and settings that are run on them, in the order of the table."""
-        also = [name for setting in self.settings for name in setting.also]
-        return [
-            (dataset, setting)
-            for dataset in dict.fromkeys((*self.datasets, *also))
-            for setting in self.settings
-            if dataset in self.datasets or dataset in setting.also
-        ]
-
-
-GOOD = ("good-30k", "good-60k")
-MIXES = ("mix-5k-random-5k-medium-20k-good", "mix-10k-random-20k-good")
-
-PAPER = {
-    ("good-30k", "td3-bc"): "34 +- 32",
-    ("good-60k", "td3-bc"): "26 +- 14",
-    (MIXES[0], "td3-bc"): "13 +- 16",
-    (MIXES[1], "td3-bc"): "16 +- 17",
-    ("good-60k", "mabc"): "78 +- 7",
-}
-"""Success [%] in the paper's Tables 4 and 5, by dataset and algorithm."""
-
-OTHER_TASKS = {
-    "smooth-30k": "marl-mm collect pretrained --task SmoothReach-v0",
-    "precise-30k": "marl-mm collect pretrained --task PreciseReach-v0",
-}
-"""What collects the datasets of other tasks."""
-
-
-def made_by(dataset: str) -> str:
-    """The command that makes a dataset."""
-    if dataset not in OTHER_TASKS:
-        return "marl-mm collect paper"
-    name = f"--steps 30000 --dataset marl_mm/reach/{dataset}-v0"
-    return f"{OTHER_TASKS[dataset]} {name}"
-
-
-_LEARNERS = (
-    Setting("mabc", "MABC", "mabc"),
-    Setting("td3-bc", "TD3+BC", "td3-bc"),
-    Setting("matd3-bc", "MATD3+BC", "matd3-bc"),
-)
-
-_FEWER = 100
-"""Goals of what is only compared."""
-
-_UPDATES = {"updates": offline_preset("td3-bc").updates}
-"""As many as in the rows that literal ones are compared with; Table 3 has 100,000."""
-
-
-def _cure(name: str, about: str, **changes: Any) -> Setting:
-    """TD3+BC's tuned preset with one choice another."""
-    return Setting(f"td3-bc-{name}", f"TD3+BC, {about}", changes=changes, goals=_FEWER)
-
-
-def _multi(name: str, about: str, **changes: Any) -> Setting:
-    """MATD3+BC's tuned preset with one choice another."""
-    return Setting(
-        f"matd3-bc-{name}",
-        f"MATD3+BC, {about}",
-        "matd3-bc",
-        changes=changes,
-        goals=_FEWER,
-    )
-
-
-_UNSCALED = replace(
-    _cure("unscaled", "imitation not scaled by spread", imitation_scaled=False),
-    also=("pd-30k",),
-)
-
-_CURES = (
-    Setting(
-        "td3-bc-literal",
-        "TD3+BC as in the paper, c = 2.5",
-        "td3-bc",
-        "paper",
-        _UPDATES,
-        _FEWER,
-    ),
-    Setting(
-        "td3-bc-literal-c0.5",
-        "TD3+BC as in the paper, but c = 0.5",
-        "td3-bc",
-        "paper",
-        {**_UPDATES, "q_weight": 0.5},
-        _FEWER,
-    ),
-    Setting("td3-bc", "TD3+BC, tuned", also=("pd-30k",)),
-    _cure("c2.5", "c = 2.5", q_weight=2.5),
-    _cure("c1", "c = 1", q_weight=1.0),
-    _cure("c0.1", "c = 0.1", q_weight=0.1),
-    _cure("c-falls", "c from 2.5 to 0.1", q_weight=2.5, q_weight_end=0.1),
-    _cure("no-clip", "targets not cut off", clip_targets=False),
-    _cure("no-layer-norm", "no layer norm", layer_norm=False),
-    _cure("own-goals", "own goals only", future=0.0, elsewhere=0.0),
-    _cure("no-elsewhere", "no other episodes' goals", elsewhere=0.0),
-    _cure("no-future", "no goals of later steps", future=0.0),
-    _cure("better", "better actions imitated", imitate="better"),
-    _cure("all", "all episodes imitated", imitate="all"),
-    _UNSCALED,
-    _cure("a-x", "delta_x imitated fourfold", imitation_weights=(4.0, 1.0, 1.0, 1.0)),
-    Setting(
-        "matd3-bc-literal",
-        "MATD3+BC as in the paper, c = 2.5",
-        "matd3-bc",
-        "paper",
-        _UPDATES,
-        _FEWER,
-    ),
-    Setting("matd3-bc", "MATD3+BC, tuned", "matd3-bc"),
-    _multi("own", "a critic for each agent", critics="own"),
-    _multi("data", "others' actions from the data", others="data"),
-)
-
-STUDIES = {
-    "offline": Study(
-        "Table: MABC, TD3+BC and MATD3+BC on the paper's datasets.",
-        _LEARNERS,
-        (*GOOD, "pd-30k", *MIXES),
-    ),
-    "tasks": Study(
-        "Table: the same on SmoothReach-v0 and PreciseReach-v0.",
-        _LEARNERS,
-        tuple(OTHER_TASKS),
-    ),
-    "cures": Study(
-        "Table: why TD3+BC and MATD3+BC fail, and what cures them.",
-        _CURES,
-        ("good-30k", "mix-10k-random-20k-good"),
-    ),
-}
-"""By the name of the target of ``marl-mm ablate``."""
-
-
-def evaluation_rows(runs: Path, dataset: str, setting: str, seed: int) -> Iterator[Row]:
-    """A run's last evaluation: one row per goal.
-
-    Raises:
-        UsageError: If there is none.
+    Args:
+        ablation: What it is of.
+        read: Gives a cell's rows: ``seed``, ``probe``, ``direction``, ``success`` and
+            more of each goal.
     """
-    path = runs / dataset / setting / str(seed) / "eval.json"
-    if not path.exists():
-        raise UsageError(f"{path} is missing: train the run to its end first")
-    evaluation = json.loads(path.read_text())
-    head = {
-        "dataset": dataset,
-        "task": evaluation["task"],
-        "setting": setting,
-        "seed": seed,
-    }
-    kept = ("direction", "success", "steps", "return", "d_mm", "d_mp", "alpha")
-    for row in evaluation["episodes"]:
-        own = {key: row[key] for key in kept} | {"success": int(row["success"])}
-        yield head | {"goal": row["index"]} | own
-
-
-def summarize(evaluations: Sequence[Row]) -> list[Row]:
-    """One row per dataset and setting, in the order in which they come."""
-    cells = dict.fromkeys((row["dataset"], row["setting"]) for row in evaluations)
-    return [_summarize(evaluations, *cell) for cell in cells]
-
-
-def _summarize(evaluations: Sequence[Row], dataset: str, setting: str) -> Row:
-    own = [
-        row
-        for row in evaluations
-        if (row["dataset"], row["setting"]) == (dataset, setting)
-    ]
-    seeds = sorted({row["seed"] for row in own})
-    rates = [
-        float(np.mean([row["success"] for row in own if row["seed"] == seed]))
-        for seed in seeds
-    ]
-    summary: Row = {
-        "dataset": dataset,
-        "task": own[0]["task"],
-        "setting": setting,
-        "seeds": len(seeds),
-        "goals": len(own) // len(seeds),
-        "success": float(np.mean(rates)),
-        "success_std": deviation(rates),
-        "success_interval": success_interval(
-            sum(row["success"] for row in own), len(own)
-        ),
-        "success_seeds": " ".join(f"{100 * rate:.1f}" for rate in rates),
-    }
-    for key in ("return", "d_mm", "d_mp", "alpha"):
-        summary[key] = float(np.mean([row[key] for row in own]))
+    summary = []
+    for cell in ablation.cells:
+        rows = read(cell)
+        for probe in ablation.probes:
+            own = [row for row in rows if row["probe"] == probe.name]
+            summary.append(_summarize(cell, probe, own))
     return summary
 
 
-def offline_table(summary: Sequence[Row], settings: Sequence[Setting]) -> str:
-    """One row per dataset and setting, as Markdown."""
-    by_name = {setting.name: setting for setting in settings}
-    lines = []
-    for row in summary:
-        setting = by_name[row["setting"]]
-        mean, std = 100 * row["success"], 100 * row["success_std"]
-        low, high = (100 * bound for bound in row["success_interval"])
-        lines.append(
-            (
-                row["dataset"],
-                setting.about,
-                f"{mean:.1f} +- {std:.1f} [{low:.1f}, {high:.1f}]",
-                str(row["success_seeds"]).replace(" ", ", "),
-                str(row["goals"]),
-                PAPER.get((row["dataset"], setting.name.removesuffix("-literal")), ""),
-                f"{row['return']:.2f}",
-                f"{row['d_mm']:.3f}",
-                f"{row['d_mp']:.3f}",
-                f"{row['alpha']:.2f}",
-            )
-        )
-    header = (
-        "dataset",
-        "setting",
-        "goals reached [%]",
-        "every seed",
-        "goals",
-        "paper",
-        "return",
-        "d_mm [m]",
-        "d_mp [m]",
-        "alpha",
+def _summarize(cell: Cell, probe: Probe, rows: Sequence[Row]) -> Row:
+    dataset, setting = cell
+    scores = success_scores(rows)
+    rates = [float(rate) for rate in scores.mean(axis=1)]
+    summary: Row = {
+        "dataset": dataset,
+        "setting": setting.name,
+        "probe": probe.name,
+        "seeds": len(rates),
+        "goals": len(rows) // len(rates),
+        "success": float(np.mean(rates)),
+        "success_std": deviation(rates),
+        "success_interval": success_interval(
+            sum(row["success"] for row in rows), len(rows)
+        ),
+        "success_iqm": interquartile_mean(scores),
+        "success_iqm_interval": stratified_interval(scores),
+        "success_seeds": " ".join(f"{100 * rate:.1f}" for rate in rates),
+    }
+    for key in ("return", "d_mm", "d_mp", "alpha"):
+        summary[key] = float(np.mean([row[key] for row in rows]))
+    return summary
+
+
+def success_scores(rows: Sequence[Row]) -> np.ndarray:
+    """Success rates by seed and direction, shape (seeds, 2): as many goals in each."""
+    seeds = sorted({row["seed"] for row in rows})
+    return np.array(
+        [
+            [
+                np.mean(
+                    [
+                        row["success"]
+                        for row in rows
+                        if (row["seed"], row["direction"]) == (seed, direction)
+                    ]
+                )
+                for direction in ("forward", "backward")
+            ]
+            for seed in seeds
+        ]
     )
-    return markdown_table(header, lines)
+
+
+def interquartile_mean(scores: np.ndarray) -> float:
+    """Mean of the middle half of all scores (Agarwal 2021)."""
+    return float(trim_mean(scores, 0.25, axis=None))
+
+
+def stratified_interval(scores: np.ndarray) -> tuple[float, float]:
+    """95 % interval of the interquartile mean (Agarwal 2021).
+
+    Runs are drawn with replacement, in each column by itself, with a fixed seed.
+
+    Args:
+        scores: Shape (runs, columns).
+    """
+    rng = np.random.default_rng(0)
+    picks = rng.integers(len(scores), size=(_RESAMPLES, *scores.shape))
+    drawn = np.take_along_axis(scores[None], picks, axis=1)
+    means = trim_mean(drawn.reshape(_RESAMPLES, -1), 0.25, axis=1)
+    tail = (1 - CONFIDENCE) / 2
+    low, high = np.quantile(means, [tail, 1 - tail])
+    return float(low), float(high)
+
+
+def goals_for(rate: float, half_width: float) -> int:
+    """Goals after which Wilson's 95 % interval reaches no further than this to a side.
+
+    Args:
+        rate: Of success.
+        half_width: Half of the interval's length.
+    """
+    for goals in count(1):
+        low, high = success_interval(round(rate * goals), goals)
+        if high - low <= 2 * half_width:
+            break
+    return goals
+
+
+# --- Tables ------------------------------------------------------------------
+
+
+def ablation_table(ablation: Ablation, summary: Sequence[Row]) -> str:
+    """One row per cell, as Markdown; see ``ablation_lines``."""
+    return markdown_table(*ablation_lines(ablation, summary))
+
+
+def ablation_lines(
+    ablation: Ablation, summary: Sequence[Row]
+) -> tuple[list[str], list[list[str]]]:
+    """Header and lines of a table: the first probe in full, of others what changes."""
+    first, *others = ablation.probes
+    known = {(row["dataset"], row["setting"], row["probe"]): row for row in summary}
+    header = ["dataset", "setting", f"goals reached [%], {first.about}", "every seed"]
+    header += ["IQM", *(_told(probe) for probe in others), "paper", "difference"]
+    header += ["return", "d_mm [m]", "d_mp [m]", "alpha"]
+    lines = []
+    for dataset, setting in ablation.cells:
+        row = known[dataset, setting.name, first.name]
+        line = [dataset, setting.about, rate_with_interval(row)]
+        line += [str(row["success_seeds"]).replace(" ", ", ")]
+        line += [_percent(row, "success_iqm")]
+        line += [
+            _short(known[dataset, setting.name, probe.name], probe) for probe in others
+        ]
+        line += _beside_paper((dataset, setting), row)
+        line += [f"{row['return']:.2f}", f"{row['d_mm']:.3f}", f"{row['d_mp']:.3f}"]
+        lines.append([*line, f"{row['alpha']:.2f}"])
+    return header, lines
+
+
+def rate_with_interval(row: Row) -> str:
+    """Mean and deviation over seeds; Wilson's interval over all goals."""
+    mean, std = 100 * row["success"], 100 * row["success_std"]
+    low, high = (100 * bound for bound in row["success_interval"])
+    return f"{mean:.1f} +- {std:.1f} [{low:.1f}, {high:.1f}]"
+
+
+def _percent(row: Row, key: str) -> str:
+    low, high = (100 * bound for bound in row[f"{key}_interval"])
+    return f"{100 * row[key]:.1f} [{low:.1f}, {high:.1f}]"
+
+
+def _told(probe: Probe) -> str:
+    return probe.about if probe.alpha is None else f"{probe.about}: goals, return"
+
+
+def _short(row: Row, probe: Probe) -> str:
+    rate = f"{100 * row['success']:.1f} +- {100 * row['success_std']:.1f}"
+    return rate if probe.alpha is None else f"{rate}, {row['return']:.2f}"
+
+
+def _beside_paper(cell: Cell, row: Row) -> list[str]:
+    """The paper's figure, and ours less that."""
+    theirs = reported(cell)
+    if isinstance(theirs, str):
+        return [theirs, ""]
+    mean, std = theirs
+    told = f"{mean:.2f}" + ("" if std is None else f" +- {std:.2f}")
+    return [told, f"{100 * row['success'] - mean:+.1f}"]
+
+
+def goals_needed(summary: Sequence[Row], half_width: float = 0.05) -> list[Row]:
+    """How many goals each cell needs for an interval of +- so much, at its own rate."""
+    return [
+        {
+            "dataset": row["dataset"],
+            "setting": row["setting"],
+            "success": row["success"],
+            "goals": goals_for(row["success"], half_width),
+        }
+        for row in summary
+        if row["probe"] == LAST.name
+    ]

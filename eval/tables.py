@@ -1,5 +1,6 @@
 """Evaluations side by side, as Markdown or on the terminal."""
 
+import re
 from collections.abc import Sequence
 
 from rich.box import SIMPLE_HEAD
@@ -53,6 +54,31 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table."""
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def latex_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """The same as LaTeX, for the package booktabs."""
+
+    def line(words: Sequence[str]) -> str:
+        return " & ".join(map(_in_latex, words)) + r" \\"
+
+    return "\n".join(
+        (
+            rf"\begin{{tabular}}{{{'l' * len(header)}}}",
+            r"\toprule",
+            line(header),
+            r"\midrule",
+            *map(line, rows),
+            r"\bottomrule",
+            r"\end{tabular}",
+            "",
+        )
+    )
+
+
+def _in_latex(text: str) -> str:
+    text = text.replace("+-", r"$\pm$")
+    return re.sub(r"[%_&#]", lambda found: f"\\{found[0]}", text)
 
 
 def evaluation_markdown(evaluations: Sequence[Evaluation]) -> str:

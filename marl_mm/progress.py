@@ -32,8 +32,12 @@ _LOST = 5.0
 
 
 @contextmanager
-def progress_bars() -> Iterator[Bar]:
-    """Bars below one another; into a pipe or a file, a line for each per minute."""
+def progress_bars(vanish: bool = False) -> Iterator[Bar]:
+    """Bars below one another; into a pipe or a file, a line for each per minute.
+
+    Args:
+        vanish: Whether those that are full go.
+    """
     bars = Progress(
         TextColumn("{task.description:<16}"),
         BarColumn(bar_width=6),  # all of it and a note fit into 80 columns
@@ -49,12 +53,16 @@ def progress_bars() -> Iterator[Bar]:
 
     def bar(label: str, total: int) -> Advance:
         task = bars.add_task(label, total=total, note="")
+        done_so_far = 0
 
         def advance(done: int, note: str) -> None:
-            nonlocal shown
+            nonlocal shown, done_so_far
             bars.update(task, advance=done)
+            done_so_far += done
             if note:
                 bars.update(task, note=note)
+            if vanish and done_so_far >= total:
+                bars.update(task, visible=False)
             if not bars.console.is_terminal and time.monotonic() - shown > _LINE:
                 shown = time.monotonic()
                 bars.console.print(bars.get_renderable())
@@ -99,8 +107,13 @@ def distant_bars(messages: "Queue[Any]", stop: Event) -> Bar:
 
 
 @contextmanager
-def show_distant_bars(messages: "Queue[Any]") -> Iterator[None]:
-    """Show the bars of other processes, whose labels differ, until the block ends."""
+def show_distant_bars(messages: "Queue[Any]", vanish: bool = False) -> Iterator[None]:
+    """Show the bars of other processes, whose labels differ, until the block ends.
+
+    Args:
+        messages: What ``distant_bars`` puts there.
+        vanish: See ``progress_bars``.
+    """
 
     def show(bar: Bar) -> None:
         bars: dict[str, Advance] = {}
@@ -115,7 +128,7 @@ def show_distant_bars(messages: "Queue[Any]") -> Iterator[None]:
             except OSError:  # nobody reads stderr any more
                 seen = False
 
-    with progress_bars() as bar:
+    with progress_bars(vanish) as bar:
         thread = threading.Thread(target=show, args=(bar,), daemon=True)
         thread.start()
         try:

@@ -111,35 +111,3 @@ def test_settings_are_named_once_and_unknown_ones_refused(
     assert "--settings is empty: expected ddpg, " in capsys.readouterr().err
     assert ablate(tmp_path, tmp_path, "fig4", "--settings", "ddpg") == 2
     assert "--settings is for runs and online" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_table_of_offline_learning(
-    datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["ablate", "offline", "--budget", "smoke", "--out", str(tmp_path / "out")]
-    words += ["--runs", str(tmp_path / "runs"), "--datasets", "good-30k", "--workers"]
-    settings = ["--settings", "mabc", "td3-bc"]
-    assert main([*words, "2", "--seeds", "0", "1", *settings]) == 0
-    text = (tmp_path / "out/offline.md").read_text()
-    assert "| good-30k | TD3+BC |" in text and "| 34 +- 32 |" in text
-    rows = read_rows(tmp_path / "out/offline_goals.csv.gz")
-    assert len(rows) == 2 * 2 * 2  # settings, seeds, goals
-    summary = read_rows(tmp_path / "out/offline.csv")
-    for row in summary:
-        own = [one for one in rows if one["setting"] == row["setting"]]
-        mean = sum(one["success"] for one in own) / len(own)
-        assert row["success"] == pytest.approx(mean)
-    kept = {p: p.stat().st_mtime_ns for p in (tmp_path / "runs").rglob("*.pt")}
-    assert len(kept) == 4
-    capsys.readouterr()
-    assert main([*words, "1", "--seeds", "0", *settings, "--overwrite", "--json"]) == 0
-    assert len(json.loads(capsys.readouterr().out)) == 2
-    assert kept == {p: p.stat().st_mtime_ns for p in kept}
-    assert main([*words, "1", "--settings", "ppo"]) == 2
-    assert "--settings has no 'ppo': expected mabc" in capsys.readouterr().err
-    lone = ["--datasets", "pd-30k", "--settings", "matd3-bc"]
-    assert main(["ablate", "cures", "--runs", str(tmp_path), *lone]) == 2
-    assert "matd3-bc are not run on pd-30k: expected good" in capsys.readouterr().err
-    assert main(["ablate", "cures", "--runs", str(tmp_path)]) == 2
-    assert "make it with marl-mm collect paper" in capsys.readouterr().err

@@ -6,22 +6,25 @@ kept, interrupted ones go on.
 
 import json
 import math
+import runpy
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from marl_mm.algorithms.checkpoint import BEST
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.pretrained import FOLDER, ship
-from marl_mm.commands.ablate_offline import AblateOffline, draw_table
+from marl_mm.commands.ablate_offline import ablate_offline
+from marl_mm.commands.ablate_options import AblateOffline
 from marl_mm.commands.ablate_runs import Ablate, train_missing
 from marl_mm.commands.options import check_positive, check_seeds
-from marl_mm.commands.parser import Subcommand, parse_subcommand
+from marl_mm.commands.parser import Subcommand, parse_options, parse_subcommand
 from marl_mm.envs.config import reach_config
 from marl_mm.errors import UsageError
+from marl_mm.eval.ablations import ABLATIONS, Ablation
 from marl_mm.eval.alpha_study import ALPHAS, alpha_steps, summarize_worth, worth_rows
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.offline import STUDIES
 from marl_mm.eval.online import (
     SETTINGS,
     Setting,
@@ -45,26 +48,43 @@ CUT_OFF = -30
 PERCENT = {"scale": 100.0, "bottom": 0.0, "top": 102.0}
 """How success rates are drawn."""
 
+_ALL = "all"
+
+_DRAWN = ("online", "fig4", "fig5", "fig6", "demonstrations", "alpha")
+"""Targets of online learning that draw."""
+
+_OF_FILE = ".py:"
+
 FPS = 1
 """Pictures per simulated second and step, of which Fig. 6 takes five an episode."""
 
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm ablate``."""
+    if arguments and _OF_FILE in arguments[0]:
+        path, _, name = arguments[0].partition(_OF_FILE)
+        own = parse_options(AblateOffline, "marl-mm ablate", arguments[1:])
+        _offline(own, {name.lower(): _declared(Path(f"{path}.py"), name)})
+        return
     target, options = parse_subcommand(
         {
             **{n: Subcommand(Ablate(), about) for n, (about, _) in TARGETS.items()},
-            **{n: Subcommand(AblateOffline(), s.about) for n, s in STUDIES.items()},
+            **{n: Subcommand(AblateOffline(), a.about) for n, a in ABLATIONS.items()},
+            _ALL: Subcommand(AblateOffline(), "Every table and figure."),
         },
         "marl-mm ablate",
-        "Reproduce figures and tables, training the runs they need.",
+        "Reproduce figures and tables, training the runs they need. FILE.py:NAME is an "
+        "ablation of your own, an object NAME of class marl_mm.eval.Ablation.",
         arguments,
     )
+    if target == _ALL:
+        _everything(options)
+        return
+    if isinstance(options, AblateOffline):
+        _offline(options, {target: ABLATIONS[target]})
+        return
     check_positive(workers=options.workers)
     check_seeds(options.seeds)
-    if isinstance(options, AblateOffline):
-        _print(options, *draw_table(options, target))
-        return
     known = [setting.name for setting in SETTINGS]
     if options.settings is not None:
         unknown = [name for name in options.settings if name not in known]
@@ -74,6 +94,61 @@ def main(arguments: Sequence[str]) -> None:
         if target not in ("runs", "online"):
             raise UsageError(f"--settings is for runs and online; {target} has its own")
     TARGETS[target][1](options)
+
+
+def _offline(options: AblateOffline, ablations: Mapping[str, Ablation]) -> None:
+    """Draw ablations of offline learning, and print their tables."""
+    check_positive(workers=options.workers)
+    check_seeds(options.seeds)
+    drawn = ablate_offline(options, ablations)
+    if options.json:
+        tables = {name: _or_null(rows) for name, (rows, _) in drawn.items()}
+        print(json.dumps(tables, indent=2))
+        return
+    for name, (_, text) in drawn.items():
+        print(f"{ablations[name].about}\n\n{text}")
+
+
+def _declared(path: Path, name: str) -> Ablation:
+    """An ablation from somebody's own file.
+
+    Raises:
+        UsageError: If there is none of that name.
+    """
+    if not path.is_file():
+        raise UsageError(f"there is no file {path}, expected FILE.py:NAME")
+    found = runpy.run_path(str(path))
+    if not isinstance(found.get(name), Ablation):
+        known = [key for key, value in found.items() if isinstance(value, Ablation)]
+        raise UsageError(
+            f"{path} has no Ablation called {name!r}, expected one of "
+            f"{', '.join(known) or 'its names: it has none'}"
+        )
+    ablation: Ablation = found[name]
+    return ablation
+
+
+def _everything(options: AblateOffline) -> None:
+    """All ablations of offline learning, and all targets that are drawn."""
+    check_positive(workers=options.workers)
+    check_seeds(options.seeds)
+
+    def part(folder: Path | None, name: str) -> Path | None:
+        return None if folder is None else folder / name
+
+    runs, out = options.runs, options.out
+    online = Ablate(
+        runs=part(runs, "online"),
+        out=part(out, "online"),
+        seeds=options.seeds,
+        budget=options.budget,
+        workers=options.workers,
+        overwrite=options.overwrite,
+    )
+    offline = replace(options, runs=part(runs, "offline"), out=part(out, "offline"))
+    _offline(offline, ABLATIONS)
+    for name in _DRAWN:
+        TARGETS[name][1](online)
 
 
 def _settings(options: Ablate) -> list[Setting]:
@@ -235,18 +310,19 @@ def _best_run(options: Ablate, name: str) -> Path:
     return options.runs_folder() / name / str(best["seed"])
 
 
-def _print(options: Ablate | AblateOffline, summary: Sequence[Row], text: str) -> None:
+def _print(options: Ablate, summary: Sequence[Row], text: str) -> None:
     """The summary as JSON, where null is what could not be measured; or the text."""
     if not options.json:
         print(text)
         return
-    rows = [{name: _or_null(value) for name, value in row.items()} for row in summary]
-    print(json.dumps(rows, indent=2))
+    print(json.dumps(_or_null(summary), indent=2))
 
 
 def _or_null(value: Any) -> Any:
-    if isinstance(value, tuple):
+    if isinstance(value, tuple | list):
         return [_or_null(one) for one in value]
+    if isinstance(value, dict):
+        return {name: _or_null(one) for name, one in value.items()}
     return None if isinstance(value, float) and math.isnan(value) else value
 
 

@@ -1,0 +1,330 @@
+"""Ablations as data: what each table and figure is made of.
+
+Each is settings on datasets, run with several seeds; what stands in several is run
+once. ``marl-mm ablate TARGET`` makes these, ``marl-mm ablate FILE.py:NAME`` one's own.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Any, Literal
+
+from marl_mm.algorithms.presets import OfflineConfig, Preset, offline_preset
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One way to learn from a dataset."""
+
+    name: str
+    """Of its folder; no two settings share one."""
+
+    about: str
+    """In tables."""
+
+    algorithm: str = "td3-bc"
+    preset: Preset = "tuned"
+
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    """Of the preset's hyper-parameters."""
+
+    goals: int = 200
+    """Of each evaluation of a trained policy."""
+
+    curve_every: int = 5_000
+    """Updates between points of the learning curve."""
+
+    curve_goals: int = 20
+    """Of each point."""
+
+    max_steps: int | None = None
+    """Of evaluated episodes, where it is not the task's."""
+
+    @property
+    def config(self) -> OfflineConfig:
+        """Its hyper-parameters."""
+        return replace(offline_preset(self.algorithm, self.preset), **self.changes)
+
+
+Cell = tuple[str, Setting]
+"""A line of a table or a curve of a figure: a dataset, and how to learn from it.
+
+Datasets of the paper go by their names; any other id is its own name.
+"""
+
+
+@dataclass(frozen=True)
+class Probe:
+    """An evaluation of a trained run."""
+
+    name: str
+    """In rows, and of its file in the run."""
+
+    about: str
+    """In tables."""
+
+    checkpoint: Literal["last", "best"] = "last"
+
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    """Of the task."""
+
+    alpha: float | None = None
+    """Held at this, whatever the policy sets."""
+
+
+LAST = Probe("last", "at the end")
+BEST = Probe("best", "at the best checkpoint", checkpoint="best")
+
+
+@dataclass(frozen=True)
+class Ablation:
+    """A table, and maybe a figure of learning curves."""
+
+    about: str
+    cells: Sequence[Cell]
+
+    probes: Sequence[Probe] = (LAST,)
+    """How each run is evaluated."""
+
+    figure: bool = False
+    """Whether learning curves are drawn: a panel per preset, a line per cell."""
+
+
+# --- The paper's -------------------------------------------------------------
+
+GOOD = ("good-30k", "good-60k")
+MIXES = ("mix-5k-random-5k-medium-20k-good", "mix-10k-random-20k-good")
+
+
+def _long(algorithm: str, preset: Preset, batch: int = 256, **more: Any) -> Setting:
+    """As many updates as in Table 4, and learning curves."""
+    changes: dict[str, Any] = {"updates": 180_000}
+    name = f"{algorithm}-{preset}-180k"
+    about = f"{algorithm.upper().replace('-', '+')}, {preset}"
+    if batch != 256:
+        changes["batch_size"] = batch
+        name, about = f"{name}-batch-{batch}", f"{about}, batch {batch}"
+    if "max_steps" in more:
+        name = f"{name}-{more['max_steps']}-steps"
+    return Setting(
+        name,
+        about,
+        algorithm,
+        preset,
+        changes,
+        curve_every=15_000,
+        curve_goals=30,
+        **more,
+    )
+
+
+def _both(algorithm: str, **changes: Any) -> tuple[Setting, Setting]:
+    """Under the paper's preset and ours."""
+    return _long(algorithm, "paper", **changes), _long(algorithm, "tuned", **changes)
+
+
+PAPER: dict[tuple[str, str, int], tuple[float, float | None] | str] = {
+    ("good-60k", "td3-bc", 256): (26.00, 14.42),  # Table 4
+    ("good-30k", "td3-bc", 256): (34.00, 32.19),  # Table 4
+    (MIXES[0], "td3-bc", 256): (12.67, 15.53),  # Table 4
+    (MIXES[1], "td3-bc", 256): (16.00, 17.09),  # Table 4
+    ("good-30k", "td3-bc", 512): (10.67, None),  # Sec. 5.4.2, on Fig. 10
+    ("good-30k", "td3-bc", 1024): (9.33, None),  # Sec. 5.4.2, on Fig. 10
+    ("pd-30k", "td3-bc", 256): "comparable to good data",  # Sec. 5.4.2, on Fig. 8
+    ("good-60k", "mabc", 256): (78.00, 7.21),  # Table 5
+    ("good-30k", "matd3-bc", 256): "failed",  # Sec. 5.4.2, on Table 5
+}
+"""Goals reached [%], mean and standard deviation over three seeds, or the paper's
+words; by dataset, algorithm and batch size."""
+
+
+def reported(cell: Cell) -> tuple[float, float | None] | str:
+    """What the paper reports of a cell, if it is one of the paper's; or nothing."""
+    dataset, setting = cell
+    if set(setting.changes) - {"updates", "batch_size"}:
+        return ""
+    config = setting.config
+    return PAPER.get((dataset, setting.algorithm, config.batch_size), "")
+
+
+_TD3_BC_LONG = _both("td3-bc")
+_ENDS = (LAST, BEST)
+
+_PAPERS = {
+    "table4": Ablation(
+        "Table 4: TD3+BC by dataset, 180,000 updates.",
+        tuple(product((*GOOD, *MIXES), _TD3_BC_LONG)),
+        _ENDS,
+    ),
+    "table5": Ablation(
+        "Table 5 and Sec. 5.4.2: two agents on good data, 180,000 updates.",
+        (
+            *product(GOOD, _both("mabc")),
+            *product(("good-30k",), _both("matd3-bc")),
+        ),
+        _ENDS,
+    ),
+    "fig7": Ablation(
+        "Fig. 7: TD3+BC on 30,000 and on 60,000 steps of good data.",
+        tuple(product(GOOD, _TD3_BC_LONG)),
+        _ENDS,
+        figure=True,
+    ),
+    "fig8": Ablation(
+        "Fig. 8: TD3+BC on a PD agent's data, evaluated with 50 steps, and on good.",
+        (
+            *product(("pd-30k",), _both("td3-bc", max_steps=50)),
+            *product(("good-30k",), _TD3_BC_LONG),
+        ),
+        _ENDS,
+        figure=True,
+    ),
+    "fig9": Ablation(
+        "Fig. 9: TD3+BC on good data and on mixes.",
+        tuple(product(("good-30k", *MIXES), _TD3_BC_LONG)),
+        _ENDS,
+        figure=True,
+    ),
+    "fig10": Ablation(
+        "Fig. 10: TD3+BC on good data, by batch size.",
+        tuple(
+            ("good-30k", setting)
+            for batch in (256, 512, 1024)
+            for setting in _both("td3-bc", batch=batch)
+        ),
+        _ENDS,
+        figure=True,
+    ),
+}
+
+# --- Ours --------------------------------------------------------------------
+
+OTHER_TASKS = {
+    "smooth-30k": "marl-mm collect pretrained --task SmoothReach-v0",
+    "precise-30k": "marl-mm collect pretrained --task PreciseReach-v0",
+}
+"""What collects the datasets of other tasks."""
+
+_MABC = Setting("mabc", "MABC", "mabc")
+_TD3_BC = Setting("td3-bc", "TD3+BC")
+_MATD3_BC = Setting("matd3-bc", "MATD3+BC", "matd3-bc")
+_LEARNERS = (_MABC, _TD3_BC, _MATD3_BC)
+
+_FEWER = 100
+"""Goals of what is only compared."""
+
+_UPDATES = {"updates": _TD3_BC.config.updates}
+"""As many as in the rows that literal ones are compared with; Table 3 has 100,000."""
+
+
+def _cure(name: str, about: str, **changes: Any) -> Setting:
+    """TD3+BC's tuned preset with one choice another."""
+    return Setting(f"td3-bc-{name}", f"TD3+BC, {about}", changes=changes, goals=_FEWER)
+
+
+def _multi(name: str, about: str, **changes: Any) -> Setting:
+    """MATD3+BC's tuned preset with one choice another."""
+    return Setting(
+        f"matd3-bc-{name}",
+        f"MATD3+BC, {about}",
+        "matd3-bc",
+        changes=changes,
+        goals=_FEWER,
+    )
+
+
+def _literal(algorithm: str, name: str, about: str, **changes: Any) -> Setting:
+    """The paper's preset, shorter."""
+    return Setting(
+        f"{algorithm}-literal{name}",
+        f"{algorithm.upper().replace('-', '+')} as in the paper, {about}",
+        algorithm,
+        "paper",
+        {**_UPDATES, **changes},
+        _FEWER,
+    )
+
+
+_UNSCALED = _cure("unscaled", "imitation not scaled by spread", imitation_scaled=False)
+
+_CURES = (
+    _literal("td3-bc", "", "c = 2.5"),
+    _literal("td3-bc", "-c0.5", "but c = 0.5", q_weight=0.5),
+    _TD3_BC,
+    _cure("c2.5", "c = 2.5", q_weight=2.5),
+    _cure("c1", "c = 1", q_weight=1.0),
+    _cure("c0.1", "c = 0.1", q_weight=0.1),
+    _cure("c-falls", "c from 2.5 to 0.1", q_weight=2.5, q_weight_end=0.1),
+    _cure("no-clip", "targets not cut off", clip_targets=False),
+    _cure("no-layer-norm", "no layer norm", layer_norm=False),
+    _cure("own-goals", "own goals only", future=0.0, elsewhere=0.0),
+    _cure("no-elsewhere", "no other episodes' goals", elsewhere=0.0),
+    _cure("no-future", "no goals of later steps", future=0.0),
+    _cure("better", "better actions imitated", imitate="better"),
+    _cure("all", "all episodes imitated", imitate="all"),
+    _UNSCALED,
+    _cure("a-x", "delta_x imitated fourfold", imitation_weights=(4.0, 1.0, 1.0, 1.0)),
+    _literal("matd3-bc", "", "c = 2.5"),
+    _MATD3_BC,
+    _multi("own", "a critic for each agent", critics="own"),
+    _multi("data", "others' actions from the data", others="data"),
+)
+
+_HELD = tuple(
+    Probe(f"alpha-{alpha:g}", f"alpha {alpha:g}", alpha=alpha)
+    for alpha in (0.0, 0.25, 0.5, 0.75, 1.0)
+)
+
+_WITHIN = tuple(
+    Probe(
+        f"within-{distance:g}",
+        f"within {100 * distance:g} cm",
+        overrides={"success_distance": distance},
+    )
+    for distance in (0.01, 0.02, 0.10)
+)
+"""Beside the 5 cm of ``Reach-v0``."""
+
+_OURS = {
+    "offline": Ablation(
+        "Table: MABC, TD3+BC and MATD3+BC on the paper's datasets.",
+        tuple(product((*GOOD, "pd-30k", *MIXES), _LEARNERS)),
+    ),
+    "tasks": Ablation(
+        "Table: the same on SmoothReach-v0 and PreciseReach-v0.",
+        tuple(product(OTHER_TASKS, _LEARNERS)),
+    ),
+    "cures": Ablation(
+        "Table: why TD3+BC and MATD3+BC fail, and what cures them.",
+        (
+            *product((MIXES[1], "good-30k"), _CURES),
+            *product(("pd-30k",), (_TD3_BC, _UNSCALED)),
+        ),
+    ),
+    "held": Ablation(
+        "Table: what the learnt alpha is worth against one held.",
+        (
+            *product(("good-30k",), _LEARNERS),
+            *product(("smooth-30k",), _LEARNERS),
+        ),
+        (LAST, *_HELD),
+    ),
+    "within": Ablation(
+        "Table: how much hangs on the distance that counts as reached.",
+        tuple(product(("good-30k", MIXES[1]), _LEARNERS)),
+        (LAST, *_WITHIN),
+    ),
+}
+
+ABLATIONS = _PAPERS | _OURS
+"""By the name of the target of ``marl-mm ablate``."""
+
+
+def made_by(dataset: str) -> str:
+    """The command that makes a dataset, if it is one of ours."""
+    if dataset in (*GOOD, *MIXES, "pd-30k"):
+        return "marl-mm collect paper"
+    if dataset not in OTHER_TASKS:
+        return ""
+    name = f"--steps 30000 --dataset marl_mm/reach/{dataset}-v0"
+    return f"{OTHER_TASKS[dataset]} {name}"

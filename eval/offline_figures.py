@@ -1,0 +1,64 @@
+"""Learning curves of an ablation, as the paper draws them: Figs 7 to 10."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from marl_mm.eval.ablations import Ablation, Cell
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.online_figures import PAPER_COLORS
+from marl_mm.files import new_file
+
+
+def curves_figure(
+    ablation: Ablation, read: Callable[[Cell], Sequence[Row]], stem: Path
+) -> None:
+    """Success over updates: mean and standard deviation over seeds.
+
+    A panel per preset, a line per cell; as PNG and as SVG, the same bytes each time.
+
+    Args:
+        ablation: Whose cells are drawn.
+        read: Gives a cell's rows: ``seed``, ``step``, ``success_all``.
+        stem: Of the two files.
+    """
+    presets = list(dict.fromkeys(setting.preset for _, setting in ablation.cells))
+    figure = Figure(figsize=(1.2 + 4.2 * len(presets), 3.8), layout="constrained")
+    axes: Any = figure.subplots(1, len(presets), sharey=True, squeeze=False)
+    for axis, preset in zip(axes[0], presets, strict=True):
+        own = [cell for cell in ablation.cells if cell[1].preset == preset]
+        for cell, color in zip(own, PAPER_COLORS, strict=False):
+            _draw(axis, read(cell), _label(cell, own), color)
+        axis.set(title=f"{preset} preset", xlabel="updates [thousands]", ylim=(-3, 103))
+        axis.legend(frameon=False, fontsize=8)
+    axes[0][0].set_ylabel("goals reached [%]")
+    with matplotlib.rc_context({"svg.hashsalt": stem.name, "svg.fonttype": "none"}):
+        for end, metadata in ((".png", {"Software": None}), (".svg", {"Date": None})):
+            with new_file(stem.with_suffix(end)) as temporary:
+                figure.savefig(temporary, dpi=130, metadata=metadata)
+
+
+def _draw(axis: Any, rows: Sequence[Row], label: str, color: str) -> None:
+    steps = sorted({row["step"] for row in rows})
+    seeds = sorted({row["seed"] for row in rows})
+    found = {(row["seed"], row["step"]): row["success_all"] for row in rows}
+    rates = 100 * np.array(  # one that diverged ends early
+        [[found.get((seed, step), np.nan) for step in steps] for seed in seeds]
+    )
+    mean = np.nanmean(rates, axis=0)
+    std = np.nanstd(rates, axis=0, ddof=min(1, len(seeds) - 1))
+    time = np.array(steps) / 1000
+    axis.plot(time, mean, "o-", ms=2, color=color, label=label)
+    low, high = (mean - std).clip(0, 100), (mean + std).clip(0, 100)
+    axis.fill_between(time, low, high, color=color, alpha=0.2, linewidth=0)
+
+
+def _label(cell: Cell, panel: Sequence[Cell]) -> str:
+    """What sets a line apart in its panel: the dataset, or what is learnt with it."""
+    dataset, setting = cell
+    others = {name for name, _ in panel}
+    return dataset if len(others) > 1 else f"batch {setting.config.batch_size}"

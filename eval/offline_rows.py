@@ -1,0 +1,148 @@
+"""What is kept of offline runs: their evaluations and learning curves, as rows.
+
+Tables and figures are made of these alone. Three files for each cell::
+
+    ROWS/DATASET/SETTING.csv.gz         a line per seed, probe and goal
+    ROWS/DATASET/SETTING-curve.csv.gz   a line per seed and point of the learning curve
+    ROWS/DATASET/SETTING.json           what the runs were made of
+"""
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.differences import refuse_difference
+from marl_mm.errors import UsageError
+from marl_mm.eval.ablations import LAST, Cell, Probe
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.rows import read_rows, write_csv
+from marl_mm.files import write_json
+
+_MEASURED = ("steps", "return", "final_distance", "d_mm", "d_mp", "alpha")
+_CURVE = ("success/all", "success/forward", "success/backward", "return/all")
+
+
+def probe_file(run: Path, probe: Probe) -> Path:
+    """Where a run keeps an evaluation."""
+    return run / ("eval.json" if probe == LAST else f"eval_{probe.name}.json")
+
+
+class RowStore:
+    """Rows in a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def has(
+        self,
+        cell: Cell,
+        seeds: Sequence[int],
+        probes: Sequence[Probe],
+        made_of: Mapping[str, Any],
+    ) -> bool:
+        """Whether there are the rows of these seeds and probes.
+
+        Raises:
+            OtherConfigError: If there are rows of runs of another config.
+        """
+        path = self._path(cell, ".json")
+        if not path.exists():
+            return False
+        known = json.loads(path.read_text())
+        refuse_difference(path, known, dict(made_of))
+        names = {probe.name for probe in probes}
+        return set(seeds) <= set(known["seeds"]) and names <= set(known["probes"])
+
+    def keep(
+        self, cell: Cell, runs: Mapping[int, Path], probes: Sequence[Probe]
+    ) -> None:
+        """Take the rows of finished runs; what is known of other probes stays.
+
+        Args:
+            cell: What they are of.
+            runs: Their folders, by seed.
+            probes: Evaluations that they have.
+        """
+        rows = [
+            row
+            for seed, run in runs.items()
+            for probe in probes
+            for row in _evaluation(run, seed, probe)
+        ]
+        names, seeds = [probe.name for probe in probes], list(runs)
+        known = self._path(cell, ".json")
+        if known.exists():
+            before = json.loads(known.read_text())
+            if before["seeds"] == seeds:
+                others = [name for name in before["probes"] if name not in names]
+                rows += [row for row in self._rows(cell) if row["probe"] in others]
+                names += others
+        curve = [row for seed, run in runs.items() for row in _curve(run, seed)]
+        config = json.loads((next(iter(runs.values())) / "config.json").read_text())
+        for key in ("seed", "preset", "device"):
+            config.pop(key)
+        config["dataset"].pop("path", None)
+        write_csv(self._path(cell, ".csv.gz"), rows)
+        write_csv(self._path(cell, "-curve.csv.gz"), curve)
+        write_json(known, {"seeds": seeds, "probes": names, **config})
+
+    def evaluations(
+        self, cell: Cell, seeds: Sequence[int], probes: Sequence[Probe]
+    ) -> list[Row]:
+        """A row per seed, probe and goal.
+
+        Raises:
+            UsageError: If there are none.
+        """
+        names = [probe.name for probe in probes]
+        rows = [
+            row
+            for row in self._rows(cell)
+            if row["seed"] in seeds and row["probe"] in names
+        ]
+        if {(row["seed"], row["probe"]) for row in rows} != {
+            (seed, name) for seed in seeds for name in names
+        }:
+            raise UsageError(
+                f"{self._path(cell, '.csv.gz')} lacks rows of seeds "
+                f"{', '.join(map(str, seeds))} and {', '.join(names)}: run marl-mm "
+                "ablate without --check"
+            )
+        return rows
+
+    def curves(self, cell: Cell, seeds: Sequence[int]) -> list[Row]:
+        """A row per seed and point of the learning curve."""
+        rows = read_rows(self._path(cell, "-curve.csv.gz"))
+        return [row for row in rows if row["seed"] in seeds]
+
+    def _rows(self, cell: Cell) -> list[Row]:
+        path = self._path(cell, ".csv.gz")
+        return read_rows(path) if path.exists() else []
+
+    def _path(self, cell: Cell, end: str) -> Path:
+        dataset, setting = cell
+        return self.folder / dataset.replace("/", "-") / f"{setting.name}{end}"
+
+
+def _evaluation(run: Path, seed: int, probe: Probe) -> Iterator[Row]:
+    evaluation = json.loads(probe_file(run, probe).read_text())
+    for row in evaluation["episodes"]:
+        yield {
+            "seed": seed,
+            "probe": probe.name,
+            "goal": row["index"],
+            "direction": row["direction"],
+            "success": int(row["success"]),
+            **{key: row[key] for key in _MEASURED},
+        }
+
+
+def _curve(run: Path, seed: int) -> Iterator[Row]:
+    for row in read_metrics(run):
+        if "success/all" in row:
+            # A single goal is ahead.
+            own = {key.replace("/", "_"): row.get(key, math.nan) for key in _CURVE}
+            yield {"seed": seed, "step": row["step"], **own}

@@ -1,0 +1,185 @@
+"""Runs of ablations, each trained and evaluated by one of several processes."""
+
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from marl_mm.algorithms import checkpoint
+from marl_mm.algorithms.policy import load_policy
+from marl_mm.commands.offline_options import Offline, task_of
+from marl_mm.commands.runs import EVALUATION
+from marl_mm.commands.train_offline import evaluate_offline_run, train_offline_run
+from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.datasets.location import Location
+from marl_mm.errors import DivergedError, MarlMmError, WorkerDiedError
+from marl_mm.eval.ablations import Probe
+from marl_mm.eval.alpha_study import FixedAlpha
+from marl_mm.eval.evaluate import evaluate
+from marl_mm.eval.offline_rows import probe_file
+from marl_mm.files import write_json
+from marl_mm.progress import Advance, Bar, distant_bars, show_distant_bars, silent
+from marl_mm.workers import Executor, open_pool
+
+_DEATHS = 3
+"""Worker processes that may die before the others are given up, too."""
+
+_ALL = "all runs"
+"""Label of the bar of the whole plan."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run to be trained, from where it stands, and to be evaluated."""
+
+    label: str
+    seed: int
+    run: Path
+    dataset: str | Path | Location
+    """What it learns from."""
+
+    options: Offline
+    """How; with one worker."""
+
+    probes: Sequence[Probe]
+    seconds: float = 1.0
+    """How long it takes, about."""
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing of it is missing."""
+        return all(probe_file(self.run, probe).exists() for probe in self.probes)
+
+
+Complaint = str
+"""Why a run has failed; empty if it has not."""
+
+
+def do_jobs(
+    jobs: Iterable[Job],
+    workers: int,
+    executor: Executor,
+    done: Callable[[Job], None],
+) -> dict[Path, Complaint]:
+    """Do jobs, whatever becomes of some of them.
+
+    Args:
+        jobs: What is to be done.
+        workers: Processes.
+        executor: Of which machines; these share one file system.
+        done: Called in this process after each that succeeded.
+
+    Returns:
+        Runs that failed, and why.
+
+    Raises:
+        KeyboardInterrupt: After Ctrl-C; runs go on from their last checkpoints.
+        WorkerDiedError: If processes die again and again.
+    """
+    left = {job.run: job for job in jobs}
+    failed: dict[Path, Complaint] = {}
+    begun, total = monotonic(), sum(job.seconds for job in left.values())
+    context = get_context("spawn")
+    messages, stop = context.Queue(), context.Event()
+    deaths = 0
+    with show_distant_bars(messages, vanish=True):
+        messages.put((_ALL, len(left), 0, ""))
+        while left:
+            shared = (messages, stop) if executor == "processes" else (None, None)
+            pool = open_pool(executor, min(workers, len(left)), _begin, shared)
+            try:
+                for run, complaint in pool.completed(_do, list(left.values())):
+                    job = left.pop(run)
+                    if complaint:
+                        failed[run] = complaint
+                    else:
+                        done(job)
+                    rest = sum(job.seconds for job in left.values())
+                    note = _remaining(monotonic() - begun, rest, total)
+                    messages.put((_ALL, 0, 1, note))
+            except WorkerDiedError as error:
+                deaths += 1
+                if deaths >= _DEATHS:
+                    raise
+                print(f"{error}; going on with {len(left)} runs", file=sys.stderr)
+            except BaseException:
+                stop.set()
+                raise
+            finally:
+                pool.close()
+    return failed
+
+
+def _remaining(spent: float, rest: float, total: float) -> str:
+    """How long the rest will take, if all goes on as it went."""
+    hours = spent * rest / max(total - rest, 1e-9) / 3600
+    return f"about {hours:.1f} h left" if rest else ""
+
+
+_bar: Bar
+
+
+def _begin(messages: Any, stop: Any) -> None:
+    """A process's first act."""
+    global _bar
+    _bar = _silent_bar if messages is None else distant_bars(messages, stop)
+
+
+def _silent_bar(label: str, total: int) -> Advance:
+    return silent
+
+
+def _do(job: Job) -> tuple[Path, Complaint]:
+    """The job, or why it failed."""
+    try:
+        dataset = load_dataset(job.dataset)
+        if not (job.run / EVALUATION).exists():
+            _train(dataset, job)
+        for probe in job.probes:
+            if not probe_file(job.run, probe).exists():
+                _probe(dataset, job, probe)
+    except (MarlMmError, OSError) as error:
+        return job.run, f"{error}"
+    return job.run, ""
+
+
+def _train(dataset: Dataset, job: Job) -> None:
+    try:
+        train_offline_run(dataset, job.options, job.seed, job.run, _named(job))
+    except DivergedError:
+        if not (job.run / checkpoint.FILE).exists():
+            raise
+        # The last checkpoint counts as it is.
+        evaluate_offline_run(dataset, job.options, job.run, _named(job), "eval")
+
+
+def _probe(dataset: Dataset, job: Job, probe: Probe) -> None:
+    """Evaluate a trained run in a way of its own."""
+    options = job.options
+    file = checkpoint.BEST if probe.checkpoint == "best" else checkpoint.FILE
+    policy: Any = load_policy(job.run / file)
+    if probe.alpha is not None:
+        policy = FixedAlpha(policy, probe.alpha)
+    evaluation = evaluate(
+        policy,
+        options.eval_episodes,
+        options.eval_seed,
+        task_of(dataset, options),
+        {**options.overrides, **probe.overrides},
+        advance=_named(job)(probe.name, options.eval_episodes),
+    )
+    write_json(probe_file(job.run, probe), evaluation.to_json())
+
+
+def _named(job: Job) -> Bar:
+    """Bars whose labels say which run they are of."""
+
+    def bar(label: str, total: int) -> Advance:
+        what = label.split()[0]
+        training = what in checkpoint.KNOWN
+        return _bar(job.label if training else f"{job.label} {what}", total)
+
+    return bar

@@ -1,0 +1,76 @@
+"""Options of ablations of offline learning."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from marl_mm.algorithms.speed import Precision
+from marl_mm.commands.options import available_cores
+from marl_mm.eval.offline_rows import RowStore
+from marl_mm.workers import Executor
+
+Budget = Literal["full", "smoke"]
+
+
+@dataclass(frozen=True)
+class AblateOffline:
+    """What every ablation of offline learning needs."""
+
+    runs: Path | None = None
+    """Folder of the raw runs, RUNS/DATASET/SETTING/SEED; missing ones are trained;
+    default runs/offline, or runs/offline-smoke."""
+
+    out: Path | None = None
+    """Folder of tables and figures, and in OUT/rows of the evaluations that they are
+    made of: what is there need not be trained; default RUNS/results."""
+
+    seeds: tuple[int, ...] = (0, 1, 2)
+    """Runs per dataset and setting."""
+
+    datasets: tuple[str, ...] | None = None
+    """Those named; default all of the ablation. What is missing is not made, but the
+    command that makes it is told."""
+
+    settings: tuple[str, ...] | None = None
+    """Those named; default all of the ablation."""
+
+    budget: Budget = "full"
+    """"smoke": hardly any training, on the dataset that ships, to see that everything
+    works."""
+
+    plan: bool = False
+    """Only print which runs are missing, and about how long they will take."""
+
+    check: bool = False
+    """Only say whether files in OUT are what is drawn from its rows, to the byte."""
+
+    precision: Precision = "medium"
+    """Of matrix products; see "marl-mm train td3-bc --help"."""
+
+    workers: int = field(default_factory=available_cores)
+    """Runs at once; the result does not depend on it."""
+
+    executor: Executor = "processes"
+    """"processes" of this machine, or of a Ray cluster that shares the folders."""
+
+    resume: bool = False
+    """Go on after an interruption: it does so anyway."""
+
+    overwrite: bool = False
+    """Replace tables and figures that exist; runs are never replaced."""
+
+    json: bool = False
+    """Print the tables as JSON."""
+
+    def runs_folder(self) -> Path:
+        """``runs`` or its default."""
+        name = "offline-smoke" if self.budget == "smoke" else "offline"
+        return self.runs or Path("runs") / name
+
+    def results(self) -> Path:
+        """``out`` or its default."""
+        return self.out or self.runs_folder() / "results"
+
+    def store(self) -> RowStore:
+        """What tables and figures are made of."""
+        return RowStore(self.results() / "rows")

@@ -1,0 +1,245 @@
+"""What ablations of offline learning lack, and how long it will take."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from time import perf_counter
+from typing import Any
+
+from marl_mm.algorithms.checkpoint import FILE
+from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.algorithms.speed import matrix_products, prepare_for_small_networks
+from marl_mm.collectors.random import RandomConfig, RandomPolicy
+from marl_mm.commands.ablate_jobs import Job
+from marl_mm.commands.ablate_options import AblateOffline
+from marl_mm.commands.ablate_runs import ANOTHER_FOLDER
+from marl_mm.commands.offline_options import (
+    Offline,
+    check_offline,
+    offline_algorithm,
+    offline_options,
+    task_of,
+)
+from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.datasets.location import SHIPPED
+from marl_mm.errors import OtherConfigError, UnknownDatasetError, UsageError
+from marl_mm.eval.ablations import Ablation, Cell, Probe, Setting, made_by
+from marl_mm.eval.evaluate import evaluate
+from marl_mm.eval.offline_rows import probe_file
+from marl_mm.eval.tables import markdown_table
+from marl_mm.progress import progress_bar
+
+_STEPS = 15
+"""Of an evaluated episode, about: 6 to 13 of agents that reach, 25 of those that do
+not."""
+
+_TIMED = 30
+"""Updates that are timed, after as many that are not."""
+
+
+_SMALL = {"updates": 60, "goals": 2, "max_steps": 4}
+"""With the smoke budget."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A cell whose rows are not all there."""
+
+    cell: Cell
+    probes: tuple[Probe, ...]
+    jobs: tuple[Job, ...]
+    """One per seed; some may be done."""
+
+
+def missing_cells(
+    options: AblateOffline, ablations: Iterable[Ablation]
+) -> list[Wanted]:
+    """Cells of some ablations without rows, each once, and the runs that make these.
+
+    Raises:
+        UsageError: If two settings share a name, or a dataset is not there.
+        OtherConfigError: If there are rows or runs that were made with something else.
+    """
+    cells = _cells(ablations)
+    store = options.store()
+    wanted = []
+    datasets: dict[str, Dataset] = {}
+    for cell, probes in cells:
+        training = training_options(options, cell[1])
+        try:
+            if store.has(cell, options.seeds, probes, _made_of(training)):
+                continue
+        except OtherConfigError as error:
+            advice = "name another folder with --out"
+            raise OtherConfigError(error.difference, advice) from error
+        name = cell[0]
+        if name not in datasets:
+            datasets[name] = _dataset(options, name)
+        jobs = _jobs(options, cell, probes, datasets[name], training)
+        runs = {job.seed: job.run for job in jobs}
+        try:
+            check_offline(datasets[name], training, runs, further=False)
+        except OtherConfigError as error:
+            raise OtherConfigError(error.difference, ANOTHER_FOLDER) from error
+        wanted.append(Wanted(cell, probes, jobs))
+    return wanted
+
+
+def _cells(ablations: Iterable[Ablation]) -> list[tuple[Cell, tuple[Probe, ...]]]:
+    """Every cell once, with the probes of all ablations that it stands in."""
+    found: dict[tuple[str, str], tuple[Cell, tuple[Probe, ...]]] = {}
+    settings: dict[str, Setting] = {}
+    for ablation in ablations:
+        for cell in ablation.cells:
+            dataset, setting = cell
+            if settings.setdefault(setting.name, setting) != setting:
+                raise UsageError(f"two settings are called {setting.name!r}")
+            _, before = found.get((dataset, setting.name), (cell, ()))
+            probes = dict.fromkeys(probe.name for probe in (*before, *ablation.probes))
+            known = {probe.name: probe for probe in (*before, *ablation.probes)}
+            found[dataset, setting.name] = cell, tuple(known[name] for name in probes)
+    return list(found.values())
+
+
+def training_options(options: AblateOffline, setting: Setting) -> Offline:
+    """Options of one setting's runs."""
+    small = options.budget == "smoke"
+    changes = {**setting.changes, "precision": options.precision}
+    if small:
+        changes["updates"] = _SMALL["updates"]
+    training: Any = offline_options(
+        setting.algorithm,
+        setting.preset,
+        dataset="",
+        eval_episodes=_SMALL["goals"] if small else setting.goals,
+        curve_every=setting.curve_every,
+        curve_episodes=_SMALL["goals"] if small else setting.curve_goals,
+        max_steps=_SMALL["max_steps"] if small else setting.max_steps,
+        workers=1,
+        resume=True,  # what there is of them
+    )
+    trained: Offline = replace(training, config=replace(training.config, **changes))
+    return trained
+
+
+def _made_of(training: Offline) -> dict[str, Any]:
+    """What rows must have been made of; the seeds and the dataset stand elsewhere."""
+    own = ("eval_episodes", "eval_seed", "curve_every", "curve_episodes")
+    return {
+        **asdict(training.config),
+        **training.overrides,
+        **{name: getattr(training, name) for name in own},
+    }
+
+
+def _dataset(options: AblateOffline, name: str) -> Dataset:
+    if options.budget == "smoke":
+        return load_dataset(SHIPPED)
+    try:
+        return load_dataset(name)
+    except UnknownDatasetError as error:
+        command = made_by(name)
+        advice = f"; make it with {command}" if command else ""
+        raise UnknownDatasetError(f"{error}{advice}") from error
+
+
+def _jobs(
+    options: AblateOffline,
+    cell: Cell,
+    probes: tuple[Probe, ...],
+    dataset: Dataset,
+    training: Offline,
+) -> tuple[Job, ...]:
+    name, setting = cell
+    short = "-".join(name.split("-")[:2])
+    folder = options.runs_folder() / name.replace("/", "-") / setting.name
+    return tuple(
+        Job(
+            f"{short} {setting.name} {seed}",
+            seed,
+            folder / str(seed),
+            dataset.location,
+            training,
+            probes,
+        )
+        for seed in options.seeds
+    )
+
+
+# --- How long ----------------------------------------------------------------
+
+
+def estimated(wanted: list[Wanted]) -> list[Wanted]:
+    """With how long each job will take, from short measurements on this machine."""
+    per_update: dict[str, float] = {}
+    per_step: dict[str, float] = {}
+    known = []
+    with progress_bar("measuring", len(wanted)) as advance:
+        for one in wanted:
+            jobs = []
+            for job in one.jobs:
+                if not job.done:
+                    dataset = load_dataset(job.dataset)
+                    name, task = one.cell[1].name, task_of(dataset, job.options)
+                    if name not in per_update:
+                        per_update[name] = _seconds_per_update(dataset, job.options)
+                    if task not in per_step:
+                        per_step[task] = _seconds_per_step(task)
+                    job = replace(
+                        job,
+                        seconds=_seconds(job, per_update[name], per_step[task]),
+                    )
+                jobs.append(job)
+            known.append(replace(one, jobs=tuple(jobs)))
+            advance(1, "")
+    return known
+
+
+def _seconds(job: Job, per_update: float, per_step: float) -> float:
+    """What is missing of a job, about."""
+    options = job.options
+    rows = read_metrics(job.run) if (job.run / FILE).exists() else []
+    updates = options.config.updates - (rows[-1]["step"] if rows else 0)
+    probes = [p for p in job.probes if not probe_file(job.run, p).exists()]
+    points = -(-updates // options.curve_every) + (not rows)
+    goals = len(probes) * options.eval_episodes + points * options.curve_episodes
+    return updates * per_update + goals * _STEPS * per_step
+
+
+def _seconds_per_update(dataset: Dataset, options: Offline) -> float:
+    prepare_for_small_networks()
+    algorithm = offline_algorithm(dataset, options, [0])
+    with matrix_products(options.config.precision):
+        for _ in range(_TIMED):
+            algorithm.update()
+        begin = perf_counter()
+        for _ in range(_TIMED):
+            algorithm.update()
+    return (perf_counter() - begin) / _TIMED
+
+
+def _seconds_per_step(task: str) -> float:
+    begin = perf_counter()
+    evaluation = evaluate(RandomPolicy(RandomConfig()), 1, task=task)
+    steps: int = evaluation.rows[0]["steps"]
+    return (perf_counter() - begin) / steps
+
+
+def hours(jobs: Sequence[Job], workers: int) -> float:
+    """Until these jobs are done, about."""
+    return sum(job.seconds for job in jobs if not job.done) / workers / 3600
+
+
+def plan_table(wanted: Sequence[Wanted], workers: int) -> str:
+    """What is missing, a line per cell, as Markdown; the last one is the sum."""
+    lines = []
+    for one in wanted:
+        left = [job for job in one.jobs if not job.done]
+        dataset, setting = one.cell
+        told = f"{hours(left, workers):.2f}"
+        lines.append((dataset, setting.about, f"{len(left)} of {len(one.jobs)}", told))
+    jobs = [job for one in wanted for job in one.jobs]
+    left = [job for job in jobs if not job.done]
+    total = f"{hours(left, workers):.2f}"
+    lines.append(("all", "", f"{len(left)} of {len(jobs)}", total))
+    header = ("dataset", "setting", "runs missing", f"hours, {workers} at once")
+    return markdown_table(header, lines)

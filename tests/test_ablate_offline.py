@@ -1,0 +1,257 @@
+"""Ablations of offline learning: declared, run, interrupted, drawn and checked."""
+
+import json
+import random
+from collections.abc import Sequence
+from itertools import product
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from marl_mm.cli import main
+from marl_mm.eval.ablations import ABLATIONS, PAPER, Setting, reported
+from marl_mm.eval.metrics import success_interval
+from marl_mm.eval.offline import (
+    goals_for,
+    interquartile_mean,
+    stratified_interval,
+    success_scores,
+)
+from marl_mm.eval.rows import read_rows
+
+OWN = """
+from marl_mm.eval import BEST, LAST, Ablation, Probe, Setting
+
+settings = [
+    Setting(f"width-{n}", f"{n} units", changes={"hidden": (n, n)}) for n in (16, 32)
+]
+HELD = Probe("held", "alpha held at one half", alpha=0.5)
+WIDTHS = Ablation(
+    "TD3+BC by width.", [("good-5k", one) for one in settings], (LAST, BEST, HELD), True
+)
+FAILS = Ablation(
+    "One of two.",
+    [
+        ("good-5k", Setting("wild", "wild", changes={"critic_learning_rate": 1e38})),
+        ("good-5k", settings[0]),
+    ],
+)
+"""
+"""An ablation of one's own, of the dataset that ships."""
+
+FILES = [f"widths{end}" for end in (".csv", ".md", ".tex", ".png", ".svg")]
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    path = tmp_path / "own.py"
+    path.write_text(OWN)
+    return path
+
+
+def words(own: Path, runs: Path, *more: str) -> list[str]:
+    small = ["--budget", "smoke", "--seeds", "0", "1", "--workers", "1"]
+    return ["ablate", f"{own}:WIDTHS", "--runs", str(runs), *small, *more]
+
+
+def contents(results: Path) -> dict[str, bytes]:
+    """Every table, figure and row, but for what tells the time."""
+    return {
+        str(path.relative_to(results)): path.read_bytes()
+        for path in sorted(results.rglob("*"))
+        if path.is_file()
+    }
+
+
+# --- Declarations ------------------------------------------------------------
+
+
+def test_every_declaration_can_be_run() -> None:
+    names: dict[str, Setting] = {}
+    for ablation in ABLATIONS.values():
+        assert ablation.cells
+        for _, setting in ablation.cells:
+            assert setting.config.updates > 0  # made without complaint
+            assert names.setdefault(setting.name, setting) == setting
+
+
+def test_the_papers_runs_have_its_budget() -> None:
+    for name in ("table4", "table5", "fig7", "fig8", "fig9", "fig10"):
+        ablation = ABLATIONS[name]
+        presets = [setting.preset for _, setting in ablation.cells]
+        assert set(presets) == {"paper", "tuned"}  # side by side
+        for _, setting in ablation.cells:
+            assert setting.config.updates == 180_000
+
+
+def test_the_papers_figures_stand_beside_its_own_settings_only() -> None:
+    cells = [cell for one in ABLATIONS.values() for cell in one.cells]
+    assert {reported(cell) for cell in cells} == {"", *PAPER.values()}
+    c_is_1 = Setting("c1", "c = 1", changes={"q_weight": 1.0})
+    assert reported(("good-30k", c_is_1)) == ""
+    assert reported(("good-30k", Setting("same", "same"))) == (34.00, 32.19)
+
+
+# --- Statistics --------------------------------------------------------------
+
+
+def test_scores_by_seed_and_direction() -> None:
+    hits = {
+        (0, "forward"): 2,
+        (0, "backward"): 1,
+        (1, "forward"): 0,
+        (1, "backward"): 2,
+    }
+    rows = [
+        {"seed": seed, "direction": direction, "success": int(goal < reached)}
+        for (seed, direction), reached in hits.items()
+        for goal in range(2)
+    ]
+    assert success_scores(rows).tolist() == [[1.0, 0.5], [0.0, 1.0]]
+
+
+def test_the_interquartile_mean_of_a_table_worked_by_hand() -> None:
+    assert interquartile_mean(np.array([[0.0, 0.4], [0.6, 1.0]])) == pytest.approx(0.5)
+    # Of six the highest and the lowest go, and one each: 1.5 of 6, rounded down.
+    six = np.array([[0.0, 0.1], [0.5, 0.6], [0.8, 1.0]])
+    assert interquartile_mean(six) == pytest.approx((0.1 + 0.5 + 0.6 + 0.8) / 4)
+
+
+def test_the_stratified_interval_draws_runs_within_columns() -> None:
+    # Whatever is drawn, a column's runs agree: there is nothing to be unsure of.
+    assert stratified_interval(np.array([[0.2, 0.8], [0.2, 0.8]])) == (0.5, 0.5)
+    low, high = stratified_interval(np.array([[0.0, 0.0], [1.0, 1.0]]))
+    assert (low, high) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.26, 0.5, 0.95, 1.0])
+def test_as_many_goals_as_an_interval_needs(rate: float) -> None:
+    goals = goals_for(rate, 0.05)
+    low, high = success_interval(round(rate * goals), goals)
+    assert high - low <= 0.1
+    low, high = success_interval(round(rate * (goals - 1)), goals - 1)
+    assert high - low > 0.1
+
+
+# --- The runner --------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_an_ablation_of_ones_own_is_made_once_and_checked(
+    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs, results = tmp_path / "runs", tmp_path / "runs/results"
+    assert main(words(own, runs, "--json")) == 0
+    tables = json.loads(capsys.readouterr().out)
+    settings, probes = ("width-16", "width-32"), ("last", "best", "held")
+    table = tables["widths"]
+    cells = [(row["setting"], row["probe"]) for row in table]
+    assert cells == list(product(settings, probes))
+    for row in table:
+        rows = read_rows(results / f"rows/good-5k/{row['setting']}.csv.gz")
+        own_rows = [one for one in rows if one["probe"] == row["probe"]]
+        assert len(own_rows) == 2 * 2  # seeds, goals
+        mean = sum(one["success"] for one in own_rows) / len(own_rows)
+        assert row["success"] == pytest.approx(mean)
+        assert all(one["alpha"] == 0.5 for one in own_rows) == (row["probe"] == "held")
+    assert all((results / file).stat().st_size > 200 for file in FILES)
+
+    assert main(words(own, runs, "--check")) == 0
+    told = capsys.readouterr().out.splitlines()
+    assert [line.rpartition(": ")[2] for line in told] == ["the same"] * len(FILES)
+
+    # From the rows alone, without any run: the same bytes.
+    drawn = contents(results)
+    redraw = ["--out", str(results), "--overwrite"]
+    assert main(words(own, tmp_path / "nowhere", *redraw)) == 0
+    assert contents(results) == drawn
+    assert not (tmp_path / "nowhere").exists()
+
+    (results / "widths.csv").write_text("another")
+    assert main(words(own, runs, "--check")) == 1
+    assert "widths.csv: not what" in capsys.readouterr().err
+    assert main(words(own, runs)) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert main([*words(own, runs, "--overwrite"), "--precision", "highest"]) == 2
+    complaint = capsys.readouterr().err
+    assert "was made with precision = medium (now highest)" in complaint
+    assert "name another folder with --out" in complaint
+
+
+@pytest.mark.slow
+def test_a_run_that_fails_does_not_stop_the_others(
+    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = words(own, tmp_path / "runs")
+    asked[1] = f"{own}:FAILS"
+    assert main(asked) == 1
+    complaint = capsys.readouterr().err
+    assert "2 of 4 runs failed, the same command tries them again" in complaint
+    assert "wild/1: " in complaint
+    assert (tmp_path / "runs/results/rows/good-5k/width-16.csv.gz").exists()
+    assert main([*asked, "--settings", "width-16"]) == 0
+
+
+@pytest.mark.slow
+def test_killing_it_again_and_again_changes_nothing(own: Path, tmp_path: Path) -> None:
+    assert main(words(own, tmp_path / "whole")) == 0
+    asked = words(own, tmp_path / "killed", "--overwrite")
+    moments = random.Random(0)
+    context = get_context("forkserver")  # which imports everything once
+    context.set_forkserver_preload(["marl_mm.commands.ablate"])
+    for _ in range(10):
+        job = context.Process(target=main, args=(asked,))
+        job.start()
+        job.join(moments.uniform(0.2, 3.0))
+        job.kill()
+        job.join()
+    assert main(asked) == 0
+    assert contents(tmp_path / "killed/results") == contents(tmp_path / "whole/results")
+
+
+@pytest.mark.slow
+def test_a_plan_says_what_is_missing_and_trains_nothing(
+    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ["ablate", f"{own}:WIDTHS", "--runs", str(tmp_path / "runs"), "--plan"]
+    assert main([*asked, "--seeds", "0", "--workers", "1"]) == 0
+    *_, total = capsys.readouterr().out.splitlines()
+    _, what, _, missing, hours, _ = total.split("|")
+    assert (what.strip(), missing.strip()) == ("all", "2 of 2")
+    assert 0.001 < float(hours) < 1.0
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("asked", "complaint"),
+    [
+        (["own.py:WIDTH"], "has no Ablation called 'WIDTH', expected one of WIDTHS, F"),
+        (["none.py:WIDTHS"], "there is no file"),
+        (
+            ["own.py:WIDTHS", "--settings", "width-8"],
+            "--settings has no 'width-8': exp",
+        ),
+        (["own.py:WIDTHS", "--datasets"], "--datasets is empty: expected good-5k"),
+        (["own.py:WIDTHS", "--seeds", "0", "0"], "seeds"),
+        (["offline"], "make it with marl-mm collect paper"),
+        (["tasks"], "make it with marl-mm collect pretrained --task SmoothReach-v0"),
+        (
+            ["cures", "--datasets", "pd-30k", "--settings", "matd3-bc"],
+            "--settings matd3-bc are not run on --datasets pd-30k",
+        ),
+    ],
+)
+def test_what_cannot_be_made_is_told_in_one_line(
+    asked: Sequence[str],
+    complaint: str,
+    own: Path,
+    datasets_home: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(own.parent)
+    assert main(["ablate", *asked]) == 2
+    told = capsys.readouterr().err
+    assert complaint in told and told.count("\n") == 1
