@@ -3,6 +3,8 @@
 import csv
 import gzip
 import io
+import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -37,6 +39,24 @@ def _spread(row: Row) -> dict[str, str]:
         else:
             flat[name] = f"{value:.6g}" if isinstance(value, float) else str(value)
     return flat
+
+
+def as_read(rows: Sequence[Row]) -> list[Row]:
+    """Rows as they would be read back from a file: with six digits."""
+    return [_typed(_spread(row)) for row in rows]
+
+
+def to_json(values: Any) -> str:
+    """Rows as JSON, where null is what could not be measured."""
+    return json.dumps(_or_null(values), indent=2)
+
+
+def _or_null(value: Any) -> Any:
+    if isinstance(value, tuple | list):
+        return [_or_null(one) for one in value]
+    if isinstance(value, dict):
+        return {name: _or_null(one) for name, one in value.items()}
+    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def read_rows(path: Path) -> list[Row]:

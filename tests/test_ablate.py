@@ -8,10 +8,13 @@ import pytest
 from marl_mm.algorithms.pretrained import load_pretrained
 from marl_mm.cli import main
 from marl_mm.commands import ablate_runs
+from marl_mm.commands.ablate_online import TARGETS
 from marl_mm.commands.train_online import TrainDdpg, train_online_run
 from marl_mm.errors import DivergedError
 from marl_mm.eval.online import SETTINGS
 from marl_mm.eval.rows import read_rows
+
+RESULTS = Path(__file__).resolve().parents[1] / "eval/results/online"
 
 
 @pytest.fixture(scope="module")
@@ -111,3 +114,21 @@ def test_settings_are_named_once_and_unknown_ones_refused(
     assert "--settings is empty: expected ddpg, " in capsys.readouterr().err
     assert ablate(tmp_path, tmp_path, "fig4", "--settings", "ddpg") == 2
     assert "--settings is for runs and online" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("target", [name for name, one in TARGETS.items() if one.files])
+def test_what_is_committed_is_drawn_from_its_rows(
+    target: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """If this fails: marl-mm ablate TARGET --rows RESULTS --out RESULTS --overwrite."""
+    assert main(["ablate", target, "--out", str(RESULTS), "--check"]) == 0
+    assert "the same" in capsys.readouterr().out
+
+
+def test_rows_that_are_not_there_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["ablate", "fig5", "--out", str(tmp_path), "--check"]) == 2
+    assert "curves.csv.gz to draw from" in capsys.readouterr().err
+    assert main(["ablate", "runs", "--check"]) == 2
+    assert "--check is not for runs" in capsys.readouterr().err

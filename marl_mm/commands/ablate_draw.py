@@ -1,12 +1,9 @@
-"""Tables and figures of ablations of offline learning, from rows; and their check."""
+"""Tables and figures of ablations of offline learning, from rows."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
-import matplotlib
-
-from marl_mm.errors import MarlMmError
+from marl_mm.commands.ablate_check import note_artist
 from marl_mm.eval.ablations import Ablation, Cell
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.offline import ablation_lines, summarize_ablation
@@ -16,16 +13,11 @@ from marl_mm.eval.rows import write_csv
 from marl_mm.eval.tables import latex_table, markdown_table
 from marl_mm.files import new_file
 
-_FIGURES = (".png", ".svg")
-
-_DRAWN_WITH = "drawn_with.txt"
-"""In the folder of results: the version of Matplotlib that drew them."""
-
 
 def drawings(name: str, ablation: Ablation) -> list[str]:
     """Files that an ablation is drawn to."""
     tables = [f"{name}{end}" for end in (".csv", ".md", ".tex")]
-    return tables + [f"{name}{end}" for end in _FIGURES if ablation.figure]
+    return tables + [f"{name}{end}" for end in (".png", ".svg") if ablation.figure]
 
 
 def draw(
@@ -57,43 +49,5 @@ def draw(
             temporary.write_text(contents)
     if ablation.figure:
         curves_figure(ablation, curves, results / name)
-        with new_file(results / _DRAWN_WITH) as temporary:
-            temporary.write_text(f"matplotlib {matplotlib.__version__}\n")
+        note_artist(results)
     return summary, text
-
-
-def check_drawings(
-    ablations: Mapping[str, Ablation],
-    store: RowStore,
-    seeds: Sequence[int],
-    results: Path,
-) -> None:
-    """Say of every file whether it is what its rows give, to the byte.
-
-    Raises:
-        MarlMmError: If one is not. Figures may differ that another Matplotlib drew.
-    """
-    drawn_with = results / _DRAWN_WITH
-    here = f"matplotlib {matplotlib.__version__}\n"
-    other_artist = drawn_with.exists() and drawn_with.read_text() != here
-    wrong = []
-    with TemporaryDirectory() as folder:
-        for name, ablation in ablations.items():
-            draw(name, ablation, store, seeds, Path(folder))
-            for file in drawings(name, ablation):
-                known = results / file
-                same = known.exists() and (
-                    known.read_bytes() == Path(folder, file).read_bytes()
-                )
-                excused = not same and other_artist and known.suffix in _FIGURES
-                told = "the same" if same else "another"
-                if excused:
-                    told = f"not compared, drawn with {drawn_with.read_text().strip()}"
-                print(f"{known}: {told if known.exists() else 'missing'}")
-                if not same and not excused:
-                    wrong.append(str(known))
-    if wrong:
-        raise MarlMmError(
-            f"{', '.join(wrong)}: not what {store.folder} gives; draw again with "
-            "--overwrite"
-        )

@@ -3,8 +3,10 @@
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
-from marl_mm.commands.ablate_draw import check_drawings, draw, drawings
+from marl_mm.commands.ablate_check import check_drawings
+from marl_mm.commands.ablate_draw import draw, drawings
 from marl_mm.commands.ablate_jobs import Job, do_jobs
 from marl_mm.commands.ablate_options import AblateOffline
 from marl_mm.commands.ablate_plan import (
@@ -39,8 +41,16 @@ def ablate_offline(
     """
     chosen = {name: _chosen(one, options) for name, one in ablations.items()}
     results, store = options.results(), options.store()
+
+    def draw_all(folder: Path) -> dict[str, tuple[list[Row], str]]:
+        return {
+            name: draw(name, ablation, store, options.seeds, folder)
+            for name, ablation in chosen.items()
+        }
+
     if options.check:
-        check_drawings(chosen, store, options.seeds, results)
+        files = [file for pair in chosen.items() for file in drawings(*pair)]
+        check_drawings(results, files, draw_all)
         return {}
     if not options.plan:
         for name, ablation in chosen.items():
@@ -54,10 +64,7 @@ def ablate_offline(
         print(plan_table(wanted, options.workers), end="")
         return {}
     _make_rows(options, wanted)
-    return {
-        name: draw(name, ablation, store, options.seeds, results)
-        for name, ablation in chosen.items()
-    }
+    return draw_all(results)
 
 
 def _make_rows(options: AblateOffline, wanted: Sequence[Wanted]) -> None:

@@ -5,7 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+import tyro
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.online import Schedule
@@ -50,6 +52,12 @@ class Ablate:
     settings: tuple[str, ...] | None = None
     """For "runs" and "online": those named, which "runs --help" lists; default all."""
 
+    rows: Path | None = None
+    """Draw from the rows in this folder, such as curves.csv.gz, and not from runs."""
+
+    check: bool = False
+    """Only say whether files in OUT are what is drawn from its rows, to the byte."""
+
     budget: Literal["full", "smoke"] = "full"
     """"smoke": hardly any training, to see that everything works."""
 
@@ -62,14 +70,21 @@ class Ablate:
     json: bool = False
     """Print the table as JSON ("online" and "alpha")."""
 
+    quiet: Annotated[bool, tyro.conf.Suppress] = False
+    """Print nothing."""
+
     def runs_folder(self) -> Path:
         """``runs`` or its default."""
         name = "online-smoke" if self.budget == "smoke" else "online"
         return self.runs or Path("runs") / name
 
+    def results_folder(self) -> Path:
+        """``out`` or its default."""
+        return self.out or self.runs_folder() / "results"
+
     def results(self, name: str) -> Path:
         """Where a figure or table goes."""
-        return (self.out or self.runs_folder() / "results") / name
+        return self.results_folder() / name
 
 
 def train_missing(options: Ablate, names: Sequence[str]) -> None:

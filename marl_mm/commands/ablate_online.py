@@ -1,0 +1,321 @@
+"""Figures and tables of online learning, from raw run folders or from their rows."""
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from marl_mm.algorithms.checkpoint import BEST
+from marl_mm.algorithms.policy import load_policy
+from marl_mm.algorithms.pretrained import FOLDER, load_pretrained, ship
+from marl_mm.commands.ablate_check import check_drawings, note_artist
+from marl_mm.commands.ablate_runs import Ablate, train_missing
+from marl_mm.envs.config import reach_config
+from marl_mm.errors import UsageError
+from marl_mm.eval.alpha_study import ALPHAS, alpha_steps, summarize_worth, worth_rows
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.online import (
+    SETTINGS,
+    Setting,
+    curve_rows,
+    evaluation_rows,
+    summarize_settings,
+)
+from marl_mm.eval.online_figures import alpha_figure, seed_curves
+from marl_mm.eval.online_tables import online_markdown, worth_of_alpha
+from marl_mm.eval.rows import as_read, read_rows, to_json, write_csv
+from marl_mm.eval.video import film_both_ways, film_strip
+from marl_mm.files import new_file, refuse_existing
+from marl_mm.policy import Policy
+from marl_mm.progress import progress_bar
+
+COMPARED = ("ddpg", "ddpg-her", "maddpg-her")
+"""Settings in Figs 4 and 5."""
+
+CUT_OFF = -30
+"""Lowest return in Fig. 4: few agents that have learnt nothing drive off, to -200."""
+
+PERCENT = {"scale": 100.0, "bottom": 0.0, "top": 102.0}
+"""How success rates are drawn."""
+
+FPS = 1
+"""Pictures per simulated second and step, of which Fig. 6 takes five an episode."""
+
+CURVES, EVALUATIONS = "curves.csv.gz", "evaluations.csv.gz"
+GOALS, STEPS = "alpha_goals.csv.gz", "alpha_steps.csv"
+
+
+@dataclass(frozen=True)
+class Target:
+    """Something that can be made of online runs."""
+
+    about: str
+    """For helps."""
+
+    make: Callable[[Ablate], None]
+
+    files: tuple[str, ...] = ()
+    """What it draws, of rows alone."""
+
+
+def ablate_online(options: Ablate, name: str) -> None:
+    """Make a target: of runs, which are trained if they are missing, or of rows.
+
+    Raises:
+        UsageError: If something stands there already, or rows are missing.
+        OtherConfigError: If a run was made with something else.
+        MarlMmError: With ``--check``, if a file is not what is drawn.
+    """
+    target = TARGETS[name]
+    if not options.check:
+        target.make(options)
+        return
+    if not target.files:
+        raise UsageError(f"--check is not for {name}, which is not drawn of rows")
+
+    def draw(folder: Path) -> None:
+        rows = options.results_folder()
+        quiet = replace(options, out=folder, rows=rows, check=False, quiet=True)
+        target.make(quiet)
+
+    check_drawings(options.results_folder(), target.files, draw)
+
+
+def check_settings(options: Ablate, target: str) -> None:
+    """Raise if ``--settings`` names what is not there, or is not for a target.
+
+    Raises:
+        UsageError: Saying what is.
+    """
+    if options.settings is None:
+        return
+    known = [setting.name for setting in SETTINGS]
+    unknown = [name for name in options.settings if name not in known]
+    if unknown or not options.settings:
+        missing = f"no setting {unknown[0]!r}" if unknown else "--settings is empty"
+        raise UsageError(f"{missing}: expected {', '.join(known)}")
+    if target not in ("runs", "online"):
+        raise UsageError(f"--settings is for runs and online; {target} has its own")
+
+
+# --- Targets -----------------------------------------------------------------
+
+
+def _runs(options: Ablate) -> None:
+    names = [setting.name for setting in _settings(options)]
+    train_missing(options, names)
+    seeds = ", ".join(map(str, options.seeds))
+    print(f"{options.runs_folder()}: {', '.join(names)}; seeds {seeds}")
+
+
+def _online(options: Ablate) -> None:
+    files = ("online.csv", "online.md", CURVES, EVALUATIONS)
+    _refuse(options, *files)
+    settings = _settings(options)
+    names = [setting.name for setting in settings]
+    curves = _curves(options, names)
+    evaluations = _rows(options, EVALUATIONS, names, evaluation_rows)
+    summary = summarize_settings(curves, evaluations, names)
+    text = online_markdown(summary, settings, curves)
+    write_csv(options.results(CURVES), curves)
+    write_csv(options.results(EVALUATIONS), evaluations)
+    write_csv(options.results("online.csv"), summary)
+    with new_file(options.results("online.md")) as temporary:
+        temporary.write_text(text)
+    _print(options, summary, text)
+
+
+def _fig4(options: Ablate) -> None:
+    label = f"return of the evaluation, cut off at {CUT_OFF}"
+    _compare(options, "fig4.png", "return_all", label, {"bottom": CUT_OFF})
+
+
+def _fig5(options: Ablate) -> None:
+    _compare(options, "fig5.png", "success_all", "goals reached [%]", PERCENT)
+
+
+def _demonstrated(options: Ablate) -> None:
+    settings = ("ddpg", "ddpg-her", "ddpg-demonstrations", "ddpg-her-demonstrations")
+    name, label = "demonstrations.png", "goals reached [%]"
+    _compare(options, name, "success_all", label, PERCENT, settings)
+
+
+def _compare(
+    options: Ablate,
+    name: str,
+    key: str,
+    label: str,
+    look: Mapping[str, float],
+    settings: Sequence[str] = COMPARED,
+) -> None:
+    """Draw one column of the learning curves of some settings."""
+    _refuse(options, name)
+    labels = {one.name: one.about for one in SETTINGS if one.name in settings}
+    curves = _curves(options, settings)
+    seed_curves(curves, labels, key, label, options.results(name), **look)
+    note_artist(options.results_folder())
+    _tell(options, f"{options.results(name)}: {', '.join(labels.values())}")
+
+
+def _fig6(options: Ablate) -> None:
+    _refuse(options, "fig6.png")
+    if options.rows is None:
+        run = best_run(options, "ddpg-her")
+        policy: Policy = load_policy(run / BEST)
+    else:  # who ships is that run's best policy
+        policy, run = load_pretrained(), FOLDER
+    config = reach_config()
+    with progress_bar("fig6", 2 * config.max_steps) as advance:
+        both = film_both_ways(config, policy, 0, FPS, advance)
+    film_strip(options.results("fig6.png"), both.strips)
+    note_artist(options.results_folder())
+    told = [f"{len(one)} steps {one.direction}" for one in both.episodes]
+    _tell(options, f"{options.results('fig6.png')}: {run}, {', '.join(told)}")
+
+
+def _alpha(options: Ablate) -> None:
+    _refuse(options, "alpha.png", GOALS, STEPS, "alpha_worth.csv")
+    if options.rows is None:
+        rows, steps = map(as_read, _held(options))
+    else:
+        rows, steps = (read_rows(options.rows / name) for name in (GOALS, STEPS))
+    summary = summarize_worth(rows)
+    write_csv(options.results(GOALS), rows)
+    write_csv(options.results(STEPS), steps)
+    write_csv(options.results("alpha_worth.csv"), summary)
+    labels = {setting.name: setting.about for setting in SETTINGS}
+    alpha_figure(steps, summary, labels, options.results("alpha.png"))
+    note_artist(options.results_folder())
+    _print(options, summary, worth_of_alpha(summary, SETTINGS))
+
+
+def _held(options: Ablate) -> tuple[list[Row], list[Row]]:
+    """Trained agents with the learnt alpha and with held ones, and what they learnt."""
+    names = ("ddpg-her", "ddpg-her-smooth", "maddpg-her-smooth")
+    train_missing(options, names)
+    small = options.budget == "smoke"
+    goals, alphas = (2, ALPHAS[::6]) if small else (100, ALPHAS)
+    rows: list[Row] = []
+    steps: list[Row] = []
+    for name in names:
+        for seed in options.seeds:
+            run = options.runs_folder() / name / str(seed)
+            task = json.loads((run / "config.json").read_text())["task"]
+            total = goals * (1 + len(alphas))
+            with progress_bar(f"{name} {seed}", total) as advance:
+                # Goals of seeds 0 and 1 are the runs' own evaluations.
+                own, learnt = worth_rows(
+                    load_policy(run / BEST),
+                    task,
+                    goals,
+                    2,
+                    options.workers,
+                    alphas,
+                    advance,
+                )
+            head: Row = {"setting": name, "seed": seed}
+            rows += [head | row for row in own]
+            steps += [head | row for row in alpha_steps(task, learnt)]
+    return rows, steps
+
+
+def _pretrained(options: Ablate) -> None:
+    folder = options.results(FOLDER.name)
+    refuse_existing(folder, options.overwrite)
+    run = best_run(options, "ddpg-her")
+    ship(run, folder)
+    print(f"{folder}: the best policy of {run}")
+
+
+_KNOWN = f"Settings: {', '.join(setting.name for setting in SETTINGS)}."
+
+TARGETS = {
+    "runs": Target(f"Train runs, and draw nothing. {_KNOWN}", _runs),
+    "online": Target(
+        "Table: success, and episodes to 70 and 95 %, per setting.",
+        _online,
+        ("online.csv", "online.md"),
+    ),
+    "fig4": Target(
+        "Fig. 4: return over episodes, with and without hindsight.",
+        _fig4,
+        ("fig4.png",),
+    ),
+    "fig5": Target(
+        "Fig. 5: success over episodes, with and without hindsight.",
+        _fig5,
+        ("fig5.png",),
+    ),
+    "fig6": Target(
+        "Fig. 6: film strips of the trained agent, ahead and behind.",
+        _fig6,
+        ("fig6.png",),
+    ),
+    "demonstrations": Target(
+        "Success over episodes with a dataset beside.",
+        _demonstrated,
+        ("demonstrations.png",),
+    ),
+    "alpha": Target(
+        "What alpha the trained agents choose, and what it is worth.",
+        _alpha,
+        ("alpha.png", "alpha_worth.csv"),
+    ),
+    "pretrained": Target("The agent that ships: the best DDPG + HER run.", _pretrained),
+}
+"""By name."""
+
+
+def best_run(options: Ablate, name: str) -> Path:
+    """The seed whose best policy was best by its learning curve's own goals."""
+    curves = _curves(options, [name])  # max takes the first of equals
+    best = max(curves, key=lambda row: (row["success_all"], row["return_all"]))
+    return options.runs_folder() / name / str(best["seed"])
+
+
+def _settings(options: Ablate) -> list[Setting]:
+    if options.settings is None:
+        return list(SETTINGS)
+    return [setting for setting in SETTINGS if setting.name in options.settings]
+
+
+def _curves(options: Ablate, names: Sequence[str]) -> list[Row]:
+    return _rows(options, CURVES, names, curve_rows)
+
+
+def _rows(
+    options: Ablate,
+    file: str,
+    names: Sequence[str],
+    of_run: Callable[[Path, str, int], Iterable[Row]],
+) -> list[Row]:
+    """Rows of settings, from runs or from a file, but with the digits of a file."""
+    if options.rows is None:
+        train_missing(options, names)
+        runs = options.runs_folder()
+        cells = [(name, seed) for name in names for seed in options.seeds]
+        return as_read([row for cell in cells for row in of_run(runs, *cell)])
+    path = options.rows / file
+    if not path.exists():
+        raise UsageError(f"there is no {path} to draw from")
+    found = [row for row in read_rows(path) if row["setting"] in names]
+    rows = [row for row in found if row["seed"] in options.seeds]
+    missing = set(names) - {row["setting"] for row in rows}
+    if missing:
+        raise UsageError(f"{path} has no rows of {', '.join(sorted(missing))}")
+    return rows
+
+
+def _print(options: Ablate, summary: Sequence[Row], text: str) -> None:
+    """The summary as JSON, or the text."""
+    _tell(options, to_json(summary) if options.json else text)
+
+
+def _tell(options: Ablate, text: str) -> None:
+    if not options.quiet:
+        print(text)
+
+
+def _refuse(options: Ablate, *names: str) -> None:
+    for name in names:
+        refuse_existing(options.results(name), options.overwrite)
