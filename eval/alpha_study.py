@@ -4,7 +4,7 @@ Worth: the return of a trained agent against the same agent with its alpha held 
 value, on the same goals.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -68,6 +68,7 @@ def worth_rows(
     workers: int,
     alphas: Sequence[float] = ALPHAS,
     advance: Advance = silent,
+    overrides: Mapping[str, Any] | None = None,
 ) -> tuple[list[Row], list[Episode]]:
     """Returns per goal, with the learnt alpha and with each fixed one.
 
@@ -79,12 +80,13 @@ def worth_rows(
         workers: Processes.
         alphas: Those that are held.
         advance: Told the episodes.
+        overrides: Of the task.
 
     Returns:
         Rows of ``alpha`` (a number or ``learnt``), goal, direction, success and return;
         and the episodes with the learnt alpha.
     """
-    config = reach_config(task)
+    config = reach_config(task, overrides)
     plans = goal_set(config, goals, seed)
     rows: list[Row] = []
     learnt: list[Episode] = []

@@ -6,7 +6,7 @@ relabelled transitions it recomputes the reward, but not whether they ended the 
 The only import of Stable-Baselines3, which is optional (extra ``bench``).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import gymnasium
@@ -42,11 +42,13 @@ class Sb3Policy:
         return np.asarray(action, np.float32)
 
 
-def sb3_model(task: str, config: DdpgConfig, seed: int) -> DDPG:
+def sb3_model(
+    task: str, config: DdpgConfig, seed: int, overrides: Mapping[str, Any] | None = None
+) -> DDPG:
     """SB3's DDPG+HER with our hyper-parameters, on the CPU."""
     return DDPG(
         "MultiInputPolicy",
-        gymnasium.make(f"marl_mm/{task}"),
+        gymnasium.make(f"marl_mm/{task}", overrides=overrides),
         learning_rate=config.actor_learning_rate,
         buffer_size=config.capacity,
         learning_starts=config.warm_up,

@@ -200,7 +200,9 @@ def _held(options: Ablate) -> tuple[list[Row], list[Row]]:
     for name in names:
         for seed in options.seeds:
             run = options.runs_folder() / name / str(seed)
-            task = json.loads((run / "config.json").read_text())["task"]
+            made_of = json.loads((run / "config.json").read_text())
+            task = made_of["task"]
+            overrides = {k: made_of[k] for k in ("max_steps",) if k in made_of}
             total = goals * (1 + len(alphas))
             with progress_bar(f"{name} {seed}", total) as advance:
                 # Goals of seeds 0 and 1 are the runs' own evaluations.
@@ -212,6 +214,7 @@ def _held(options: Ablate) -> tuple[list[Row], list[Row]]:
                     options.workers,
                     alphas,
                     advance,
+                    overrides,
                 )
             head: Row = {"setting": name, "seed": seed}
             rows += [head | row for row in own]

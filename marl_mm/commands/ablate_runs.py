@@ -176,6 +176,7 @@ def _training(
         demonstrations=str(demonstrations) if setting.demonstrations else None,
         eval_episodes=2 if small else 200,
         curve_episodes=2 if small else 50,
+        max_steps=4 if small else None,
         workers=options.workers,
         resume=going,
         overwrite=not going,  # of a folder without a checkpoint
@@ -183,7 +184,7 @@ def _training(
     )
     changes = dict(setting.changes)
     if small:
-        changes |= {"episodes": 8, "warm_up": 30, "updates_per_episode": 5}
+        changes |= {"episodes": 8, "warm_up": 12, "updates_per_episode": 5}
     return replace(training, config=replace(training.config, **changes))
 
 

@@ -43,10 +43,6 @@ class TrainOffline(TrainOptions):
     """To evaluate on: Reach-v0, SmoothReach-v0 or PreciseReach-v0; default that of the
     dataset."""
 
-    max_steps: int | None = None
-    """Steps of an evaluation's episodes, learning curve included; default the task's:
-    25."""
-
     require_success: bool = True
     """Refuse a dataset in which no episode reaches its goal."""
 
@@ -59,11 +55,6 @@ class TrainOffline(TrainOptions):
 
     curve_episodes: int = 20
     """Goals per point of the learning curve."""
-
-    @property
-    def overrides(self) -> dict[str, Any]:
-        """Of the task's, for evaluations."""
-        return {} if self.max_steps is None else {"max_steps": self.max_steps}
 
 
 @dataclass(frozen=True, kw_only=True)

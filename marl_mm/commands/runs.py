@@ -48,6 +48,9 @@ class TrainOptions:
     eval_seed: int = 0
     """Of those goals; the learning curve has goals of its own, of the next seed."""
 
+    max_steps: int | None = None
+    """Steps of an episode, of evaluations too; default the task's: 25."""
+
     workers: int = field(default_factory=available_cores)
     """Processes that run episodes; the result does not depend on it."""
 
@@ -60,6 +63,11 @@ class TrainOptions:
 
     json: bool = False
     """Print the final evaluations as JSON."""
+
+    @property
+    def overrides(self) -> dict[str, Any]:
+        """Of the task's config."""
+        return {} if self.max_steps is None else {"max_steps": self.max_steps}
 
 
 def check_options(options: TrainOptions, out: Path) -> None:

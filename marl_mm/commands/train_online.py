@@ -107,7 +107,7 @@ def check_online(algorithm: str, options: TrainDdpg) -> None:
         UsageError: Naming the option.
     """
     check_positive(curve_episodes=options.curve_episodes)
-    longest = reach_config(options.task).max_steps
+    longest = reach_config(options.task, options.overrides).max_steps
     if options.config.capacity < longest:
         raise UsageError(
             f"--capacity is {options.config.capacity}, expected at least an episode's "
@@ -171,7 +171,9 @@ def evaluate_online_run(options: TrainDdpg, run: Path) -> tuple[Evaluation, Eval
     online_curve(read_metrics(run), run / CURVE)
     with progress_bars() as bar:
         last, best = (
-            evaluate_run(run, options, options.task, file, result, bar, label, {})
+            evaluate_run(
+                run, options, options.task, file, result, bar, label, options.overrides
+            )
             for file, result, label in (
                 (FILE, EVALUATION, "eval last"),
                 (BEST, BEST_EVALUATION, "eval best"),
@@ -182,7 +184,7 @@ def evaluate_online_run(options: TrainDdpg, run: Path) -> tuple[Evaluation, Eval
 
 def _train(options: TrainDdpg, seed: int, run: Path) -> None:
     demonstrations = _demonstrations(options)
-    task = reach_config(options.task)
+    task = reach_config(options.task, options.overrides)
     kind = Maddpg if isinstance(options.config, MaddpgConfig) else Ddpg
     algorithm = kind(
         options.config,
@@ -205,9 +207,9 @@ def _train(options: TrainDdpg, seed: int, run: Path) -> None:
 
         def point(policy: LearnedPolicy) -> dict[str, float]:
             goals = options.eval_seed + 1  # not those of the final evaluation
-            count = options.curve_episodes
+            count, overrides = options.curve_episodes, options.overrides
             return curve_point(
-                evaluate_with(rollouts, policy, count, goals, options.task)
+                evaluate_with(rollouts, policy, count, goals, options.task, overrides)
             )
 
         total = options.config.episodes
@@ -238,6 +240,7 @@ def _run_config(
         "preset": options.preset,
         "seed": seed,
         "task": options.task,
+        **options.overrides,
         "dataset": demonstrations.identity() if demonstrations else None,
         "curve_episodes": options.curve_episodes,
         "eval_episodes": options.eval_episodes,

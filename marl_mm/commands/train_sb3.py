@@ -59,17 +59,19 @@ def _train(options: TrainDdpg, seed: int, run: Path) -> None:
 
     config, schedule = options.config, options.schedule
     start_run(run, _run_config(options, seed))
-    model = sb3_model(options.task, config, seed)
+    overrides = options.overrides
+    model = sb3_model(options.task, config, seed, overrides)
     policy = Sb3Policy(model)
     best = run / SB3_BEST
     with (
-        Rollouts(reach_config(options.task), options.workers) as rollouts,
+        Rollouts(reach_config(options.task, overrides), options.workers) as rollouts,
         RunLog(run, "episode", since=0) as log,
         progress_bar(f"{SB3} {seed}", config.episodes) as advance,
     ):
 
         def measure(episodes: int, goals: int) -> Evaluation:
-            return evaluate_with(rollouts, policy, episodes, goals, options.task)
+            task = options.task
+            return evaluate_with(rollouts, policy, episodes, goals, task, overrides)
 
         def look(episode: int, steps: int) -> bool:
             advance(1, "")
@@ -115,6 +117,7 @@ def _run_config(options: TrainDdpg, seed: int) -> dict[str, Any]:
         "algorithm": SB3,
         "seed": seed,
         "task": options.task,
+        **options.overrides,
         "curve_episodes": options.curve_episodes,
         "eval_seed": options.eval_seed,
         "packages": versions("stable-baselines3"),
