@@ -23,7 +23,7 @@ from marl_mm.layout import ACTION, AGENTS, STATE
 
 SMALL = (
     "mabc --dataset good-5k --updates 100 --hidden 8 --curve-every 100 "
-    "--curve-episodes 1 --eval-episodes 2 --workers 1"
+    "--curve-episodes 1 --eval-episodes 2 --workers 1 --max-steps 5"
 ).split()
 
 

@@ -385,9 +385,9 @@ def test_a_held_alpha_changes_nothing_else() -> None:
 # --- Command line ------------------------------------------------------------
 
 TINY = [
-    *("--episodes", "8", "--warm-up", "30", "--updates-per-episode", "3"),
+    *("--episodes", "8", "--warm-up", "12", "--updates-per-episode", "3"),
     *("--epoch", "4", "--evaluate-every", "1", "--curve-episodes", "2"),
-    *("--eval-episodes", "2", "--capacity", "500"),
+    *("--eval-episodes", "2", "--capacity", "500", "--max-steps", "5"),
 ]
 
 

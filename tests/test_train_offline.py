@@ -26,7 +26,7 @@ MakeEpisode = Callable[..., Episode]
 
 SMALL = (
     "td3-bc --dataset good-5k --updates 300 --hidden 8 8 --batch-size 16 "
-    "--curve-every 200 --curve-episodes 1 --eval-episodes 2"
+    "--curve-every 200 --curve-episodes 1 --eval-episodes 2 --max-steps 5"
 ).split()
 KEPT = ("metrics.jsonl", FILE)
 
