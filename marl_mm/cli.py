@@ -19,6 +19,7 @@ COMMANDS = {
     "play": "film an episode, or watch it in a window",
     "sweep-alpha": "what alpha does: tables and figures over alpha, form and task",
     "ablate": "reproduce figures and tables, training the runs they need",
+    "report": "all tables and figures on one page",
     "bench": "measure the controller, and the speed of training and data",
 }
 """Each command is a module of ``marl_mm.commands``, imported when it is called."""

@@ -16,10 +16,13 @@ from marl_mm.commands.ablate_plan import (
     missing_cells,
     plan_table,
 )
+from marl_mm.datasets.card import card, card_markdown
+from marl_mm.datasets.card_figure import draw_card
+from marl_mm.datasets.dataset import load_dataset
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.ablations import Ablation
 from marl_mm.eval.metrics import Row
-from marl_mm.files import refuse_existing
+from marl_mm.files import new_file, refuse_existing
 
 
 def ablate_offline(
@@ -84,6 +87,8 @@ def _make_rows(options: AblateOffline, wanted: Sequence[Wanted]) -> None:
     def done(job: Job) -> None:
         keep_if_done(cell_of[job.run])
 
+    for one in {one.cell[0]: one for one in wanted}.values():
+        _keep_card(options.results() / "cards", one)
     for one in wanted:
         keep_if_done(one)
     jobs = [job for one in wanted for job in one.jobs]
@@ -107,6 +112,19 @@ def _make_rows(options: AblateOffline, wanted: Sequence[Wanted]) -> None:
             f"{len(failed)} of {len(left)} runs failed, the same command tries them "
             f"again: {reasons}"
         )
+
+
+def _keep_card(folder: Path, one: Wanted) -> None:
+    """The card of a cell's dataset, beside the tables."""
+    dataset = load_dataset(one.jobs[0].dataset)
+    values = card(dataset)
+    del values["path"]
+    stem = one.cell[0].replace("/", "-")
+    text = card_markdown(values).replace("card.png", f"{stem}.png")
+    with new_file(folder / f"{stem}.md") as temporary:
+        temporary.write_text(text)
+    with new_file(folder / f"{stem}.png") as temporary:
+        draw_card(dataset.arrays, values, temporary)
 
 
 def _chosen(ablation: Ablation, options: AblateOffline) -> Ablation:

@@ -1,0 +1,195 @@
+"""All results on one page of HTML, which needs nothing else: no network, no files."""
+
+import json
+from base64 import b64encode
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from mimetypes import guess_type
+from pathlib import Path
+
+from jinja2 import Environment
+from markdown_it import MarkdownIt
+from markupsafe import Markup
+
+from marl_mm.errors import UsageError
+from marl_mm.eval.ablations import ABLATIONS
+from marl_mm.eval.bench_tables import abuse_table, bench_table, data_table
+from marl_mm.versions import versions
+
+_TEMPLATE = Path(__file__).with_name("report.html")
+
+_ONLINE = {
+    "fig4.png": "marl-mm ablate fig4",
+    "fig5.png": "marl-mm ablate fig5",
+    "fig6.png": "marl-mm ablate fig6",
+    "demonstrations.png": "marl-mm ablate demonstrations",
+    "alpha.png": "marl-mm ablate alpha",
+}
+"""Figures of online learning, and what draws them."""
+
+
+@dataclass(frozen=True)
+class Media:
+    """A picture or a video within the page."""
+
+    name: str
+    kind: str
+    """Its MIME type."""
+
+    data: str
+    """As an address that holds it all."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page."""
+
+    name: str
+    title: str
+    command: str = ""
+    """What makes it."""
+
+    text: str | Markup = ""
+    media: Sequence[Media] = ()
+    details: Sequence[tuple[str, str]] = ()
+    """Titles and texts that are folded."""
+
+
+def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
+    """The page.
+
+    Args:
+        results: Folder with what there is of ``offline``, ``online``, ``alpha``,
+            ``controller``, ``data`` and ``cards``.
+        videos: Shown, too.
+
+    Raises:
+        UsageError: If there is nothing to show, or a video is none.
+    """
+    sections = [
+        *_offline(results / "offline"),
+        *_online(results / "online"),
+        *_alpha(results / "alpha"),
+        *_cards(results / "offline/cards"),
+        *_benchmarks(results),
+        *_videos(videos),
+    ]
+    if not sections:
+        raise UsageError(
+            f"{results} has no results, expected a folder such as eval/results that "
+            "marl-mm ablate --out FOLDER/offline has filled"
+        )
+    made = Section("versions", "Versions", text=_table(versions("matplotlib")))
+    environment = Environment(autoescape=True, trim_blocks=True)
+    page = environment.from_string(_TEMPLATE.read_text())
+    return page.render(
+        title="marl_mm: results",
+        about="Tables and figures, what they were made of, and the commands that make "
+        "them. Success rates: mean and standard deviation over seeds, and Wilson's "
+        "95 % interval over all goals; IQM: interquartile mean over seeds and "
+        "directions with its 95 % stratified bootstrap interval.",
+        sections=[*sections, made],
+    )
+
+
+def _offline(folder: Path) -> Iterator[Section]:
+    pages = {path.stem: path for path in sorted(folder.glob("*.md"))}
+    order = [name for name in ABLATIONS if name in pages]
+    for name in (*order, *(name for name in pages if name not in ABLATIONS)):
+        title, text = _page(pages[name])
+        figure = folder / f"{name}.svg"
+        media = [_media(figure)] if figure.exists() else []
+        command = f"marl-mm ablate {name} --out {folder}"
+        yield Section(name, title, command, text, media)
+    made_of = sorted(folder.glob("rows/*/*.json"))
+    if made_of:
+        details = [
+            (f"{path.parent.name}, {path.stem}", path.read_text()) for path in made_of
+        ]
+        yield Section("configs", "What the runs were made of", details=details)
+
+
+def _online(folder: Path) -> Iterator[Section]:
+    page = folder / "online.md"
+    if page.exists():
+        title, text = _page(page)
+        yield Section("online", title, f"marl-mm ablate online --out {folder}", text)
+    for name, command in _ONLINE.items():
+        if (folder / name).exists():
+            media = [_media(folder / name)]
+            title = f"Online: {name.removesuffix('.png')}"
+            command = f"{command} --out {folder}"
+            yield Section(f"online-{name}", title, command, media=media)
+
+
+def _alpha(folder: Path) -> Iterator[Section]:
+    page = folder / "alpha.md"
+    if page.exists():
+        title, text = _page(page)
+        media = [_media(path) for path in sorted(folder.glob("*.png"))]
+        yield Section(
+            "alpha", title, f"marl-mm sweep-alpha --out {folder}", text, media
+        )
+
+
+def _cards(folder: Path) -> Iterator[Section]:
+    for path in sorted(folder.glob("*.md")):
+        title, text = _page(path, pictures=False)
+        figure = path.with_suffix(".png")
+        media = [_media(figure)] if figure.exists() else []
+        yield Section(f"card-{path.stem}", f"Dataset {title}", "", text, media)
+
+
+def _benchmarks(results: Path) -> Iterator[Section]:
+    tables = {
+        "controller/bench.json": ("The controller's time", "control", bench_table),
+        "data/bench.json": ("Collecting and loading", "data", data_table),
+    }
+    for name, (title, target, table) in tables.items():
+        if (results / name).exists():
+            text = _html(table(json.loads((results / name).read_text())))
+            yield Section(f"bench-{target}", title, f"marl-mm bench {target}", text)
+    paths = {
+        form: results / f"controller/abuse-{form}.json" for form in ("blend", "rhp")
+    }
+    found = {f: json.loads(p.read_text()) for f, p in paths.items() if p.exists()}
+    if found:
+        text = _html(abuse_table(found))
+        yield Section("abuse", "Limits under abuse", "marl-mm bench abuse", text)
+
+
+def _videos(videos: Sequence[Path]) -> Iterator[Section]:
+    media = [_media(path) for path in videos]
+    if media:
+        yield Section("videos", "Videos", "marl-mm play RUN --video FILE", media=media)
+
+
+def _media(path: Path) -> Media:
+    kind, _ = guess_type(path)
+    if kind is None or not kind.startswith(("image", "video")):
+        raise UsageError(f"{path} is neither a picture nor a video by its name")
+    try:
+        data = b64encode(path.read_bytes()).decode()
+    except FileNotFoundError:
+        raise UsageError(f"there is no {path}") from None
+    return Media(path.name, kind, f"data:{kind};base64,{data}")
+
+
+def _page(path: Path, pictures: bool = True) -> tuple[str, Markup]:
+    """Title and text of a Markdown page; its pictures would be other files."""
+    first, _, rest = path.read_text().partition("\n")
+    if not pictures:
+        rest = "\n".join(line for line in rest.split("\n") if line[:2] != "![")
+    return first.removeprefix("# "), _html(rest)
+
+
+def _html(text: str) -> Markup:
+    """Markdown with tables; HTML in it is shown as text."""
+    page = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
+    page = page.replace("<table>", '<div class="table"><table>')
+    return Markup(page.replace("</table>", "</table></div>"))
+
+
+def _table(values: dict[str, str]) -> Markup:
+    lines = "\n".join(f"| {name} | {value} |" for name, value in values.items())
+    return _html(f"| package | version |\n| --- | --- |\n{lines}\n")

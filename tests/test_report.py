@@ -1,0 +1,115 @@
+"""The report: one page that a real browser shows without complaint."""
+
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from marl_mm.cli import main
+from marl_mm.eval.report import report_page
+
+RESULTS = Path(__file__).resolve().parents[1] / "eval/results"
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
+PHONE, DESK = {"width": 375, "height": 812}, {"width": 1280, "height": 800}
+
+
+@pytest.fixture(scope="module")
+def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    assert main(["report", "--results", str(RESULTS), "--out", str(path)]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    if BROWSER is None:
+        pytest.skip("there is no chromium here")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=BROWSER,
+            args=["--no-sandbox"],  # root, as in a container, has none
+        )
+        yield browser
+        browser.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [PHONE, DESK], ids=["phone", "desk"])
+def test_a_browser_shows_it_without_complaint(
+    page_file: Path, browser: Any, size: dict[str, int]
+) -> None:
+    context = browser.new_context(viewport=size, offline=True)
+    page = context.new_page()
+    complaints: list[str] = []
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("requestfailed", lambda request: complaints.append(request.url[:80]))
+    page.goto(page_file.as_uri())
+    page.wait_for_load_state("networkidle")
+    assert complaints == []
+    pictures = page.evaluate(
+        "[...document.images].map(i => [i.alt, i.complete, i.naturalWidth])"
+    )
+    assert len(pictures) == page_file.read_text().count("<img ") > 0
+    assert all(complete and width > 100 for _, complete, width in pictures), pictures
+    # Nothing is wider than the window but tables, which scroll by themselves.
+    assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+    small = page.evaluate(
+        "[...document.querySelectorAll('p, td, th, pre, figcaption')]"
+        ".map(e => parseFloat(getComputedStyle(e).fontSize))"
+    )
+    assert min(small) >= 12  # readable
+    context.close()
+
+
+def test_it_needs_nothing_else(page_file: Path) -> None:
+    page = page_file.read_text()
+    addresses = re.findall(r'(?:src|href)="([^"]{0,40})', page)
+    assert addresses
+    assert all(one.startswith(("#", "data:")) for one in addresses)
+    assert re.findall(r'href="#([^"]+)"', page) == re.findall(
+        r'<section id="([^"]+)"', page
+    )
+
+
+def test_every_table_stands_with_what_makes_it(page_file: Path) -> None:
+    page = page_file.read_text()
+    for command in ("ablate online", "ablate fig6", "sweep-alpha", "bench control"):
+        assert f"marl-mm {command}" in page
+    assert "DDPG + HER" in page and "pybullet" in page
+
+
+def test_names_are_text_and_not_html(tmp_path: Path) -> None:
+    folder = tmp_path / "offline"
+    folder.mkdir()
+    (folder / "own.md").write_text("# <b>Mine</b>\n\n| <script>x</script> |\n| --- |\n")
+    page = report_page(tmp_path)
+    assert "&lt;b&gt;Mine" in page
+    assert "<script>" not in page
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--results", "nothing"], "nothing has no results"),
+        (["--videos", "none.mp4"], "there is no none.mp4"),
+        (["--videos", "film.txt"], "neither a picture nor a video"),
+    ],
+)
+def test_what_cannot_be_shown_is_told(
+    words: list[str],
+    complaint: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    results = [] if "--results" in words else ["--results", str(RESULTS)]
+    assert main(["report", *results, *words]) == 2
+    assert complaint in capsys.readouterr().err
+    assert not (tmp_path / "runs/report.html").exists()
