@@ -60,6 +60,19 @@ def test_commands_and_code_run_as_written(
     assert len(names["action"]) == 4  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
+def test_the_ablation_of_ones_own_runs_as_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (code,) = blocks("py")
+    Path("widths.py").write_text(code)
+    small = ["--budget", "smoke", "--seeds", "0", "--workers", "1"]
+    assert "marl-mm ablate\nwidths.py:WIDTHS" in README
+    assert main(["ablate", "widths.py:WIDTHS", *small]) == 0
+    assert Path("runs/offline-smoke/results/widths.svg").exists()
+
+
 def test_commands_about_datasets_run_as_written(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

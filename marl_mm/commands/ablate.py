@@ -99,7 +99,8 @@ def _everything(options: AblateOffline) -> None:
         out=part(out, "online"),
         seeds=options.seeds,
         budget=options.budget,
-        workers=options.workers,
+        # So few episodes are over before other processes have begun.
+        workers=1 if options.budget == "smoke" else options.workers,
         check=options.check,
         overwrite=options.overwrite,
     )
