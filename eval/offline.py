@@ -6,7 +6,7 @@ from itertools import count
 import numpy as np
 from scipy.stats import trim_mean
 
-from marl_mm.eval.ablations import LAST, Ablation, Cell, Probe, reported
+from marl_mm.eval.ablations import Ablation, Cell, Probe, reported
 from marl_mm.eval.metrics import CONFIDENCE, Row, success_interval
 from marl_mm.eval.online import deviation
 from marl_mm.eval.tables import markdown_table
@@ -117,9 +117,15 @@ def goals_for(rate: float, half_width: float) -> int:
 # --- Tables ------------------------------------------------------------------
 
 
-def ablation_table(ablation: Ablation, summary: Sequence[Row]) -> str:
-    """One row per cell, as Markdown; see ``ablation_lines``."""
-    return markdown_table(*ablation_lines(ablation, summary))
+def ablation_table(
+    ablation: Ablation, summary: Sequence[Row], leave_out: Sequence[str] = ()
+) -> str:
+    """One row per cell, as Markdown, without some columns; see ``ablation_lines``."""
+    header, lines = ablation_lines(ablation, summary)
+    kept = [i for i, name in enumerate(header) if name not in leave_out]
+    return markdown_table(
+        [header[i] for i in kept], [[line[i] for i in kept] for line in lines]
+    )
 
 
 def ablation_lines(
@@ -177,15 +183,9 @@ def _beside_paper(cell: Cell, row: Row) -> list[str]:
     return [told, f"{100 * row['success'] - mean:+.1f}"]
 
 
-def goals_needed(summary: Sequence[Row], half_width: float = 0.05) -> list[Row]:
-    """How many goals each cell needs for an interval of +- so much, at its own rate."""
-    return [
-        {
-            "dataset": row["dataset"],
-            "setting": row["setting"],
-            "success": row["success"],
-            "goals": goals_for(row["success"], half_width),
-        }
-        for row in summary
-        if row["probe"] == LAST.name
-    ]
+def goals_table(half_width: float = 0.05) -> str:
+    """How many goals an interval of +- so much needs, by success rate, as Markdown."""
+    rates = (0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
+    header = [f"at {100 * rate:.0f} %" for rate in rates]
+    goals = [str(goals_for(rate, half_width)) for rate in rates]
+    return markdown_table(["goals reached", *header], [["goals needed", *goals]])

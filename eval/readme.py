@@ -6,9 +6,17 @@ test holds that this changes nothing.
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
-from marl_mm.eval.bench_tables import abuse_table, bench_table, data_table
+from marl_mm.eval.ablations import ABLATIONS
+from marl_mm.eval.bench_tables import (
+    abuse_table,
+    bench_table,
+    data_table,
+    offline_speed_table,
+)
+from marl_mm.eval.offline import ablation_table, goals_table
 from marl_mm.eval.online import SETTINGS
 from marl_mm.eval.online_tables import (
     hindsight_in_words,
@@ -96,6 +104,16 @@ def _updates() -> str:
     return updates_table(result, SETTINGS)
 
 
+def _ablation(name: str, *leave_out: str) -> str:
+    """A table of offline learning; what is left out stands in the committed one."""
+    summary = read_rows(RESULTS / f"offline/{name}.csv")
+    return ablation_table(ABLATIONS[name], summary, ("IQM", *leave_out))
+
+
+def _offline_updates() -> str:
+    return offline_speed_table(json.loads((RESULTS / "offline/bench.json").read_text()))
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "alpha": _alpha,
     "responses": _responses,
@@ -107,6 +125,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "learnt": _learnt,
     "steps": _steps,
     "updates": _updates,
+    "offline": partial(_ablation, "offline", "difference"),
+    "goals": goals_table,
 }
 """Name of the marks, and what stands between them."""
 
