@@ -2,12 +2,14 @@
 
 import json
 import random
+import time
 from collections.abc import Sequence
 from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from marl_mm.cli import main
@@ -209,6 +211,27 @@ def test_killing_it_again_and_again_changes_nothing(own: Path, tmp_path: Path) -
         job.join()
     assert main(asked) == 0
     assert contents(tmp_path / "killed/results") == contents(tmp_path / "whole/results")
+
+
+@pytest.mark.slow
+def test_a_killed_worker_does_not_stop_it(own: Path, tmp_path: Path) -> None:
+    asked = words(own, tmp_path / "runs", "--workers", "2")
+    context = get_context("forkserver")
+    context.set_forkserver_preload(["marl_mm.commands.ablate"])
+    job = context.Process(target=main, args=(asked,))
+    job.start()
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and not list(tmp_path.rglob("metrics.jsonl")):
+        time.sleep(0.05)
+    (victim, *_) = [
+        one
+        for one in psutil.Process(job.pid).children()
+        if "spawn" in one.cmdline()[-2]
+    ]
+    victim.kill()
+    job.join(120)
+    assert job.exitcode == 0
+    assert all((tmp_path / "runs/results" / file).exists() for file in FILES)
 
 
 @pytest.mark.slow

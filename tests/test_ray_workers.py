@@ -79,3 +79,19 @@ def test_a_cluster_collects_the_same_bytes(cluster: Any, datasets_home: Path) ->
     assert main([*words, "--dataset", "x", *ray_words]) == 0
     assert [file.read_bytes() for file in files] == here
     assert main([*words, "--dataset", "y", "--executor", "ray", "--workers", "9"]) == 2
+
+
+@pytest.mark.slow
+def test_a_cluster_trains_the_same_ablation(cluster: Any, tmp_path: Path) -> None:
+    own = tmp_path / "own.py"
+    own.write_text(
+        "from marl_mm.eval import Ablation, Setting\n"
+        'SMALL = Ablation("Small.", [("good-5k", Setting("own", "own"))])\n'
+    )
+    words = ["ablate", f"{own}:SMALL", "--budget", "smoke", "--seeds", "0", "1"]
+    assert main([*words, "--runs", str(tmp_path / "here"), "--workers", "1"]) == 0
+    distant = ["--runs", str(tmp_path / "there"), "--executor", "ray"]
+    assert main([*words, *distant, "--workers", "2"]) == 0
+    here, there = (tmp_path / name / "results" for name in ("here", "there"))
+    for file in ("small.csv", "rows/good-5k/own.csv.gz", "rows/good-5k/own.json"):
+        assert (here / file).read_bytes() == (there / file).read_bytes()

@@ -152,6 +152,8 @@ def _jobs(
     name, setting = cell
     short = "-".join(name.split("-")[:2])
     folder = options.runs_folder() / name.replace("/", "-") / setting.name
+    if options.executor == "ray":  # whose workers are elsewhere
+        folder = folder.absolute()
     return tuple(
         Job(
             f"{short} {setting.name} {seed}",
