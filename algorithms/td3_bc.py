@@ -101,9 +101,10 @@ class Td3BcConfig:
     std_floor: float = 0.01
     """Least standard deviation an observation is scaled by."""
 
-    precision: Precision = "highest"
+    precision: Precision = "auto"
     """Of products of float32 matrices, as torch has it. With medium they are faster on
-    many CPUs and GPUs; where these have units for bfloat16, they are rounded to it."""
+    many CPUs and GPUs; where these have units for bfloat16, they are rounded to it.
+    With auto it is medium where that is as exact, as a trial at the start shows."""
 
     def __post_init__(self) -> None:
         check_ranges(

@@ -32,8 +32,8 @@ from marl_mm.progress import Advance, silent
 
 AUTHORS = "td3-bc, its authors'"
 PLAIN = "td3-bc, no more than theirs"
-PLAIN_MEDIUM = f"{PLAIN}, --precision medium"
-MEDIUM = "td3-bc, --precision medium"
+PLAIN_HIGHEST = f"{PLAIN}, --precision highest"
+HIGHEST = "td3-bc, --precision highest"
 
 HIDDEN = (256, 256)
 
@@ -134,15 +134,15 @@ def _learners(seed: int) -> dict[str, Callable[[], object]]:
     tuned, plain = Td3BcConfig(hidden=HIDDEN), plain_config()
     others = Matd3BcConfig(hidden=HIDDEN)
     cloning = MabcConfig(hidden=HIDDEN)
-    medium = matrix_products("medium")  # as a decorator
+    auto = matrix_products("auto")  # as a decorator
     return {
         AUTHORS: PlainTd3Bc(arrays, plain, seed).update,
-        PLAIN: Td3Bc(plain, arrays, rewards, [seed]).update,
-        PLAIN_MEDIUM: medium(Td3Bc(plain, arrays, rewards, [seed]).update),
-        "td3-bc": Td3Bc(tuned, arrays, rewards, [seed]).update,
-        MEDIUM: medium(Td3Bc(tuned, arrays, rewards, [seed]).update),
-        "matd3-bc": Matd3Bc(others, arrays, rewards, [seed]).update,
-        "mabc": Mabc(cloning, arrays, rewards, [seed]).update,
+        PLAIN: auto(Td3Bc(plain, arrays, rewards, [seed]).update),
+        PLAIN_HIGHEST: Td3Bc(plain, arrays, rewards, [seed]).update,
+        "td3-bc": auto(Td3Bc(tuned, arrays, rewards, [seed]).update),
+        HIGHEST: Td3Bc(tuned, arrays, rewards, [seed]).update,
+        "matd3-bc": auto(Matd3Bc(others, arrays, rewards, [seed]).update),
+        "mabc": auto(Mabc(cloning, arrays, rewards, [seed]).update),
     }
 
 

@@ -1,9 +1,10 @@
-"""Figures of runs and episodes, as PNG."""
+"""Figures of runs and episodes, as PNG, and those of the paper as SVG, too."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 from matplotlib.figure import Figure
 
 from marl_mm.episode import Episode
@@ -182,6 +183,14 @@ def _over_alpha(
         if (row["task"], row["form"], row["rule"], row["direction"]) == wanted
     ]
     return sorted(rows, key=lambda row: float(row["alpha"]))
+
+
+def save_both(figure: Figure, stem: Path) -> None:
+    """Write a figure as PNG and as SVG, with the same bytes each time."""
+    with matplotlib.rc_context({"svg.hashsalt": stem.name, "svg.fonttype": "none"}):
+        for end, metadata in ((".png", {"Software": None}), (".svg", {"Date": None})):
+            with new_file(stem.with_suffix(end)) as temporary:
+                figure.savefig(temporary, dpi=130, metadata=metadata)
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -4,14 +4,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
 from marl_mm.eval.ablations import Ablation, Cell
+from marl_mm.eval.figures import save_both
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.online_figures import PAPER_COLORS
-from marl_mm.files import new_file
 
 
 def curves_figure(
@@ -19,7 +18,7 @@ def curves_figure(
 ) -> None:
     """Success over updates: mean and standard deviation over seeds.
 
-    A panel per preset, a line per cell; as PNG and as SVG, the same bytes each time.
+    A panel per preset, a line per cell; as PNG and as SVG.
 
     Args:
         ablation: Whose cells are drawn.
@@ -36,10 +35,7 @@ def curves_figure(
         axis.set(title=f"{preset} preset", xlabel="updates [thousands]", ylim=(-3, 103))
         axis.legend(frameon=False, fontsize=8)
     axes[0][0].set_ylabel("goals reached [%]")
-    with matplotlib.rc_context({"svg.hashsalt": stem.name, "svg.fonttype": "none"}):
-        for end, metadata in ((".png", {"Software": None}), (".svg", {"Date": None})):
-            with new_file(stem.with_suffix(end)) as temporary:
-                figure.savefig(temporary, dpi=130, metadata=metadata)
+    save_both(figure, stem)
 
 
 def _draw(axis: Any, rows: Sequence[Row], label: str, color: str) -> None:

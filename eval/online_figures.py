@@ -1,4 +1,4 @@
-"""Figures of online learning, as PNG: the paper's Figs 4 and 5; the learnt alpha."""
+"""Figures of online learning: the paper's Figs 4 and 5; the learnt alpha."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from marl_mm.eval.figures import COLORS, save
+from marl_mm.eval.figures import COLORS, save, save_both
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.online import on_a_grid
 
@@ -20,7 +20,7 @@ def seed_curves(
     labels: Mapping[str, str],
     key: str,
     ylabel: str,
-    path: Path,
+    stem: Path,
     scale: float = 1.0,
     bottom: float | None = None,
     top: float | None = None,
@@ -32,7 +32,7 @@ def seed_curves(
         labels: Settings to draw, and what to call them.
         key: Column to draw.
         ylabel: Its name and unit.
-        path: Of the PNG.
+        stem: Of the PNG and the SVG.
         scale: Factor of the values.
         bottom: Where the figure cuts off; None shows everything.
         top: Likewise.
@@ -52,7 +52,7 @@ def seed_curves(
     if bottom is not None or top is not None:
         axis.set_ylim(bottom, top)
     axis.legend(frameon=False)
-    save(figure, path)
+    save_both(figure, stem)
 
 
 def alpha_figure(

@@ -14,6 +14,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
+from marl_mm.algorithms import speed
 from marl_mm.algorithms.checkpoint import FILE, read_checkpoint, save_seed
 from marl_mm.algorithms.mabc import MabcConfig
 from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
@@ -23,7 +24,7 @@ from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.presets import offline_preset
 from marl_mm.algorithms.replay import normalized_actions
 from marl_mm.algorithms.runlog import read_metrics
-from marl_mm.algorithms.speed import Precision
+from marl_mm.algorithms.speed import Precision, matrix_products
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
 from marl_mm.algorithms.train import resume_seeds, train
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
@@ -479,6 +480,28 @@ def test_precision_is_of_updates_only(arrays: EpisodeArrays, tmp_path: Path) -> 
     with pytest.raises(KeyboardInterrupt):
         trained("medium", spoilt=True)
     assert torch.get_float32_matmul_precision() == "highest"
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_auto_is_medium_only_where_that_is_exact(
+    exact: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Products that are rounded to bfloat16 are told from those that are not."""
+    speed._medium_is_exact.cache_clear()
+    multiply = torch.Tensor.__matmul__
+
+    def maybe_rounded(left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+        medium = torch.get_float32_matmul_precision() == "medium"
+        if medium and not exact and left.dtype == torch.float32:
+            return multiply(left.bfloat16().float(), right.bfloat16().float())
+        with speed._torch_precision("highest"):
+            return multiply(left, right)
+
+    monkeypatch.setattr(torch.Tensor, "__matmul__", maybe_rounded)
+    with matrix_products("auto"):
+        chosen = torch.get_float32_matmul_precision()
+    assert chosen == ("medium" if exact else "highest")
+    speed._medium_is_exact.cache_clear()
 
 
 def test_the_papers_preset_is_the_papers() -> None:

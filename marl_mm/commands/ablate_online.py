@@ -127,16 +127,16 @@ def _online(options: Ablate) -> None:
 
 def _fig4(options: Ablate) -> None:
     label = f"return of the evaluation, cut off at {CUT_OFF}"
-    _compare(options, "fig4.png", "return_all", label, {"bottom": CUT_OFF})
+    _compare(options, "fig4", "return_all", label, {"bottom": CUT_OFF})
 
 
 def _fig5(options: Ablate) -> None:
-    _compare(options, "fig5.png", "success_all", "goals reached [%]", PERCENT)
+    _compare(options, "fig5", "success_all", "goals reached [%]", PERCENT)
 
 
 def _demonstrated(options: Ablate) -> None:
     settings = ("ddpg", "ddpg-her", "ddpg-demonstrations", "ddpg-her-demonstrations")
-    name, label = "demonstrations.png", "goals reached [%]"
+    name, label = "demonstrations", "goals reached [%]"
     _compare(options, name, "success_all", label, PERCENT, settings)
 
 
@@ -149,12 +149,12 @@ def _compare(
     settings: Sequence[str] = COMPARED,
 ) -> None:
     """Draw one column of the learning curves of some settings."""
-    _refuse(options, name)
+    _refuse(options, f"{name}.png", f"{name}.svg")
     labels = {one.name: one.about for one in SETTINGS if one.name in settings}
     curves = _curves(options, settings)
     seed_curves(curves, labels, key, label, options.results(name), **look)
     note_artist(options.results_folder())
-    _tell(options, f"{options.results(name)}: {', '.join(labels.values())}")
+    _tell(options, f"{options.results(name)}.png, .svg: {', '.join(labels.values())}")
 
 
 def _fig6(options: Ablate) -> None:
@@ -242,12 +242,12 @@ TARGETS = {
     "fig4": Target(
         "Fig. 4: return over episodes, with and without hindsight.",
         _fig4,
-        ("fig4.png",),
+        ("fig4.png", "fig4.svg"),
     ),
     "fig5": Target(
         "Fig. 5: success over episodes, with and without hindsight.",
         _fig5,
-        ("fig5.png",),
+        ("fig5.png", "fig5.svg"),
     ),
     "fig6": Target(
         "Fig. 6: film strips of the trained agent, ahead and behind.",
@@ -257,7 +257,7 @@ TARGETS = {
     "demonstrations": Target(
         "Success over episodes with a dataset beside.",
         _demonstrated,
-        ("demonstrations.png",),
+        ("demonstrations.png", "demonstrations.svg"),
     ),
     "alpha": Target(
         "What alpha the trained agents choose, and what it is worth.",
