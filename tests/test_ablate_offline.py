@@ -43,6 +43,9 @@ FAILS = Ablation(
 """
 """An ablation of one's own, of the dataset that ships."""
 
+RESULTS = Path(__file__).resolve().parents[1] / "eval/results/offline"
+COMMITTED = ("offline",)
+
 FILES = [f"widths{end}" for end in (".csv", ".md", ".tex", ".png", ".svg")]
 
 
@@ -94,6 +97,22 @@ def test_the_papers_figures_stand_beside_its_own_settings_only() -> None:
     c_is_1 = Setting("c1", "c = 1", changes={"q_weight": 1.0})
     assert reported(("good-30k", c_is_1)) == ""
     assert reported(("good-30k", Setting("same", "same"))) == (34.00, 32.19)
+
+
+@pytest.mark.parametrize("name", COMMITTED)
+def test_what_is_committed_is_drawn_from_its_rows(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """If this fails: marl-mm ablate NAME --out RESULTS --overwrite."""
+    assert main(["ablate", name, "--out", str(RESULTS), "--check"]) == 0
+    assert "the same" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", COMMITTED)
+def test_what_is_committed_was_made_as_declared(name: str, tmp_path: Path) -> None:
+    """Otherwise runs would be missing, whose dataset is not there."""
+    words = ["ablate", name, "--out", str(RESULTS), "--runs", str(tmp_path), "--plan"]
+    assert main(words) == 0
 
 
 # --- Statistics --------------------------------------------------------------
