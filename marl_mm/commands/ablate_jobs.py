@@ -125,7 +125,11 @@ _bar: Bar
 def _begin(messages: Any, stop: Any) -> None:
     """A process's first act."""
     global _bar
-    _bar = _silent_bar if messages is None else distant_bars(messages, stop)
+    if messages is None:
+        _bar = _silent_bar
+    else:
+        messages.cancel_join_thread()  # another, killed, may never let go of it
+        _bar = distant_bars(messages, stop)
 
 
 def _silent_bar(label: str, total: int) -> Advance:
