@@ -251,7 +251,7 @@ def test_a_relative_datasets_root_works(
 @pytest.mark.slow
 def test_a_run_is_a_folder(run_folder: Path, capsys: Output) -> None:
     names = {path.name for path in run_folder.iterdir()}
-    files = {"config.json", "metrics.jsonl", "eval.json", "checkpoint.pt"}
+    files = {"config.json", "metrics.jsonl", "eval.json", "checkpoint.pt", "best.pt"}
     events = {name for name in names if name.startswith("events.out.tfevents.")}
     assert len(events) == 1  # TensorBoard's
     assert names - events == files | {"learning_curve.png"}
