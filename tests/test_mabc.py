@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from marl_mm.algorithms.checkpoint import FILE, read_checkpoint, save_seed
+from marl_mm.algorithms.checkpoint import BEST, FILE, read_checkpoint, save_seed
 from marl_mm.algorithms.mabc import Mabc, MabcConfig
 from marl_mm.algorithms.networks import ActionScale, Normalizer
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
@@ -175,11 +175,36 @@ def test_evaluation_comes_when_it_was_asked_for(
 ) -> None:
     """At 0, every 130 and the end, whatever the rhythm of the log is."""
     algorithm = Mabc(CONFIG, arrays, JUDGE, [0])
-    train(algorithm, [tmp_path], lambda policy: {"success/all": 0.5}, 130)
+    point = {"success/all": 0.5, "return/all": 0.0}
+    train(algorithm, [tmp_path], lambda policy: point, 130)
     rows = read_metrics(tmp_path)
     measured = [row["step"] for row in rows if "success/all" in row]
     assert measured == [0, 130, 260, 300]
     assert [row["step"] for row in rows] == [0, 100, 130, 200, 260, 300]
+
+
+def test_the_best_policy_is_kept(arrays: EpisodeArrays, tmp_path: Path) -> None:
+    """Of the learning curve's points; of equals the first; also after a resumption."""
+    algorithm = Mabc(CONFIG, arrays, JUDGE, [0])
+    rates = iter([0.1, 0.5, 0.5, 0.4])
+    acted: list[np.ndarray] = []
+
+    def evaluate(policy: LearnedPolicy) -> dict[str, float]:
+        acted.append(policy.act(np.ones(10)))
+        return {"success/all": next(rates), "return/all": 0.0}
+
+    def stop(done: int, note: str) -> None:
+        if algorithm.step == 200:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(algorithm, [tmp_path], evaluate, 100, stop)
+    again = Mabc(CONFIG, arrays, JUDGE, [0])
+    resume_seeds(again, [tmp_path])
+    train(again, [tmp_path], evaluate, 100)
+    assert len(acted) == 4
+    best = load_policy(tmp_path / BEST).act(np.ones(10))
+    np.testing.assert_array_equal(best, acted[1])
 
 
 def test_a_nan_ends_with_the_last_checkpoint(
