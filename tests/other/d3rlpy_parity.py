@@ -100,10 +100,8 @@ class TheirPolicy:
     name = "d3rlpy"
 
     def __init__(self, path: Path, mean: np.ndarray, std: np.ndarray) -> None:
-        import torch
-
-        self._torch, self._mean, self._std = torch, mean, std
-        self._policy: Any = torch.jit.load(path)  # type: ignore[no-untyped-call]
+        self._path, self._mean, self._std = path, mean, std
+        self._policy: Any = None  # loaded where it acts: it cannot be pickled
 
     def describe(self) -> dict[str, Any]:
         return {}
@@ -112,11 +110,15 @@ class TheirPolicy:
         pass
 
     def act(self, state: np.ndarray) -> np.ndarray:
+        import torch
+
         from marl_mm.layout import ACTION_HIGH, ACTION_LOW
 
+        if self._policy is None:
+            self._policy = torch.jit.load(self._path)  # type: ignore[no-untyped-call]
         inputs = ((state - self._mean) / self._std).astype(np.float32)[None]
-        with self._torch.no_grad():
-            action = self._policy(self._torch.from_numpy(inputs))[0].numpy()
+        with torch.no_grad():
+            action = self._policy(torch.from_numpy(inputs))[0].numpy()
         low, high = np.array(ACTION_LOW), np.array(ACTION_HIGH)
         scaled = low + (action.clip(-1, 1) + 1) / 2 * (high - low)
         return np.asarray(scaled, np.float32)
