@@ -49,6 +49,15 @@ the floor of deviations."""
 
 OfflineConfig = MabcConfig | Td3BcConfig | Matd3BcConfig
 
+_OFFLINE: dict[str, type[OfflineConfig]] = {
+    "mabc": MabcConfig,
+    "td3-bc": Td3BcConfig,
+    "matd3-bc": Matd3BcConfig,
+}
+
+OFFLINE = tuple(_OFFLINE)
+"""Names of the offline algorithms."""
+
 
 def preset(algorithm: str, name: Preset = "tuned") -> DdpgConfig:
     """The config of ``ddpg``, ``ddpg-her``, ``maddpg`` or ``maddpg-her``."""
@@ -62,8 +71,7 @@ def preset(algorithm: str, name: Preset = "tuned") -> DdpgConfig:
 
 def offline_preset(algorithm: str, name: Preset = "tuned") -> OfflineConfig:
     """The config of ``mabc``, ``td3-bc`` or ``matd3-bc``."""
-    kinds = {"mabc": MabcConfig, "td3-bc": Td3BcConfig, "matd3-bc": Matd3BcConfig}
-    config: OfflineConfig = kinds[algorithm]()
+    config: OfflineConfig = _OFFLINE[algorithm]()
     if name == "tuned":
         return config
     if isinstance(config, MabcConfig):

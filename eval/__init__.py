@@ -1,6 +1,19 @@
 """Evaluation: fixed goals, rows per episode, success with its interval; ablations."""
 
-from marl_mm.eval.ablations import BEST, LAST, Ablation, Probe, Setting
+from typing import TYPE_CHECKING, Any
+
 from marl_mm.eval.evaluate import evaluate
 
+if TYPE_CHECKING:
+    from marl_mm.eval.ablation import BEST, LAST, Ablation, Probe, Setting
+
 __all__ = ["BEST", "LAST", "Ablation", "Probe", "Setting", "evaluate"]
+
+
+def __getattr__(name: str) -> Any:
+    """Ablations when they are asked for: torch comes with them and takes a second."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from marl_mm.eval import ablation
+
+    return getattr(ablation, name)

@@ -4,91 +4,11 @@ Each is settings on datasets, run with several seeds; what stands in several is 
 once. ``marl-mm ablate TARGET`` makes these, ``marl-mm ablate FILE.py:NAME`` one's own.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any, Literal
+from typing import Any
 
-from marl_mm.algorithms.presets import OfflineConfig, Preset, offline_preset
-
-
-@dataclass(frozen=True)
-class Setting:
-    """One way to learn from a dataset."""
-
-    name: str
-    """Of its folder; no two settings share one."""
-
-    about: str
-    """In tables."""
-
-    algorithm: str = "td3-bc"
-    preset: Preset = "tuned"
-
-    changes: Mapping[str, Any] = field(default_factory=dict)
-    """Of the preset's hyper-parameters."""
-
-    goals: int = 200
-    """Of each evaluation of a trained policy."""
-
-    curve_every: int = 5_000
-    """Updates between points of the learning curve."""
-
-    curve_goals: int = 20
-    """Of each point."""
-
-    max_steps: int | None = None
-    """Of evaluated episodes, where it is not the task's."""
-
-    @property
-    def config(self) -> OfflineConfig:
-        """Its hyper-parameters."""
-        return replace(offline_preset(self.algorithm, self.preset), **self.changes)
-
-
-Cell = tuple[str, Setting]
-"""A line of a table or a curve of a figure: a dataset, and how to learn from it.
-
-Datasets of the paper go by their names; any other id is its own name.
-"""
-
-
-@dataclass(frozen=True)
-class Probe:
-    """An evaluation of a trained run."""
-
-    name: str
-    """In rows, and of its file in the run."""
-
-    about: str
-    """In tables."""
-
-    checkpoint: Literal["last", "best"] = "last"
-
-    overrides: Mapping[str, Any] = field(default_factory=dict)
-    """Of the task."""
-
-    alpha: float | None = None
-    """Held at this, whatever the policy sets."""
-
-
-LAST = Probe("last", "at the end")
-BEST = Probe("best", "at the best checkpoint", checkpoint="best")
-
-
-@dataclass(frozen=True)
-class Ablation:
-    """A table, and maybe a figure of learning curves."""
-
-    about: str
-    cells: Sequence[Cell]
-
-    probes: Sequence[Probe] = (LAST,)
-    """How each run is evaluated."""
-
-    figure: bool = False
-    """Whether learning curves are drawn: a panel per preset, a line per cell."""
-
+from marl_mm.algorithms.presets import Preset
+from marl_mm.eval.ablation import BEST, LAST, Ablation, Cell, Probe, Setting
 
 # --- The paper's -------------------------------------------------------------
 

@@ -6,7 +6,8 @@ from itertools import count
 import numpy as np
 from scipy.stats import trim_mean
 
-from marl_mm.eval.ablations import Ablation, Cell, Probe, reported
+from marl_mm.eval.ablation import Ablation, Cell, Probe
+from marl_mm.eval.ablations import reported
 from marl_mm.eval.metrics import CONFIDENCE, Row, success_interval
 from marl_mm.eval.online import deviation
 from marl_mm.eval.tables import markdown_table
@@ -50,7 +51,7 @@ def _summarize(cell: Cell, probe: Probe, rows: Sequence[Row]) -> Row:
             sum(row["success"] for row in rows), len(rows)
         ),
         "success_iqm": interquartile_mean(scores),
-        "success_iqm_interval": stratified_interval(scores),
+        "success_iqm_interval": interquartile_interval(scores),
         "success_seeds": " ".join(f"{100 * rate:.1f}" for rate in rates),
     }
     for key in ("return", "d_mm", "d_mp", "alpha"):
@@ -79,22 +80,27 @@ def success_scores(rows: Sequence[Row]) -> np.ndarray:
 
 
 def interquartile_mean(scores: np.ndarray) -> float:
-    """Mean of the middle half of all scores (Agarwal 2021)."""
+    """Mean without the lowest and the highest quarter (Agarwal 2021).
+
+    Of what is no whole number less is left out: of six scores one at each end.
+    """
     return float(trim_mean(scores, 0.25, axis=None))
 
 
-def stratified_interval(scores: np.ndarray) -> tuple[float, float]:
-    """95 % interval of the interquartile mean (Agarwal 2021).
+def interquartile_interval(scores: np.ndarray) -> tuple[float, float]:
+    """95 % bootstrap interval of the interquartile mean; nan of a single run.
 
-    Runs are drawn with replacement, in each column by itself, with a fixed seed.
+    Runs are drawn with replacement and a fixed seed, a run's columns together: strata
+    (Agarwal 2021) would be drawn apart if their runs had nothing to do with each other.
 
     Args:
         scores: Shape (runs, columns).
     """
+    if len(scores) == 1:
+        return np.nan, np.nan
     rng = np.random.default_rng(0)
-    picks = rng.integers(len(scores), size=(_RESAMPLES, *scores.shape))
-    drawn = np.take_along_axis(scores[None], picks, axis=1)
-    means = trim_mean(drawn.reshape(_RESAMPLES, -1), 0.25, axis=1)
+    picks = rng.integers(len(scores), size=(_RESAMPLES, len(scores)))
+    means = trim_mean(scores[picks].reshape(_RESAMPLES, -1), 0.25, axis=1)
     tail = (1 - CONFIDENCE) / 2
     low, high = np.quantile(means, [tail, 1 - tail])
     return float(low), float(high)
@@ -105,11 +111,12 @@ def goals_for(rate: float, half_width: float) -> int:
 
     Args:
         rate: Of success.
-        half_width: Half of the interval's length.
+        half_width: How far.
     """
     for goals in count(1):
-        low, high = success_interval(round(rate * goals), goals)
-        if high - low <= 2 * half_width:
+        reached = round(rate * goals)
+        low, high = success_interval(reached, goals)
+        if max(high - reached / goals, reached / goals - low) <= half_width:
             break
     return goals
 
@@ -154,14 +161,20 @@ def ablation_lines(
 
 def rate_with_interval(row: Row) -> str:
     """Mean and deviation over seeds; Wilson's interval over all goals."""
-    mean, std = 100 * row["success"], 100 * row["success_std"]
     low, high = (100 * bound for bound in row["success_interval"])
-    return f"{mean:.1f} +- {std:.1f} [{low:.1f}, {high:.1f}]"
+    return f"{_mean(row)} [{low:.1f}, {high:.1f}]"
+
+
+def _mean(row: Row) -> str:
+    """With the deviation over seeds, if there are several."""
+    deviation = f" +- {100 * row['success_std']:.1f}" if row["seeds"] > 1 else ""
+    return f"{100 * row['success']:.1f}{deviation}"
 
 
 def _percent(row: Row, key: str) -> str:
     low, high = (100 * bound for bound in row[f"{key}_interval"])
-    return f"{100 * row[key]:.1f} [{low:.1f}, {high:.1f}]"
+    interval = "" if np.isnan(low) else f" [{low:.1f}, {high:.1f}]"
+    return f"{100 * row[key]:.1f}{interval}"
 
 
 def _told(probe: Probe) -> str:
@@ -169,7 +182,7 @@ def _told(probe: Probe) -> str:
 
 
 def _short(row: Row, probe: Probe) -> str:
-    rate = f"{100 * row['success']:.1f} +- {100 * row['success_std']:.1f}"
+    rate = _mean(row)
     return rate if probe.alpha is None else f"{rate}, {row['return']:.2f}"
 
 

@@ -3,20 +3,21 @@
 Tables and figures are made of these alone. Three files for each cell::
 
     ROWS/DATASET/SETTING.csv.gz         a line per seed, probe and goal
-    ROWS/DATASET/SETTING-curve.csv.gz   a line per seed and point of the learning curve
+    ROWS/DATASET/SETTING.curve.csv.gz   a line per seed and point of the learning curve
     ROWS/DATASET/SETTING.json           what the runs were made of
 """
 
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.differences import refuse_difference
 from marl_mm.errors import UsageError
-from marl_mm.eval.ablations import LAST, Cell, Probe
+from marl_mm.eval.ablation import LAST, Cell, Probe
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows, write_csv
 from marl_mm.files import write_json
@@ -28,6 +29,37 @@ _CURVE = ("success/all", "success/forward", "success/backward", "return/all")
 def probe_file(run: Path, probe: Probe) -> Path:
     """Where a run keeps an evaluation."""
     return run / ("eval.json" if probe == LAST else f"eval_{probe.name}.json")
+
+
+def _way(probe: Probe) -> dict[str, Any]:
+    """What is done, whatever it is called."""
+    return {
+        "checkpoint": probe.checkpoint,
+        "overrides": dict(probe.overrides),
+        "alpha": probe.alpha,
+    }
+
+
+def is_probed(
+    run: Path, probe: Probe, goals: int, overrides: Mapping[str, Any]
+) -> bool:
+    """Whether a run has been evaluated so.
+
+    Args:
+        run: Its folder.
+        probe: How.
+        goals: On how many.
+        overrides: Of the task, beside the probe's.
+    """
+    path = probe_file(run, probe)
+    if not path.exists():
+        return False
+    known = json.loads(path.read_text())
+    return (
+        len(known["episodes"]) == goals
+        and known["overrides"] == {**overrides, **probe.overrides}
+        and known["policy_config"].get("alpha") == probe.alpha
+    )
 
 
 class RowStore:
@@ -52,14 +84,16 @@ class RowStore:
         if not path.exists():
             return False
         known = json.loads(path.read_text())
-        refuse_difference(path, known, dict(made_of))
-        names = {probe.name for probe in probes}
-        return set(seeds) <= set(known["seeds"]) and names <= set(known["probes"])
+        ways = {probe.name: _way(probe) for probe in probes}
+        there = {name: ways[name] for name in ways if name in known["probes"]}
+        refuse_difference(path, known, {**made_of, "probes": there})
+        pairs = {(row["seed"], row["probe"]) for row in self._rows(cell)}
+        return pairs >= set(product(seeds, ways))
 
     def keep(
         self, cell: Cell, runs: Mapping[int, Path], probes: Sequence[Probe]
     ) -> None:
-        """Take the rows of finished runs; what is known of other probes stays.
+        """Take the rows of finished runs; those of other seeds and probes stay.
 
         Args:
             cell: What they are of.
@@ -72,22 +106,23 @@ class RowStore:
             for probe in probes
             for row in _evaluation(run, seed, probe)
         ]
-        names, seeds = [probe.name for probe in probes], list(runs)
-        known = self._path(cell, ".json")
-        if known.exists():
-            before = json.loads(known.read_text())
-            if before["seeds"] == seeds:
-                others = [name for name in before["probes"] if name not in names]
-                rows += [row for row in self._rows(cell) if row["probe"] in others]
-                names += others
+        path = self._path(cell, ".json")
+        ways = json.loads(path.read_text())["probes"] if path.exists() else {}
+        ways |= {probe.name: _way(probe) for probe in probes}
+        new = {(row["seed"], row["probe"]) for row in rows}
+        rows += [r for r in self._rows(cell) if (r["seed"], r["probe"]) not in new]
+        order = list(ways)
+        rows.sort(key=lambda r: (r["seed"], order.index(r["probe"]), r["goal"]))
         curve = [row for seed, run in runs.items() for row in _curve(run, seed)]
+        curve += [row for row in self._curves(cell) if row["seed"] not in runs]
+        curve.sort(key=lambda row: (row["seed"], row["step"]))
         config = json.loads((next(iter(runs.values())) / "config.json").read_text())
         for key in ("seed", "preset", "device"):
             config.pop(key)
         config["dataset"].pop("path", None)
         write_csv(self._path(cell, ".csv.gz"), rows)
-        write_csv(self._path(cell, "-curve.csv.gz"), curve)
-        write_json(known, {"seeds": seeds, "probes": names, **config})
+        write_csv(self._path(cell, ".curve.csv.gz"), curve)
+        write_json(path, {"probes": ways, **config})
 
     def evaluations(
         self, cell: Cell, seeds: Sequence[int], probes: Sequence[Probe]
@@ -115,11 +150,14 @@ class RowStore:
 
     def curves(self, cell: Cell, seeds: Sequence[int]) -> list[Row]:
         """A row per seed and point of the learning curve."""
-        rows = read_rows(self._path(cell, "-curve.csv.gz"))
-        return [row for row in rows if row["seed"] in seeds]
+        return [row for row in self._curves(cell) if row["seed"] in seeds]
 
     def _rows(self, cell: Cell) -> list[Row]:
         path = self._path(cell, ".csv.gz")
+        return read_rows(path) if path.exists() else []
+
+    def _curves(self, cell: Cell) -> list[Row]:
+        path = self._path(cell, ".curve.csv.gz")
         return read_rows(path) if path.exists() else []
 
     def _path(self, cell: Cell, end: str) -> Path:

@@ -53,6 +53,10 @@ class ExportError(MarlMmError):
     """An exported policy does not act as the run's."""
 
 
+class FailedRunsError(MarlMmError):
+    """Some runs of many failed, the others did not."""
+
+
 class WorkerDiedError(MarlMmError):
     """A process that did part of the work is gone."""
 

@@ -116,13 +116,22 @@ def test_settings_are_named_once_and_unknown_ones_refused(
     assert "--settings is for runs and online" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("target", [name for name, one in TARGETS.items() if one.files])
+@pytest.mark.parametrize(
+    "target", [name for name, one in TARGETS.items() if one.files and one.of_rows]
+)
 def test_what_is_committed_is_drawn_from_its_rows(
     target: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """If this fails: marl-mm ablate TARGET --rows RESULTS --out RESULTS --overwrite."""
     assert main(["ablate", target, "--out", str(RESULTS), "--check"]) == 0
     assert "the same" in capsys.readouterr().out
+
+
+def test_the_committed_film_is_of_the_agent_that_ships(tmp_path: Path) -> None:
+    rows = ["--rows", str(RESULTS), "--out", str(tmp_path)]
+    assert main(["ablate", "fig6", *rows]) == 0
+    film = (tmp_path / "fig6.png").read_bytes()
+    assert film == (RESULTS / "fig6.png").read_bytes()
 
 
 def test_rows_that_are_not_there_are_told(

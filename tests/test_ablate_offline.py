@@ -3,7 +3,7 @@
 import json
 import random
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
@@ -13,12 +13,14 @@ import psutil
 import pytest
 
 from marl_mm.cli import main
-from marl_mm.eval.ablations import ABLATIONS, PAPER, Setting, reported
+from marl_mm.errors import UsageError
+from marl_mm.eval.ablation import LAST, Ablation, Probe, Setting, cell_name
+from marl_mm.eval.ablations import ABLATIONS, PAPER, reported
 from marl_mm.eval.metrics import success_interval
 from marl_mm.eval.offline import (
     goals_for,
+    interquartile_interval,
     interquartile_mean,
-    stratified_interval,
     success_scores,
 )
 from marl_mm.eval.rows import read_rows
@@ -45,6 +47,8 @@ FAILS = Ablation(
 
 RESULTS = Path(__file__).resolve().parents[1] / "eval/results/offline"
 COMMITTED = ("offline",)
+
+OURS = Setting("ours", "ours")
 
 FILES = [f"widths{end}" for end in (".csv", ".md", ".tex", ".png", ".svg")]
 
@@ -115,6 +119,27 @@ def test_what_is_committed_was_made_as_declared(name: str, tmp_path: Path) -> No
     assert main(words) == 0
 
 
+@pytest.mark.parametrize(
+    ("make", "complaint"),
+    [
+        (lambda: Setting("0.5", "x"), "name is '0.5', expected a letter"),
+        (lambda: Setting("x", "x", "td3bc"), "'td3bc', expected one of mabc, td3-bc"),
+        (lambda: Setting("x", "x", preset="tunde"), "'tunde', expected one of tuned"),  # type: ignore[arg-type]
+        (lambda: Setting("x", "x", goals=1), "goals is 1, expected 2 or more"),
+        (lambda: Probe("x", "x", checkpoint="bset"), "'bset', expected one of last"),  # type: ignore[arg-type]
+        (lambda: Ablation("x", []), "has no cells"),
+        (lambda: Ablation("x", ["good-5k"]), "expected pairs of a dataset's name and"),  # type: ignore[list-item]
+        (lambda: Ablation("x", [("a", OURS), ("a", OURS)]), "twice"),
+        (lambda: Ablation("x", [("a", OURS)], (LAST, LAST)), "twice"),
+    ],
+)
+def test_a_declaration_that_makes_no_sense_is_refused(
+    make: Callable[[], object], complaint: str
+) -> None:
+    with pytest.raises(UsageError, match=complaint):
+        make()
+
+
 # --- Statistics --------------------------------------------------------------
 
 
@@ -140,20 +165,25 @@ def test_the_interquartile_mean_of_a_table_worked_by_hand() -> None:
     assert interquartile_mean(six) == pytest.approx((0.1 + 0.5 + 0.6 + 0.8) / 4)
 
 
-def test_the_stratified_interval_draws_runs_within_columns() -> None:
-    # Whatever is drawn, a column's runs agree: there is nothing to be unsure of.
-    assert stratified_interval(np.array([[0.2, 0.8], [0.2, 0.8]])) == (0.5, 0.5)
-    low, high = stratified_interval(np.array([[0.0, 0.0], [1.0, 1.0]]))
+def test_the_interval_of_the_interquartile_mean_draws_whole_runs() -> None:
+    # Whatever is drawn, the runs agree: there is nothing to be unsure of.
+    assert interquartile_interval(np.array([[0.2, 0.8], [0.2, 0.8]])) == (0.5, 0.5)
+    low, high = interquartile_interval(np.array([[0.0, 0.0], [1.0, 1.0]]))
     assert (low, high) == (0.0, 1.0)
+    # Two runs that trade one direction for the other: both have one half.
+    assert interquartile_interval(np.array([[0.0, 1.0], [1.0, 0.0]])) == (0.5, 0.5)
+    assert np.isnan(interquartile_interval(np.array([[0.5, 0.5]]))).all()
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.26, 0.5, 0.95, 1.0])
 def test_as_many_goals_as_an_interval_needs(rate: float) -> None:
+    def reach(goals: int) -> float:
+        reached = round(rate * goals)
+        low, high = success_interval(reached, goals)
+        return max(high - reached / goals, reached / goals - low)
+
     goals = goals_for(rate, 0.05)
-    low, high = success_interval(round(rate * goals), goals)
-    assert high - low <= 0.1
-    low, high = success_interval(round(rate * (goals - 1)), goals - 1)
-    assert high - low > 0.1
+    assert reach(goals) <= 0.05 < reach(goals - 1)
 
 
 # --- The runner --------------------------------------------------------------
@@ -195,10 +225,17 @@ def test_an_ablation_of_ones_own_is_made_once_and_checked(
     assert "widths.csv: not what" in capsys.readouterr().err
     assert main(words(own, runs)) == 2
     assert "exists already" in capsys.readouterr().err
-    assert main([*words(own, runs, "--overwrite"), "--precision", "highest"]) == 2
-    complaint = capsys.readouterr().err
-    assert "was made with precision = medium (now highest)" in complaint
-    assert "name another folder with --out" in complaint
+    # Another declaration of the same name does not take these rows for its own.
+    matd3 = 'algorithm="matd3-bc", changes'
+    for old, new, what in (
+        ("(n, n)", "(n, n + 1)", "hidden = [16, 16] (now [16, 17])"),
+        ("alpha=0.5", "alpha=0.6", "probes.held.alpha = 0.5 (now 0.6)"),
+        ("changes", matd3, "algorithm = td3-bc (now matd3-bc)"),
+    ):
+        own.write_text(OWN.replace(old, new))
+        assert main(words(own, runs, "--overwrite")) == 2
+        complaint = capsys.readouterr().err
+        assert what in complaint and "name another folder with --out" in complaint
 
 
 @pytest.mark.slow
@@ -218,7 +255,7 @@ def test_a_run_that_fails_does_not_stop_the_others(
 @pytest.mark.slow
 def test_killing_it_again_and_again_changes_nothing(own: Path, tmp_path: Path) -> None:
     assert main(words(own, tmp_path / "whole")) == 0
-    asked = words(own, tmp_path / "killed", "--overwrite")
+    asked = words(own, tmp_path / "killed", "--resume")
     moments = random.Random(0)
     context = get_context("forkserver")  # which imports everything once
     context.set_forkserver_preload(["marl_mm.commands.ablate"])
@@ -266,17 +303,32 @@ def test_a_plan_says_what_is_missing_and_trains_nothing(
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.slow
+def test_a_plan_of_everything_trains_nothing_either(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ["ablate", "all", "--plan", "--budget", "smoke", "--runs", str(tmp_path)]
+    assert main([*asked, "--seeds", "0"]) == 0
+    *_, total = capsys.readouterr().out.splitlines()
+    cells = {cell_name(cell) for one in ABLATIONS.values() for cell in one.cells}
+    assert f"| {len(cells)} of {len(cells)} |" in total
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("asked", "complaint"),
     [
         (["own.py:WIDTH"], "has no Ablation called 'WIDTH', expected one of WIDTHS, F"),
         (["none.py:WIDTHS"], "there is no file"),
+        (["broken.py:X"], "broken.py cannot be run: ZeroDivisionError: division by"),
+        (["odd.py:X"], "odd.py: setting 'own' changes 'hiden', which td3-bc has not"),
         (
             ["own.py:WIDTHS", "--settings", "width-8"],
             "--settings has no 'width-8': exp",
         ),
         (["own.py:WIDTHS", "--datasets"], "--datasets is empty: expected good-5k"),
         (["own.py:WIDTHS", "--seeds", "0", "0"], "seeds"),
+        (["all", "--settings", "td3-bc"], "--settings and --datasets are for one targ"),
         (["offline"], "make it with marl-mm collect paper"),
         (["tasks"], "make it with marl-mm collect pretrained --task SmoothReach-v0"),
         (
@@ -294,6 +346,11 @@ def test_what_cannot_be_made_is_told_in_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(own.parent)
+    Path("broken.py").write_text("1 / 0")
+    Path("odd.py").write_text(
+        "from marl_mm.eval import Setting\n"
+        "Setting('own', 'own', changes={'hiden': (8, 8)})\n"
+    )
     assert main(["ablate", *asked]) == 2
     told = capsys.readouterr().err
     assert complaint in told and told.count("\n") == 1

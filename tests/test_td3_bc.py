@@ -488,16 +488,16 @@ def test_auto_is_medium_only_where_that_is_exact(
 ) -> None:
     """Products that are rounded to bfloat16 are told from those that are not."""
     speed._medium_is_exact.cache_clear()
-    multiply = torch.Tensor.__matmul__
+    multiply = torch.baddbmm
 
-    def maybe_rounded(left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+    def maybe_rounded(*factors: torch.Tensor) -> torch.Tensor:
         medium = torch.get_float32_matmul_precision() == "medium"
-        if medium and not exact and left.dtype == torch.float32:
-            return multiply(left.bfloat16().float(), right.bfloat16().float())
         with speed._torch_precision("highest"):
-            return multiply(left, right)
+            if medium and not exact:
+                return multiply(*(one.bfloat16().float() for one in factors))
+            return multiply(*factors)
 
-    monkeypatch.setattr(torch.Tensor, "__matmul__", maybe_rounded)
+    monkeypatch.setattr(torch, "baddbmm", maybe_rounded)
     with matrix_products("auto"):
         chosen = torch.get_float32_matmul_precision()
     assert chosen == ("medium" if exact else "highest")

@@ -5,6 +5,7 @@ kept, interrupted ones go on.
 """
 
 import runpy
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,9 +16,11 @@ from marl_mm.commands.ablate_options import AblateOffline
 from marl_mm.commands.ablate_runs import Ablate
 from marl_mm.commands.options import check_positive, check_seeds
 from marl_mm.commands.parser import Subcommand, parse_options, parse_subcommand
-from marl_mm.errors import UsageError
-from marl_mm.eval.ablations import ABLATIONS, Ablation
+from marl_mm.errors import FailedRunsError, MarlMmError, UsageError
+from marl_mm.eval.ablation import Ablation
+from marl_mm.eval.ablations import ABLATIONS
 from marl_mm.eval.rows import to_json
+from marl_mm.files import refuse_existing
 
 _ALL = "all"
 
@@ -74,7 +77,16 @@ def _declared(path: Path, name: str) -> Ablation:
     """
     if not path.is_file():
         raise UsageError(f"there is no file {path}, expected FILE.py:NAME")
-    found = runpy.run_path(str(path))
+    sys.path.insert(0, str(path.parent))  # of what it imports itself
+    try:
+        found = runpy.run_path(str(path))
+    except MarlMmError as error:
+        raise UsageError(f"{path}: {error}") from error
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise UsageError(f"{path} cannot be run: {reason:.300}") from error
+    finally:
+        sys.path.remove(str(path.parent))
     if not isinstance(found.get(name), Ablation):
         known = [key for key, value in found.items() if isinstance(value, Ablation)]
         raise UsageError(
@@ -93,6 +105,8 @@ def _everything(options: AblateOffline) -> None:
     def part(folder: Path | None, name: str) -> Path | None:
         return None if folder is None else folder / name
 
+    if options.settings is not None or options.datasets is not None:
+        raise UsageError("--settings and --datasets are for one target, not for all")
     runs, out = options.runs, options.out
     online = Ablate(
         runs=part(runs, "online"),
@@ -102,10 +116,22 @@ def _everything(options: AblateOffline) -> None:
         # So few episodes are over before other processes have begun.
         workers=1 if options.budget == "smoke" else options.workers,
         check=options.check,
-        overwrite=options.overwrite,
+        overwrite=options.overwrite or options.resume,
+        quiet=options.json,
     )
+    if not (options.plan or options.check):
+        for target in TARGETS.values():
+            for file in target.files:
+                refuse_existing(online.results(file), online.overwrite)
     offline = replace(options, runs=part(runs, "offline"), out=part(out, "offline"))
-    _offline(offline, ABLATIONS)
-    for name, target in TARGETS.items():
-        if target.files:
-            ablate_online(online, name)
+    failure = None
+    try:
+        _offline(offline, ABLATIONS)
+    except FailedRunsError as error:
+        failure = error
+    if not options.plan:
+        for name, target in TARGETS.items():
+            if target.files and not (options.check and not target.of_rows):
+                ablate_online(online, name)
+    if failure:
+        raise failure

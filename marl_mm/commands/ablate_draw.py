@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from marl_mm.commands.ablate_check import note_artist
-from marl_mm.eval.ablations import Ablation, Cell
+from marl_mm.eval.ablation import Ablation, Cell
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.offline import ablation_lines, summarize_ablation
 from marl_mm.eval.offline_figures import curves_figure

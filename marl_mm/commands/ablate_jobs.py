@@ -11,21 +11,20 @@ from typing import Any
 from marl_mm.algorithms import checkpoint
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.commands.offline_options import Offline, task_of
-from marl_mm.commands.runs import EVALUATION
 from marl_mm.commands.train_offline import evaluate_offline_run, train_offline_run
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import Location
 from marl_mm.errors import DivergedError, MarlMmError, WorkerDiedError
-from marl_mm.eval.ablations import Probe
+from marl_mm.eval.ablation import LAST, Probe
 from marl_mm.eval.alpha_study import FixedAlpha
 from marl_mm.eval.evaluate import evaluate
-from marl_mm.eval.offline_rows import probe_file
+from marl_mm.eval.offline_rows import is_probed, probe_file
 from marl_mm.files import write_json
 from marl_mm.progress import Advance, Bar, distant_bars, show_distant_bars, silent
 from marl_mm.workers import Executor, open_pool
 
 _DEATHS = 3
-"""Worker processes that may die before the others are given up, too."""
+"""Deaths of worker processes after which what is left counts as failed."""
 
 _ALL = "all runs"
 """Label of the bar of the whole plan."""
@@ -51,7 +50,12 @@ class Job:
     @property
     def done(self) -> bool:
         """Whether nothing of it is missing."""
-        return all(probe_file(self.run, probe).exists() for probe in self.probes)
+        return all(map(self.has, self.probes))
+
+    def has(self, probe: Probe) -> bool:
+        """Whether it has been evaluated so."""
+        options = self.options
+        return is_probed(self.run, probe, options.eval_episodes, options.overrides)
 
 
 Complaint = str
@@ -77,7 +81,6 @@ def do_jobs(
 
     Raises:
         KeyboardInterrupt: After Ctrl-C; runs go on from their last checkpoints.
-        WorkerDiedError: If processes die again and again.
     """
     left = {job.run: job for job in jobs}
     failed: dict[Path, Complaint] = {}
@@ -103,8 +106,11 @@ def do_jobs(
             except WorkerDiedError as error:
                 deaths += 1
                 if deaths >= _DEATHS:
-                    raise
-                print(f"{error}; going on with {len(left)} runs", file=sys.stderr)
+                    failed |= {run: str(error) for run in left}
+                    left.clear()
+                else:
+                    told = f"{error}; going on with {len(left)} runs"
+                    print(told, file=sys.stderr)
             except BaseException:
                 stop.set()
                 raise
@@ -140,13 +146,15 @@ def _do(job: Job) -> tuple[Path, Complaint]:
     """The job, or why it failed."""
     try:
         dataset = load_dataset(job.dataset)
-        if not (job.run / EVALUATION).exists():
+        if not job.has(LAST):
             _train(dataset, job)
         for probe in job.probes:
-            if not probe_file(job.run, probe).exists():
+            if not job.has(probe):
                 _probe(dataset, job, probe)
-    except (MarlMmError, OSError) as error:
-        return job.run, f"{error}"
+    except MarlMmError as error:
+        return job.run, str(error)
+    except Exception as error:  # such as torch's, out of memory: others go on
+        return job.run, f"{type(error).__name__}: {error}"
     return job.run, ""
 
 

@@ -1,13 +1,13 @@
 """Ablations of offline learning: what is missing is trained, and then drawn."""
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from marl_mm.commands.ablate_check import check_drawings
 from marl_mm.commands.ablate_draw import draw, drawings
-from marl_mm.commands.ablate_jobs import Job, do_jobs
+from marl_mm.commands.ablate_jobs import Complaint, Job, do_jobs
 from marl_mm.commands.ablate_options import AblateOffline
 from marl_mm.commands.ablate_plan import (
     Wanted,
@@ -19,8 +19,8 @@ from marl_mm.commands.ablate_plan import (
 from marl_mm.datasets.card import card, card_markdown
 from marl_mm.datasets.card_figure import draw_card
 from marl_mm.datasets.dataset import load_dataset
-from marl_mm.errors import MarlMmError, UsageError
-from marl_mm.eval.ablations import Ablation
+from marl_mm.errors import FailedRunsError, UsageError
+from marl_mm.eval.ablation import Ablation, cell_name
 from marl_mm.eval.metrics import Row
 from marl_mm.files import new_file, refuse_existing
 
@@ -40,15 +40,19 @@ def ablate_offline(
     Raises:
         UsageError: If a dataset or a setting is not the ablation's, or not there.
         OtherConfigError: If a run was made with something else.
-        MarlMmError: At the end, if runs failed, or files are not what is drawn.
+        FailedRunsError: At the end; what could be drawn has been.
+        MarlMmError: With ``--check``, if files are not what is drawn.
     """
     chosen = {name: _chosen(one, options) for name, one in ablations.items()}
     results, store = options.results(), options.store()
 
-    def draw_all(folder: Path) -> dict[str, tuple[list[Row], str]]:
+    def draw_all(
+        folder: Path, without: Collection[str] = ()
+    ) -> dict[str, tuple[list[Row], str]]:
         return {
             name: draw(name, ablation, store, options.seeds, folder)
             for name, ablation in chosen.items()
+            if name not in without
         }
 
     if options.check:
@@ -58,7 +62,7 @@ def ablate_offline(
     if not options.plan:
         for name, ablation in chosen.items():
             for file in drawings(name, ablation):
-                refuse_existing(results / file, options.overwrite)
+                refuse_existing(results / file, options.overwrite or options.resume)
     wanted = missing_cells(options, chosen.values())
     left = [job for one in wanted for job in one.jobs if not job.done]
     if left and options.budget == "full":
@@ -66,16 +70,35 @@ def ablate_offline(
     if options.plan:
         print(plan_table(wanted, options.workers), end="")
         return {}
-    _make_rows(options, wanted)
-    return draw_all(results)
+    failed = _make_rows(options, wanted)
+    if not failed:
+        return draw_all(results)
+    incomplete = {one.name for one in wanted if failed.keys() & one.runs}
+    drawn = draw_all(
+        results,
+        {
+            name
+            for name, ablation in chosen.items()
+            if any(cell_name(cell) in incomplete for cell in ablation.cells)
+        },
+    )
+    reasons = "; ".join(f"{run}: {why}" for run, why in failed.items())
+    raise FailedRunsError(
+        f"{len(failed)} of {len(left)} runs failed, the same command tries them again; "
+        f"drawn: {', '.join(drawn) or 'nothing'}; {reasons}"
+    )
 
 
-def _make_rows(options: AblateOffline, wanted: Sequence[Wanted]) -> None:
+def _make_rows(
+    options: AblateOffline, wanted: Sequence[Wanted]
+) -> dict[Path, Complaint]:
     """Do the jobs, and keep the rows of each cell as soon as all its runs are done.
+
+    Returns:
+        Runs that failed, and why.
 
     Raises:
         KeyboardInterrupt: After Ctrl-C, saying how to go on.
-        MarlMmError: If runs failed; all others are done then.
     """
     store = options.store()
     cell_of = {job.run: one for one in wanted for job in one.jobs}
@@ -94,24 +117,18 @@ def _make_rows(options: AblateOffline, wanted: Sequence[Wanted]) -> None:
     jobs = [job for one in wanted for job in one.jobs]
     left = [job for job in jobs if not job.done]
     if not left:
-        return
+        return {}
     told = f"{len(left)} of {len(jobs)} runs are missing in {options.runs_folder()}"
     if options.budget == "full":
         told += f", about {hours(left, options.workers):.1f} hours"
     again = "Ctrl-C and the same command go on"
     print(f"{told}; {again}", file=sys.stderr)
     try:
-        failed = do_jobs(left, options.workers, options.executor, done)
+        return do_jobs(left, options.workers, options.executor, done)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"stopped in {options.runs_folder()}; the same command goes on from there"
         ) from None
-    if failed:
-        reasons = "; ".join(f"{run}: {why}" for run, why in failed.items())
-        raise MarlMmError(
-            f"{len(failed)} of {len(left)} runs failed, the same command tries them "
-            f"again: {reasons}"
-        )
 
 
 def _keep_card(folder: Path, one: Wanted) -> None:

@@ -44,7 +44,7 @@ class AblateOffline:
     check: bool = False
     """Only say whether files in OUT are what is drawn from its rows, to the byte."""
 
-    precision: Precision = "medium"
+    precision: Precision = "auto"
     """Of matrix products; see "marl-mm train td3-bc --help"."""
 
     workers: int = field(default_factory=available_cores)
@@ -54,7 +54,8 @@ class AblateOffline:
     """"processes" of this machine, or of a Ray cluster that shares the folders."""
 
     resume: bool = False
-    """Go on after an interruption: it does so anyway."""
+    """Go on after an interruption, and replace what was drawn until then; runs go on
+    from their last checkpoints anyway."""
 
     overwrite: bool = False
     """Replace tables and figures that exist; runs are never replaced."""

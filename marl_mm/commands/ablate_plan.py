@@ -2,12 +2,17 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 from marl_mm.algorithms.checkpoint import FILE
 from marl_mm.algorithms.runlog import read_metrics
-from marl_mm.algorithms.speed import matrix_products, prepare_for_small_networks
+from marl_mm.algorithms.speed import (
+    matrix_products,
+    prepare_for_small_networks,
+    resolved,
+)
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.commands.ablate_jobs import Job
 from marl_mm.commands.ablate_options import AblateOffline
@@ -22,9 +27,9 @@ from marl_mm.commands.offline_options import (
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import SHIPPED
 from marl_mm.errors import OtherConfigError, UnknownDatasetError, UsageError
-from marl_mm.eval.ablations import Ablation, Cell, Probe, Setting, made_by
+from marl_mm.eval.ablation import Ablation, Cell, Probe, Setting, cell_name
+from marl_mm.eval.ablations import made_by
 from marl_mm.eval.evaluate import evaluate
-from marl_mm.eval.offline_rows import probe_file
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import progress_bar
 
@@ -49,6 +54,16 @@ class Wanted:
     jobs: tuple[Job, ...]
     """One per seed; some may be done."""
 
+    @property
+    def name(self) -> tuple[str, str]:
+        """Of the cell."""
+        return cell_name(self.cell)
+
+    @property
+    def runs(self) -> set[Path]:
+        """Folders of the jobs."""
+        return {job.run for job in self.jobs}
+
 
 def missing_cells(
     options: AblateOffline, ablations: Iterable[Ablation]
@@ -65,8 +80,9 @@ def missing_cells(
     datasets: dict[str, Dataset] = {}
     for cell, probes in cells:
         training = training_options(options, cell[1])
+        made_of = _made_of(cell[1].algorithm, training)
         try:
-            if store.has(cell, options.seeds, probes, _made_of(training)):
+            if store.has(cell, options.seeds, probes, made_of):
                 continue
         except OtherConfigError as error:
             advice = "name another folder with --out"
@@ -103,7 +119,7 @@ def _cells(ablations: Iterable[Ablation]) -> list[tuple[Cell, tuple[Probe, ...]]
 def training_options(options: AblateOffline, setting: Setting) -> Offline:
     """Options of one setting's runs."""
     small = options.budget == "smoke"
-    changes = {**setting.changes, "precision": options.precision}
+    changes = {"precision": resolved(options.precision), **setting.changes}
     if small:
         changes["updates"] = _SMALL["updates"]
     training: Any = offline_options(
@@ -121,12 +137,14 @@ def training_options(options: AblateOffline, setting: Setting) -> Offline:
     return trained
 
 
-def _made_of(training: Offline) -> dict[str, Any]:
+def _made_of(algorithm: str, training: Offline) -> dict[str, Any]:
     """What rows must have been made of; the seeds and the dataset stand elsewhere."""
-    own = ("eval_episodes", "eval_seed", "curve_every", "curve_episodes")
+    own = ("eval_episodes", "eval_seed", "curve_every", "curve_episodes", "max_steps")
+    config = asdict(training.config)
+    del config["precision"]  # is what was best where they were made
     return {
-        **asdict(training.config),
-        **training.overrides,
+        "algorithm": algorithm,
+        **config,
         **{name: getattr(training, name) for name in own},
     }
 
@@ -201,7 +219,7 @@ def _seconds(job: Job, per_update: float, per_step: float) -> float:
     options = job.options
     rows = read_metrics(job.run) if (job.run / FILE).exists() else []
     updates = options.config.updates - (rows[-1]["step"] if rows else 0)
-    probes = [p for p in job.probes if not probe_file(job.run, p).exists()]
+    probes = [probe for probe in job.probes if not job.has(probe)]
     points = -(-updates // options.curve_every) + (not rows)
     goals = len(probes) * options.eval_episodes + points * options.curve_episodes
     return updates * per_update + goals * _STEPS * per_step

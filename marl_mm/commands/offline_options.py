@@ -194,7 +194,7 @@ def offline_config(dataset: Dataset, options: Offline, seed: int) -> dict[str, A
         "seed": seed,
         "device": options.device,
         "task": task_of(dataset, options),
-        **options.overrides,
+        "max_steps": options.max_steps,
         "dataset": dataset.identity(),
         "curve_every": options.curve_every,
         "curve_episodes": options.curve_episodes,
