@@ -79,6 +79,15 @@ def test_help_and_version_come_without_heavy_imports() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
 
 
+def test_workers_that_run_episodes_do_without_torch() -> None:
+    """It takes seconds and memory, in each of them."""
+    code = (
+        "import sys, marl_mm.commands.collect, marl_mm.eval.metrics;"
+        "assert 'torch' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
 def test_no_command_is_a_usage_error(capsys: Output) -> None:
     assert run() == 2
     assert "quickstart" in capsys.readouterr().out
