@@ -99,7 +99,8 @@ def _offline(folder: Path) -> Iterator[Section]:
         title, text = _page(pages[name])
         figure = folder / f"{name}.svg"
         media = [_media(figure)] if figure.exists() else []
-        command = f"marl-mm ablate {name} --out {folder}"
+        target = name if name in ABLATIONS else "FILE.py:NAME"
+        command = f"marl-mm ablate {target} --out {folder} --overwrite"
         yield Section(name, title, command, text, media)
     made_of = sorted(folder.glob("rows/*/*.json"))
     if made_of:
