@@ -137,3 +137,4 @@ def show_distant_bars(messages: "Queue[Any]", vanish: bool = False) -> Iterator[
             messages.put(None)
             thread.join(_LOST)
             messages.cancel_join_thread()
+            messages.close()

@@ -1,6 +1,5 @@
 """Interrupts at moments that must not be cut in two are late, not lost."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -14,7 +13,11 @@ from marl_mm.interrupts import deaf_to_interrupts, end_on_signals
 
 @pytest.fixture(autouse=True)
 def handlers(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Those of a command, in the foreground."""
+    """Those of a command, in the foreground.
+
+    Signals are raised in this thread: another one, that a test before has left, might
+    take what is sent to the process, and later.
+    """
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     signal.signal(signal.SIGINT, signal.default_int_handler)
     monkeypatch.setattr(interrupts, "_heard", float("-inf"))
@@ -30,7 +33,7 @@ def test_an_interrupt_comes_after_the_outermost_block(number: signal.Signals) ->
     with pytest.raises(KeyboardInterrupt):
         with deaf_to_interrupts():
             with deaf_to_interrupts():
-                os.kill(os.getpid(), number)
+                signal.raise_signal(number)
                 done.append("inner")
             done.append("outer")
         done.append("too far")
@@ -46,34 +49,34 @@ def test_a_second_interrupt_changes_nothing(number: signal.Signals) -> None:
             raise KeyboardInterrupt("the first")
         finally:
             with deaf_to_interrupts():
-                os.kill(os.getpid(), number)
+                signal.raise_signal(number)
     with deaf_to_interrupts(forget=True):
-        os.kill(os.getpid(), number)
+        signal.raise_signal(number)
 
 
 def test_an_interrupt_sent_twice_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(KeyboardInterrupt, match="the message"):
         try:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
         except KeyboardInterrupt:
-            os.kill(os.getpid(), signal.SIGINT)
-            os.kill(os.getpid(), signal.SIGTERM)
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGTERM)
             raise KeyboardInterrupt("the message") from None
     monkeypatch.setattr(interrupts, "_ECHO", 0.0)  # as if it came much later
     with pytest.raises(KeyboardInterrupt):
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
 
 
 def test_what_is_ignored_stays_ignored() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_on_signals()
     with deaf_to_interrupts():
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
 def test_processes_started_in_the_block_do_not_hear_it() -> None:
-    code = "import os, signal; os.kill(os.getpid(), signal.SIGINT); print('alive')"
+    code = "import os, signal; signal.raise_signal(signal.SIGINT); print('alive')"
     with deaf_to_interrupts():
         child = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE)
     assert child.stdout == b"alive\n"
