@@ -4,6 +4,7 @@ It is kept with the dataset: ``card.json``, ``card.md`` and ``card.png``.
 """
 
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -82,8 +83,6 @@ def keep_card(dataset: Dataset) -> dict[str, Any]:
 
     Where there is no room or permission, nothing is written.
     """
-    from marl_mm.datasets.card_figure import draw_card  # matplotlib takes a second
-
     values = card(dataset)
     kept = {key: value for key, value in values.items() if key != "path"}
     folder = dataset.location.folder
@@ -96,13 +95,22 @@ def keep_card(dataset: Dataset) -> dict[str, Any]:
             pass
     try:
         write_json(known, kept)
-        with new_file(folder / "card.md") as temporary:
-            temporary.write_text(card_markdown(kept))
-        with new_file(folder / "card.png") as temporary:
-            draw_card(dataset.arrays, kept, temporary)
+        write_card(dataset, values, folder / "card")
     except OSError:  # somebody else's folder, or a full disk
         pass
     return values
+
+
+def write_card(dataset: Dataset, values: dict[str, Any], stem: Path) -> None:
+    """Write a card as Markdown and figure: what it is called, without its ending."""
+    from marl_mm.datasets.card_figure import draw_card  # matplotlib takes a second
+
+    kept = {key: value for key, value in values.items() if key != "path"}
+    page, figure = (stem.with_name(stem.name + end) for end in (".md", ".png"))
+    with new_file(page) as temporary:
+        temporary.write_text(card_markdown(kept, figure.name))
+    with new_file(figure) as temporary:
+        draw_card(dataset.arrays, kept, temporary)
 
 
 def card_text(values: dict[str, Any]) -> str:
@@ -112,10 +120,10 @@ def card_text(values: dict[str, Any]) -> str:
     return "\n".join(f"{name:<{width}}  {text}" for name, text in rows)
 
 
-def card_markdown(values: dict[str, Any]) -> str:
-    """The card as a Markdown page with its figure."""
+def card_markdown(values: dict[str, Any], figure: str = "card.png") -> str:
+    """The card as a Markdown page with its figure, a file beside it."""
     rows = "\n".join(f"| {name} | {text} |" for name, text in _rows(values))
-    return f"# {values['id']}\n\n| | |\n| --- | --- |\n{rows}\n\n![card](card.png)\n"
+    return f"# {values['id']}\n\n| | |\n| --- | --- |\n{rows}\n\n![card]({figure})\n"
 
 
 def _rows(values: dict[str, Any]) -> list[tuple[str, str]]:

@@ -80,25 +80,6 @@ def bench_table(result: Mapping[str, Any]) -> str:
     return markdown_table(("part", "median [us]", "p99 [us]", "of a step"), lines)
 
 
-def offline_speed_table(result: Mapping[str, Any]) -> str:
-    """Updates per second of offline learners, and over the authors', as Markdown."""
-    offline, seeds = result["offline"], result["seeds"]
-    over = offline["over_authors"]
-    lines = [
-        (name, f"{rate:.0f}", f"{over[name]:.2f}" if name in over else "1.00")
-        for name, rate in offline["updates_per_second"].items()
-    ]
-    told = f"{seeds['seeds']} seeds in one command, over one seed"
-    ratio = f"{seeds['throughput_over_one']:.2f} times the throughput"
-    lines.append((told, ratio, f"{seeds['largest_process_mb']:.0f} MB a process"))
-    header = (
-        "one thread, batch 256, 2 x 256",
-        "updates per second",
-        "over its authors'",
-    )
-    return markdown_table(header, lines)
-
-
 def data_table(result: Mapping[str, Any]) -> str:
     """What collecting, loading and storing cost, beside others, as Markdown."""
     rates, storage = result["steps_per_second"], result["storage"]

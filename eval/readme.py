@@ -14,7 +14,6 @@ from marl_mm.eval.bench_tables import (
     abuse_table,
     bench_table,
     data_table,
-    offline_speed_table,
 )
 from marl_mm.eval.offline import ablation_table, goals_table
 from marl_mm.eval.online import SETTINGS
@@ -108,10 +107,6 @@ def _ablation(name: str, *leave_out: str) -> str:
     """A table of offline learning; what is left out stands in the committed one."""
     summary = read_rows(RESULTS / f"offline/{name}.csv")
     return ablation_table(ABLATIONS[name], summary, ("IQM", *leave_out))
-
-
-def _offline_updates() -> str:
-    return offline_speed_table(json.loads((RESULTS / "offline/bench.json").read_text()))
 
 
 TABLES: dict[str, Callable[[], str]] = {

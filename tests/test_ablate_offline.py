@@ -246,7 +246,7 @@ def test_a_run_that_fails_does_not_stop_the_others(
     asked[1] = f"{own}:FAILS"
     assert main(asked) == 1
     complaint = capsys.readouterr().err
-    assert "2 of 4 runs failed, the same command tries them again" in complaint
+    assert "2 of 4 runs failed, the same command with --resume tries" in complaint
     assert "wild/1: " in complaint
     assert (tmp_path / "runs/results/rows/good-5k/width-16.csv.gz").exists()
     assert main([*asked, "--settings", "width-16"]) == 0

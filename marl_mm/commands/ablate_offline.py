@@ -16,13 +16,12 @@ from marl_mm.commands.ablate_plan import (
     missing_cells,
     plan_table,
 )
-from marl_mm.datasets.card import card, card_markdown
-from marl_mm.datasets.card_figure import draw_card
+from marl_mm.datasets.card import card, write_card
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.errors import FailedRunsError, UsageError
 from marl_mm.eval.ablation import Ablation, cell_name
 from marl_mm.eval.metrics import Row
-from marl_mm.files import new_file, refuse_existing
+from marl_mm.files import refuse_existing
 
 
 def ablate_offline(
@@ -84,8 +83,8 @@ def ablate_offline(
     )
     reasons = "; ".join(f"{run}: {why}" for run, why in failed.items())
     raise FailedRunsError(
-        f"{len(failed)} of {len(left)} runs failed, the same command tries them again; "
-        f"drawn: {', '.join(drawn) or 'nothing'}; {reasons}"
+        f"{len(failed)} of {len(left)} runs failed, the same command with --resume "
+        f"tries them again; drawn: {', '.join(drawn) or 'nothing'}; {reasons}"
     )
 
 
@@ -134,14 +133,7 @@ def _make_rows(
 def _keep_card(folder: Path, one: Wanted) -> None:
     """The card of a cell's dataset, beside the tables."""
     dataset = load_dataset(one.jobs[0].dataset)
-    values = card(dataset)
-    del values["path"]
-    stem = one.cell[0].replace("/", "-")
-    text = card_markdown(values).replace("card.png", f"{stem}.png")
-    with new_file(folder / f"{stem}.md") as temporary:
-        temporary.write_text(text)
-    with new_file(folder / f"{stem}.png") as temporary:
-        draw_card(dataset.arrays, values, temporary)
+    write_card(dataset, card(dataset), folder / one.cell[0].replace("/", "-"))
 
 
 def _chosen(ablation: Ablation, options: AblateOffline) -> Ablation:

@@ -40,7 +40,6 @@ not."""
 _TIMED = 30
 """Updates that are timed, after as many that are not."""
 
-
 _SMALL = {"updates": 60, "goals": 2, "max_steps": 4}
 """With the smoke budget."""
 
@@ -106,13 +105,12 @@ def _cells(ablations: Iterable[Ablation]) -> list[tuple[Cell, tuple[Probe, ...]]
     settings: dict[str, Setting] = {}
     for ablation in ablations:
         for cell in ablation.cells:
-            dataset, setting = cell
+            _, setting = cell
             if settings.setdefault(setting.name, setting) != setting:
                 raise UsageError(f"two settings are called {setting.name!r}")
-            _, before = found.get((dataset, setting.name), (cell, ()))
-            probes = dict.fromkeys(probe.name for probe in (*before, *ablation.probes))
-            known = {probe.name: probe for probe in (*before, *ablation.probes)}
-            found[dataset, setting.name] = cell, tuple(known[name] for name in probes)
+            _, before = found.get(cell_name(cell), (cell, ()))
+            probes = {probe.name: probe for probe in (*before, *ablation.probes)}
+            found[cell_name(cell)] = cell, tuple(probes.values())
     return list(found.values())
 
 
