@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -105,8 +105,7 @@ def only_here(folder: Path, *, wait: bool = False) -> Iterator[None]:
     descriptor = -1
     try:
         while descriptor < 0:
-            folder.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(folder, os.O_RDONLY)
+            descriptor = _opened(folder)
             fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
             if not _is_open_at(descriptor, folder):  # the one before removed it
                 os.close(descriptor)
@@ -119,6 +118,15 @@ def only_here(folder: Path, *, wait: bool = False) -> Iterator[None]:
     finally:
         if descriptor >= 0:
             os.close(descriptor)
+
+
+def _opened(folder: Path) -> int:
+    """A descriptor of a folder, made unless it is there."""
+    while True:  # another process may remove it after each line
+        with suppress(FileExistsError):
+            folder.mkdir(parents=True, exist_ok=True)
+        with suppress(FileNotFoundError):
+            return os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
 
 
 def _is_open_at(descriptor: int, folder: Path) -> bool:

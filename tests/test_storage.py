@@ -220,6 +220,25 @@ def test_what_a_killed_writer_of_the_same_number_left_goes(tmp_path: Path) -> No
     assert not left.exists()
 
 
+def test_waiting_writers_take_turns_though_each_removes_the_folder(
+    tmp_path: Path,
+) -> None:
+    code = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from marl_mm.files import only_here\n"
+        "folder = Path(sys.argv[1])\n"
+        "for _ in range(200):\n"
+        "    with only_here(folder, wait=True):\n"
+        "        (folder / 'mine').touch(exist_ok=False)\n"
+        "        (folder / 'mine').unlink()\n"
+        "        folder.rmdir()\n"
+    )
+    words = [sys.executable, "-c", code, str(tmp_path / "taken")]
+    processes = [subprocess.Popen(words) for _ in range(4)]
+    assert [process.wait() for process in processes] == [0] * 4
+
+
 def test_a_word_is_an_id_unless_it_is_a_dataset_here(
     datasets_home: Path,
     episodes: list[Episode],
