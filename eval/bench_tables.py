@@ -80,6 +80,20 @@ def bench_table(result: Mapping[str, Any]) -> str:
     return markdown_table(("part", "median [us]", "p99 [us]", "of a step"), lines)
 
 
+def offline_speed_table(result: Mapping[str, Any]) -> str:
+    """Updates per second of offline learners, and over the authors', as Markdown."""
+    offline, seeds = result["offline"], result["seeds"]
+    over = offline["over_authors"]
+    lines = [
+        (name, f"{rate:.0f}", f"{over.get(name, 1):.2f}")
+        for name, rate in offline["updates_per_second"].items()
+    ]
+    told = f"{seeds['seeds']} seeds in one command on {seeds['cores']} cores"
+    ratio = f"{seeds['throughput_over_one']:.2f} times one seed's"
+    lines.append((told, ratio, f"{seeds['largest_process_mb']:.0f} MB a process"))
+    return markdown_table(("one thread", "updates per second", "over theirs"), lines)
+
+
 def data_table(result: Mapping[str, Any]) -> str:
     """What collecting, loading and storing cost, beside others, as Markdown."""
     rates, storage = result["steps_per_second"], result["storage"]

@@ -3,9 +3,10 @@
 import json
 from base64 import b64encode
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from mimetypes import guess_type
 from pathlib import Path
+from typing import Any
 
 from jinja2 import Environment
 from markdown_it import MarkdownIt
@@ -13,12 +14,21 @@ from markupsafe import Markup
 
 from marl_mm.errors import UsageError
 from marl_mm.eval.ablations import ABLATIONS
-from marl_mm.eval.bench_tables import abuse_table, bench_table, data_table
+from marl_mm.eval.bench_tables import (
+    abuse_table,
+    bench_table,
+    data_table,
+    offline_speed_table,
+)
+from marl_mm.eval.offline import goals_table
+from marl_mm.eval.online import SETTINGS
+from marl_mm.eval.online_tables import steps_table, updates_table, worth_of_alpha
+from marl_mm.eval.rows import read_rows
 from marl_mm.versions import versions
 
 _TEMPLATE = Path(__file__).with_name("report.html")
 
-_ONLINE = {
+_FIGURES = {
     "fig4.png": "marl-mm ablate fig4",
     "fig5.png": "marl-mm ablate fig5",
     "fig6.png": "marl-mm ablate fig6",
@@ -26,6 +36,12 @@ _ONLINE = {
     "alpha.png": "marl-mm ablate alpha",
 }
 """Figures of online learning, and what draws them."""
+
+_TABLES = {
+    "curves.csv.gz": ("online", "goals reached by steps", steps_table),
+    "alpha_worth.csv": ("alpha", "learnt alpha against the best held", worth_of_alpha),
+}
+"""Other tables of online learning: what they are made of, and by which target."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +95,9 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
             f"{results} has no results, expected a folder such as eval/results that "
             "marl-mm ablate --out FOLDER/offline has filled"
         )
-    made = Section("versions", "Versions", text=_table(versions("matplotlib")))
+    made = Section(
+        "versions", "Versions that drew this page", text=_table(versions("matplotlib"))
+    )
     environment = Environment(autoescape=True, trim_blocks=True)
     page = environment.from_string(_TEMPLATE.read_text())
     return page.render(
@@ -102,6 +120,9 @@ def _offline(folder: Path) -> Iterator[Section]:
         target = name if name in ABLATIONS else "FILE.py:NAME"
         command = f"marl-mm ablate {target} --out {folder} --overwrite"
         yield Section(name, title, command, text, media)
+    if pages:
+        text = _html(goals_table())
+        yield Section("goals", "Goals for an interval of +- 5 points", text=text)
     made_of = sorted(folder.glob("rows/*/*.json"))
     if made_of:
         details = [
@@ -115,12 +136,27 @@ def _online(folder: Path) -> Iterator[Section]:
     if page.exists():
         title, text = _page(page)
         yield Section("online", title, f"marl-mm ablate online --out {folder}", text)
-    for name, command in _ONLINE.items():
+    for name, (target, about, table) in _TABLES.items():
+        if (folder / name).exists():
+            text = _html(table(read_rows(folder / name), SETTINGS))
+            command = f"marl-mm ablate {target} --out {folder}"
+            yield Section(f"online-{name}", f"Online: {about}", command, text)
+    for name, command in _FIGURES.items():
         if (folder / name).exists():
             media = [_media(folder / name)]
             title = f"Online: {name.removesuffix('.png')}"
             command = f"{command} --out {folder}"
             yield Section(f"online-{name}", title, command, media=media)
+    if page.exists():
+        details = [
+            (f"{setting.name}, {setting.task}", _config(asdict(setting.config)))
+            for setting in SETTINGS
+        ]
+        yield Section("online-configs", "Configs of online runs", details=details)
+
+
+def _config(config: dict[str, Any]) -> str:
+    return json.dumps(config, indent=2)
 
 
 def _alpha(folder: Path) -> Iterator[Section]:
@@ -145,11 +181,14 @@ def _benchmarks(results: Path) -> Iterator[Section]:
     tables = {
         "controller/bench.json": ("The controller's time", "control", bench_table),
         "data/bench.json": ("Collecting and loading", "data", data_table),
+        "offline/bench.json": ("Offline updates", "train", offline_speed_table),
+        "online/bench.json": ("Online updates", "train", _online_updates),
     }
     for name, (title, target, table) in tables.items():
         if (results / name).exists():
             text = _html(table(json.loads((results / name).read_text())))
-            yield Section(f"bench-{target}", title, f"marl-mm bench {target}", text)
+            key = name.replace("/", "-")
+            yield Section(key, title, f"marl-mm bench {target}", text)
     paths = {
         form: results / f"controller/abuse-{form}.json" for form in ("blend", "rhp")
     }
@@ -157,6 +196,10 @@ def _benchmarks(results: Path) -> Iterator[Section]:
     if found:
         text = _html(abuse_table(found))
         yield Section("abuse", "Limits under abuse", "marl-mm bench abuse", text)
+
+
+def _online_updates(result: dict[str, Any]) -> str:
+    return updates_table(result, SETTINGS)
 
 
 def _videos(videos: Sequence[Path]) -> Iterator[Section]:

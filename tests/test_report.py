@@ -85,6 +85,8 @@ def test_every_table_stands_with_what_makes_it(page_file: Path) -> None:
     for command in ("ablate online", "ablate fig6", "sweep-alpha", "bench control"):
         assert f"marl-mm {command}" in page
     assert "DDPG + HER" in page and "pybullet" in page
+    for title in ("by steps", "the best held", "Online updates", "Configs of online"):
+        assert title in page
 
 
 def test_names_are_text_and_not_html(tmp_path: Path) -> None:
