@@ -38,8 +38,8 @@ class OfflineBatch(NamedTuple):
     """1 where the goal was reached, shape (S, B)."""
 
     imitated: torch.Tensor
-    """0 where the goal is another episode's, so that the action was not for it, shape
-    (S, B)."""
+    """0 where the goal is that of any other step, so that the action was not for it,
+    shape (S, B)."""
 
     successful: torch.Tensor
     """1 in episodes that reached their goal, shape (S, B)."""

@@ -34,7 +34,7 @@ _TABLE_3: dict[str, Any] = {
     "q_weight": 2.5,  # Fujimoto & Gu 2021
     "q_weight_end": None,
     "policy_delay": 2,  # Fujimoto 2018
-    "target_noise": 0.1,  # Table 3
+    "target_noise": 0.1,  # Table 3: "Standard deviation", of what it does not say
     "target_noise_clip": 0.5,  # Fujimoto 2018
     "future": 0.0,
     "elsewhere": 0.0,

@@ -281,8 +281,9 @@ class Td3Bc:
     def diagnose(self) -> dict[str, torch.Tensor]:
         """What critics and actors do on some of the data, shape (S,).
 
-        Q is the first critic's. ``q/slope``: how much more it values going to the goal
-        than away from it, along x; below 0 it has learnt the opposite.
+        Q is the mean over all critics. ``q/slope``: how much more the first, which an
+        actor follows, values going to the goal than away from it, along x; below 0 it
+        has learnt the opposite.
         """
         state, action = self._batches.some(DIAGNOSED)
         towards = torch.sign(state[..., GOAL.start] - state[..., EE.start])
@@ -293,8 +294,8 @@ class Td3Bc:
         slope = self.critics.first(inputs, there) - self.critics.first(inputs, back)
         now = self.actors.joint(inputs)
         return {
-            "q/data": self.critics.first(inputs, action).mean(dim=1),
-            "q/policy": self.critics.first(inputs, now).mean(dim=1),
+            "q/data": self.critics.values(inputs, action).mean(dim=(1, 2, 3)),
+            "q/policy": self.critics.values(inputs, now).mean(dim=(1, 2, 3)),
             "q/slope": slope.mean(dim=1),
             **imitation_errors(now, action),
         }

@@ -55,7 +55,8 @@ def train(
 
     Raises:
         KeyboardInterrupt: After Ctrl-C, saying which checkpoint there is.
-        DivergedError: If a loss is not finite; the last checkpoint is left as it is.
+        DivergedError: If a loss, or something else that is logged, is not finite, or
+            a value beyond all returns; the last checkpoint is left as it is.
     """
     prepare_for_small_networks()
     total, saved = algorithm.config.updates, algorithm.step
@@ -63,15 +64,17 @@ def train(
     with ExitStack() as stack:
         logs = [stack.enter_context(RunLog(run, "step", since=saved)) for run in runs]
 
-        def note(step: int, rows: Sequence[Row]) -> None:
-            for log, row in zip(logs, rows, strict=True):
-                log.add({"step": step, **row})
+        def keep(step: int, rows: Sequence[Row]) -> None:
+            with deaf_to_interrupts():  # all seeds at the same step
+                for number, (log, row) in enumerate(zip(logs, rows, strict=True)):
+                    log.add({"step": step, **row})
+                    save_seed(log.run / FILE, algorithm, number)
 
         try:
-            if saved == 0:
+            if saved == 0 and not all(log.rows for log in logs):
                 points = _evaluated(algorithm, evaluate)
                 _keep_best(algorithm, points, logs)
-                note(0, points)
+                keep(0, points)
             while saved < total:
                 step = min(_after(saved, LOG_EVERY), _after(saved, evaluate_every))
                 step = min(step, total)
@@ -82,14 +85,12 @@ def train(
                     points = _evaluated(algorithm, evaluate)
                     rows = [a | b for a, b in zip(rows, points, strict=True)]
                     _keep_best(algorithm, rows, logs)
-                with deaf_to_interrupts():  # all seeds at the same step
-                    note(step, rows)
-                    for number, run in enumerate(runs):
-                        save_seed(run / FILE, algorithm, number)
-                    done, saved = step - saved, step
+                keep(step, rows)
+                done, saved = step - saved, step
                 advance(done, _note(measured))
         except (KeyboardInterrupt, DivergedError) as error:
-            kept = f"the checkpoint of update {saved}" if saved else "no checkpoint"
+            begun = all((run / FILE).exists() for run in runs)
+            kept = f"the checkpoint of update {saved}" if begun else "no checkpoint"
             where = f"{', '.join(map(str, runs))}: {kept}"
             if isinstance(error, DivergedError):
                 raise DivergedError(f"{error}; {where}") from None
@@ -126,11 +127,13 @@ def _refuse_odd_values(
         for seed, number in zip(algorithm.seeds, value.tolist(), strict=True):
             if not (abs(number) <= limit and math.isfinite(number)):
                 told = f", more than {limit:.3g}" if math.isfinite(number) else ""
+                bounds = ("clip_targets", "layer_norm")
+                has = all(hasattr(algorithm.config, name) for name in bounds)
+                bounded = "leave on --clip-targets and --layer-norm, " if has else ""
                 raise DivergedError(
                     f"{key} is {number:.3g}{told} with seed {seed} after "
-                    f"{algorithm.step} updates: lower the learning rates, leave on "
-                    "what bounds critics (--clip-targets, --layer-norm), or look for "
-                    "odd values with marl-mm datasets verify"
+                    f"{algorithm.step} updates: lower the learning rate, {bounded}or "
+                    "look for odd values with marl-mm datasets verify"
                 )
 
 

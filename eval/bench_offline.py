@@ -8,13 +8,15 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, TemporaryFile
 from time import perf_counter
 from typing import Any
 
 import numpy as np
+import psutil
 
 from marl_mm.algorithms.mabc import Mabc, MabcConfig
 from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
@@ -30,18 +32,25 @@ from marl_mm.errors import MarlMmError
 from marl_mm.eval.td3_bc_reference import PlainTd3Bc
 from marl_mm.progress import Advance, silent
 
-AUTHORS = "td3-bc, its authors'"
+AUTHORS = "td3-bc, its authors' restated"
+AUTHORS_AUTO = f"{AUTHORS}, --precision auto"
 PLAIN = "td3-bc, no more than theirs"
 PLAIN_HIGHEST = f"{PLAIN}, --precision highest"
 HIGHEST = "td3-bc, --precision highest"
 
 HIDDEN = (256, 256)
 
-LEARNERS = 7
+LEARNERS = 8
 """How many are timed."""
 
 _TURN = 100
 """Updates until it is another's turn."""
+
+_LOOK_EVERY = 0.5
+"""Between looks at a command's memory [s]."""
+
+MANY = 32
+"""Seeds that learn side by side on a GPU."""
 
 
 def bench_offline(
@@ -87,16 +96,16 @@ def bench_seeds(
 
     Returns:
         Seconds of each, how many times the throughput of one several have, and the
-        largest process's memory [MB].
+        most memory that all processes of each had [MB], what they share counted once.
     """
     walls: dict[int, list[float]] = {1: [], seeds: []}
-    memory = 0.0
+    memory = dict.fromkeys(walls, 0.0)
     for _ in range(turns):
         for count, found in walls.items():
             with TemporaryDirectory() as folder:
-                wall, largest = _train(updates, count, folder)
+                wall, most = _train(updates, count, folder)
             found.append(wall)
-            memory = max(memory, largest)
+            memory[count] = max(memory[count], most)
             advance(count, f"{count} seeds")
     one, several = min(walls[1]), min(walls[seeds])
     return {
@@ -105,28 +114,78 @@ def bench_seeds(
         "one_s": one,
         "several_s": several,
         "throughput_over_one": seeds * one / several,
-        "largest_process_mb": memory,
+        "one_memory_mb": memory[1],
+        "several_memory_mb": memory[seeds],
+    }
+
+
+def bench_side_by_side(
+    updates: int, seeds: int = MANY, device: str = "cuda", advance: Advance = silent
+) -> dict[str, float]:
+    """Updates per second of many seeds of TD3+BC in one process, together, over one.
+
+    Args:
+        updates: Of each seed.
+        seeds: How many.
+        device: A GPU; on a CPU seeds are trained in processes instead.
+        advance: Told the updates of either.
+    """
+    arrays, rewards = load_arrays(ARRAYS), partial(judge, config=reach_config())
+    config = Td3BcConfig(hidden=HIDDEN)
+    rates = {}
+    for count in (1, seeds):
+        algorithm = Td3Bc(config, arrays, rewards, range(count), device)
+        with matrix_products("auto"):
+            _rate(algorithm.update, _TURN)
+            algorithm.diagnose()["q/data"].cpu()  # waits for what is under way
+            begin = perf_counter()
+            for _ in range(updates):
+                algorithm.update()
+            algorithm.diagnose()["q/data"].cpu()
+        rates[count] = count * updates / (perf_counter() - begin)
+        advance(updates, f"{count} seeds")
+    return {
+        "seeds": seeds,
+        "one_updates_per_second": rates[1],
+        "all_updates_per_second": rates[seeds],
+        "over_one": rates[seeds] / rates[1],
     }
 
 
 def _train(updates: int, seeds: int, folder: str) -> tuple[float, float]:
-    """Seconds that the command took, and its largest process [MB]."""
+    """Seconds that the command took, and the most memory of its processes [MB]."""
     words = (
         f"-m marl_mm train td3-bc --dataset {SHIPPED} --updates {updates} --hidden "
         f"{' '.join(map(str, HIDDEN))} --curve-every {updates} --curve-episodes 1 "
         f"--eval-episodes 2 --out {folder} --overwrite --seeds"
     ).split()
     command = [sys.executable, *words, *map(str, range(seeds))]
-    begin = perf_counter()
+    begin, most = perf_counter(), 0.0
     quiet = subprocess.DEVNULL
-    with subprocess.Popen(command, stdout=quiet, stderr=subprocess.PIPE) as job:
-        assert job.stderr is not None
-        complaint = job.stderr.read().decode()
-        _, status, usage = os.wait4(job.pid, 0)
-        job.returncode = os.waitstatus_to_exitcode(status)
-    if job.returncode:
-        raise MarlMmError(f"{' '.join(command)} failed: {complaint.strip()[-200:]}")
-    return perf_counter() - begin, usage.ru_maxrss / 1024
+    with (
+        TemporaryFile("w+") as errors,
+        subprocess.Popen(command, stdout=quiet, stderr=errors) as job,
+    ):
+        while job.poll() is None:
+            most = max(most, _memory(psutil.Process(job.pid)))
+            with suppress(subprocess.TimeoutExpired):
+                job.wait(_LOOK_EVERY)
+        wall = perf_counter() - begin
+        if job.returncode:
+            errors.seek(0)
+            complaint = errors.read().strip()[-200:]
+            raise MarlMmError(f"{' '.join(command)} failed: {complaint}")
+    return wall, most
+
+
+def _memory(process: psutil.Process) -> float:
+    """Of a process and all that it began [MB]: the proportional set size."""
+    total = 0
+    with suppress(psutil.NoSuchProcess):  # it may end meanwhile
+        for one in (process, *process.children(recursive=True)):
+            with suppress(psutil.NoSuchProcess):
+                total += one.memory_full_info().pss
+    return total / 2**20
 
 
 def _learners(seed: int) -> dict[str, Callable[[], object]]:
@@ -137,6 +196,7 @@ def _learners(seed: int) -> dict[str, Callable[[], object]]:
     auto = matrix_products("auto")  # as a decorator
     return {
         AUTHORS: PlainTd3Bc(arrays, plain, seed).update,
+        AUTHORS_AUTO: auto(PlainTd3Bc(arrays, plain, seed).update),
         PLAIN: auto(Td3Bc(plain, arrays, rewards, [seed]).update),
         PLAIN_HIGHEST: Td3Bc(plain, arrays, rewards, [seed]).update,
         "td3-bc": auto(Td3Bc(tuned, arrays, rewards, [seed]).update),

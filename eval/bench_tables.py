@@ -90,7 +90,7 @@ def offline_speed_table(result: Mapping[str, Any]) -> str:
     ]
     told = f"{seeds['seeds']} seeds in one command on {seeds['cores']} cores"
     ratio = f"{seeds['throughput_over_one']:.2f} times one seed's"
-    lines.append((told, ratio, f"{seeds['largest_process_mb']:.0f} MB a process"))
+    lines.append((told, ratio, f"{seeds['several_memory_mb']:.0f} MB of memory"))
     return markdown_table(("one thread", "updates per second", "over theirs"), lines)
 
 

@@ -1,6 +1,6 @@
 """What ablations of offline learning show: rows summarised, and as tables."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import count
 
 import numpy as np
@@ -9,30 +9,50 @@ from scipy.stats import trim_mean
 from marl_mm.eval.ablation import Ablation, Cell, Probe
 from marl_mm.eval.ablations import reported
 from marl_mm.eval.metrics import CONFIDENCE, Row, success_interval
+from marl_mm.eval.offline_rows import RowStore
 from marl_mm.eval.online import deviation
 from marl_mm.eval.tables import markdown_table
 
 _RESAMPLES = 2_000
 """Of the bootstrap."""
 
+SLOPE = "critic's slope"
+"""Heading of ``q/slope``: how much more critics value going to the goal than away."""
+
 
 def summarize_ablation(
-    ablation: Ablation, read: Callable[[Cell], Sequence[Row]]
+    ablation: Ablation, store: RowStore, seeds: Sequence[int]
 ) -> list[Row]:
     """One row per cell and probe.
 
     Args:
         ablation: What it is of.
-        read: Gives a cell's rows: ``seed``, ``probe``, ``direction``, ``success`` and
-            more of each goal.
+        store: Has the rows.
+        seeds: Of the runs that count.
     """
     summary = []
     for cell in ablation.cells:
-        rows = read(cell)
+        rows = store.evaluations(cell, seeds, ablation.probes)
+        of_runs = {
+            "q_slope": _slope_at_the_end(store.curves(cell, seeds)),
+            "diverged": _diverged(store.diverged(cell), seeds),
+        }
         for probe in ablation.probes:
             own = [row for row in rows if row["probe"] == probe.name]
-            summary.append(_summarize(cell, probe, own))
+            summary.append(_summarize(cell, probe, own) | of_runs)
     return summary
+
+
+def _slope_at_the_end(curves: Sequence[Row]) -> float:
+    """The critics', mean over seeds; nan where there is none."""
+    last = {row["seed"]: float(row["q_slope"]) for row in curves}
+    known = [slope for slope in last.values() if np.isfinite(slope)]
+    return float(np.mean(known)) if known else np.nan
+
+
+def _diverged(updates: Mapping[int, int], seeds: Sequence[int]) -> str:
+    told = (f"{seed} after {updates[seed]}" for seed in seeds if seed in updates)
+    return ", ".join(told)
 
 
 def _summarize(cell: Cell, probe: Probe, rows: Sequence[Row]) -> Row:
@@ -143,20 +163,26 @@ def ablation_lines(
     known = {(row["dataset"], row["setting"], row["probe"]): row for row in summary}
     header = ["dataset", "setting", f"goals reached [%], {first.about}", "every seed"]
     header += ["IQM", *(_told(probe) for probe in others), "paper", "difference"]
-    header += ["return", "d_mm [m]", "d_mp [m]", "alpha"]
+    header += ["return", "d_mm [m]", "d_mp [m]", "alpha", SLOPE]
     lines = []
     for dataset, setting in ablation.cells:
         row = known[dataset, setting.name, first.name]
         line = [dataset, setting.about, rate_with_interval(row)]
-        line += [str(row["success_seeds"]).replace(" ", ", ")]
+        line += [_every_seed(row)]
         line += [_percent(row, "success_iqm")]
         line += [
             _short(known[dataset, setting.name, probe.name], probe) for probe in others
         ]
         line += _beside_paper((dataset, setting), row)
         line += [f"{row['return']:.2f}", f"{row['d_mm']:.3f}", f"{row['d_mp']:.3f}"]
-        lines.append([*line, f"{row['alpha']:.2f}"])
+        slope = "" if np.isnan(row["q_slope"]) else f"{row['q_slope']:+.2f}"
+        lines.append([*line, f"{row['alpha']:.2f}", slope])
     return header, lines
+
+
+def _every_seed(row: Row) -> str:
+    rates = str(row["success_seeds"]).replace(" ", ", ")
+    return f"{rates}; diverged: {row['diverged']}" if row["diverged"] else rates
 
 
 def rate_with_interval(row: Row) -> str:

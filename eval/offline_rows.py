@@ -23,7 +23,7 @@ from marl_mm.eval.rows import read_rows, write_csv
 from marl_mm.files import write_json
 
 _MEASURED = ("steps", "return", "final_distance", "d_mm", "d_mp", "alpha")
-_CURVE = ("success/all", "success/forward", "success/backward", "return/all")
+_CURVE = ("success/all", "success/forward", "success/backward", "return/all", "q/slope")
 
 
 def probe_file(run: Path, probe: Probe) -> Path:
@@ -107,7 +107,8 @@ class RowStore:
             for row in _evaluation(run, seed, probe)
         ]
         path = self._path(cell, ".json")
-        ways = json.loads(path.read_text())["probes"] if path.exists() else {}
+        known = json.loads(path.read_text()) if path.exists() else {}
+        ways = known.get("probes", {})
         ways |= {probe.name: _way(probe) for probe in probes}
         new = {(row["seed"], row["probe"]) for row in rows}
         rows += [r for r in self._rows(cell) if (r["seed"], r["probe"]) not in new]
@@ -120,9 +121,15 @@ class RowStore:
         for key in ("seed", "preset", "device"):
             config.pop(key)
         config["dataset"].pop("path", None)
+        ends = {s: u for s, u in self.diverged(cell).items() if s not in runs}
+        for seed, run in runs.items():
+            step = read_metrics(run)[-1]["step"]
+            if step < config["updates"]:
+                ends[seed] = step
         write_csv(self._path(cell, ".csv.gz"), rows)
         write_csv(self._path(cell, ".curve.csv.gz"), curve)
-        write_json(path, {"probes": ways, **config})
+        diverged = {str(seed): ends[seed] for seed in sorted(ends)}
+        write_json(path, {"probes": ways, "diverged": diverged, **config})
 
     def evaluations(
         self, cell: Cell, seeds: Sequence[int], probes: Sequence[Probe]
@@ -151,6 +158,12 @@ class RowStore:
     def curves(self, cell: Cell, seeds: Sequence[int]) -> list[Row]:
         """A row per seed and point of the learning curve."""
         return [row for row in self._curves(cell) if row["seed"] in seeds]
+
+    def diverged(self, cell: Cell) -> dict[int, int]:
+        """Updates after which runs diverged, by seed; what they had learnt counts."""
+        path = self._path(cell, ".json")
+        known = json.loads(path.read_text()) if path.exists() else {}
+        return {int(seed): step for seed, step in known.get("diverged", {}).items()}
 
     def _rows(self, cell: Cell) -> list[Row]:
         path = self._path(cell, ".csv.gz")

@@ -50,11 +50,13 @@ class PlainCritic(nn.Module):
         inputs = torch.cat([state, action], 1)
         hidden = functional.relu(self.l4(inputs))
         hidden = functional.relu(self.l5(hidden))
-        return self.q1(state, action), self.l6(hidden)
+        return self._first(inputs), self.l6(hidden)
 
     def q1(self, state: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
         """The first value alone."""
-        inputs = torch.cat([state, action], 1)
+        return self._first(torch.cat([state, action], 1))
+
+    def _first(self, inputs: torch.Tensor) -> torch.Tensor:
         hidden = functional.relu(self.l1(inputs))
         hidden = functional.relu(self.l2(hidden))
         value: torch.Tensor = self.l3(hidden)

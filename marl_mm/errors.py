@@ -66,7 +66,7 @@ class HopelessError(MarlMmError):
 
 
 class DivergedError(MarlMmError):
-    """Training produced a NaN or an infinity."""
+    """Training produced a NaN, an infinity, or a value beyond all returns."""
 
 
 class InvalidActionError(MarlMmError, ValueError):

@@ -21,6 +21,7 @@ from marl_mm.eval.bench_offline import (
     LEARNERS,
     bench_offline,
     bench_seeds,
+    bench_side_by_side,
     plain_config,
 )
 from marl_mm.eval.bench_train import bench_success, bench_train
@@ -120,12 +121,22 @@ def test_bench_seeds_runs_the_command(
 ) -> None:
     told: list[int] = []
     result = bench_seeds(100, 2, 1, lambda done, note: told.append(done))
-    assert told == [1, 2] and result["largest_process_mb"] > 100
+    assert told == [1, 2]
+    assert 100 < result["one_memory_mb"] < result["several_memory_mb"]
     expected = 2 * result["one_s"] / result["several_s"]
     assert result["throughput_over_one"] == pytest.approx(expected)
     monkeypatch.setenv("MINARI_DATASETS_PATH", "/proc/nowhere")
     with pytest.raises(MarlMmError, match=r"train td3-bc .* failed: marl-mm: "):
         bench_seeds(100, 2, 1)
+
+
+def test_side_by_side_counts_all_seeds() -> None:
+    """On a GPU; the CPU can do it, too."""
+    told: list[int] = []
+    result = bench_side_by_side(5, 3, "cpu", lambda done, note: told.append(done))
+    assert told == [5, 5] and result["seeds"] == 3
+    ratio = result["all_updates_per_second"] / result["one_updates_per_second"]
+    assert result["over_one"] == pytest.approx(ratio)
 
 
 def ours_in_their_order(ours: Td3Bc) -> list[torch.Tensor]:

@@ -1,6 +1,7 @@
 """TD3+BC and MATD3+BC: their updates by hand, resumed runs, seeds side by side."""
 
 import io
+import shutil
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import replace
@@ -20,18 +21,18 @@ from marl_mm.algorithms.mabc import MabcConfig
 from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
 from marl_mm.algorithms.networks import perceptron
 from marl_mm.algorithms.offline_batches import OfflineBatch
-from marl_mm.algorithms.policy import LearnedPolicy, load_policy
+from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.presets import offline_preset
 from marl_mm.algorithms.replay import normalized_actions
 from marl_mm.algorithms.runlog import read_metrics
-from marl_mm.algorithms.speed import Precision, matrix_products
+from marl_mm.algorithms.speed import Precision, matrix_products, resolved
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
 from marl_mm.algorithms.train import resume_seeds, train
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.terms import judge
 from marl_mm.episode import Episode
-from marl_mm.errors import CheckpointError, DatasetError, DivergedError, UsageError
+from marl_mm.errors import CheckpointError, DatasetError, UsageError
 from marl_mm.layout import ACTION_HIGH, ACTION_LOW, AGENTS, JOINT
 
 MakeEpisode = Callable[..., Episode]
@@ -382,41 +383,6 @@ def test_the_joint_actor_sees_everything() -> None:
     assert Td3Bc.layouts == (JOINT,) and Matd3Bc.layouts == AGENTS
 
 
-def test_a_value_beyond_all_returns_ends_the_run(
-    arrays: EpisodeArrays, tmp_path: Path
-) -> None:
-    """And weights that the last step spoilt are not kept."""
-    config = Td3BcConfig(updates=300, **SMALL)
-    algorithm = Td3Bc(config, arrays, JUDGE, [0])
-
-    def spoil(done: int, note: str) -> None:
-        if algorithm.step == 200:
-            with torch.no_grad():
-                algorithm.critics.networks.flat.mul_(1e4)
-
-    with pytest.raises(DivergedError, match=r"q/data is .* more than .* update 200"):
-        train(algorithm, [tmp_path], lambda policy: {}, 100, spoil)
-    assert np.isfinite(load_policy(tmp_path).act(np.zeros(10))).all()
-
-
-def test_weights_that_the_last_step_spoilt_are_not_kept(
-    arrays: EpisodeArrays, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    algorithm = Td3Bc(Td3BcConfig(updates=300, **SMALL), arrays, JUDGE, [0])
-    update = algorithm.update
-
-    def spoilt() -> dict[str, torch.Tensor]:
-        losses = update()
-        if algorithm.step == 200:  # where a checkpoint would be
-            algorithm.actors.networks["joint"].flat.fill_(torch.nan)
-        return losses
-
-    monkeypatch.setattr(algorithm, "update", spoilt)
-    with pytest.raises(DivergedError, match=r"nan with seed 0 .* of update 100"):
-        train(algorithm, [tmp_path], lambda policy: {}, 100)
-    assert np.isfinite(load_policy(tmp_path).act(np.zeros(10))).all()
-
-
 @pytest.mark.parametrize(("kind", "config"), KINDS)
 def test_several_seeds_in_one_process_leave_runs_of_their_own(
     arrays: EpisodeArrays, tmp_path: Path, kind: type[Td3Bc], config: Td3BcConfig
@@ -452,17 +418,21 @@ def test_several_seeds_in_one_process_leave_runs_of_their_own(
 def test_precision_is_of_updates_only(arrays: EpisodeArrays, tmp_path: Path) -> None:
     """Whoever evaluates meanwhile, or goes on after a run that failed, has torch's."""
     seen: list[str] = []
+    losses: list[float] = []
 
-    def trained(precision: Precision, spoilt: bool = False) -> Td3Bc:
+    def trained(precision: Precision, spoilt: bool = False) -> list[float]:
         config = Td3BcConfig(updates=20, precision=precision, **SMALL)
         algorithm = Td3Bc(config, arrays, JUDGE, [0])
         update = algorithm.update
+        losses.clear()
 
         def noted() -> dict[str, torch.Tensor]:
             seen.append(torch.get_float32_matmul_precision())
             if spoilt:
                 raise KeyboardInterrupt
-            return update()
+            measured = update()
+            losses.append(measured["loss/critic"].item())
+            return measured
 
         algorithm.update = noted  # type: ignore[method-assign]
 
@@ -470,13 +440,15 @@ def test_precision_is_of_updates_only(arrays: EpisodeArrays, tmp_path: Path) -> 
             assert torch.get_float32_matmul_precision() == "highest"
             return {}
 
+        shutil.rmtree(tmp_path)
+        tmp_path.mkdir()
         train(algorithm, [tmp_path], evaluate, 10)
-        return algorithm
+        return list(losses)
 
     exact, rounded = trained("highest"), trained("medium")
     assert seen == ["highest"] * 20 + ["medium"] * 20
-    own = exact.critics.networks.flat
-    torch.testing.assert_close(own, rounded.critics.networks.flat, atol=0.02, rtol=0)
+    if resolved("auto") == "medium":  # parity is kept
+        np.testing.assert_allclose(rounded, exact, rtol=1e-4)
     with pytest.raises(KeyboardInterrupt):
         trained("medium", spoilt=True)
     assert torch.get_float32_matmul_precision() == "highest"

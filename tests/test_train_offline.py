@@ -174,6 +174,32 @@ def test_a_dataset_without_successes_is_refused(
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
+def test_a_run_of_a_dataset_without_successes_goes_on(
+    make_episode: MakeEpisode, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without being told again; on another dataset it does not."""
+    for name, count in (("failures", 3), ("others", 4)):
+        failures = [make_episode(i, steps=9, success=False) for i in range(count)]
+        description = {"task": "Reach-v0", "complete": True}
+        location = locate(str(tmp_path / name))
+        write_dataset(location, arrays_of(failures, "x"), description)
+    out = ["--out", str(tmp_path / "runs")]
+    short = [word if word != "300" else "100" for word in SMALL]
+    own = ["--dataset", str(tmp_path / "failures"), "--no-require-success"]
+    assert main(["train", *short, *own, "--imitate", "all", *out]) == 0
+    assert main(["export", str(tmp_path / "runs/0")]) == 0
+    further = ["train", "td3-bc", *out, "--resume", "--updates", "200"]
+    other = ["--dataset", str(tmp_path / "others")]
+    capsys.readouterr()
+    assert main([*further, *other]) == 2
+    assert "was made with dataset." in capsys.readouterr().err
+    assert (tmp_path / "runs/0/policy.ts").exists()
+    assert main(further) == 0
+    assert read_checkpoint(tmp_path / "runs/0")["state"]["step"] == 200
+    assert not (tmp_path / "runs/0/policy.ts").exists()  # it was of 100 updates
+
+
 def test_a_run_in_the_place_of_its_folder_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -33,13 +33,10 @@ def draw(
         The table's rows, and its text.
     """
 
-    def evaluations(cell: Cell) -> list[Row]:
-        return store.evaluations(cell, seeds, ablation.probes)
-
     def curves(cell: Cell) -> list[Row]:
         return store.curves(cell, seeds)
 
-    summary = summarize_ablation(ablation, evaluations)
+    summary = summarize_ablation(ablation, store, seeds)
     lines = ablation_lines(ablation, summary)
     text = markdown_table(*lines)
     write_csv(results / f"{name}.csv", summary)

@@ -164,7 +164,14 @@ def _abuse(options: BenchAbuse) -> dict[str, Any]:
 
 
 def _train(options: BenchTrain) -> dict[str, Any]:
-    from marl_mm.eval.bench_offline import LEARNERS, bench_offline, bench_seeds
+    import torch
+
+    from marl_mm.eval.bench_offline import (
+        LEARNERS,
+        bench_offline,
+        bench_seeds,
+        bench_side_by_side,
+    )
     from marl_mm.eval.bench_train import (  # torch takes a second to import
         bench_success,
         bench_train,
@@ -191,6 +198,9 @@ def _train(options: BenchTrain) -> dict[str, Any]:
     if options.seeds > 1:
         with progress_bar("bench seeds", 2 * (1 + options.seeds)) as advance:
             result["seeds"] = bench_seeds(turns, options.seeds, advance=advance)
+    if torch.cuda.is_available():
+        with progress_bar("bench GPU", 2 * turns) as advance:
+            result["side_by_side"] = bench_side_by_side(turns, advance=advance)
     return result
 
 

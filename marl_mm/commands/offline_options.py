@@ -1,7 +1,7 @@
 """What offline runs are made of: options, config, algorithm, and what is refused."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,6 +15,7 @@ from marl_mm.algorithms.mabc import Mabc, MabcConfig
 from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
 from marl_mm.algorithms.presets import Preset, offline_preset
 from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.algorithms.speed import resolved
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
 from marl_mm.commands.options import check_positive
 from marl_mm.commands.runs import (
@@ -103,6 +104,18 @@ def offline_options(algorithm: str, name: Preset = "tuned", **changes: Any) -> O
     return options
 
 
+def with_exact_precision(options: Offline) -> Offline:
+    """Options that say what ``--precision auto`` means on this machine.
+
+    A run goes on with that elsewhere, too.
+    """
+    changed: Any = options
+    precision = resolved(options.config.precision)
+    changed = replace(changed, config=replace(changed.config, precision=precision))
+    exact: Offline = changed
+    return exact
+
+
 def check_offline(
     dataset: Dataset,
     options: Offline,
@@ -125,11 +138,13 @@ def check_offline(
             "--device is cuda, but torch finds no such GPU: use --device cpu, or "
             "install a torch that is built for yours"
         )
-    if options.require_success and not dataset.arrays.successes().any():
+    fresh = not all(options.resume and (run / FILE).exists() for run in runs.values())
+    if options.require_success and fresh and not dataset.arrays.successes().any():
+        others = " (and --imitate all)" if hasattr(options.config, "imitate") else ""
         raise DatasetError(
             f"none of the {len(dataset.arrays)} episodes of {dataset.location.name} "
             "reaches its goal, so that there is nothing to imitate; with "
-            "--no-require-success (and --imitate all) it is tried all the same"
+            f"--no-require-success{others} it is tried all the same"
         )
     reach_config(task_of(dataset, options), options.overrides)
     ignored = (*_MAY_DIFFER, *(CONTINUED if further else ()))

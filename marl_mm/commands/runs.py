@@ -52,7 +52,8 @@ class TrainOptions:
     """Steps of an episode, of evaluations too; default the task's: 25."""
 
     workers: int = field(default_factory=available_cores)
-    """Processes that run episodes; the result does not depend on it."""
+    """Processes that run episodes, and that train seeds from a dataset; the result does
+    not depend on it."""
 
     resume: bool = False
     """Go on where runs were stopped; seeds that have none start. What is left out is as
@@ -190,9 +191,12 @@ def read_config(run: Path) -> dict[str, Any]:
 def continue_run(run: Path, changes: dict[str, Any]) -> None:
     """Note in a run's config what it goes on with."""
     config = read_config(run)
-    if config | changes != config:  # evaluations were of where it ended before
+    if config | changes != config:  # what was made of where it ended before goes
         (run / EVALUATION).unlink(missing_ok=True)
         (run / BEST_EVALUATION).unlink(missing_ok=True)
+        for end in SUFFIXES.values():
+            for export in run.glob(f"*{end}"):
+                export.unlink()
         write_json(run / CONFIG, config | changes)
 
 

@@ -1,6 +1,7 @@
 """marl-mm train: a policy from a dataset file or from episodes of its own."""
 
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast, get_args
@@ -52,13 +53,15 @@ def main(arguments: Sequence[str]) -> None:
         _offline(options, runs) if name in OFFLINE else _online(name, options, runs)
     )
     results = []
-    for run, last, best in trained:
-        result = {"run": str(run), **last.to_json()}
-        results.append(result | ({"best": best.to_json()} if best else {}))
-        if not options.json:
-            print(told(run, last, best), flush=True)
-    if options.json:
-        print(json.dumps(results, indent=2))
+    try:
+        for run, last, best in trained:
+            result = {"run": str(run), **last.to_json()}
+            results.append(result | ({"best": best.to_json()} if best else {}))
+            if not options.json:
+                print(told(run, last, best), flush=True)
+    finally:  # if some seeds diverge, others do not
+        if options.json and (results or not sys.exc_info()[0]):
+            print(json.dumps(results, indent=2))
 
 
 def _offline(options: Offline, runs: dict[int, Path]) -> Any:

@@ -19,6 +19,7 @@ from marl_mm.commands.offline_options import (
     offline_algorithm,
     offline_config,
     task_of,
+    with_exact_precision,
 )
 from marl_mm.commands.runs import (
     CURVE,
@@ -51,10 +52,10 @@ def train_offline(
 
     Raises:
         DatasetError: If there is nothing to learn from.
-        DivergedError: At the end, if a seed's losses were not finite; there may be a
-            checkpoint from before.
+        DivergedError: At the end, if a seed diverged; see ``algorithms.train.train``.
         KeyboardInterrupt: After Ctrl-C, saying how to go on.
     """
+    options = with_exact_precision(options)
     check_offline(dataset, options, runs)
     # Those of an incomplete last round go beside the others: no core is idle then.
     processes = min(len(runs), options.workers + len(runs) % options.workers)
@@ -84,7 +85,7 @@ def train_offline_run(
     """One seed, in this process.
 
     Raises:
-        DivergedError: If its losses were not finite; see ``train_offline``.
+        DivergedError: If it diverged; its last checkpoint is as it was.
     """
     with only_here(run):
         _begin(dataset, options, {seed: run})
@@ -147,10 +148,16 @@ def _together(
     steps: dict[int, dict[int, Path]] = {}
     for seed, run in runs.items():
         begun = (run / FILE).exists()
-        step = read_checkpoint(run)["state"]["step"] if begun else 0
+        step = read_checkpoint(run)["state"]["step"] if begun else -1
         steps.setdefault(step, {})[seed] = run
     for group in steps.values():
-        yield _here(dataset, options, group)
+        trained = _here(dataset, options, group)
+        if isinstance(trained, DivergedError) and len(group) > 1:
+            # The others of a group that one seed stopped go on from there.
+            alone = ({seed: run} for seed, run in group.items())
+            yield from (_here(dataset, options, one) for one in alone)
+        else:
+            yield trained
 
 
 def _here(dataset: Dataset, options: Offline, runs: Mapping[int, Path]) -> _Trained:

@@ -129,6 +129,7 @@ def ours(folder: Path) -> None:
     import torch
 
     from marl_mm.algorithms.policy import LearnedPolicy
+    from marl_mm.algorithms.speed import matrix_products
     from marl_mm.algorithms.td3_bc import Td3Bc
     from marl_mm.datasets import load_dataset
     from marl_mm.envs.config import reach_config
@@ -148,8 +149,9 @@ def ours(folder: Path) -> None:
         rates: dict[str, list[float]] = {"ours": [], "d3rlpy": []}
         for seed in SEEDS:
             algorithm = Td3Bc(config, arrays, rewards, [seed])
-            while algorithm.step < UPDATES:
-                algorithm.update()
+            with matrix_products("auto"):  # as by default
+                while algorithm.step < UPDATES:
+                    algorithm.update()
             path = folder / f"theirs-{c}-{seed}.pt"
             policies: dict[str, Policy] = {
                 "ours": LearnedPolicy("ours", algorithm.agents(0)),
