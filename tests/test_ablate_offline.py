@@ -38,10 +38,12 @@ WIDTHS = Ablation(
 FAILS = Ablation(
     "One of two.",
     [
-        ("good-5k", Setting("wild", "wild", changes={"critic_learning_rate": 1e38})),
+        ("good-5k", Setting("huge", "huge", changes={"batch_size": 10**12})),
         ("good-5k", settings[0]),
     ],
 )
+WILD = Setting("wild", "wild", changes={"critic_learning_rate": 1e38})
+DIVERGES = Ablation("What diverges counts as it is.", [("good-5k", WILD)])
 """
 """An ablation of one's own, of the dataset that ships."""
 
@@ -247,9 +249,24 @@ def test_a_run_that_fails_does_not_stop_the_others(
     assert main(asked) == 1
     complaint = capsys.readouterr().err
     assert "2 of 4 runs failed, the same command with --resume tries" in complaint
-    assert "wild/1: " in complaint
+    assert "huge/1: " in complaint and "MemoryError" in complaint
     assert (tmp_path / "runs/results/rows/good-5k/width-16.csv.gz").exists()
     assert main([*asked, "--settings", "width-16"]) == 0
+
+
+@pytest.mark.slow
+def test_runs_that_diverged_are_marked(own: Path, tmp_path: Path) -> None:
+    """Also after those of other seeds came to the same rows."""
+    asked = words(own, tmp_path / "runs")
+    asked[1] = f"{own}:DIVERGES"
+    alone = asked.copy()
+    alone.remove("1")  # the second seed
+    assert main(alone) == 0
+    assert main([*asked, "--resume"]) == 0
+    results = tmp_path / "runs/results"
+    assert "; diverged: 0 after 0, 1 after 0 |" in (results / "diverges.md").read_text()
+    (row,) = read_rows(results / "diverges.csv")
+    assert row["diverged"] == "0 after 0, 1 after 0" and np.isnan(row["q_slope"])
 
 
 @pytest.mark.slow
