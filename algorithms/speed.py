@@ -1,8 +1,8 @@
 """How torch computes while it learns: what small networks on a CPU gain from.
 
-``torch.compile`` is not used: of TD3+BC's update (two layers of 256, batch 256, one core
-of an AMD EPYC) it made 4 % more a second, after 48 s of compiling, in which all of a
-tuned run's updates are nearly done without.
+``torch.compile`` is not used: of TD3+BC's update (two layers of 256, batch 256, one
+core of an AMD EPYC) it made 4 % more a second, after 48 s of compiling, in which all of
+a tuned run's updates are nearly done without.
 """
 
 import ctypes
