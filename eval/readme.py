@@ -121,6 +121,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "steps": _steps,
     "updates": _updates,
     "offline": partial(_ablation, "offline", "difference", SLOPE),
+    "tasks": partial(_ablation, "tasks", "paper", "difference"),
     "goals": goals_table,
 }
 """Name of the marks, and what stands between them."""

@@ -48,7 +48,7 @@ DIVERGES = Ablation("What diverges counts as it is.", [("good-5k", WILD)])
 """An ablation of one's own, of the dataset that ships."""
 
 RESULTS = Path(__file__).resolve().parents[1] / "eval/results/offline"
-COMMITTED = ("offline",)
+COMMITTED = ("offline", "tasks")
 
 OURS = Setting("ours", "ours")
 
