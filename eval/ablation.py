@@ -70,8 +70,8 @@ class Setting:
         _check_name(self.name)
         _check_choice("algorithm", self.algorithm, OFFLINE)
         _check_choice("preset", self.preset, get_args(Preset))
-        if self.goals < 2:
-            raise UsageError(f"goals is {self.goals}, expected 2 or more: one each way")
+        if self.goals < 2 or self.goals % 2:
+            raise UsageError(f"goals is {self.goals}, expected 2, 4, 6 ...: each way")
         known = {one.name for one in fields(offline_preset(self.algorithm))}
         for name in set(self.changes) - known:
             raise UsageError(

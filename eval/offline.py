@@ -1,16 +1,16 @@
 """What ablations of offline learning show: rows summarised, and as tables."""
 
 from collections.abc import Mapping, Sequence
-from itertools import count
+from math import ceil
 
 import numpy as np
 from scipy.stats import trim_mean
 
 from marl_mm.eval.ablation import Ablation, Cell, Probe
-from marl_mm.eval.ablations import reported
+from marl_mm.eval.ablations import LONG, reported
 from marl_mm.eval.metrics import CONFIDENCE, Row, success_interval
 from marl_mm.eval.offline_rows import RowStore
-from marl_mm.eval.online import deviation
+from marl_mm.eval.online import deviation, mean_interval
 from marl_mm.eval.tables import markdown_table
 
 _RESAMPLES = 2_000
@@ -67,8 +67,8 @@ def _summarize(cell: Cell, probe: Probe, rows: Sequence[Row]) -> Row:
         "goals": len(rows) // len(rates),
         "success": float(np.mean(rates)),
         "success_std": deviation(rates),
-        "success_interval": success_interval(
-            sum(row["success"] for row in rows), len(rows)
+        "success_interval": _wider_interval(
+            rates, sum(row["success"] for row in rows), len(rows)
         ),
         "success_iqm": interquartile_mean(scores),
         "success_iqm_interval": interquartile_interval(scores),
@@ -77,6 +77,21 @@ def _summarize(cell: Cell, probe: Probe, rows: Sequence[Row]) -> Row:
     for key in ("return", "d_mm", "d_mp", "alpha"):
         summary[key] = float(np.mean([row[key] for row in rows]))
     return summary
+
+
+def _wider_interval(
+    rates: Sequence[float], successes: int, goals: int
+) -> tuple[float, float]:
+    """The wider to each side of Student's interval over seeds and Wilson's over goals.
+
+    Seeds alone know nothing of goals where all of them reach the same share, and goals
+    alone nothing of how much seeds differ.
+    """
+    low, high = success_interval(successes, goals)
+    if len(rates) > 1:
+        over_seeds = mean_interval(rates)
+        low, high = min(low, over_seeds[0]), max(high, over_seeds[1])
+    return max(low, 0.0), min(high, 1.0)
 
 
 def success_scores(rows: Sequence[Row]) -> np.ndarray:
@@ -108,10 +123,10 @@ def interquartile_mean(scores: np.ndarray) -> float:
 
 
 def interquartile_interval(scores: np.ndarray) -> tuple[float, float]:
-    """95 % bootstrap interval of the interquartile mean; nan of a single run.
+    """95 % stratified bootstrap interval of the interquartile mean; nan of one run.
 
-    Runs are drawn with replacement and a fixed seed, a run's columns together: strata
-    (Agarwal 2021) would be drawn apart if their runs had nothing to do with each other.
+    Runs are drawn with replacement and a fixed seed, in each column for itself (Agarwal
+    2021).
 
     Args:
         scores: Shape (runs, columns).
@@ -119,26 +134,29 @@ def interquartile_interval(scores: np.ndarray) -> tuple[float, float]:
     if len(scores) == 1:
         return np.nan, np.nan
     rng = np.random.default_rng(0)
-    picks = rng.integers(len(scores), size=(_RESAMPLES, len(scores)))
-    means = trim_mean(scores[picks].reshape(_RESAMPLES, -1), 0.25, axis=1)
+    picks = rng.integers(len(scores), size=(_RESAMPLES, *scores.shape))
+    drawn = np.take_along_axis(scores[None], picks, axis=1)
+    means = trim_mean(drawn.reshape(_RESAMPLES, -1), 0.25, axis=1)
     tail = (1 - CONFIDENCE) / 2
     low, high = np.quantile(means, [tail, 1 - tail])
     return float(low), float(high)
 
 
 def goals_for(rate: float, half_width: float) -> int:
-    """Goals after which Wilson's 95 % interval reaches no further than this to a side.
+    """Goals from which on Wilson's 95 % interval reaches no further to either side.
 
     Args:
         rate: Of success.
         half_width: How far.
     """
-    for goals in count(1):
+
+    def reach(goals: int) -> float:
         reached = round(rate * goals)
         low, high = success_interval(reached, goals)
-        if max(high - reached / goals, reached / goals - low) <= half_width:
-            break
-    return goals
+        return max(high - reached / goals, reached / goals - low)
+
+    most = ceil(1 / half_width**2)  # Wilson's is less than 1 / sqrt(goals) by far
+    return 1 + max(goals for goals in range(1, most) if reach(goals) > half_width)
 
 
 # --- Tables ------------------------------------------------------------------
@@ -186,7 +204,7 @@ def _every_seed(row: Row) -> str:
 
 
 def rate_with_interval(row: Row) -> str:
-    """Mean and deviation over seeds; Wilson's interval over all goals."""
+    """Mean and deviation over seeds, and the interval."""
     low, high = (100 * bound for bound in row["success_interval"])
     return f"{_mean(row)} [{low:.1f}, {high:.1f}]"
 
@@ -219,6 +237,8 @@ def _beside_paper(cell: Cell, row: Row) -> list[str]:
         return [theirs, ""]
     mean, std = theirs
     told = f"{mean:.2f}" + ("" if std is None else f" +- {std:.2f}")
+    if cell[1].config.updates != LONG:
+        return [told, ""]
     return [told, f"{100 * row['success'] - mean:+.1f}"]
 
 

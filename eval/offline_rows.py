@@ -31,7 +31,7 @@ def probe_file(run: Path, probe: Probe) -> Path:
     return run / ("eval.json" if probe == LAST else f"eval_{probe.name}.json")
 
 
-def _way(probe: Probe) -> dict[str, Any]:
+def probe_way(probe: Probe) -> dict[str, Any]:
     """What is done, whatever it is called."""
     return {
         "checkpoint": probe.checkpoint,
@@ -58,7 +58,7 @@ def is_probed(
     return (
         len(known["episodes"]) == goals
         and known["overrides"] == {**overrides, **probe.overrides}
-        and known["policy_config"].get("alpha") == probe.alpha
+        and (probe == LAST or known.get("probe") == probe_way(probe))
     )
 
 
@@ -68,27 +68,27 @@ class RowStore:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
-    def has(
+    def missing(
         self,
         cell: Cell,
         seeds: Sequence[int],
         probes: Sequence[Probe],
         made_of: Mapping[str, Any],
-    ) -> bool:
-        """Whether there are the rows of these seeds and probes.
+    ) -> list[int]:
+        """Seeds of which there are not the rows of all these probes.
 
         Raises:
             OtherConfigError: If there are rows of runs of another config.
         """
         path = self._path(cell, ".json")
         if not path.exists():
-            return False
+            return list(seeds)
         known = json.loads(path.read_text())
-        ways = {probe.name: _way(probe) for probe in probes}
+        ways = {probe.name: probe_way(probe) for probe in probes}
         there = {name: ways[name] for name in ways if name in known["probes"]}
         refuse_difference(path, known, {**made_of, "probes": there})
         pairs = {(row["seed"], row["probe"]) for row in self._rows(cell)}
-        return pairs >= set(product(seeds, ways))
+        return [seed for seed in seeds if not pairs >= set(product([seed], ways))]
 
     def keep(
         self, cell: Cell, runs: Mapping[int, Path], probes: Sequence[Probe]
@@ -109,11 +109,11 @@ class RowStore:
         path = self._path(cell, ".json")
         known = json.loads(path.read_text()) if path.exists() else {}
         ways = known.get("probes", {})
-        ways |= {probe.name: _way(probe) for probe in probes}
+        ways |= {probe.name: probe_way(probe) for probe in probes}
         new = {(row["seed"], row["probe"]) for row in rows}
         rows += [r for r in self._rows(cell) if (r["seed"], r["probe"]) not in new]
-        order = list(ways)
-        rows.sort(key=lambda r: (r["seed"], order.index(r["probe"]), r["goal"]))
+        rows.sort(key=lambda r: (r["seed"], r["probe"], r["goal"]))
+        ways = dict(sorted(ways.items()))  # whoever came first
         curve = [row for seed, run in runs.items() for row in _curve(run, seed)]
         curve += [row for row in self._curves(cell) if row["seed"] not in runs]
         curve.sort(key=lambda row: (row["seed"], row["step"]))
@@ -121,6 +121,8 @@ class RowStore:
         for key in ("seed", "preset", "device"):
             config.pop(key)
         config["dataset"].pop("path", None)
+        if {row["seed"] for row in rows} - set(runs):
+            refuse_difference(path, known, {"dataset": config["dataset"]})
         ends = {s: u for s, u in self.diverged(cell).items() if s not in runs}
         for seed, run in runs.items():
             step = read_metrics(run)[-1]["step"]

@@ -8,15 +8,18 @@ import runpy
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+from marl_mm.commands.ablate_check import every_failure
 from marl_mm.commands.ablate_offline import ablate_offline
 from marl_mm.commands.ablate_online import TARGETS, ablate_online, check_settings
 from marl_mm.commands.ablate_options import AblateOffline
-from marl_mm.commands.ablate_runs import Ablate
+from marl_mm.commands.ablate_plan import missing_cells
+from marl_mm.commands.ablate_runs import Ablate, check_installed, told_missing
 from marl_mm.commands.options import check_positive, check_seeds
 from marl_mm.commands.parser import Subcommand, parse_options, parse_subcommand
-from marl_mm.errors import FailedRunsError, MarlMmError, UsageError
+from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.ablation import Ablation
 from marl_mm.eval.ablations import ABLATIONS
 from marl_mm.eval.rows import to_json
@@ -62,6 +65,8 @@ def _offline(options: AblateOffline, ablations: Mapping[str, Ablation]) -> None:
     check_positive(workers=options.workers)
     check_seeds(options.seeds)
     drawn = ablate_offline(options, ablations)
+    if options.plan or options.check:
+        return
     if options.json:
         print(to_json({name: rows for name, (rows, _) in drawn.items()}))
         return
@@ -124,14 +129,15 @@ def _everything(options: AblateOffline) -> None:
             for file in target.files:
                 refuse_existing(online.results(file), online.overwrite)
     offline = replace(options, runs=part(runs, "offline"), out=part(out, "offline"))
-    failure = None
-    try:
+    if options.plan:
         _offline(offline, ABLATIONS)
-    except FailedRunsError as error:
-        failure = error
-    if not options.plan:
+        print(f"and {told_missing(online)}")
+        return
+    if not options.check:
+        missing_cells(offline, ABLATIONS.values())  # refuses what cannot be done
+        check_installed(online)
+    with every_failure() as attempt:
+        attempt(partial(_offline, offline, ABLATIONS))
         for name, target in TARGETS.items():
             if target.files and not (options.check and not target.of_rows):
-                ablate_online(online, name)
-    if failure:
-        raise failure
+                attempt(partial(ablate_online, online, name))

@@ -1,18 +1,39 @@
 """Whether committed tables and figures are what their rows give, to the byte."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import matplotlib
 
-from marl_mm.errors import MarlMmError
+from marl_mm.errors import FailedRunsError, MarlMmError
 from marl_mm.files import new_file
 
 _FIGURES = (".png", ".svg")
 
 _DRAWN_WITH = "drawn_with.txt"
 """In a folder of results: the version of Matplotlib that drew the figures there."""
+
+
+@contextmanager
+def every_failure() -> Iterator[Callable[[Callable[[], object]], None]]:
+    """Gives what tries things whose failures are raised together, at the end.
+
+    Raises:
+        FailedRunsError: If any failed.
+    """
+    failures: list[str] = []
+
+    def attempt(action: Callable[[], object]) -> None:
+        try:
+            action()
+        except MarlMmError as error:
+            failures.append(str(error))
+
+    yield attempt
+    if failures:
+        raise FailedRunsError("; ".join(failures))
 
 
 def note_artist(results: Path) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from marl_mm.commands.ablate_check import note_artist
 from marl_mm.eval.ablation import Ablation, Cell
+from marl_mm.eval.ablations import NOTE
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.offline import ablation_lines, summarize_ablation
 from marl_mm.eval.offline_figures import curves_figure
@@ -40,7 +41,7 @@ def draw(
     lines = ablation_lines(ablation, summary)
     text = markdown_table(*lines)
     write_csv(results / f"{name}.csv", summary)
-    about = f"# {ablation.about}\n\n{text}"
+    about = f"# {ablation.about}\n\n{text}\n{NOTE}\n"
     for end, contents in ((".md", about), (".tex", latex_table(*lines))):
         with new_file(results / f"{name}{end}") as temporary:
             temporary.write_text(contents)

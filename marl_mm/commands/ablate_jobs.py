@@ -18,13 +18,13 @@ from marl_mm.errors import DivergedError, MarlMmError, WorkerDiedError
 from marl_mm.eval.ablation import LAST, Probe
 from marl_mm.eval.alpha_study import FixedAlpha
 from marl_mm.eval.evaluate import evaluate
-from marl_mm.eval.offline_rows import is_probed, probe_file
+from marl_mm.eval.offline_rows import is_probed, probe_file, probe_way
 from marl_mm.files import write_json
 from marl_mm.progress import Advance, Bar, distant_bars, show_distant_bars, silent
 from marl_mm.workers import Executor, open_pool
 
 _DEATHS = 3
-"""Deaths of worker processes after which what is left counts as failed."""
+"""Deaths of worker processes with which a run that was under way counts as failed."""
 
 _ALL = "all runs"
 """Label of the bar of the whole plan."""
@@ -87,7 +87,7 @@ def do_jobs(
     begun, total = monotonic(), sum(job.seconds for job in left.values())
     context = get_context("spawn")
     messages, stop = context.Queue(), context.Event()
-    deaths = 0
+    deaths = dict.fromkeys(left, 0)
     with show_distant_bars(messages, vanish=True):
         messages.put((_ALL, len(left), 0, ""))
         while left:
@@ -104,13 +104,15 @@ def do_jobs(
                     note = _remaining(monotonic() - begun, rest, total)
                     messages.put((_ALL, 0, 1, note))
             except WorkerDiedError as error:
-                deaths += 1
-                if deaths >= _DEATHS:
-                    failed |= {run: str(error) for run in left}
-                    left.clear()
-                else:
-                    told = f"{error}; going on with {len(left)} runs"
-                    print(told, file=sys.stderr)
+                for run in list(left)[: 2 * workers]:  # one of these was under way
+                    deaths[run] += 1
+                    job = left.pop(run)
+                    if deaths[run] < _DEATHS:
+                        left[run] = job  # at the end, when others are done
+                    else:
+                        failed[run] = str(error)
+                told = f"{error}; going on with {len(left)} runs"
+                print(told, file=sys.stderr)
             except BaseException:
                 stop.set()
                 raise
@@ -183,7 +185,8 @@ def _probe(dataset: Dataset, job: Job, probe: Probe) -> None:
         {**options.overrides, **probe.overrides},
         advance=_named(job)(probe.name, options.eval_episodes),
     )
-    write_json(probe_file(job.run, probe), evaluation.to_json())
+    found = {**evaluation.to_json(), "probe": probe_way(probe)}
+    write_json(probe_file(job.run, probe), found)
 
 
 def _named(job: Job) -> Bar:

@@ -3,9 +3,10 @@
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-from marl_mm.commands.ablate_check import check_drawings
+from marl_mm.commands.ablate_check import check_drawings, every_failure
 from marl_mm.commands.ablate_draw import draw, drawings
 from marl_mm.commands.ablate_jobs import Complaint, Job, do_jobs
 from marl_mm.commands.ablate_options import AblateOffline
@@ -55,8 +56,11 @@ def ablate_offline(
         }
 
     if options.check:
-        files = [file for pair in chosen.items() for file in drawings(*pair)]
-        check_drawings(results, files, draw_all)
+        with every_failure() as attempt:
+            for name, ablation in chosen.items():
+                again = partial(draw, name, ablation, store, options.seeds)
+                files = drawings(name, ablation)
+                attempt(partial(check_drawings, results, files, again))
         return {}
     if not options.plan:
         for name, ablation in chosen.items():

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from marl_mm.algorithms.speed import Precision
-from marl_mm.commands.options import available_cores
+from marl_mm.commands.options import COMMITTED, available_cores
 from marl_mm.eval.offline_rows import RowStore
 from marl_mm.workers import Executor
 
@@ -22,10 +22,11 @@ class AblateOffline:
 
     out: Path | None = None
     """Folder of tables and figures, and in OUT/rows of the evaluations that they are
-    made of: what is there need not be trained; default RUNS/results."""
+    made of: what is there need not be trained; default RUNS/results, with --check in a
+    clone eval/results/offline."""
 
     seeds: tuple[int, ...] = (0, 1, 2)
-    """Runs per dataset and setting."""
+    """One run each of every dataset and setting: the seeds, not their number."""
 
     datasets: tuple[str, ...] | None = None
     """Those named; default all of the ablation. What is missing is not made, but the
@@ -70,6 +71,8 @@ class AblateOffline:
 
     def results(self) -> Path:
         """``out`` or its default."""
+        if self.check and self.out is None and self.runs is None and COMMITTED.exists():
+            return COMMITTED / "offline"
         return self.out or self.runs_folder() / "results"
 
     def store(self) -> RowStore:

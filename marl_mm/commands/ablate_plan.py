@@ -26,6 +26,7 @@ from marl_mm.commands.offline_options import (
 )
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import SHIPPED
+from marl_mm.envs.config import reach_config
 from marl_mm.errors import OtherConfigError, UnknownDatasetError, UsageError
 from marl_mm.eval.ablation import Ablation, Cell, Probe, Setting, cell_name
 from marl_mm.eval.ablations import made_by
@@ -33,14 +34,13 @@ from marl_mm.eval.evaluate import evaluate
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import progress_bar
 
-_STEPS = 15
-"""Of an evaluated episode, about: 6 to 13 of agents that reach, 25 of those that do
-not."""
+_STEPS = 12
+"""Of an evaluated episode, about, of agents that reach; others take all there are."""
 
 _TIMED = 30
 """Updates that are timed, after as many that are not."""
 
-_SMALL = {"updates": 60, "goals": 2, "max_steps": 4}
+_SMALL = {"updates": 120, "goals": 2, "max_steps": 4}
 """With the smoke budget."""
 
 
@@ -77,25 +77,33 @@ def missing_cells(
     store = options.store()
     wanted = []
     datasets: dict[str, Dataset] = {}
+    unknown: dict[str, str] = {}
     for cell, probes in cells:
         training = training_options(options, cell[1])
         made_of = _made_of(cell[1].algorithm, training)
         try:
-            if store.has(cell, options.seeds, probes, made_of):
-                continue
+            seeds = store.missing(cell, options.seeds, probes, made_of)
         except OtherConfigError as error:
             advice = "name another folder with --out"
             raise OtherConfigError(error.difference, advice) from error
         name = cell[0]
+        if not seeds or name in unknown:
+            continue
         if name not in datasets:
-            datasets[name] = _dataset(options, name)
-        jobs = _jobs(options, cell, probes, datasets[name], training)
+            try:
+                datasets[name] = _dataset(options, name)
+            except UnknownDatasetError as error:
+                unknown[name] = str(error)
+                continue
+        jobs = _jobs(options, seeds, cell, probes, datasets[name], training)
         runs = {job.seed: job.run for job in jobs}
         try:
             check_offline(datasets[name], training, runs, further=False)
         except OtherConfigError as error:
             raise OtherConfigError(error.difference, ANOTHER_FOLDER) from error
         wanted.append(Wanted(cell, probes, jobs))
+    if unknown:
+        raise UnknownDatasetError("; ".join(unknown.values()))
     return wanted
 
 
@@ -160,6 +168,7 @@ def _dataset(options: AblateOffline, name: str) -> Dataset:
 
 def _jobs(
     options: AblateOffline,
+    seeds: Sequence[int],
     cell: Cell,
     probes: tuple[Probe, ...],
     dataset: Dataset,
@@ -179,7 +188,7 @@ def _jobs(
             training,
             probes,
         )
-        for seed in options.seeds
+        for seed in seeds
     )
 
 
@@ -220,7 +229,9 @@ def _seconds(job: Job, per_update: float, per_step: float) -> float:
     probes = [probe for probe in job.probes if not job.has(probe)]
     points = -(-updates // options.curve_every) + (not rows)
     goals = len(probes) * options.eval_episodes + points * options.curve_episodes
-    return updates * per_update + goals * _STEPS * per_step
+    most = options.max_steps or reach_config().max_steps
+    steps = most if options.preset == "paper" else _STEPS
+    return updates * per_update + goals * steps * per_step
 
 
 def _seconds_per_update(dataset: Dataset, options: Offline) -> float:
@@ -236,9 +247,10 @@ def _seconds_per_update(dataset: Dataset, options: Offline) -> float:
 
 
 def _seconds_per_step(task: str) -> float:
+    evaluate(RandomPolicy(RandomConfig()), 1, task=task)  # compiles
     begin = perf_counter()
-    evaluation = evaluate(RandomPolicy(RandomConfig()), 1, task=task)
-    steps: int = evaluation.rows[0]["steps"]
+    evaluation = evaluate(RandomPolicy(RandomConfig()), 3, task=task)
+    steps: int = sum(row["steps"] for row in evaluation.rows)
     return (perf_counter() - begin) / steps
 
 

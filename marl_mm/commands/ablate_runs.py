@@ -13,7 +13,7 @@ from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.online import Schedule
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands.collect_dataset import CollectOptions, collect_dataset
-from marl_mm.commands.options import available_cores
+from marl_mm.commands.options import COMMITTED, available_cores
 from marl_mm.commands.runs import BEST_EVALUATION, EVALUATION
 from marl_mm.commands.train_online import (
     TrainDdpg,
@@ -44,10 +44,11 @@ class Ablate:
     runs/online, or runs/online-smoke."""
 
     out: Path | None = None
-    """Folder of figures and tables; default RUNS/results."""
+    """Folder of figures and tables; default RUNS/results, with --check in a clone
+    eval/results/online."""
 
     seeds: tuple[int, ...] = (0, 1, 2)
-    """Runs per setting."""
+    """One run each of every setting: the seeds, not their number."""
 
     settings: tuple[str, ...] | None = None
     """For "runs" and "online": those named, which "runs --help" lists; default all."""
@@ -80,6 +81,8 @@ class Ablate:
 
     def results_folder(self) -> Path:
         """``out`` or its default."""
+        if self.check and self.out is None and self.runs is None and COMMITTED.exists():
+            return COMMITTED / "online"
         return self.out or self.runs_folder() / "results"
 
     def results(self, name: str) -> Path:
@@ -127,6 +130,27 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
             raise KeyboardInterrupt(
                 f"stopped in {run}; the same command {again}"
             ) from None
+
+
+def check_installed(options: Ablate) -> None:
+    """Raise, before a night of other runs, if one needs what is not installed.
+
+    Raises:
+        UsageError: Naming it.
+    """
+    sb3 = [setting for setting in SETTINGS if setting.library == "sb3"]
+    if not all(_finished(options, s, n) for s in sb3 for n in options.seeds):
+        check_sb3()
+
+
+def told_missing(options: Ablate) -> str:
+    """How many online runs are missing, in words."""
+    cells = [(setting, seed) for setting in SETTINGS for seed in options.seeds]
+    missing = sum(not _finished(options, *cell) for cell in cells)
+    return (
+        f"{missing} of {len(cells)} online runs, each of 5 to 15 minutes, one after "
+        "the other"
+    )
 
 
 def announce(folder: Path, missing: int, wanted: int) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 from rich.console import Console
 
+import marl_mm
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.datasets.dataset import Dataset, load_dataset
@@ -16,6 +17,9 @@ from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.eval.tables import evaluation_table
 from marl_mm.policy import Policy
+
+COMMITTED = Path(marl_mm.__file__).parent / "eval" / "results"
+"""In a clone, the results that its tables are made of."""
 
 NAMED = ("pretrained", "pd", "random")
 """Policies that need no run folder."""

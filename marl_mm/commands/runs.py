@@ -31,6 +31,9 @@ BEST_EVALUATION = "eval_best.json"
 CURVE = "learning_curve.png"
 SB3_BEST = "best.zip"
 
+_MADE = ("eval*.json", *(f"*{end}" for end in SUFFIXES.values()))
+"""What is made of a run's policies: evaluations and exports."""
+
 
 @dataclass(frozen=True)
 class TrainOptions:
@@ -116,7 +119,7 @@ def check_run(
             )
         refuse_existing(run, options.overwrite)
         return
-    if not (run / FILE).exists():
+    if not ((run / FILE).exists() or (run / EVALUATION).exists()):
         return  # stopped before its first checkpoint, or before its turn
     refuse_other(run, config, ignored)
 
@@ -143,11 +146,7 @@ def refuse_other(
 def start_run(run: Path, config: dict[str, Any]) -> None:
     """A run folder with its config; what an older run left there goes."""
     run.mkdir(parents=True, exist_ok=True)
-    names = (FILE, BEST, METRICS, EVALUATION, BEST_EVALUATION, CURVE, SB3_BEST)
-    patterns = ("events.out.tfevents.*", *(f"*{end}" for end in SUFFIXES.values()))
-    others = [path for pattern in patterns for path in run.glob(pattern)]
-    for path in (*(run / name for name in names), *others):
-        path.unlink(missing_ok=True)
+    _remove(run, FILE, BEST, METRICS, CURVE, SB3_BEST, "events.out.tfevents.*", *_MADE)
     write_json(run / CONFIG, config)
 
 
@@ -192,12 +191,14 @@ def continue_run(run: Path, changes: dict[str, Any]) -> None:
     """Note in a run's config what it goes on with."""
     config = read_config(run)
     if config | changes != config:  # what was made of where it ended before goes
-        (run / EVALUATION).unlink(missing_ok=True)
-        (run / BEST_EVALUATION).unlink(missing_ok=True)
-        for end in SUFFIXES.values():
-            for export in run.glob(f"*{end}"):
-                export.unlink()
+        _remove(run, *_MADE)
         write_json(run / CONFIG, config | changes)
+
+
+def _remove(run: Path, *patterns: str) -> None:
+    for pattern in patterns:
+        for path in run.glob(pattern):
+            path.unlink()
 
 
 def evaluate_run(

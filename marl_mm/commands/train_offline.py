@@ -82,12 +82,12 @@ def train_offline(
 def train_offline_run(
     dataset: Dataset, options: Offline, seed: int, run: Path, bar: Bar
 ) -> Evaluation:
-    """One seed, in this process.
+    """One seed, in this process, and after another process that may be at it.
 
     Raises:
         DivergedError: If it diverged; its last checkpoint is as it was.
     """
-    with only_here(run):
+    with only_here(run, wait=True):
         _begin(dataset, options, {seed: run})
         ((_, evaluation),) = _train(dataset, options, {seed: run}, bar)
     return evaluation
