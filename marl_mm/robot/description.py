@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from importlib import resources
 from xml.etree import ElementTree
 
+from marl_mm.robot.names import ARM_LINKS, FINGER_LINKS, HAND_LINK
+
 BODY_SIZE = (0.90, 0.58, 0.30)
 """Base body, length x width x height [m] (MiR data sheet; see the URDF)."""
 
@@ -37,8 +39,21 @@ class RobotConfig:
     """Travel of each finger [m]; the paper's 0.08 is the opening between the two."""
 
 
-def urdf_xml(config: RobotConfig) -> str:
-    """The robot's URDF as a string, with the base's mass properties of ``config``."""
+PAD_SIZE = (0.020, 0.014, 0.022)
+"""Of a finger's pad, a box [m]; ours, after the finger's mesh."""
+
+PAD_Z = 0.0425
+"""The pad's centre along the finger [m]: the grasp frame is at 0.045."""
+
+
+def urdf_xml(config: RobotConfig, solid: bool = False) -> str:
+    """The robot's URDF as a string, with the base's mass properties of ``config``.
+
+    Args:
+        config: Mass properties.
+        solid: Give arm, hand and fingers collision shapes: the meshes' convex hulls,
+            and a box for each finger's pad.
+    """
     text = resources.files("marl_mm.robot").joinpath("miranda.urdf").read_text()
     root = ElementTree.fromstring(text)
     inertial = root.find("link[@name='base_link']/inertial")
@@ -53,7 +68,35 @@ def urdf_xml(config: RobotConfig) -> str:
     _set(inertial, "origin", {"xyz": " ".join(map(repr, config.base_com_b))})
     _set(inertial, "mass", {"value": repr(mass)})
     _set(inertial, "inertia", {key: repr(value) for key, value in moments.items()})
+    if solid:
+        _make_solid(root)
     return ElementTree.tostring(root, encoding="unicode")
+
+
+def _make_solid(root: ElementTree.Element) -> None:
+    meshes = {name: f"link{i}.obj" for i, name in enumerate(ARM_LINKS) if i}
+    for name, file in {**meshes, HAND_LINK: "hand.obj"}.items():
+        mesh = {"filename": f"franka_panda/meshes/collision/{file}"}
+        _add_collision(root, name, "0 0 0", "mesh", mesh)
+    for name, side in zip(FINGER_LINKS, (1, -1), strict=True):
+        place = f"0 {side * PAD_SIZE[1] / 2} {PAD_Z}"
+        size = {"size": " ".join(map(repr, PAD_SIZE))}
+        _add_collision(root, name, place, "box", size)
+
+
+def _add_collision(
+    root: ElementTree.Element,
+    link: str,
+    place: str,
+    shape: str,
+    attributes: dict[str, str],
+) -> None:
+    parent = root.find(f"link[@name='{link}']")
+    assert parent is not None
+    collision = ElementTree.SubElement(parent, "collision")
+    ElementTree.SubElement(collision, "origin", {"xyz": place})
+    geometry = ElementTree.SubElement(collision, "geometry")
+    ElementTree.SubElement(geometry, shape, attributes)
 
 
 def _set(parent: ElementTree.Element, tag: str, values: dict[str, str]) -> None:

@@ -93,8 +93,22 @@ class RobotModel:
         self._frame = self._model.getFrameId(GRASP_FRAME)
         self._no_acceleration = np.zeros(self._model.nv)
         self._mass = pin.computeTotalMass(self._model)
+        grasp = self._model.frames[self._frame]
+        self._hand, self._grasp_h = grasp.parentJoint, grasp.placement
+        self._empty = pin.Inertia(self._model.inertias[self._hand])
         self._balance = balance
         self._wrench = np.zeros((6, self._model.nv + 1))
+
+    def carry(self, mass: float, size: tuple[float, float, float]) -> None:
+        """Count a load at the grasp point as part of the hand from now on.
+
+        Args:
+            mass: [kg]; 0 for an empty hand.
+            size: Of the cuboid whose inertia it has [m].
+        """
+        load = self._grasp_h.act(pin.Inertia.FromBox(mass, *size))
+        self._model.inertias[self._hand] = self._empty + load if mass else self._empty
+        self._mass = pin.computeTotalMass(self._model)
 
     @property
     def pinocchio(self) -> Any:

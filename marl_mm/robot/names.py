@@ -5,6 +5,15 @@ ARM_JOINTS = tuple(f"panda_joint{i}" for i in range(1, 8))
 
 FINGER_JOINTS = ("panda_finger_joint1", "panda_finger_joint2")
 
+BASE_LINK = "base_link"
+
+ARM_LINKS = tuple(f"panda_link{i}" for i in range(8))
+"""Foot to flange."""
+
+HAND_LINK = "panda_hand"
+
+FINGER_LINKS = ("panda_finger1", "panda_finger2")
+
 WHEEL_JOINTS = ("left_wheel_joint", "right_wheel_joint")
 
 GRASP_FRAME = "grasp"

@@ -1,10 +1,7 @@
 """The robot in PyBullet: read its state, command wheels and arm, step, render."""
 
 import os
-import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from math import asin, atan2
 
 import numpy as np
@@ -13,28 +10,18 @@ from marl_mm.errors import NonFiniteStateError, UsageError
 from marl_mm.robot.description import WHEEL_RADIUS, WHEEL_SEPARATION, RobotConfig
 from marl_mm.robot.description import urdf_xml as robot_urdf
 from marl_mm.robot.model import GRAVITY, RobotState
-from marl_mm.robot.names import ARM_JOINTS, FINGER_JOINTS, GRASP_JOINT, WHEEL_JOINTS
+from marl_mm.robot.names import (
+    ARM_JOINTS,
+    BASE_LINK,
+    FINGER_JOINTS,
+    GRASP_JOINT,
+    WHEEL_JOINTS,
+)
 from marl_mm.sim.config import RATE, Camera, SimulationConfig
+from marl_mm.sim.engine import pybullet, pybullet_data
+from marl_mm.sim.handling import Handling
 from marl_mm.sim.planar import planar_state
-
-
-@contextmanager
-def _silenced_stderr() -> Iterator[None]:
-    """PyBullet greets on stderr when imported; ours is for progress and errors."""
-    sys.stderr.flush()
-    saved, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(null, 2)
-    try:
-        yield
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)
-        os.close(null)
-
-
-with _silenced_stderr():
-    import pybullet
-    import pybullet_data
+from marl_mm.sim.scene import Scene
 
 
 class BulletWorld:
@@ -64,25 +51,39 @@ class BulletWorld:
         self._visual = visual or gui
         # Mesh names are relative to pybullet_data, but our file lies elsewhere.
         meshes = f"{pybullet_data.getDataPath()}/franka_panda"
-        self._urdf = robot_urdf(robot).replace('"franka_panda', f'"{meshes}')
+        self._urdf, self._colliding_urdf = (
+            robot_urdf(robot, colliding).replace('"franka_panda', f'"{meshes}')
+            for colliding in (False, True)
+        )
         self._client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
         self._com_b = robot.base_com_b
 
-    def reset(self, goal_w: np.ndarray | None = None) -> None:
+    def reset(
+        self, goal_w: np.ndarray | None = None, scene: Scene | None = None
+    ) -> None:
         """A new world: the robot at the origin, heading +x, in its start posture.
 
         Args:
             goal_w: Where to draw the goal, shape (3,) [m]; drawn only with visuals.
+            scene: What else is there. Without, hand and arm are no solid bodies, which
+                is faster.
         """
         client, config = self._client, self._config
         pybullet.resetSimulation(physicsClientId=client)
         pybullet.setGravity(0, 0, -GRAVITY, physicsClientId=client)
         pybullet.setTimeStep(1 / RATE, physicsClientId=client)
         pybullet.setPhysicsEngineParameter(
-            numSolverIterations=config.solver_iterations, physicsClientId=client
+            numSolverIterations=(
+                config.solver_iterations if scene is None else config.grasp_iterations
+            ),
+            physicsClientId=client,
         )
         self._load_ground()
-        self._load_robot()
+        links = self._load_robot(solid=scene is not None)
+        if scene is not None:
+            self.handling = Handling(
+                client, self._robot, links, self._ground, config, scene, self._visual
+            )
         if goal_w is not None and self._visual:
             self._draw_goal(goal_w)
 
@@ -234,22 +235,27 @@ class BulletWorld:
             physicsClientId=client,
         )
 
-    def _load_robot(self) -> None:
+    def _load_robot(self, solid: bool) -> dict[str, int]:
+        """Links by name."""
         client, config = self._client, self._config
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE
+        if solid:
+            flags |= pybullet.URDF_USE_SELF_COLLISION
+            flags |= pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
         if not self._visual:
             flags |= pybullet.URDF_IGNORE_VISUAL_SHAPES
         with tempfile.NamedTemporaryFile("w", suffix=".urdf") as file:
-            file.write(self._urdf)
+            file.write(self._colliding_urdf if solid else self._urdf)
             file.flush()
             # loadURDF places the link frame, unlike resetBasePositionAndOrientation.
             robot = pybullet.loadURDF(file.name, flags=flags, physicsClientId=client)
         self._robot = robot
         count = pybullet.getNumJoints(robot, physicsClientId=client)
-        index = {
-            pybullet.getJointInfo(robot, i, physicsClientId=client)[1].decode(): i
+        infos = [
+            pybullet.getJointInfo(robot, i, physicsClientId=client)
             for i in range(count)
-        }
+        ]
+        index = {info[1].decode(): i for i, info in enumerate(infos)}
         self._arm = [index[name] for name in ARM_JOINTS]
         self._wheels = [index[name] for name in WHEEL_JOINTS]
         self._fingers = [index[name] for name in FINGER_JOINTS]
@@ -257,6 +263,8 @@ class BulletWorld:
         self._wheel_forces = [config.wheel_force] * 2
         self._remove_hidden_friction(count)
         self._set_posture()
+        links = {info[12].decode(): i for i, info in enumerate(infos)}
+        return {BASE_LINK: -1, **links}
 
     def _remove_hidden_friction(self, count: int) -> None:
         """Bullet's default damping and friction have no counterpart in the model."""

@@ -1,0 +1,27 @@
+"""PyBullet, imported in silence; the other modules here take it from this one."""
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def _silenced_stderr() -> Iterator[None]:
+    """PyBullet greets on stderr when imported; ours is for progress and errors."""
+    sys.stderr.flush()
+    saved, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 2)
+    try:
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
+        os.close(null)
+
+
+with _silenced_stderr():
+    import pybullet
+    import pybullet_data
+
+__all__ = ["pybullet", "pybullet_data"]

@@ -1,0 +1,234 @@
+"""The gripper and what it handles: a block, its stand, and who touches whom."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from marl_mm.robot.names import ARM_LINKS, BASE_LINK, FINGER_LINKS, HAND_LINK
+from marl_mm.sim.config import SimulationConfig
+from marl_mm.sim.engine import pybullet
+from marl_mm.sim.scene import Scene
+
+
+class Touches(NamedTuple):
+    """Who touches whom after a step."""
+
+    fingers: int
+    """How many of the two touch the block."""
+
+    stand: bool
+    """Whether the block touches its stand."""
+
+    ground: bool
+    """Whether the block touches the ground."""
+
+    collision: str
+    """What collides that must not, in words; or nothing."""
+
+
+class Handling:
+    """A block, and maybe its stand, in a robot's world.
+
+    Args:
+        client: Of the world.
+        robot: Body of the robot.
+        links: Number of each of its links by name.
+        ground: Body of the ground.
+        config: Of the gripper.
+        scene: What is there.
+        visual: Whether it is to be seen.
+    """
+
+    def __init__(
+        self,
+        client: int,
+        robot: int,
+        links: Mapping[str, int],
+        ground: int,
+        config: SimulationConfig,
+        scene: Scene,
+        visual: bool,
+    ) -> None:
+        self._client, self._robot, self._ground = client, robot, ground
+        self._config, self._visual = config, visual
+        self._fingers = [links[name] for name in FINGER_LINKS]
+        self._hand = links[HAND_LINK]
+        self._names = {number: name for name, number in links.items()}
+        self._exclude_pairs(links)
+        self._couple_fingers()
+        self._stand = self._load_stand(scene)
+        self._block = self._load_block(scene)
+
+    def close_gripper(self) -> None:
+        """Close with constant force from now on."""
+        self._drive_fingers(-self._config.grip_speed)
+
+    def open_gripper(self) -> None:
+        """Open from now on, and stay so."""
+        self._drive_fingers(self._config.grip_speed)
+
+    def opening(self) -> float:
+        """Between the finger tips [m]."""
+        states = pybullet.getJointStates(
+            self._robot, self._fingers, physicsClientId=self._client
+        )
+        return float(states[0][0] + states[1][0])
+
+    def block_w(self) -> tuple[np.ndarray, np.ndarray]:
+        """The block's centre, shape (3,) [m], and quaternion x, y, z, w."""
+        place, turn = pybullet.getBasePositionAndOrientation(
+            self._block, physicsClientId=self._client
+        )
+        return np.array(place), np.array(turn)
+
+    def weld(self) -> None:
+        """Fix the block to the hand where it is now, whatever the fingers do."""
+        hand = pybullet.getLinkState(
+            self._robot, self._hand, True, True, physicsClientId=self._client
+        )
+        inverse = pybullet.invertTransform(hand[4], hand[5])
+        place, turn = pybullet.getBasePositionAndOrientation(
+            self._block, physicsClientId=self._client
+        )
+        place_h, turn_h = pybullet.multiplyTransforms(*inverse, place, turn)
+        pybullet.createConstraint(
+            self._robot,
+            self._hand,
+            self._block,
+            -1,
+            pybullet.JOINT_FIXED,
+            (0, 0, 0),
+            place_h,
+            (0, 0, 0),
+            turn_h,
+            physicsClientId=self._client,
+        )
+
+    def touches(self) -> Touches:
+        """Contacts of the last step that press harder than nothing."""
+        fingers, stand, ground, collisions = set(), False, False, set()
+        for contact in self._contacts(self._block):
+            body, link = contact[2], contact[4]
+            if body == self._robot and link in self._fingers:
+                fingers.add(link)
+            elif body == self._robot and link != self._hand:
+                collisions.add(f"the block and {self._names[link]}")
+            stand |= body == self._stand
+            ground |= body == self._ground
+        for contact in self._contacts(self._robot):
+            body, own = contact[2], self._names[contact[3]]
+            if body == self._stand:
+                collisions.add(f"{own} and the stand")
+            elif body == self._robot:
+                collisions.add(f"{own} and {self._names[contact[4]]}")
+        return Touches(len(fingers), stand, ground, min(collisions, default=""))
+
+    def _contacts(self, body: int) -> list[tuple[Any, ...]]:
+        """Of a body with others that press, as PyBullet has them."""
+        found = pybullet.getContactPoints(body, physicsClientId=self._client)
+        return [contact for contact in found if contact[9] > 0]
+
+    def _exclude_pairs(self, links: Mapping[str, int]) -> None:
+        """Of the robot's own links only arm and base may collide with each other."""
+        arm = [links[name] for name in (*ARM_LINKS, HAND_LINK, *FINGER_LINKS)]
+        near = {links[name] for name in ARM_LINKS[:2]}
+        for number in links.values():
+            for other in links.values():
+                wanted = {number, other} & {links[BASE_LINK]} and (
+                    {number, other} & (set(arm) - near)
+                )
+                if number < other and not wanted:
+                    pybullet.setCollisionFilterPair(
+                        self._robot,
+                        self._robot,
+                        number,
+                        other,
+                        0,
+                        physicsClientId=self._client,
+                    )
+
+    def _couple_fingers(self) -> None:
+        """They move as one, as the hand's single motor does."""
+        one, other = self._fingers
+        gear = pybullet.createConstraint(
+            self._robot,
+            one,
+            self._robot,
+            other,
+            jointType=pybullet.JOINT_GEAR,
+            jointAxis=(0, 1, 0),
+            parentFramePosition=(0, 0, 0),
+            childFramePosition=(0, 0, 0),
+            physicsClientId=self._client,
+        )
+        pybullet.changeConstraint(
+            gear, gearRatio=-1, erp=0.1, maxForce=50, physicsClientId=self._client
+        )
+        for finger in self._fingers:
+            pybullet.changeDynamics(
+                self._robot,
+                finger,
+                lateralFriction=1.0,
+                spinningFriction=self._config.spinning_friction,
+                physicsClientId=self._client,
+            )
+
+    def _drive_fingers(self, speed: float) -> None:
+        pybullet.setJointMotorControlArray(
+            self._robot,
+            self._fingers,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocities=[speed] * 2,
+            forces=[self._config.grip_force] * 2,
+            physicsClientId=self._client,
+        )
+
+    def _load_stand(self, scene: Scene) -> int:
+        if scene.stand_size is None:
+            return -2
+        x, y, _ = scene.position_w
+        height = scene.stand_size[2]
+        place = (x, y, height / 2)
+        return self._box(0, scene.stand_size, place, (0.55, 0.45, 0.35, 1), 1.0)
+
+    def _load_block(self, scene: Scene) -> int:
+        block = scene.block
+        color = (0.85, 0.55, 0.10, 1)
+        return self._box(
+            block.mass, block.size, scene.position_w, color, block.friction
+        )
+
+    def _box(
+        self,
+        mass: float,
+        size: tuple[float, float, float],
+        place: tuple[float, float, float],
+        color: tuple[float, float, float, float],
+        friction: float,
+    ) -> int:
+        client, half = self._client, [edge / 2 for edge in size]
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client
+        )
+        look = -1
+        if self._visual:
+            look = pybullet.createVisualShape(
+                pybullet.GEOM_BOX,
+                halfExtents=half,
+                rgbaColor=color,
+                physicsClientId=client,
+            )
+        body: int = pybullet.createMultiBody(
+            mass, shape, look, place, physicsClientId=client
+        )
+        pybullet.changeDynamics(
+            body,
+            -1,
+            lateralFriction=friction,
+            spinningFriction=self._config.spinning_friction,
+            linearDamping=0,
+            angularDamping=0,
+            physicsClientId=client,
+        )
+        return body

@@ -1,0 +1,31 @@
+"""What stands in the world beside the robot; knows nothing of PyBullet."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Block:
+    """A cuboid that the gripper can hold."""
+
+    size: tuple[float, float, float] = (0.05, 0.05, 0.05)
+    """Edges along its x, y and z [m]; the fingers close along y."""
+
+    mass: float = 0.5
+    """[kg]"""
+
+    friction: float = 0.8
+    """Coefficient against the finger pads, whose own is 1, and against the stand."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A block, and maybe the stand that it is on."""
+
+    block: Block
+
+    position_w: tuple[float, float, float]
+    """Of the block's centre [m]."""
+
+    stand_size: tuple[float, float, float] | None = None
+    """Edges of the stand [m], which reaches from the ground to the block; None: there
+    is none, and the block is in the hand."""
