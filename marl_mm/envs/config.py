@@ -3,14 +3,55 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import Any
+from typing import Any, get_args
 
 from marl_mm.control.config import ControllerConfig
+from marl_mm.control.payload import Knowledge
+from marl_mm.envs.hand import Grasp
 from marl_mm.errors import UsageError
 from marl_mm.robot.description import RobotConfig
 from marl_mm.sim.config import SimulationConfig
 
 Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class LoadConfig:
+    """A block in the hand, drawn anew for each episode; all numbers are ours."""
+
+    mass: Interval = (0.05, 3.0)
+    """[kg]; the arm carries 3 (Franka data sheet)."""
+
+    edge: Interval = (0.04, 0.06)
+    """Of the cube [m]."""
+
+    friction: Interval = (0.6, 1.0)
+    """Coefficient against the pads."""
+
+    knowledge: Knowledge = "estimated"
+    """Where the controller has the mass from: "estimated" from the joints' torques,
+    "given", or "none". The policy never sees it."""
+
+    grasp: Grasp = "friction"
+    """"friction" holds the block between the pads; "weld" fixes it to the hand."""
+
+    failure_reward: float = -10.0
+    """Instead of minus the distance, for a drop or a collision, which end the episode:
+    as every step costs, ending it early must not pay."""
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "edge", "friction"):
+            low, high = getattr(self, name)
+            if not 0 < low <= high:
+                raise UsageError(
+                    f"load.{name} is {low} to {high}, expected 0 < low <= high"
+                )
+        for name, choices in (("knowledge", Knowledge), ("grasp", Grasp)):
+            if getattr(self, name) not in get_args(choices):
+                expected = ", ".join(get_args(choices))
+                raise UsageError(
+                    f"load.{name} is {getattr(self, name)!r}, expected {expected}"
+                )
 
 
 @dataclass(frozen=True)
@@ -80,6 +121,9 @@ class ReachConfig:
     look_every: int = 8
     """Ticks between looks at stability: ZMP margin, tilt, slip, the model's error."""
 
+    load: LoadConfig | None = None
+    """What the hand carries; None: it is empty."""
+
     robot: RobotConfig = field(default_factory=RobotConfig)
 
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
@@ -101,8 +145,10 @@ TASKS: dict[str, ReachConfig] = {
     "Reach-v0": ReachConfig(),
     "SmoothReach-v0": ReachConfig(jerk_weight=0.2),
     "PreciseReach-v0": ReachConfig(success_distance=0.02, random_start_steps=8),
+    "CarryReach-v0": ReachConfig(load=LoadConfig()),
 }
-"""The registered tasks: the paper's reward, with a cost of jerk, with a finer goal."""
+"""The registered tasks: the paper's reward, with a cost of jerk, with a finer goal,
+with a load in the hand."""
 
 
 def reach_config(

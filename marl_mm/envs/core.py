@@ -11,11 +11,13 @@ import numpy as np
 from marl_mm.control.tasks.task import Reference
 from marl_mm.envs.config import ReachConfig
 from marl_mm.envs.drive import Drive, Motion, Watch
+from marl_mm.envs.hand import Hand
 from marl_mm.envs.terms import goal_distance, reach_reward, reached
 from marl_mm.errors import InvalidActionError, UsageError
 from marl_mm.layout import ACTION_HIGH, ACTION_LOW, ALPHA, DELTA
 from marl_mm.robot.model import RobotState
 from marl_mm.sim.config import RATE
+from marl_mm.sim.scene import Block, Scene
 
 RENDER_MODES = ("rgb_array",)
 """Pictures; for PyBullet's window there is ``marl-mm play --gui``."""
@@ -85,6 +87,8 @@ class ReachCore:
             config.robot, config.simulation, config.controller, visual, gui
         )
         self._posture = np.array(config.robot.initial_joints)
+        start = RobotState(np.array([0, 0, 1, 0, *self._posture]), np.zeros(10))
+        self._start_w = self.drive.model.evaluate(start).position_w.copy()
         self._low, self._high = np.array(ACTION_LOW), np.array(ACTION_HIGH)
         self._steps = -1
 
@@ -108,11 +112,14 @@ class ReachCore:
         """
         drawn = self.sample_goal(rng)
         self._goal_w = drawn if goal_w is None else _checked_goal(goal_w)
-        start = self.drive.model.evaluate(self.drive.reset(self._goal_w))
+        scene = None if self.config.load is None else self._draw_load(rng)
+        start = self.drive.model.evaluate(self.drive.reset(self._goal_w, scene))
         self._ee_rotation_w = np.ascontiguousarray(start.rotation_w).copy()
         self._ee_w = self.drive.world.grasp_position_w()
         self._alpha = self.config.initial_alpha
         self._steps = 0
+        if scene is not None:
+            self._take(scene)
         for _ in range(self.config.random_start_steps):
             action = rng.uniform(self._low, self._high)
             target_w = self._ee_w + self.config.action_scale * action[DELTA]
@@ -148,6 +155,32 @@ class ReachCore:
     def close(self) -> None:
         """Disconnect from the simulator."""
         self.drive.close()
+
+    def _draw_load(self, rng: np.random.Generator) -> Scene:
+        """A block between the fingers."""
+        load = self.config.load
+        assert load is not None
+        mass, edge, friction = (
+            float(rng.uniform(*interval))
+            for interval in (load.mass, load.edge, load.friction)
+        )
+        x, y, z = self._start_w.tolist()
+        return Scene(Block((edge, edge, edge), mass, friction), (x, y, z))
+
+    def _take(self, scene: Scene) -> None:
+        """Hold the block still for as long as a step, unseen by the policy."""
+        load, drive = self.config.load, self.drive
+        assert load is not None
+        drive.hand = Hand(
+            drive.world.handling,
+            drive.model,
+            scene,
+            load.knowledge,
+            load.grasp,
+            self.config.look_every,
+        )
+        drive.hand.take(self._ee_w)
+        self._follow(self._start_w, BasePlan(0.0, 0.0, 0.0), None)
 
     def _checked(self, action: np.ndarray) -> np.ndarray:
         try:
@@ -213,9 +246,15 @@ class ReachCore:
         d_mp = float(np.linalg.norm(plan.points(1)[0] - self.drive.state.q[:2]))
         jerk = np.diff(motion.base_acceleration) * RATE
         jerk_rms = float(np.sqrt(np.mean(jerk * jerk))) if len(jerk) else 0.0
-        success = bool(reached(distance, config))
+        failure = "" if self.drive.hand is None else self.drive.hand.failure
+        success = bool(reached(distance, config)) and not failure
         reward = reach_reward(
-            distance, np.asarray(d_mm), np.asarray(d_mp), np.asarray(jerk_rms), config
+            distance,
+            np.asarray(d_mm),
+            np.asarray(d_mp),
+            np.asarray(jerk_rms),
+            config,
+            bool(failure),
         )
         info = {
             "d_mm": d_mm,
@@ -234,8 +273,11 @@ class ReachCore:
             "qp_failures": motion.qp_failures,
             "safe_ticks": motion.safe_ticks,
         }
-        truncated = self._steps >= config.max_steps and not success
-        return Step(self._joint_state(), float(reward), success, truncated, info)
+        if self.drive.hand is not None:
+            info["reason"] = failure
+        ended = success or bool(failure)
+        truncated = self._steps >= config.max_steps and not ended
+        return Step(self._joint_state(), float(reward), ended, truncated, info)
 
 
 def _checked_goal(goal_w: np.ndarray) -> np.ndarray:

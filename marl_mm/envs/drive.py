@@ -14,11 +14,13 @@ from marl_mm.control.config import ControllerConfig
 from marl_mm.control.limits import WHEEL_ARM
 from marl_mm.control.tasks.task import Reference
 from marl_mm.control.wbc import Command, Priorities, WholeBodyController
+from marl_mm.envs.hand import Hand
 from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig
 from marl_mm.robot.limits import robot_limits
 from marl_mm.robot.model import RobotModel, RobotState, support_margin
 from marl_mm.sim.bullet import BulletWorld
 from marl_mm.sim.config import RATE, SimulationConfig
+from marl_mm.sim.scene import Scene
 
 ReferenceAt = Callable[[int, RobotState], Reference]
 """Reference at a tick's number and state."""
@@ -91,15 +93,21 @@ class Drive:
         self.model = RobotModel(robot, balance=controller.limits.zmp)
         self.limits = robot_limits(robot)
         self.controller = WholeBodyController(self.limits, controller, RATE)
+        self.hand: Hand | None = None
+        """Feels each tick, where there is something to handle."""
 
-    def reset(self, goal_w: np.ndarray | None = None) -> RobotState:
+    def reset(
+        self, goal_w: np.ndarray | None = None, scene: Scene | None = None
+    ) -> RobotState:
         """A new world, with the robot at rest in its start posture.
 
         Args:
             goal_w: Where to draw the goal, shape (3,) [m].
+            scene: What else is there.
         """
-        self.world.reset(goal_w)
+        self.world.reset(goal_w, scene)
         self.state = self.world.read()
+        self.hand = None
         return self.state
 
     def follow(
@@ -120,6 +128,7 @@ class Drive:
             watch: Called after each tick.
         """
         model, controller, world = self.model, self.controller, self.world
+        hand = self.hand
         accelerations = np.empty(ticks)
         looks: list[tuple[float, float, float, float, float]] = []
         failures = safe = 0
@@ -137,6 +146,8 @@ class Drive:
                 failures += command.failures
                 safe += command.safe
             after = world.read()
+            if hand is not None:
+                hand.feel(k, state, terms, command.torque, after)
             if watch is not None:
                 watch(Tick(k, state, command))
             state = after

@@ -29,6 +29,7 @@ def reach_reward(
     d_mp: np.ndarray,
     base_jerk_rms: np.ndarray,
     config: ReachConfig,
+    failed: np.ndarray | bool = False,
 ) -> np.ndarray:
     """Eq. 6-9 of the paper and the cost of jerk.
 
@@ -38,8 +39,11 @@ def reach_reward(
         d_mp: Base to its plan [m].
         base_jerk_rms: Over the step [m/s^3].
         config: Weights.
+        failed: Whether the load was dropped, or something collided.
     """
     goal = np.where(reached(distance, config), config.goal_reward, -distance)
+    if config.load is not None:
+        goal = np.where(failed, config.load.failure_reward, goal)
     hand = config.ee_error_weight * d_mm
     base = config.base_error_weight * d_mp
     return np.asarray(goal - hand - base - config.jerk_weight * base_jerk_rms)

@@ -59,6 +59,8 @@ class Handling:
         self._couple_fingers()
         self._stand = self._load_stand(scene)
         self._block = self._load_block(scene)
+        if scene.stand_size is None:
+            self._put_fingers(scene.block.size[1] / 2)
 
     def close_gripper(self) -> None:
         """Close with constant force from now on."""
@@ -183,6 +185,13 @@ class Handling:
             forces=[self._config.grip_force] * 2,
             physicsClientId=self._client,
         )
+
+    def _put_fingers(self, travel: float) -> None:
+        """Both at once to where they touch what is between them."""
+        for finger in self._fingers:
+            pybullet.resetJointState(
+                self._robot, finger, travel, 0, physicsClientId=self._client
+            )
 
     def _load_stand(self, scene: Scene) -> int:
         if scene.stand_size is None:
