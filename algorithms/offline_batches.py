@@ -13,7 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from marl_mm.algorithms.replay import COSTS, DRAWN_TOGETHER, Judge, normalized_actions
+from marl_mm.algorithms.replay import (
+    COSTS,
+    DRAWN_TOGETHER,
+    FAILED,
+    Judge,
+    normalized_actions,
+)
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.errors import DatasetError, UsageError
 from marl_mm.layout import ACTION, EE, GOAL
@@ -96,6 +102,7 @@ class OfflineBatches:
                 f"{', '.join(COSTS)} of all steps, which rewards for other goals "
                 "depend on: set --future 0, and --elsewhere 0 where there is one"
             )
+        self._costs[FAILED] = arrays.failed()
         self._streams = [np.random.default_rng(seed) for seed in seeds]
         self._begun = [stream.bit_generator.state for stream in self._streams]
         self._drawn: list[OfflineBatch] = []

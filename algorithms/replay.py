@@ -16,6 +16,7 @@ from marl_mm.errors import UsageError
 from marl_mm.layout import ACTION, ACTION_HIGH, ACTION_LOW, EE, GOAL, STATE
 
 COSTS = ("d_mm", "d_mp", "base_jerk_rms")
+FAILED = "failed"
 """What of a step's info its reward depends on, apart from the goal."""
 
 DRAWN_TOGETHER = 40
@@ -98,7 +99,7 @@ class Replay:
         self._action = np.zeros((capacity, len(ACTION)), np.float32)
         self._reward = np.zeros(capacity)
         self._terminated = np.zeros(capacity, bool)
-        self._costs = {name: np.zeros(capacity) for name in COSTS}
+        self._costs = {name: np.zeros(capacity) for name in (*COSTS, FAILED)}
         self._end = np.zeros(capacity, np.int64)
         """Step number at which each step's episode ends."""
 
@@ -127,8 +128,9 @@ class Replay:
         self._action[rows] = normalized_actions(episode.actions)
         self._reward[rows] = episode.rewards
         self._terminated[rows] = episode.terminated
-        for name, values in self._costs.items():
-            values[rows] = episode.info[name]
+        for name in COSTS:
+            self._costs[name][rows] = episode.info[name]
+        self._costs[FAILED][rows] = episode.failed
         self._end[rows] = self._total + count - 1
         self._total += count
 

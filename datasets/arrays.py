@@ -11,7 +11,7 @@ from typing import IO
 
 import numpy as np
 
-from marl_mm.episode import INFO, Episode
+from marl_mm.episode import INFO, Episode, failures
 from marl_mm.errors import DatasetError
 
 
@@ -108,7 +108,12 @@ class EpisodeArrays:
 
     def successes(self) -> np.ndarray:
         """Whether each episode reached its goal, shape (E,)."""
-        return np.asarray(self.terminated[self._ends - 1])
+        last = self._ends - 1
+        return np.asarray(self.terminated[last] & ~self.failed()[last])
+
+    def failed(self) -> np.ndarray:
+        """Steps that ended their episode without success, shape (n,), bool."""
+        return failures(self.terminated, self.info["is_success"])
 
     def first_states(self) -> np.ndarray:
         """Shape (E, 10)."""

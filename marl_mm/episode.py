@@ -28,6 +28,16 @@ IMPORTED = "imported"
 """Source of episodes that somebody else collected: not all of ``INFO`` is known."""
 
 
+def failures(terminated: np.ndarray, is_success: np.ndarray) -> np.ndarray:
+    """Steps that ended their episode without success; unknown success counts as one.
+
+    Args:
+        terminated: Of steps.
+        is_success: As in ``INFO``.
+    """
+    return np.asarray(terminated & (is_success == 0))
+
+
 @dataclass(frozen=True)
 class Episode:
     """One episode of T steps."""
@@ -42,7 +52,7 @@ class Episode:
     """Shape (T,)."""
 
     terminated: np.ndarray
-    """Goal reached, shape (T,), bool."""
+    """Goal reached, or failed so that it cannot be, shape (T,), bool."""
 
     truncated: np.ndarray
     """Out of steps, shape (T,), bool."""
@@ -70,7 +80,12 @@ class Episode:
     @property
     def success(self) -> bool:
         """Whether the goal was reached."""
-        return bool(self.terminated[-1])
+        return bool(self.terminated[-1] and not self.failed[-1])
+
+    @property
+    def failed(self) -> np.ndarray:
+        """Steps that ended it otherwise, shape (T,), bool."""
+        return failures(self.terminated, self.info["is_success"])
 
     @property
     def direction(self) -> str:

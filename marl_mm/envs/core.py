@@ -256,7 +256,7 @@ class ReachCore:
             config,
             bool(failure),
         )
-        info = {
+        info: dict[str, Any] = {
             "d_mm": d_mm,
             "d_mp": d_mp,
             "distance": float(distance),

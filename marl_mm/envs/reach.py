@@ -86,13 +86,15 @@ class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
             _gathered(info, "d_mp"),
             _gathered(info, "base_jerk_rms"),
             self.config,
+            _failed(info),
         )
 
     def compute_terminated(
         self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Infos
     ) -> np.ndarray:
         """Whether a step would have ended the episode with other goals."""
-        return reached(goal_distance(achieved_goal, desired_goal), self.config)
+        near = reached(goal_distance(achieved_goal, desired_goal), self.config)
+        return np.asarray(near | _failed(info))
 
     def compute_truncated(
         self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Infos
@@ -109,6 +111,13 @@ class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
     def close(self) -> None:
         """Disconnect from the simulator."""
         self.core.close()
+
+
+def _failed(info: Infos) -> np.ndarray:
+    """Whether steps ended their episode with a reason other than success."""
+    if isinstance(info, Mapping):
+        return np.asarray(bool(info.get("reason")))
+    return np.array([bool(single.get("reason")) for single in info])
 
 
 def _gathered(info: Infos, key: str) -> np.ndarray:

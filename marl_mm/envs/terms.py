@@ -60,9 +60,12 @@ def judge(
     Args:
         achieved: End-effector after the step [m].
         desired: Goal to judge it by [m].
-        costs: The step's ``d_mm``, ``d_mp`` and ``base_jerk_rms``.
+        costs: The step's ``d_mm``, ``d_mp`` and ``base_jerk_rms``, and ``failed`` where
+            a load can be dropped.
         config: The task.
     """
     distance = goal_distance(achieved, desired)
     terms = costs["d_mm"], costs["d_mp"], costs["base_jerk_rms"]
-    return reach_reward(distance, *terms, config), reached(distance, config)
+    failed = np.asarray(costs.get("failed", False)).astype(bool)
+    reward = reach_reward(distance, *terms, config, failed)
+    return reward, reached(distance, config) | failed
