@@ -87,9 +87,9 @@ class Handling:
     def weld(self) -> None:
         """Fix the block to the hand where it is now, whatever the fingers do."""
         hand = pybullet.getLinkState(
-            self._robot, self._hand, True, True, physicsClientId=self._client
+            self._robot, self._hand, physicsClientId=self._client
         )
-        inverse = pybullet.invertTransform(hand[4], hand[5])
+        inverse = pybullet.invertTransform(*hand[:2])  # of its centre of mass
         place, turn = pybullet.getBasePositionAndOrientation(
             self._block, physicsClientId=self._client
         )
