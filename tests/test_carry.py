@@ -1,0 +1,157 @@
+"""A load in the hand: held by friction, weighed by the joints, dropped for a reason."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+import marl_mm  # noqa: F401  registers the environments
+from marl_mm.algorithms.pretrained import load_pretrained
+from marl_mm.envs.config import reach_config
+from marl_mm.envs.core import ReachCore, Step
+from marl_mm.envs.drive import Tick
+from marl_mm.envs.rollout import EpisodePlan, run_episode
+from marl_mm.envs.terms import judge
+from marl_mm.errors import UsageError
+from marl_mm.layout import EE
+
+STAY = np.zeros(4)
+
+
+def carrying(**load: Any) -> ReachCore:
+    return ReachCore(reach_config("CarryReach-v0", {"load": load}))
+
+
+def exactly(value: float) -> tuple[float, float]:
+    return value, value
+
+
+def begun(core: ReachCore, seed: int = 0) -> np.ndarray:
+    return core.reset(np.random.default_rng(seed), np.array([1.3, 0.0, 0.7]))
+
+
+@pytest.mark.parametrize("mass", [0.1, 1.0, 3.0])
+def test_the_joints_torques_tell_the_mass(mass: float) -> None:
+    core = carrying(mass=exactly(mass))
+    begun(core)
+    core.step(STAY)
+    assert core.drive.hand is not None
+    assert core.drive.hand.payload.mass == pytest.approx(mass, rel=0.02)
+
+
+def test_a_load_that_nobody_knows_pulls_the_hand_down() -> None:
+    errors = {}
+    for knowledge in ("none", "estimated", "given"):
+        core = carrying(mass=exactly(2.0), knowledge=knowledge)
+        begun(core)
+        errors[knowledge] = core.step(STAY).info["d_mm"]
+    assert errors["none"] > 0.03
+    assert errors["estimated"] < 0.003 and errors["given"] < 0.003
+
+
+@pytest.mark.parametrize("grasp", ["friction", "weld"])
+def test_the_block_goes_where_the_hand_goes(grasp: str) -> None:
+    core = carrying(mass=exactly(1.5), grasp=grasp)
+    state = begun(core)
+    policy = load_pretrained()
+    while True:
+        step = core.step(policy.act(state))
+        state = step.state
+        block_w, _ = core.drive.world.handling.block_w()
+        assert np.linalg.norm(block_w - state[EE]) < 0.005
+        if step.terminated or step.truncated:
+            break
+    assert step.info["is_success"] and step.info["reason"] == ""
+
+
+def test_a_slippery_block_is_dropped() -> None:
+    core = carrying(mass=exactly(2.5), friction=exactly(0.1))
+    begun(core)
+    step = core.step(STAY)
+    assert step.terminated and not step.truncated
+    assert step.info["reason"] == "dropped" and not step.info["is_success"]
+    assert step.reward < -9.9
+    assert core.drive.hand is not None and core.drive.hand.payload.mass == 0.0
+
+
+def pressed_down(core: ReachCore) -> Step:
+    """The hand goes back and down until something is in its way."""
+    begun(core)
+    for _ in range(25):
+        step = core.step(np.array([-1.0, 0.0, -1.0, 1.0]))
+        if step.terminated:
+            break
+    return step
+
+
+def test_a_block_that_meets_the_base_ends_the_episode() -> None:
+    step = pressed_down(carrying(mass=exactly(0.5)))
+    assert step.terminated and "base_link" in step.info["reason"]
+    assert step.info["reason"].startswith("collision of ")
+
+
+def test_torques_stay_within_their_limits_with_the_heaviest_load() -> None:
+    core = carrying(mass=exactly(3.0))
+    limit = core.drive.limits.torque
+    most = np.zeros(7)
+
+    def watch(tick: Tick) -> None:
+        np.maximum(most, abs(tick.command.torque), out=most)
+
+    rng = np.random.default_rng(0)
+    begun(core)
+    for _ in range(8):
+        step = core.step(rng.uniform((-1, -1, -1, 0), 1), watch)
+        if step.terminated:
+            begun(core)
+    assert (most <= limit).all() and most[1] > 0.3 * limit[1]
+
+
+def test_an_episode_tells_failure_from_success() -> None:
+    core = carrying(mass=exactly(2.5), friction=exactly(0.1))
+    episode = run_episode(core, load_pretrained(), EpisodePlan(0, 7))
+    assert episode.terminated[-1] and episode.failed[-1] and not episode.success
+
+
+def test_goals_in_hindsight_do_not_mend_a_drop() -> None:
+    config = reach_config("CarryReach-v0")
+    hit = np.ones((2, 3))
+    costs = dict.fromkeys(("d_mm", "d_mp", "base_jerk_rms"), np.zeros(2))
+    failed = {**costs, "failed": np.array([False, True])}
+    rewards, terminated = judge(hit, hit, failed, config)
+    assert rewards.tolist() == [10.0, -10.0] and terminated.all()
+
+
+def test_the_environment_judges_as_the_step_did() -> None:
+    overrides = {"load": {"friction": exactly(0.1), "mass": exactly(2.5)}}
+    env: Any = gymnasium.make("marl_mm/CarryReach-v0", overrides=overrides)
+    observation, _ = env.reset(seed=0)
+    observation, reward, terminated, _, info = env.step(STAY.astype(np.float32))
+    goals = observation["achieved_goal"], observation["desired_goal"]
+    assert env.unwrapped.compute_reward(*goals, info) == reward
+    assert env.unwrapped.compute_terminated(*goals, info) == terminated
+    env.close()
+
+
+def test_an_empty_hand_has_nothing_to_feel() -> None:
+    core = ReachCore(reach_config())
+    begun(core)
+    assert core.drive.hand is None
+    assert "reason" not in core.step(STAY).info
+
+
+@pytest.mark.parametrize(
+    ("load", "complaint"),
+    [
+        ({"mass": (0.0, 1.0)}, "load.mass is 0.0 to 1.0, expected 0 < low <= high"),
+        ({"edge": (0.06, 0.04)}, "load.edge is 0.06 to 0.04"),
+        ({"grasp": "magic"}, "load.grasp is 'magic', expected friction, weld"),
+        ({"knowledge": "all"}, "load.knowledge is 'all', expected estimated, given"),
+    ],
+)
+def test_loads_that_make_no_sense_are_refused(
+    load: dict[str, Any], complaint: str
+) -> None:
+    with pytest.raises(UsageError, match=complaint):
+        carrying(**load)
