@@ -67,7 +67,7 @@ class CollectOptions:
     pretrained marl_mm/TASK/good-v0. A word is short for marl_mm/reach/WORD-v0."""
 
     task: str = "Reach-v0"
-    """Reach-v0, SmoothReach-v0 or PreciseReach-v0."""
+    """Reach-v0, SmoothReach-v0, PreciseReach-v0 or CarryReach-v0."""
 
     max_steps: int | None = None
     """Steps per episode; default 50 for pd, 25 for the others."""

@@ -109,8 +109,8 @@ class Import:
     """Id or path of the new dataset."""
 
     task: str | None = None
-    """Whose rewards they are: Reach-v0, SmoothReach-v0 or PreciseReach-v0; default what
-    the file's attribute "task" says, Reach-v0 without it."""
+    """Whose rewards they are: Reach-v0, SmoothReach-v0, PreciseReach-v0 or
+    CarryReach-v0; default what the file's attribute "task" says, Reach-v0 without it."""
 
     overwrite: bool = False
     """Replace it if it exists."""

@@ -36,7 +36,7 @@ class Eval:
     """Of the goals and of random policies."""
 
     task: str = "Reach-v0"
-    """Reach-v0, SmoothReach-v0 or PreciseReach-v0."""
+    """Reach-v0, SmoothReach-v0, PreciseReach-v0 or CarryReach-v0."""
 
     max_steps: int | None = None
     """Steps per episode; default 25, the paper's."""

@@ -41,8 +41,8 @@ class TrainOffline(TrainOptions):
     """Hyper-parameters that the defaults below are of: ours, or the paper's Table 3."""
 
     task: str | None = None
-    """To evaluate on: Reach-v0, SmoothReach-v0 or PreciseReach-v0; default that of the
-    dataset."""
+    """To evaluate on: Reach-v0, SmoothReach-v0, PreciseReach-v0 or CarryReach-v0;
+    default that of the dataset."""
 
     require_success: bool = True
     """Refuse a dataset in which no episode reaches its goal."""

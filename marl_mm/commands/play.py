@@ -44,7 +44,7 @@ class Play:
     """Of the goal and of random policies."""
 
     task: str = "Reach-v0"
-    """Reach-v0, SmoothReach-v0 or PreciseReach-v0."""
+    """Reach-v0, SmoothReach-v0, PreciseReach-v0 or CarryReach-v0."""
 
     max_steps: int = 25
     """Steps of one second until the episode is cut off."""

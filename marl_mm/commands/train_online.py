@@ -48,7 +48,7 @@ class TrainOnline(TrainOptions):
     """What every online algorithm needs."""
 
     task: str = "Reach-v0"
-    """To learn: Reach-v0, SmoothReach-v0 or PreciseReach-v0."""
+    """To learn: Reach-v0, SmoothReach-v0, PreciseReach-v0 or CarryReach-v0."""
 
     preset: Preset = "tuned"
     """Hyper-parameters that the defaults below are of: ours, or the paper's Table 2."""
