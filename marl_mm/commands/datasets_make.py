@@ -110,7 +110,8 @@ class Import:
 
     task: str | None = None
     """Whose rewards they are: Reach-v0, SmoothReach-v0, PreciseReach-v0 or
-    CarryReach-v0; default what the file's attribute "task" says, Reach-v0 without it."""
+    CarryReach-v0; default what the file's attribute "task" says, and Reach-v0 where it
+    says nothing."""
 
     overwrite: bool = False
     """Replace it if it exists."""
