@@ -189,11 +189,20 @@ def _literal(algorithm: str, name: str, about: str, **changes: Any) -> Setting:
     )
 
 
+_ONE_CURE = (
+    _literal("td3-bc", "-clip", "but targets cut off", clip_targets=True),
+    _literal("td3-bc", "-layer-norm", "but layer norm", layer_norm=True),
+    _literal("td3-bc", "-goals", "but other goals too", future=0.2, elsewhere=0.4),
+    _literal("td3-bc", "-scaled", "but imitation scaled", imitation_scaled=True),
+)
+"""What fails, with one thing of what does not."""
+
 _UNSCALED = _cure("unscaled", "imitation not scaled by spread", imitation_scaled=False)
 
 _CURES = (
     _literal("td3-bc", "", "c = 2.5"),
     _literal("td3-bc", "-c0.5", "but c = 0.5", q_weight=0.5),
+    *_ONE_CURE,
     _TD3_BC,
     _cure("c2.5", "c = 2.5", q_weight=2.5),
     _cure("no-clip", "targets not cut off", clip_targets=False),
@@ -205,6 +214,7 @@ _CURES = (
 )
 
 _FINER_CURES = (
+    _literal("td3-bc", "-successful", "but successes only", imitate="successful"),
     _cure("c1", "c = 1", q_weight=1.0),
     _cure("c0.1", "c = 0.1", q_weight=0.1),
     _cure("c-falls", "c from 2.5 to 0.1", q_weight=2.5, q_weight_end=0.1),
