@@ -166,7 +166,8 @@ class Td3Bc:
         self._highest = highest_reward(judge)
         self._weights = self._imitation_weights(arrays).to(device)
         largest = float(np.abs(arrays.rewards).max()) / max(1 - config.discount, 1e-3)
-        self.sound = dict.fromkeys(("q/data", "q/policy"), 100 * largest)
+        watched = "q/data", "q/policy", "q/largest"
+        self.sound = dict.fromkeys(watched, 100 * largest)
         # --- Networks --------------------------------------------------------
         states = torch.from_numpy(arrays.states).float()
         self.normalizer = Normalizer.of(states, config.std_floor).to(device)
@@ -281,9 +282,9 @@ class Td3Bc:
     def diagnose(self) -> dict[str, torch.Tensor]:
         """What critics and actors do on some of the data, shape (S,).
 
-        Q is the mean over all critics. ``q/slope``: how much more the first, which an
-        actor follows, values going to the goal than away from it, along x; below 0 it
-        has learnt the opposite.
+        Q is the first critic's, which an actor follows; ``q/largest`` the farthest from
+        0 of any. ``q/slope``: how much more it values going to the goal than away from
+        it, along x; below 0 it has learnt the opposite.
         """
         state, action = self._batches.some(DIAGNOSED)
         towards = torch.sign(state[..., GOAL.start] - state[..., EE.start])
@@ -294,8 +295,9 @@ class Td3Bc:
         slope = self.critics.first(inputs, there) - self.critics.first(inputs, back)
         now = self.actors.joint(inputs)
         return {
-            "q/data": self.critics.values(inputs, action).mean(dim=(1, 2, 3)),
-            "q/policy": self.critics.values(inputs, now).mean(dim=(1, 2, 3)),
+            "q/data": self.critics.first(inputs, action).mean(dim=1),
+            "q/policy": self.critics.first(inputs, now).mean(dim=1),
+            "q/largest": self.critics.values(inputs, now).abs().amax(dim=(1, 2, 3)),
             "q/slope": slope.mean(dim=1),
             **imitation_errors(now, action),
         }

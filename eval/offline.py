@@ -16,8 +16,9 @@ from marl_mm.eval.tables import markdown_table
 _RESAMPLES = 2_000
 """Of the bootstrap."""
 
-SLOPE = "critic's slope"
-"""Heading of ``q/slope``: how much more critics value going to the goal than away."""
+COLUMNS = {"q_policy": "critic's value", "q_slope": "critic's slope"}
+"""Headings of what the critics say of the policy's actions, and how much more they
+value going to the goal than away from it; no return can pass 10."""
 
 
 def summarize_ablation(
@@ -33,20 +34,20 @@ def summarize_ablation(
     summary = []
     for cell in ablation.cells:
         rows = store.evaluations(cell, seeds, ablation.probes)
-        of_runs = {
-            "q_slope": _slope_at_the_end(store.curves(cell, seeds)),
-            "diverged": _diverged(store.diverged(cell), seeds),
-        }
+        curves = store.curves(cell, seeds)
+        of_runs: Row = {"diverged": _diverged(store.diverged(cell), seeds)}
+        for key in COLUMNS:
+            of_runs[key] = _at_the_end(curves, key)
         for probe in ablation.probes:
             own = [row for row in rows if row["probe"] == probe.name]
             summary.append(_summarize(cell, probe, own) | of_runs)
     return summary
 
 
-def _slope_at_the_end(curves: Sequence[Row]) -> float:
-    """The critics', mean over seeds; nan where there is none."""
-    last = {row["seed"]: float(row["q_slope"]) for row in curves}
-    known = [slope for slope in last.values() if np.isfinite(slope)]
+def _at_the_end(curves: Sequence[Row], key: str) -> float:
+    """What the critics say, mean over seeds; nan where there are none."""
+    last = {row["seed"]: float(row[key]) for row in curves}
+    known = [value for value in last.values() if np.isfinite(value)]
     return float(np.mean(known)) if known else np.nan
 
 
@@ -181,7 +182,7 @@ def ablation_lines(
     known = {(row["dataset"], row["setting"], row["probe"]): row for row in summary}
     header = ["dataset", "setting", f"goals reached [%], {first.about}", "every seed"]
     header += ["IQM", *(_told(probe) for probe in others), "paper", "difference"]
-    header += ["return", "d_mm [m]", "d_mp [m]", "alpha", SLOPE]
+    header += ["return", "d_mm [m]", "d_mp [m]", "alpha", *COLUMNS.values()]
     lines = []
     for dataset, setting in ablation.cells:
         row = known[dataset, setting.name, first.name]
@@ -193,9 +194,13 @@ def ablation_lines(
         ]
         line += _beside_paper((dataset, setting), row)
         line += [f"{row['return']:.2f}", f"{row['d_mm']:.3f}", f"{row['d_mp']:.3f}"]
-        slope = "" if np.isnan(row["q_slope"]) else f"{row['q_slope']:+.2f}"
-        lines.append([*line, f"{row['alpha']:.2f}", slope])
+        line += [f"{row['alpha']:.2f}", *(_number(row[key]) for key in COLUMNS)]
+        lines.append(line)
     return header, lines
+
+
+def _number(value: float) -> str:
+    return "" if np.isnan(value) else f"{value:.2f}"
 
 
 def _every_seed(row: Row) -> str:

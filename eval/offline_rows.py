@@ -23,7 +23,10 @@ from marl_mm.eval.rows import read_rows, write_csv
 from marl_mm.files import write_json
 
 _MEASURED = ("steps", "return", "final_distance", "d_mm", "d_mp", "alpha")
-_CURVE = ("success/all", "success/forward", "success/backward", "return/all", "q/slope")
+CRITIC = ("q/policy", "q/slope")
+"""What the critics say; see ``Td3Bc.diagnose``."""
+
+_CURVE = ("success/all", "success/forward", "success/backward", "return/all", *CRITIC)
 
 
 def probe_file(run: Path, probe: Probe) -> Path:

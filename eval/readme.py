@@ -15,7 +15,7 @@ from marl_mm.eval.bench_tables import (
     bench_table,
     data_table,
 )
-from marl_mm.eval.offline import SLOPE, ablation_table, goals_table
+from marl_mm.eval.offline import COLUMNS, ablation_table, goals_table
 from marl_mm.eval.online import SETTINGS
 from marl_mm.eval.online_tables import (
     hindsight_in_words,
@@ -120,7 +120,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "learnt": _learnt,
     "steps": _steps,
     "updates": _updates,
-    "offline": partial(_ablation, "offline", "difference", SLOPE),
+    "offline": partial(_ablation, "offline", "difference", *COLUMNS.values()),
     "tasks": partial(_ablation, "tasks", "paper", "difference"),
     "goals": goals_table,
 }
