@@ -34,6 +34,8 @@ def new_file(path: Path) -> Iterator[Path]:
     """A temporary name beside ``path``, renamed to it when the block succeeds."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    for killed in _left_by_killed(path.parent, f".{path.stem}.", path.suffix):
+        killed.unlink(missing_ok=True)
     try:
         yield temporary
         _to_disk(temporary)
@@ -50,12 +52,9 @@ def new_folder(path: Path) -> Iterator[Path]:
     there is always one of both.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    own = str(os.getpid())
-    for killed in path.parent.glob(f".{path.name}.*.new"):
-        writer = killed.name.split(".")[-2]
-        if writer == own or not Path("/proc", writer).exists():
-            shutil.rmtree(killed, ignore_errors=True)
-    temporary = path.with_name(f".{path.name}.{own}.new")
+    for killed in _left_by_killed(path.parent, f".{path.name}.", ".new"):
+        shutil.rmtree(killed, ignore_errors=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.new")
     temporary.mkdir()
     try:
         yield temporary
@@ -68,6 +67,15 @@ def new_folder(path: Path) -> Iterator[Path]:
         _to_disk(path.parent)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _left_by_killed(folder: Path, before: str, after: str) -> Iterator[Path]:
+    """Temporary names there of processes that are gone, or had this one's number."""
+    for name in os.listdir(folder):
+        writer = name.removeprefix(before).removesuffix(after)
+        if name == f"{before}{writer}{after}" and writer.isdecimal():
+            if int(writer) == os.getpid() or not Path("/proc", writer).exists():
+                yield folder / name
 
 
 def _to_disk(path: Path) -> None:

@@ -26,7 +26,7 @@ from marl_mm.errors import (
     UnknownDatasetError,
     UsageError,
 )
-from marl_mm.files import new_folder
+from marl_mm.files import new_file, new_folder
 from marl_mm.layout import ACTION, AGENTS, STATE
 
 ID = "marl_mm/reach/test-v0"
@@ -207,6 +207,15 @@ def test_what_a_killed_writer_left_goes(tmp_path: Path) -> None:
     with new_folder(tmp_path / "folder"):
         pass
     assert not gone.exists() and alive.exists()
+
+
+def test_half_a_file_that_a_killed_writer_left_goes(tmp_path: Path) -> None:
+    for number in (999999999, os.getpid(), 1):
+        (tmp_path / f".table.{number}.csv").write_text("half")
+    with new_file(tmp_path / "table.csv") as temporary:
+        temporary.write_text("whole")
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert left == [".table.1.csv", "table.csv"]  # process 1 may be at it
 
 
 def test_what_a_killed_writer_of_the_same_number_left_goes(tmp_path: Path) -> None:
