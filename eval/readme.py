@@ -14,6 +14,7 @@ from marl_mm.eval.bench_tables import (
     abuse_table,
     bench_table,
     data_table,
+    offline_speed_table,
 )
 from marl_mm.eval.offline import COLUMNS, ablation_table, goals_table
 from marl_mm.eval.online import SETTINGS
@@ -109,6 +110,10 @@ def _ablation(name: str, *leave_out: str) -> str:
     return ablation_table(ABLATIONS[name], summary, ("IQM", *leave_out))
 
 
+def _offline_updates() -> str:
+    return offline_speed_table(json.loads((RESULTS / "offline/bench.json").read_text()))
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "alpha": _alpha,
     "responses": _responses,
@@ -122,6 +127,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "updates": _updates,
     "offline": partial(_ablation, "offline", "difference", *COLUMNS.values()),
     "tasks": partial(_ablation, "tasks", "paper", "difference"),
+    "offline-updates": _offline_updates,
     "goals": goals_table,
 }
 """Name of the marks, and what stands between them."""
