@@ -7,6 +7,14 @@ lives in an environment of its own, see ``d3rlpy_reads.py``::
     python tests/other/d3rlpy_parity.py data DATASET FOLDER
     d3/bin/python tests/other/d3rlpy_parity.py theirs FOLDER
     python tests/other/d3rlpy_parity.py ours FOLDER
+
+Goals reached of 600, Wilson's 95 % interval, and every seed, on good-30k (d3rlpy 2.8.1,
+torch 2.13, one thread each)::
+
+    c = 2.5, ours: 0.0 % [0.0, 0.6] (0.0, 0.0, 0.0)
+    c = 2.5, d3rlpy: 0.0 % [0.0, 0.6] (0.0, 0.0, 0.0)
+    c = 0.5, ours: 43.2 % [39.3, 47.2] (41.5, 40.0, 48.0)
+    c = 0.5, d3rlpy: 44.7 % [40.7, 48.7] (46.5, 44.0, 43.5)
 """
 
 import json
