@@ -16,8 +16,10 @@ from marl_mm.errors import UsageError
 from marl_mm.layout import ACTION, ACTION_HIGH, ACTION_LOW, EE, GOAL, STATE
 
 COSTS = ("d_mm", "d_mp", "base_jerk_rms")
-FAILED = "failed"
 """What of a step's info its reward depends on, apart from the goal."""
+
+FAILED = "failed"
+"""A cost, too: whether the step ended its episode without success."""
 
 DRAWN_TOGETHER = 40
 """Batches drawn at once: relabelling costs hardly more for many."""

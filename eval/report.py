@@ -103,9 +103,9 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
     return page.render(
         title="marl_mm: results",
         about="Tables and figures, what they were made of, and the commands that make "
-        "them. Success rates: mean and standard deviation over seeds, and Wilson's "
-        "95 % interval over all goals; IQM: interquartile mean over seeds and "
-        "directions with its 95 % stratified bootstrap interval.",
+        "them. Success rates of online learning: mean and standard deviation over "
+        "seeds, and Wilson's 95 % interval over all goals; of offline learning: as "
+        "said below each table.",
         sections=[*sections, made],
     )
 

@@ -116,6 +116,10 @@ def test_the_papers_figures_stand_beside_its_own_settings_only() -> None:
     assert reported(("good-30k", Setting("same", "same"))) == (34.00, 32.19)
 
 
+def test_what_is_committed_is_ablations() -> None:
+    assert {"offline", "tasks"} <= set(COMMITTED) <= ABLATIONS.keys()
+
+
 @pytest.mark.parametrize("name", COMMITTED)
 def test_what_is_committed_is_drawn_from_its_rows(
     name: str, capsys: pytest.CaptureFixture[str]

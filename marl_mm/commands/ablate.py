@@ -15,7 +15,6 @@ from marl_mm.commands.ablate_check import every_failure
 from marl_mm.commands.ablate_offline import ablate_offline
 from marl_mm.commands.ablate_online import TARGETS, ablate_online, check_settings
 from marl_mm.commands.ablate_options import AblateOffline
-from marl_mm.commands.ablate_plan import missing_cells
 from marl_mm.commands.ablate_runs import Ablate, check_installed, told_missing
 from marl_mm.commands.options import check_positive, check_seeds
 from marl_mm.commands.parser import Subcommand, parse_options, parse_subcommand
@@ -134,9 +133,8 @@ def _everything(options: AblateOffline) -> None:
         print(f"and {told_missing(online)}")
         return
     if not options.check:
-        missing_cells(offline, ABLATIONS.values())  # refuses what cannot be done
         check_installed(online)
-    with every_failure() as attempt:
+    with every_failure(usage=options.check) as attempt:
         attempt(partial(_offline, offline, ABLATIONS))
         for name, target in TARGETS.items():
             if target.files and not (options.check and not target.of_rows):

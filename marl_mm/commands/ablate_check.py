@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 
 import matplotlib
 
-from marl_mm.errors import FailedRunsError, MarlMmError
+from marl_mm.errors import FailedRunsError, MarlMmError, UsageError
 from marl_mm.files import new_file
 
 _FIGURES = (".png", ".svg")
@@ -17,8 +17,13 @@ _DRAWN_WITH = "drawn_with.txt"
 
 
 @contextmanager
-def every_failure() -> Iterator[Callable[[Callable[[], object]], None]]:
+def every_failure(
+    usage: bool = True,
+) -> Iterator[Callable[[Callable[[], object]], None]]:
     """Gives what tries things whose failures are raised together, at the end.
+
+    Args:
+        usage: Whether what makes no sense waits until then, too.
 
     Raises:
         FailedRunsError: If any failed.
@@ -29,6 +34,8 @@ def every_failure() -> Iterator[Callable[[Callable[[], object]], None]]:
         try:
             action()
         except MarlMmError as error:
+            if isinstance(error, UsageError) and not usage:
+                raise
             failures.append(str(error))
 
     yield attempt

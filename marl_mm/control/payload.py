@@ -5,11 +5,10 @@ moves the load. Along y = J' (a + g), the torques per kilogram in the hand, the 
 mass goes towards what explains the rest best, as a momentum observer would have it.
 """
 
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
-from marl_mm.errors import UsageError
 from marl_mm.robot.model import GRAVITY, ModelTerms, RobotModel, RobotState
 
 Knowledge = Literal["estimated", "given", "none"]
@@ -31,17 +30,10 @@ class Payload:
         model: The controller's; its hand gets heavier.
         knowledge: Where the mass is from.
         rate: Ticks per second.
-
-    Raises:
-        UsageError: If there is no such knowledge.
     """
 
     def __init__(self, model: RobotModel, knowledge: Knowledge, rate: float) -> None:
-        if knowledge not in get_args(Knowledge):
-            expected = ", ".join(get_args(Knowledge))
-            raise UsageError(f"knowledge is {knowledge!r}, expected one of {expected}")
         self._model, self._knowledge, self._rate = model, knowledge, rate
-        self._held = False
         self.release()
 
     @property

@@ -87,8 +87,6 @@ class ReachCore:
             config.robot, config.simulation, config.controller, visual, gui
         )
         self._posture = np.array(config.robot.initial_joints)
-        start = RobotState(np.array([0, 0, 1, 0, *self._posture]), np.zeros(10))
-        self._start_w = self.drive.model.evaluate(start).position_w.copy()
         self._low, self._high = np.array(ACTION_LOW), np.array(ACTION_HIGH)
         self._steps = -1
 
@@ -164,7 +162,8 @@ class ReachCore:
             float(rng.uniform(*interval))
             for interval in (load.mass, load.edge, load.friction)
         )
-        x, y, z = self._start_w.tolist()
+        start = RobotState(np.array([0, 0, 1, 0, *self._posture]), np.zeros(10))
+        x, y, z = self.drive.model.evaluate(start).position_w.tolist()
         return Scene(Block((edge, edge, edge), mass, friction), (x, y, z))
 
     def _take(self, scene: Scene) -> None:
@@ -180,7 +179,7 @@ class ReachCore:
             self.config.look_every,
         )
         drive.hand.take(self._ee_w)
-        self._follow(self._start_w, BasePlan(0.0, 0.0, 0.0), None)
+        self._follow(np.array(scene.position_w), BasePlan(0.0, 0.0, 0.0), None)
 
     def _checked(self, action: np.ndarray) -> np.ndarray:
         try:

@@ -11,7 +11,7 @@ from marl_mm.sim.handling import Handling
 from marl_mm.sim.scene import Scene
 
 Grasp = Literal["friction", "weld"]
-"""How a block is held: between the pads, or fixed to the hand, which is faster."""
+"""How a block is held: between the pads, or fixed to the hand."""
 
 SLIPPED = 0.03
 """A held block whose centre is this far from where it was taken is dropped [m]."""

@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+from functools import cache
 from math import asin, atan2
 
 import numpy as np
@@ -22,6 +23,13 @@ from marl_mm.sim.engine import pybullet, pybullet_data
 from marl_mm.sim.handling import Handling
 from marl_mm.sim.planar import planar_state
 from marl_mm.sim.scene import Scene
+
+
+@cache
+def _urdf(robot: RobotConfig, solid: bool) -> str:
+    """Mesh names in it are relative to pybullet_data, but our file lies elsewhere."""
+    meshes = f"{pybullet_data.getDataPath()}/franka_panda"
+    return robot_urdf(robot, solid).replace('"franka_panda', f'"{meshes}')
 
 
 class BulletWorld:
@@ -49,12 +57,6 @@ class BulletWorld:
         self._robot_config = robot
         self._config = config
         self._visual = visual or gui
-        # Mesh names are relative to pybullet_data, but our file lies elsewhere.
-        meshes = f"{pybullet_data.getDataPath()}/franka_panda"
-        self._urdf, self._colliding_urdf = (
-            robot_urdf(robot, colliding).replace('"franka_panda', f'"{meshes}')
-            for colliding in (False, True)
-        )
         self._client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
         self._com_b = robot.base_com_b
 
@@ -245,7 +247,7 @@ class BulletWorld:
         if not self._visual:
             flags |= pybullet.URDF_IGNORE_VISUAL_SHAPES
         with tempfile.NamedTemporaryFile("w", suffix=".urdf") as file:
-            file.write(self._colliding_urdf if solid else self._urdf)
+            file.write(_urdf(self._robot_config, solid))
             file.flush()
             # loadURDF places the link frame, unlike resetBasePositionAndOrientation.
             robot = pybullet.loadURDF(file.name, flags=flags, physicsClientId=client)
