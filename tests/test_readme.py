@@ -68,7 +68,7 @@ def test_the_ablation_of_ones_own_runs_as_written(
     (code,) = blocks("py")
     Path("widths.py").write_text(code)
     small = ["--budget", "smoke", "--seeds", "0", "--workers", "1"]
-    assert "marl-mm ablate\nwidths.py:WIDTHS" in README
+    assert "marl-mm ablate widths.py:WIDTHS" in " ".join(README.split())
     assert main(["ablate", "widths.py:WIDTHS", *small]) == 0
     assert Path("runs/offline-smoke/results/widths.svg").exists()
 

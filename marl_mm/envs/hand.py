@@ -71,9 +71,9 @@ class Hand:
         self.payload.learn(before, terms, torque, after)
         if number % self._every:
             return
-        touches = self._handling.touches()
-        if touches.collision:
-            self._fail(f"collision of {touches.collision}")
+        collision = self._handling.collision()
+        if collision:
+            self._fail(f"collision of {collision}")
         if self.held:
             way = self._handling.block_w()[0] - terms.position_w - self._offset
             if not self._weld and np.linalg.norm(way) > SLIPPED:

@@ -84,7 +84,7 @@ class BulletWorld:
         links = self._load_robot(solid=scene is not None)
         if scene is not None:
             self.handling = Handling(
-                client, self._robot, links, self._ground, config, scene, self._visual
+                client, self._robot, links, config, scene, self._visual
             )
         if goal_w is not None and self._visual:
             self._draw_goal(goal_w)

@@ -8,24 +8,20 @@ class Block:
     """A cuboid that the gripper can hold."""
 
     size: tuple[float, float, float] = (0.05, 0.05, 0.05)
-    """Edges along its x, y and z [m]; the fingers close along y."""
+    """Edges along x, y and z of the world [m]; the fingers close along x."""
 
     mass: float = 0.5
     """[kg]"""
 
     friction: float = 0.8
-    """Coefficient against the finger pads, whose own is 1, and against the stand."""
+    """Coefficient against the finger pads, whose own is 1."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A block, and maybe the stand that it is on."""
+    """A block between the fingers."""
 
     block: Block
 
     position_w: tuple[float, float, float]
     """Of the block's centre [m]."""
-
-    stand_size: tuple[float, float, float] | None = None
-    """Edges of the stand [m], which reaches from the ground to the block; None: there
-    is none, and the block is in the hand."""
