@@ -9,11 +9,12 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from importlib.util import find_spec
 from itertools import islice
-from multiprocessing import connection, get_context, parent_process
+from multiprocessing import connection, parent_process
 from typing import Any, Literal, Protocol, TypeVar, cast
 
 from marl_mm.errors import UsageError, WorkerDiedError
 from marl_mm.interrupts import deaf_to_interrupts
+from marl_mm.processes import process_context
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -77,10 +78,9 @@ class Workers:
         self._workers = workers
         self._pool: ProcessPoolExecutor | None = None
         if workers > 1:
-            context = get_context("spawn")
-            self._pool = ProcessPoolExecutor(
-                workers, context, _begin, (initializer, arguments)
-            )
+            first = dict(os.environ), initializer, arguments
+            context = process_context((initializer or _begin).__module__)
+            self._pool = ProcessPoolExecutor(workers, context, _begin, first)
         elif initializer is not None:
             initializer(*arguments)
 
@@ -103,7 +103,7 @@ class Workers:
         """Results in the order of ``items``, which may be endless.
 
         Args:
-            function: Importable by name, as it runs in spawned processes.
+            function: Importable by name, as it runs in other processes.
             items: What to apply it to.
             ahead: Items handed out per worker beyond the one awaited; an interrupt
                 waits for those that have begun.
@@ -161,11 +161,10 @@ def apart(function: Callable[[T], R], item: T, seconds: float) -> R:
     Raises:
         WorkerDiedError: If the process crashed, or took longer.
     """
-    context = get_context("forkserver")  # which imports the function's module once
-    context.set_forkserver_preload([function.__module__])
+    context = process_context(function.__module__)
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_send, args=(sender, function, item), daemon=True)
-    with deaf_to_interrupts(), _without_working_directory():
+    with deaf_to_interrupts():
         process.start()
     sender.close()
     try:
@@ -180,20 +179,6 @@ def apart(function: Callable[[T], R], item: T, seconds: float) -> R:
     if good:
         return cast(R, value)
     raise value
-
-
-@contextmanager
-def _without_working_directory() -> Iterator[None]:
-    """A server started here does not import what is called ``marl_mm`` where we are."""
-    before = os.environ.get("PYTHONSAFEPATH")
-    os.environ["PYTHONSAFEPATH"] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ["PYTHONSAFEPATH"]
-        else:
-            os.environ["PYTHONSAFEPATH"] = before
 
 
 def _send(sender: connection.Connection, function: Callable[[T], R], item: T) -> None:
@@ -217,9 +202,18 @@ def _broken_pools_named(pending: Collection[Future[Any]]) -> Iterator[None]:
             future.cancel()
 
 
-def _begin(initializer: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
-    """A worker's first act: to end with its parent, even if that is killed."""
+def _begin(
+    environment: dict[str, str],
+    initializer: Callable[..., None] | None,
+    arguments: tuple[Any, ...],
+) -> None:
+    """A worker's first act: to end with its parent, even if that is killed.
+
+    Its environment is the parent's of now, not of when the server began.
+    """
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    os.environ.clear()
+    os.environ.update(environment)
     if initializer is not None:
         initializer(*arguments)
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from marl_mm.control.tasks.task import Reference
@@ -14,6 +15,7 @@ from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
 
+WorkersOf = Callable[[int], list[psutil.Process]]
 MakeEpisode = Callable[..., Episode]
 Situation = tuple[RobotState, ModelTerms, Reference]
 
@@ -94,6 +96,18 @@ def make_episode() -> MakeEpisode:
 @pytest.fixture
 def episodes() -> list[Episode]:
     return [build_episode(i, steps=3 + i % 3, success=i != 2) for i in range(6)]
+
+
+@pytest.fixture(scope="session")
+def workers_of() -> WorkersOf:
+    """Worker processes of a command's process: below the server they are copies of."""
+
+    def found(pid: int) -> list[psutil.Process]:
+        command = psutil.Process(pid)
+        direct = command.children()
+        return [one for one in command.children(recursive=True) if one not in direct]
+
+    return found
 
 
 @pytest.fixture

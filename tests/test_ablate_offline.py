@@ -27,6 +27,8 @@ from marl_mm.eval.offline import (
 )
 from marl_mm.eval.rows import read_rows
 
+WorkersOf = Callable[[int], list[psutil.Process]]
+
 OWN = """
 from marl_mm.eval import BEST, LAST, Ablation, Probe, Setting
 
@@ -307,21 +309,17 @@ def test_killing_it_again_and_again_changes_nothing(own: Path, tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_a_killed_worker_does_not_stop_it(own: Path, tmp_path: Path) -> None:
+def test_a_killed_worker_does_not_stop_it(
+    own: Path, tmp_path: Path, workers_of: WorkersOf
+) -> None:
     asked = words(own, tmp_path / "runs", "--workers", "2")
-    context = get_context("forkserver")
-    context.set_forkserver_preload(["marl_mm.commands.ablate"])
-    job = context.Process(target=main, args=(asked,))
+    job = get_context("spawn").Process(target=main, args=(asked,))
     job.start()
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline and not list(tmp_path.rglob("metrics.jsonl")):
         time.sleep(0.05)
-    (victim, *_) = [
-        one
-        for one in psutil.Process(job.pid).children()
-        if "spawn" in one.cmdline()[-2]
-    ]
-    victim.kill()
+    assert job.pid is not None
+    workers_of(job.pid)[0].kill()
     job.join(120)
     assert job.exitcode == 0
     assert all((tmp_path / "runs/results" / file).exists() for file in FILES)

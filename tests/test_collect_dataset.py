@@ -26,6 +26,7 @@ from marl_mm.errors import OtherConfigError, UsageError
 from marl_mm.files import only_here
 from marl_mm.policy import Policy
 
+WorkersOf = Callable[[int], list[psutil.Process]]
 MakeEpisode = Callable[..., Episode]
 STEPS = 120
 """Of random data: five episodes."""
@@ -61,11 +62,6 @@ def journal_holds(location: Location, episodes: int) -> None:
     raise AssertionError("nothing was collected in two minutes")
 
 
-def workers_of(process: "subprocess.Popen[str]") -> list[psutil.Process]:
-    children = psutil.Process(process.pid).children()
-    return [one for one in children if "spawn_main" in " ".join(one.cmdline())]
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """An uninterrupted collection, elsewhere."""
@@ -78,14 +74,14 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 @pytest.mark.slow
 def test_killed_parents_and_workers_cost_nothing_finished(
-    datasets_home: Path, whole: bytes
+    datasets_home: Path, whole: bytes, workers_of: WorkersOf
 ) -> None:
     """kill -9 of the command, then of a worker; then --resume, to the same bytes."""
     name = "marl_mm/reach/test-v0"
     location = locate(name)
     first = start(name)
     journal_holds(location, 1)
-    workers = workers_of(first)
+    workers = workers_of(first.pid)
     assert len(workers) == 2
     first.kill()
     first.wait()
@@ -102,7 +98,7 @@ def test_killed_parents_and_workers_cost_nothing_finished(
 
     second = start(name, "--resume")
     journal_holds(location, min(finished + 1, 4))
-    workers_of(second)[0].kill()
+    workers_of(second.pid)[0].kill()
     assert second.wait() == 1 and second.stderr is not None
     complaint = second.stderr.read()
     assert "a worker process died" in complaint and "--resume" in complaint

@@ -22,6 +22,7 @@ from marl_mm.datasets.location import locate
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.episode import Episode
 
+WorkersOf = Callable[[int], list[psutil.Process]]
 MakeEpisode = Callable[..., Episode]
 
 SMALL = (
@@ -122,7 +123,7 @@ def test_more_updates_go_on_as_if_they_had_been_asked_for_at_once(
 
 @pytest.mark.slow
 def test_a_killed_process_ends_the_command_and_leaves_checkpoints(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], workers_of: WorkersOf
 ) -> None:
     out = ["--out", str(tmp_path), "--seeds", "0", "1", "--workers", "2"]
     long = [word if word != "300" else "1000000" for word in SMALL]
@@ -131,14 +132,13 @@ def test_a_killed_process_ends_the_command_and_leaves_checkpoints(
             wait_for(tmp_path / seed / FILE, job)
         assert main(["train", *long, *out, "--overwrite"]) == 2
         assert "another process is writing" in capsys.readouterr().err
-        children = psutil.Process(job.pid).children()
-        learners = [one for one in children if "spawn_main" in " ".join(one.cmdline())]
+        learners = workers_of(job.pid)
         learners[0].kill()
         _, complaint = job.communicate(timeout=60)
     assert job.returncode == 1
     assert "a worker process died" in complaint
     assert complaint.strip().endswith("go on with --resume")
-    _, alive = psutil.wait_procs(children, timeout=10)
+    _, alive = psutil.wait_procs(learners, timeout=10)
     assert not alive
     for seed in "01":
         assert np.isfinite(load_policy(tmp_path / seed).act(np.zeros(10))).all()
