@@ -96,7 +96,7 @@ def bench_seeds(
 
     Returns:
         Seconds of each, how many times the throughput of one several have, and the
-        most memory that all processes of each had [MB], what they share counted once.
+        most memory that all processes of each had [MiB], what they share counted once.
     """
     walls: dict[int, list[float]] = {1: [], seeds: []}
     memory = dict.fromkeys(walls, 0.0)
@@ -114,8 +114,8 @@ def bench_seeds(
         "one_s": one,
         "several_s": several,
         "throughput_over_one": seeds * one / several,
-        "one_memory_mb": memory[1],
-        "several_memory_mb": memory[seeds],
+        "one_memory_mib": memory[1],
+        "several_memory_mib": memory[seeds],
     }
 
 
@@ -153,7 +153,7 @@ def bench_side_by_side(
 
 
 def _train(updates: int, seeds: int, folder: str) -> tuple[float, float]:
-    """Seconds that the command took, and the most memory of its processes [MB]."""
+    """Seconds that the command took, and the most memory of its processes [MiB]."""
     words = (
         f"-m marl_mm train td3-bc --dataset {SHIPPED} --updates {updates} --hidden "
         f"{' '.join(map(str, HIDDEN))} --curve-every {updates} --curve-episodes 1 "
@@ -179,7 +179,7 @@ def _train(updates: int, seeds: int, folder: str) -> tuple[float, float]:
 
 
 def _memory(process: psutil.Process) -> float:
-    """Of a process and all that it began [MB]: the proportional set size."""
+    """Of a process and all that it began [MiB]: the proportional set size."""
     total = 0
     with suppress(psutil.NoSuchProcess):  # it may end meanwhile
         for one in (process, *process.children(recursive=True)):

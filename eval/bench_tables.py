@@ -90,7 +90,8 @@ def offline_speed_table(result: Mapping[str, Any]) -> str:
     ]
     told = f"{seeds['seeds']} seeds in one command on {seeds['cores']} cores"
     ratio = f"{seeds['throughput_over_one']:.2f} times one seed's"
-    lines.append((told, ratio, f"{seeds['several_memory_mb']:.0f} MB of memory"))
+    one, several = (round(seeds[f"{n}_memory_mib"]) for n in ("one", "several"))
+    lines.append((told, ratio, f"{several} MiB of memory, one seed {one}"))
     return markdown_table(("one thread", "updates per second", "over theirs"), lines)
 
 
