@@ -3,17 +3,20 @@
 They begin in milliseconds instead of seconds, and share the libraries' memory.
 """
 
+import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from multiprocessing import forkserver, get_context
+from multiprocessing import forkserver, get_context, resource_tracker
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 from marl_mm.interrupts import deaf_to_interrupts
 
-_FREEZE = "marl_mm.frozen"
-"""Imported last."""
+BEFORE = "MARL_MM_ENVIRONMENT"
+"""Variable with all others, while the server begins: it begins with some changed."""
+
+_LAST = "marl_mm.copied"
 
 
 def process_context(module: str) -> ForkServerContext:
@@ -24,7 +27,8 @@ def process_context(module: str) -> ForkServerContext:
             ends with this process.
     """
     context = get_context("forkserver")
-    context.set_forkserver_preload([module, _FREEZE])
+    context.set_forkserver_preload([module, _LAST])
+    resource_tracker.ensure_running()  # which would let interrupts in, if begun below
     with deaf_to_interrupts(), _of_this_package():
         forkserver.ensure_running()
     return context
@@ -35,17 +39,17 @@ def _of_this_package() -> Iterator[None]:
     """A server started here imports this package, not one that lies where we are."""
     package = str(Path(__file__).resolve().parents[1])
     known = os.environ.get("PYTHONPATH")
-    changes = {
-        "PYTHONSAFEPATH": "1",
-        "PYTHONPATH": os.pathsep.join(filter(None, (package, known))),
-    }
-    before = {name: os.environ.get(name) for name in changes}
-    os.environ.update(changes)
+    before = dict(os.environ)
+    os.environ["PYTHONSAFEPATH"] = "1"
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (package, known)))
+    os.environ[BEFORE] = json.dumps(before)
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        set_environment(before)
+
+
+def set_environment(variables: Mapping[str, str]) -> None:
+    """These, and no others."""
+    os.environ.clear()
+    os.environ.update(variables)

@@ -14,7 +14,7 @@ from typing import Any, Literal, Protocol, TypeVar, cast
 
 from marl_mm.errors import UsageError, WorkerDiedError
 from marl_mm.interrupts import deaf_to_interrupts
-from marl_mm.processes import process_context
+from marl_mm.processes import process_context, set_environment
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -146,7 +146,8 @@ class Workers:
         self, function: Callable[[T], R], items: Iterable[T]
     ) -> list[Future[R]]:
         assert self._pool is not None
-        with deaf_to_interrupts():  # workers start here, and inherit it
+        # Workers start here, and inherit it.
+        with deaf_to_interrupts(), _dead_servers_named():
             return [self._pool.submit(function, item) for item in items]
 
 
@@ -163,8 +164,9 @@ def apart(function: Callable[[T], R], item: T, seconds: float) -> R:
     """
     context = process_context(function.__module__)
     receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_send, args=(sender, function, item), daemon=True)
-    with deaf_to_interrupts():
+    arguments = dict(os.environ), sender, function, item
+    process = context.Process(target=_send, args=arguments, daemon=True)
+    with deaf_to_interrupts(), _dead_servers_named():
         process.start()
     sender.close()
     try:
@@ -181,7 +183,24 @@ def apart(function: Callable[[T], R], item: T, seconds: float) -> R:
     raise value
 
 
-def _send(sender: connection.Connection, function: Callable[[T], R], item: T) -> None:
+@contextmanager
+def _dead_servers_named() -> Iterator[None]:
+    """Name what happened if what others are copies of is gone when it is asked."""
+    try:
+        yield
+    except (EOFError, ConnectionError) as error:
+        raise WorkerDiedError(
+            "the process that workers are copies of died; is there memory enough?"
+        ) from error
+
+
+def _send(
+    environment: dict[str, str],
+    sender: connection.Connection,
+    function: Callable[[T], R],
+    item: T,
+) -> None:
+    set_environment(environment)
     try:
         sender.send((True, function(item)))
     except Exception as error:
@@ -212,8 +231,7 @@ def _begin(
     Its environment is the parent's of now, not of when the server began.
     """
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    os.environ.clear()
-    os.environ.update(environment)
+    set_environment(environment)
     if initializer is not None:
         initializer(*arguments)
 

@@ -4,6 +4,7 @@ Functions are those that any process can import by name.
 """
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -42,15 +43,63 @@ def test_workers_are_of_the_package_that_began_them(tmp_path: Path) -> None:
     """Not of one that has its name, and lies where the command is run."""
     (tmp_path / "marl_mm").mkdir()
     (tmp_path / "marl_mm/__init__.py").write_text("raise SystemExit('not this one')")
-    script = tmp_path / "bin/command.py"
+    body = "with Workers(2) as pool: print(*pool.map(abs, [-1, -2]))"
+    assert run_script(tmp_path, body).stdout == "1 2\n"
+
+
+def test_workers_never_hear_interrupts(tmp_path: Path) -> None:
+    """Those of the terminal are for the command, which ends them."""
+    body = (
+        "blocked = partial(signal.pthread_sigmask, signal.SIG_BLOCK)\n"
+        "    with Workers(2) as pool:\n"
+        "        print(*map(list, pool.map(blocked, [(), ()])))"
+    )
+    told = run_script(tmp_path, body).stdout
+    assert told == f"{[signal.SIGINT]} {[signal.SIGINT]}\n"
+
+
+def test_what_else_is_forked_from_the_server_begins_as_if_it_were_not_ours(
+    tmp_path: Path,
+) -> None:
+    body = (
+        "os.environ['OWN'] = '1'\n"
+        "    with Workers(2) as pool: list(pool.map(abs, [1]))\n"
+        "    with get_context('forkserver').Pool(1) as pool:\n"
+        "        print(*pool.map(os.getenv, ['PYTHONSAFEPATH', 'PYTHONPATH', 'OWN']))"
+    )
+    assert run_script(tmp_path, body).stdout == "None None 1\n"
+
+
+@pytest.mark.slow
+def test_a_server_that_is_killed_while_it_imports_is_told(tmp_path: Path) -> None:
+    body = (
+        "from marl_mm.commands.train_offline import _begin_process\n"
+        "    pool = Workers(2, _begin_process)\n"
+        "    server = forkserver._forkserver._forkserver_pid\n"
+        "    threading.Timer(0.3, os.kill, (server, signal.SIGKILL)).start()\n"
+        "    list(pool.map(abs, [1]))"
+    )
+    assert "WorkerDiedError: the process that workers are copies of died" in (
+        run_script(tmp_path, body).stderr
+    )
+
+
+def run_script(folder: Path, body: str) -> "subprocess.CompletedProcess[str]":
+    """Run it as somebody's own script, in a folder that is not the project's."""
+    script = folder / "scripts/own.py"
     script.parent.mkdir()
     script.write_text(
+        "import os, signal, threading\n"
+        "from functools import partial\n"
+        "from multiprocessing import forkserver, get_context\n"
         "from marl_mm.workers import Workers\n"
-        "if __name__ == '__main__':\n"
-        "    with Workers(2) as pool: print(*pool.map(abs, [-1, -2]))\n"
+        f"if __name__ == '__main__':\n    {body}\n"
     )
+    own = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
     command = [sys.executable, str(script)]
-    assert subprocess.check_output(command, cwd=tmp_path, timeout=60) == b"1 2\n"
+    return subprocess.run(
+        command, cwd=folder, env=own, timeout=60, capture_output=True, text=True
+    )
 
 
 @pytest.mark.slow

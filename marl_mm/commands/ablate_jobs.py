@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -19,7 +20,6 @@ from marl_mm.eval.alpha_study import FixedAlpha
 from marl_mm.eval.evaluate import evaluate
 from marl_mm.eval.offline_rows import is_probed, probe_file, probe_way
 from marl_mm.files import write_json
-from marl_mm.processes import process_context
 from marl_mm.progress import Advance, Bar, distant_bars, show_distant_bars, silent
 from marl_mm.workers import Executor, open_pool
 
@@ -85,7 +85,7 @@ def do_jobs(
     left = {job.run: job for job in jobs}
     failed: dict[Path, Complaint] = {}
     begun, total = monotonic(), sum(job.seconds for job in left.values())
-    context = process_context(__name__)
+    context = get_context("forkserver")
     messages, stop = context.Queue(), context.Event()
     deaths = dict.fromkeys(left, 0)
     with show_distant_bars(messages, vanish=True):

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,6 @@ from marl_mm.errors import DivergedError, WorkerDiedError
 from marl_mm.eval.evaluate import Evaluation, evaluate_with
 from marl_mm.eval.figures import learning_curve
 from marl_mm.files import only_here
-from marl_mm.processes import process_context
 from marl_mm.progress import Bar, distant_bars, progress_bars, show_distant_bars
 from marl_mm.workers import Workers
 
@@ -106,7 +106,7 @@ def _apart(
     dataset: Dataset, options: Offline, runs: Mapping[int, Path], processes: int
 ) -> Iterator[_Trained]:
     """Seeds in processes of their own, which Ctrl-C or one that dies stops."""
-    context = process_context(__name__)
+    context = get_context("forkserver")
     messages, stop = context.Queue(), context.Event()
     alone = replace(options, workers=1)
     arguments = dataset, alone, messages, stop
