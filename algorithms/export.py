@@ -9,6 +9,7 @@ import logging
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from copy import deepcopy
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
@@ -88,9 +89,12 @@ class _Exported(nn.Module):
             raise UsageError(
                 f"{policy.name} has no agent {agent!r}, expected {' or '.join(agents)}"
             )
-        self._agents = [agents[agent]] if agent else list(agents.values())
+        chosen = [agents[agent]] if agent else list(agents.values())
+        # Copies, whose weights no longer learn: so that actions are plain numbers.
+        self._agents = [AgentActor(one.layout, deepcopy(one.actor)) for one in chosen]
         self._alone = agent is not None
         self._actors = nn.ModuleList(one.actor for one in self._agents)
+        self.requires_grad_(False)
         entries = [i for one in self._agents for i in one.layout.action]
         own = self._agents[0].layout.observation
         seen = own if self._alone else range(len(STATE))
@@ -143,8 +147,7 @@ def _torchscript(
     loaded = torch.jit.load(path)  # type: ignore[no-untyped-call]
 
     def run(observations: np.ndarray) -> np.ndarray:
-        with torch.no_grad():
-            actions: np.ndarray = loaded(torch.from_numpy(observations)).numpy()
+        actions: np.ndarray = loaded(torch.from_numpy(observations)).numpy()
         return actions
 
     return run

@@ -235,7 +235,8 @@ def read_arrays(
     if digest != expected:
         raise DatasetError(
             f"{path} is damaged: its {path.stat().st_size} bytes are not those that "
-            "were written; make it again with --overwrite"
+            f"were written; marl-mm datasets delete {location.name} removes it, and "
+            "what made it makes it again"
         )
     if cached and (found := _read_cache(location.folder, digest)) is not None:
         return found

@@ -3,7 +3,9 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal, get_args, get_type_hints
+
+from typeguard import TypeCheckError, check_type
 
 from marl_mm.algorithms.presets import (
     OFFLINE,
@@ -78,6 +80,21 @@ class Setting:
                 f"setting {self.name!r} changes {name!r}, which {self.algorithm} has "
                 f"not: expected some of {', '.join(sorted(known))}"
             )
+        self._check_types()
+
+    def _check_types(self) -> None:
+        hints = get_type_hints(type(offline_preset(self.algorithm)))
+        for name, value in self.changes.items():
+            try:
+                check_type(value, hints[name])
+            except TypeCheckError as error:
+                raise UsageError(
+                    f"setting {self.name!r} changes {name} to {value!r}: {error}"
+                ) from None
+        try:
+            _ = self.config
+        except UsageError as error:
+            raise UsageError(f"setting {self.name!r}: {error}") from None
 
     @property
     def config(self) -> OfflineConfig:

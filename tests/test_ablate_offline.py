@@ -132,10 +132,14 @@ def test_what_is_committed_is_drawn_from_its_rows(
 
 
 @pytest.mark.parametrize("name", COMMITTED)
-def test_what_is_committed_was_made_as_declared(name: str, tmp_path: Path) -> None:
-    """Otherwise runs would be missing, whose dataset is not there."""
+def test_what_is_committed_was_made_as_declared(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Otherwise runs would be missing, or the datasets that they need."""
     words = ["ablate", name, "--out", str(RESULTS), "--runs", str(tmp_path), "--plan"]
     assert main(words) == 0
+    told = capsys.readouterr()
+    assert "| all |  | 0 of 0 |" in told.out and "not counted" not in told.err
 
 
 @pytest.mark.parametrize(
@@ -145,6 +149,10 @@ def test_what_is_committed_was_made_as_declared(name: str, tmp_path: Path) -> No
         (lambda: Setting("x", "x", "td3bc"), "'td3bc', expected one of mabc, td3-bc"),
         (lambda: Setting("x", "x", preset="tunde"), "'tunde', expected one of tuned"),  # type: ignore[arg-type]
         (lambda: Setting("x", "x", goals=1), "goals is 1, expected 2, 4"),
+        (lambda: Setting("x", "x", changes={"hidden": 64}), "'x' changes hidden to 64"),
+        (lambda: Setting("x", "x", changes={"updates": 1.5}), "changes updates to 1.5"),
+        (lambda: Setting("x", "x", changes={"layer_norm": "no"}), "to 'no'"),
+        (lambda: Setting("x", "x", changes={"batch_size": 0}), "'x': batch_size is 0"),
         (lambda: Probe("x", "x", checkpoint="bset"), "'bset', expected one of last"),  # type: ignore[arg-type]
         (lambda: Ablation("x", []), "has no cells"),
         (lambda: Ablation("x", ["good-5k"]), "expected pairs of a dataset's name and"),  # type: ignore[list-item]

@@ -150,7 +150,7 @@ def test_a_truncated_dataset_fails_with_1(dataset: Path, capsys: Output) -> None
     assert run("train", "mabc", "--dataset", ID) == 1
     assert "main_data.hdf5 is damaged" in one_line(capsys)
     assert run("datasets", "show", ID) == 1
-    assert "--overwrite" in one_line(capsys)
+    assert "datasets delete" in one_line(capsys)
 
 
 def test_nothing_is_overwritten_unasked(

@@ -281,7 +281,9 @@ def test_a_truncated_file_is_named(written: Path, share: float) -> None:
     path = written / "data" / "main_data.hdf5"
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
-    with pytest.raises(DatasetError, match=r"main_data.hdf5 is damaged.*--overwrite"):
+    with pytest.raises(
+        DatasetError, match=r"main_data.hdf5 is damaged.*datasets delete"
+    ):
         load_dataset(ID)
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from marl_mm.commands.ablate_check import every_failure
 from marl_mm.commands.ablate_offline import ablate_offline
 from marl_mm.commands.ablate_online import TARGETS, ablate_online, check_settings
-from marl_mm.commands.ablate_options import AblateOffline
+from marl_mm.commands.ablate_options import RESULTS, AblateOffline
 from marl_mm.commands.ablate_runs import Ablate, check_installed, told_missing
 from marl_mm.commands.options import check_positive, check_seeds
 from marl_mm.commands.parser import Subcommand, parse_options, parse_subcommand
@@ -34,6 +34,7 @@ def main(arguments: Sequence[str]) -> None:
     if arguments and _OF_FILE in arguments[0]:
         path, _, name = arguments[0].partition(_OF_FILE)
         own = parse_options(AblateOffline, "marl-mm ablate", arguments[1:])
+        own = replace(own, out=own.out or own.runs_folder() / RESULTS)
         _offline(own, {name.lower(): _declared(Path(f"{path}.py"), name)})
         return
     target, options = parse_subcommand(

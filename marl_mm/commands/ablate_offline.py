@@ -124,13 +124,12 @@ def _make_rows(
     told = f"{len(left)} of {len(jobs)} runs are missing in {options.runs_folder()}"
     if options.budget == "full":
         told += f", about {hours(left, options.workers):.1f} hours"
-    again = "Ctrl-C and the same command go on"
-    print(f"{told}; {again}", file=sys.stderr)
+    print(f"{told}; after Ctrl-C, go on with --resume", file=sys.stderr)
     try:
         return do_jobs(left, options.workers, options.executor, done)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
-            f"stopped in {options.runs_folder()}; the same command goes on from there"
+            f"stopped in {options.runs_folder()}: go on with --resume"
         ) from None
 
 

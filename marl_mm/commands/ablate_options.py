@@ -11,6 +11,9 @@ from marl_mm.workers import Executor
 
 Budget = Literal["full", "smoke"]
 
+RESULTS = "results"
+"""Folder of tables, figures and rows among the runs."""
+
 
 @dataclass(frozen=True)
 class AblateOffline:
@@ -71,9 +74,10 @@ class AblateOffline:
 
     def results(self) -> Path:
         """``out`` or its default."""
-        if self.check and self.out is None and self.runs is None and COMMITTED.exists():
+        elsewhere = self.out or self.runs or self.budget == "smoke"
+        if self.check and not elsewhere and COMMITTED.exists():
             return COMMITTED / "offline"
-        return self.out or self.runs_folder() / "results"
+        return self.out or self.runs_folder() / RESULTS
 
     def store(self) -> RowStore:
         """What tables and figures are made of."""

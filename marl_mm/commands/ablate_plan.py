@@ -1,5 +1,6 @@
 """What ablations of offline learning lack, and how long it will take."""
 
+import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -70,7 +71,8 @@ def missing_cells(
     """Cells of some ablations without rows, each once, and the runs that make these.
 
     Raises:
-        UsageError: If two settings share a name, or a dataset is not there.
+        UsageError: If two settings share a name, or a dataset is not there; with
+            ``--plan`` that is only told.
         OtherConfigError: If there are rows or runs that were made with something else.
     """
     cells = _cells(ablations)
@@ -103,7 +105,10 @@ def missing_cells(
             raise OtherConfigError(error.difference, ANOTHER_FOLDER) from error
         wanted.append(Wanted(cell, probes, jobs))
     if unknown:
-        raise UnknownDatasetError("; ".join(unknown.values()))
+        told = "; ".join(unknown.values())
+        if not options.plan:
+            raise UnknownDatasetError(told)
+        print(f"not counted: {told}", file=sys.stderr)
     return wanted
 
 
@@ -162,8 +167,10 @@ def _dataset(options: AblateOffline, name: str) -> Dataset:
         return load_dataset(name)
     except UnknownDatasetError as error:
         command = made_by(name)
-        advice = f"; make it with {command}" if command else ""
-        raise UnknownDatasetError(f"{error}{advice}") from error
+        if not command:
+            raise
+        told = f"no dataset {name}: make it with {command}"
+        raise UnknownDatasetError(told) from error
 
 
 def _jobs(

@@ -117,7 +117,8 @@ def check_run(
                 f"{run} exists already; go on with --resume, choose another --out or "
                 "add --overwrite"
             )
-        refuse_existing(run, options.overwrite)
+        stopped_at_once = run.is_dir() and not any(run.iterdir())
+        refuse_existing(run, options.overwrite or stopped_at_once)
         return
     if not ((run / FILE).exists() or (run / EVALUATION).exists()):
         return  # stopped before its first checkpoint, or before its turn
