@@ -11,7 +11,7 @@ import json
 import os
 import sys
 
-from marl_mm.processes import BEFORE, set_environment
+from marl_mm.processes import BEFORE, set_variables
 
 
 def _take_a_step() -> None:
@@ -33,7 +33,7 @@ def _give_back_what_is_free() -> None:
 
 
 if BEFORE in os.environ:
-    set_environment(json.loads(os.environ[BEFORE]))
+    set_variables(json.loads(os.environ[BEFORE]))
 if "marl_mm.envs.core" in sys.modules:
     _take_a_step()
 gc.collect()

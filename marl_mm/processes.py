@@ -13,8 +13,11 @@ from pathlib import Path
 
 from marl_mm.interrupts import deaf_to_interrupts
 
-BEFORE = "MARL_MM_ENVIRONMENT"
-"""Variable with all others, while the server begins: it begins with some changed."""
+_CHANGED = ("PYTHONSAFEPATH", "PYTHONPATH")
+"""Variables that are others while the server begins."""
+
+BEFORE = "MARL_MM_VARIABLES"
+"""One that tells it what they were."""
 
 _LAST = "marl_mm.copied"
 
@@ -38,18 +41,20 @@ def process_context(module: str) -> ForkServerContext:
 def _of_this_package() -> Iterator[None]:
     """A server started here imports this package, not one that lies where we are."""
     package = str(Path(__file__).resolve().parents[1])
-    known = os.environ.get("PYTHONPATH")
-    before = dict(os.environ)
-    os.environ["PYTHONSAFEPATH"] = "1"
-    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (package, known)))
-    os.environ[BEFORE] = json.dumps(before)
+    before = {name: os.environ.get(name) for name in (*_CHANGED, BEFORE)}
+    path = filter(None, (package, os.environ.get("PYTHONPATH")))
+    changed = dict(zip(_CHANGED, ("1", os.pathsep.join(path)), strict=True))
+    set_variables({**changed, BEFORE: json.dumps(before)})
     try:
         yield
     finally:
-        set_environment(before)
+        set_variables(before)
 
 
-def set_environment(variables: Mapping[str, str]) -> None:
-    """These, and no others."""
-    os.environ.clear()
-    os.environ.update(variables)
+def set_variables(values: Mapping[str, str | None]) -> None:
+    """Set some of the environment, and remove those that are None."""
+    for name, value in values.items():
+        if value is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = value

@@ -14,7 +14,7 @@ from typing import Any, Literal, Protocol, TypeVar, cast
 
 from marl_mm.errors import UsageError, WorkerDiedError
 from marl_mm.interrupts import deaf_to_interrupts
-from marl_mm.processes import process_context, set_environment
+from marl_mm.processes import process_context
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -200,7 +200,7 @@ def _send(
     function: Callable[[T], R],
     item: T,
 ) -> None:
-    set_environment(environment)
+    _live_in(environment)
     try:
         sender.send((True, function(item)))
     except Exception as error:
@@ -231,9 +231,14 @@ def _begin(
     Its environment is the parent's of now, not of when the server began.
     """
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    set_environment(environment)
+    _live_in(environment)
     if initializer is not None:
         initializer(*arguments)
+
+
+def _live_in(environment: dict[str, str]) -> None:
+    os.environ.clear()
+    os.environ.update(environment)
 
 
 def _end_with_parent() -> None:
