@@ -80,9 +80,9 @@ class Setting:
                 f"setting {self.name!r} changes {name!r}, which {self.algorithm} has "
                 f"not: expected some of {', '.join(sorted(known))}"
             )
-        self._check_types()
+        self._check_changes()
 
-    def _check_types(self) -> None:
+    def _check_changes(self) -> None:
         hints = get_type_hints(type(offline_preset(self.algorithm)))
         for name, value in self.changes.items():
             try:

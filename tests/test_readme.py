@@ -60,6 +60,14 @@ def test_commands_and_code_run_as_written(
     assert len(names["action"]) == 4  # type: ignore[arg-type]
 
 
+def test_rates_in_sentences_stand_in_the_committed_tables() -> None:
+    sentences = [line for line in README.splitlines() if not line.startswith("|")]
+    rates = re.findall(r"\d+\.\d \+- \d+\.\d", " ".join(sentences))
+    tables = [path.read_text() for path in (ROOT / "eval/results").rglob("*.md")]
+    assert len(rates) >= 5
+    assert [rate for rate in rates if not any(rate in one for one in tables)] == []
+
+
 @pytest.mark.slow
 def test_the_ablation_of_ones_own_runs_as_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -25,8 +25,8 @@ class AblateOffline:
 
     out: Path | None = None
     """Folder of tables and figures, and in OUT/rows of the evaluations that they are
-    made of: what is there need not be trained; default RUNS/results, with --check in a
-    clone eval/results/offline."""
+    made of: what is there need not be trained; default RUNS/results, with --check of
+    the full budget in a clone eval/results/offline."""
 
     seeds: tuple[int, ...] = (0, 1, 2)
     """One run each of every dataset and setting: the seeds, not their number."""
@@ -43,7 +43,8 @@ class AblateOffline:
     works."""
 
     plan: bool = False
-    """Only print which runs are missing, and about how long they will take."""
+    """Only print which runs are missing, and about how long they will take; without
+    those whose datasets are missing, which are told."""
 
     check: bool = False
     """Only say whether files in OUT are what is drawn from its rows, to the byte."""
