@@ -43,6 +43,7 @@ def train(
     evaluate: Evaluate,
     evaluate_every: int,
     advance: Advance = silent,
+    stop_unsound: bool = True,
 ) -> None:
     """Update until the config's number of updates, from wherever the algorithm stands.
 
@@ -52,6 +53,7 @@ def train(
         evaluate: Called before the first, every ``evaluate_every``-th and last update.
         evaluate_every: [updates]
         advance: Told the updates.
+        stop_unsound: Also stop at finite values that are beyond all returns.
 
     Raises:
         KeyboardInterrupt: After Ctrl-C, saying which checkpoint there is.
@@ -79,7 +81,7 @@ def train(
                 step = min(_after(saved, LOG_EVERY), _after(saved, evaluate_every))
                 step = min(step, total)
                 measured = _updated(algorithm, step) | algorithm.diagnose()
-                _refuse_odd_values(algorithm, measured)
+                _refuse_odd_values(algorithm, measured, stop_unsound)
                 rows = _each_seeds(algorithm, measured)
                 if step % evaluate_every == 0 or step == total:
                     points = _evaluated(algorithm, evaluate)
@@ -115,7 +117,9 @@ def _updated(algorithm: OfflineAlgorithm, step: int) -> dict[str, torch.Tensor]:
 
 
 def _refuse_odd_values(
-    algorithm: OfflineAlgorithm, measured: Mapping[str, torch.Tensor]
+    algorithm: OfflineAlgorithm,
+    measured: Mapping[str, torch.Tensor],
+    stop_unsound: bool,
 ) -> None:
     """Raise for what cannot be: after a last step that overflowed, weights are NaN.
 
@@ -123,7 +127,7 @@ def _refuse_odd_values(
         DivergedError: Naming it.
     """
     for key, value in measured.items():
-        limit = algorithm.sound.get(key, math.inf)
+        limit = algorithm.sound.get(key, math.inf) if stop_unsound else math.inf
         for seed, number in zip(algorithm.seeds, value.tolist(), strict=True):
             if not (abs(number) <= limit and math.isfinite(number)):
                 told = f", more than {limit:.3g}" if math.isfinite(number) else ""

@@ -16,6 +16,7 @@ from marl_mm.algorithms.checkpoint import read_checkpoint
 from marl_mm.algorithms.mabc import Mabc, MabcConfig
 from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
 from marl_mm.algorithms.policy import load_policy
+from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.speed import resolved
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
 from marl_mm.algorithms.train import train
@@ -103,6 +104,23 @@ def test_a_value_beyond_all_returns_ends_the_run(
     with pytest.raises(DivergedError, match=r"q/data is .* more than .* update 200"):
         train(algorithm, [tmp_path], lambda policy: {}, 100, spoil)
     assert np.isfinite(load_policy(tmp_path).act(np.zeros(10))).all()
+
+
+def test_unless_it_is_to_go_on_to_its_end(
+    arrays: EpisodeArrays, tmp_path: Path
+) -> None:
+    config = Td3BcConfig(updates=300, **SMALL)
+    algorithm = Td3Bc(config, arrays, JUDGE, [0])
+
+    def spoil(done: int, note: str) -> None:
+        if algorithm.step == 200:
+            with torch.no_grad():
+                algorithm.critics.networks.flat.mul_(1e4)
+
+    train(algorithm, [tmp_path], lambda policy: {}, 100, spoil, stop_unsound=False)
+    assert algorithm.step == 300
+    rows = read_metrics(tmp_path)
+    assert rows[-1]["q/largest"] > algorithm.sound["q/largest"]
 
 
 def test_weights_that_the_last_step_spoilt_are_not_kept(

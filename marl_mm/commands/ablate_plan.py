@@ -142,6 +142,7 @@ def training_options(options: AblateOffline, setting: Setting) -> Offline:
         curve_episodes=_SMALL["goals"] if small else setting.curve_goals,
         max_steps=_SMALL["max_steps"] if small else setting.max_steps,
         workers=1,
+        stop_unsound=False,  # a table's runs have all their updates
         resume=True,  # what there is of them
     )
     trained: Offline = replace(training, config=replace(training.config, **changes))

@@ -57,6 +57,10 @@ class TrainOffline(TrainOptions):
     curve_episodes: int = 20
     """Goals per point of the learning curve."""
 
+    stop_unsound: bool = True
+    """Stop a run when a critic's values are a hundred times what any return can be;
+    otherwise only when something is not finite."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrainMabc(TrainOffline):

@@ -196,7 +196,14 @@ def _train(
                 evaluate_with(rollouts, policy, count, goals, task, options.overrides)
             )
 
-        train(algorithm, list(runs.values()), point, options.curve_every, advance)
+        train(
+            algorithm,
+            list(runs.values()),
+            point,
+            options.curve_every,
+            advance,
+            options.stop_unsound,
+        )
     return [
         (run, evaluate_offline_run(dataset, options, run, bar, f"eval {seed}"))
         for seed, run in runs.items()
