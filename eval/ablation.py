@@ -147,6 +147,29 @@ BEST = Probe("best", "at the best checkpoint", checkpoint="best")
 
 
 @dataclass(frozen=True)
+class Reported:
+    """What others report of a cell, to stand beside ours."""
+
+    where: str
+    """Table, figure or section."""
+
+    success: float | None = None
+    """Goals reached, mean over seeds [%]; None: only told in words."""
+
+    deviation: float | None = None
+    """Over seeds [%]."""
+
+    words: str = ""
+
+    def __str__(self) -> str:
+        told = self.words
+        if self.success is not None:
+            spread = "" if self.deviation is None else f" +- {self.deviation:.2f}"
+            told = f"{self.success:.2f}{spread}"
+        return f"{told} ({self.where})"
+
+
+@dataclass(frozen=True)
 class Ablation:
     """A table, and maybe a figure of learning curves."""
 
@@ -158,6 +181,12 @@ class Ablation:
 
     figure: bool = False
     """Whether learning curves are drawn: a panel per preset, a line per cell."""
+
+    reported: Mapping[tuple[str, str], Reported] = field(default_factory=dict)
+    """By names of dataset and setting."""
+
+    seeds: int = 3
+    """Runs of each cell; they are seeded 0, 1, 2 ..."""
 
     def __post_init__(self) -> None:
         """Refuse what could not be told apart.
@@ -176,5 +205,11 @@ class Ablation:
                         f"{cell!r} is no cell, expected pairs of a dataset's name and "
                         "a Setting"
                     )
+        if self.seeds < 1:
+            raise UsageError(f"{self.about!r} has {self.seeds} seeds, expected >= 1")
+        known = set(map(cell_name, self.cells))
+        for name in self.reported:
+            if name not in known:
+                raise UsageError(f"{name!r} is reported, but no cell has these names")
         _check_once([f"{dataset}, {one.name}" for dataset, one in self.cells])
         _check_once([probe.name for probe in self.probes])

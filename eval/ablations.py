@@ -8,7 +8,15 @@ from itertools import product
 from typing import Any
 
 from marl_mm.algorithms.presets import Preset
-from marl_mm.eval.ablation import BEST, LAST, Ablation, Cell, Probe, Setting
+from marl_mm.eval.ablation import (
+    BEST,
+    LAST,
+    Ablation,
+    Cell,
+    Probe,
+    Reported,
+    Setting,
+)
 
 # --- The paper's -------------------------------------------------------------
 
@@ -46,22 +54,22 @@ def _both(algorithm: str, **changes: Any) -> tuple[Setting, Setting]:
     return _long(algorithm, "paper", **changes), _long(algorithm, "tuned", **changes)
 
 
-PAPER: dict[tuple[str, str, int], tuple[float, float | None] | str] = {
-    ("good-60k", "td3-bc", 256): (26.00, 14.42),  # Table 4
-    ("good-30k", "td3-bc", 256): (34.00, 32.19),  # Table 4
-    (MIXES[0], "td3-bc", 256): (12.67, 15.53),  # Table 4
-    (MIXES[1], "td3-bc", 256): (16.00, 17.09),  # Table 4
-    ("good-30k", "td3-bc", 512): (10.67, None),  # Sec. 5.4.2, on Fig. 10
-    ("good-30k", "td3-bc", 1024): (9.33, None),  # Sec. 5.4.2, on Fig. 10
-    ("pd-30k", "td3-bc", 256): "comparable to all good data",  # Fig. 8, 50 steps
-    ("good-60k", "mabc", 256): (78.00, 7.21),  # Table 5
-    ("good-30k", "matd3-bc", 256): "not satisfactory",  # Sec. 5.4.2, on Table 5
+PAPER = {
+    ("good-60k", "td3-bc", 256): Reported("Table 4", 26.00, 14.42),
+    ("good-30k", "td3-bc", 256): Reported("Table 4", 34.00, 32.19),
+    (MIXES[0], "td3-bc", 256): Reported("Table 4", 12.67, 15.53),
+    (MIXES[1], "td3-bc", 256): Reported("Table 4", 16.00, 17.09),
+    ("good-30k", "td3-bc", 512): Reported("Sec. 5.4.2", 10.67),  # on Fig. 10
+    ("good-30k", "td3-bc", 1024): Reported("Sec. 5.4.2", 9.33),  # on Fig. 10
+    ("pd-30k", "td3-bc", 256): Reported("Fig. 8", words="as all good data"),
+    ("good-60k", "mabc", 256): Reported("Table 5", 78.00, 7.21),
+    ("good-30k", "matd3-bc", 256): Reported("Sec. 5.4.2", words="not satisfactory"),
 }
-"""Goals reached [%], mean and standard deviation over three seeds, or in words; by
-dataset, algorithm and batch size.
+"""By dataset, algorithm and batch size.
 
-After 180,000 updates; the deviations are of the usual kind, with one seed less in the
-denominator. Where Table 5 says 60,000 steps, the text says 30,000.
+After 180,000 updates and over three seeds; the deviations are of the usual kind, with
+one seed less in the denominator. Fig. 8 has episodes of 50 steps. Where Table 5 says
+60,000 steps, the text says 30,000.
 """
 
 NOTE = """\
@@ -73,15 +81,15 @@ leaves more open than ours, so that order and protocol compare, and not numbers.
 """Below every table."""
 
 
-def reported(cell: Cell) -> tuple[float, float | None] | str:
-    """What the paper reports of a cell, if it is one of the paper's; or nothing."""
+def reported(cell: Cell) -> Reported | None:
+    """What the paper reports of a cell, if it is one of the paper's."""
     dataset, setting = cell
     if set(setting.changes) - {"updates", "batch_size"}:
-        return ""
+        return None
     if setting.max_steps != (50 if dataset == "pd-30k" else None):
-        return ""
+        return None
     config = setting.config
-    return PAPER.get((dataset, setting.algorithm, config.batch_size), "")
+    return PAPER.get((dataset, setting.algorithm, config.batch_size))
 
 
 _TD3_BC_LONG = _both("td3-bc")

@@ -6,9 +6,14 @@ from math import ceil
 import numpy as np
 from scipy.stats import trim_mean
 
-from marl_mm.eval.ablation import Ablation, Cell, Probe
+from marl_mm.eval.ablation import Ablation, Cell, Probe, Reported, Setting
 from marl_mm.eval.ablations import LONG, reported
-from marl_mm.eval.metrics import CONFIDENCE, Row, success_interval
+from marl_mm.eval.metrics import (
+    CONFIDENCE,
+    Row,
+    bootstrap_interval,
+    success_interval,
+)
 from marl_mm.eval.offline_rows import RowStore
 from marl_mm.eval.online import deviation, mean_interval
 from marl_mm.eval.tables import markdown_table
@@ -19,6 +24,9 @@ _RESAMPLES = 2_000
 COLUMNS = {"q_policy": "critic's value", "q_slope": "critic's slope"}
 """Headings of what the critics say of the policy's actions, and how much more they
 value going to the goal than away from it; no return can pass 10."""
+
+OVER_HELD = "return over the best alpha held [95 %]"
+"""Heading of what the learnt alpha is worth."""
 
 
 def summarize_ablation(
@@ -38,10 +46,40 @@ def summarize_ablation(
         of_runs: Row = {"diverged": _diverged(store.diverged(cell), seeds)}
         for key in COLUMNS:
             of_runs[key] = _at_the_end(curves, key)
+        by_probe = {
+            probe.name: [row for row in rows if row["probe"] == probe.name]
+            for probe in ablation.probes
+        }
+        first, *others = ablation.probes
+        held = {p.alpha: by_probe[p.name] for p in others if p.alpha is not None}
+        worth = worth_of_alpha(by_probe[first.name], held) if held else {}
         for probe in ablation.probes:
-            own = [row for row in rows if row["probe"] == probe.name]
-            summary.append(_summarize(cell, probe, own) | of_runs)
+            own = _summarize(cell, probe, by_probe[probe.name])
+            summary.append(own | of_runs | worth)
     return summary
+
+
+def worth_of_alpha(learnt: Sequence[Row], held: Mapping[float, Sequence[Row]]) -> Row:
+    """Return with the learnt alpha less that with the best one held.
+
+    Paired by seed and goal, with a 95 % bootstrap interval over all of them.
+
+    Args:
+        learnt: Evaluated episodes.
+        held: The same seeds and goals, by the alpha held.
+    """
+
+    def returns(rows: Sequence[Row]) -> np.ndarray:
+        ordered = sorted(rows, key=lambda row: (row["seed"], row["goal"]))
+        return np.array([row["return"] for row in ordered])
+
+    best = max(held, key=lambda alpha: float(returns(held[alpha]).mean()))
+    difference = returns(learnt) - returns(held[best])
+    return {
+        "best_held": best,
+        "over_held": float(difference.mean()),
+        "over_held_interval": bootstrap_interval(difference),
+    }
 
 
 def _at_the_end(curves: Sequence[Row], key: str) -> float:
@@ -181,8 +219,11 @@ def ablation_lines(
     first, *others = ablation.probes
     known = {(row["dataset"], row["setting"], row["probe"]): row for row in summary}
     header = ["dataset", "setting", f"goals reached [%], {first.about}", "every seed"]
-    header += ["IQM", *(_told(probe) for probe in others), "paper", "difference"]
+    header += ["IQM [%]", *(_told(probe) for probe in others)]
+    header += ["paper [%]", "difference [points]"]
     header += ["return", "d_mm [m]", "d_mp [m]", "alpha", *COLUMNS.values()]
+    held = any(probe.alpha is not None for probe in others)
+    header += [OVER_HELD] * held
     lines = []
     for dataset, setting in ablation.cells:
         row = known[dataset, setting.name, first.name]
@@ -192,11 +233,19 @@ def ablation_lines(
         line += [
             _short(known[dataset, setting.name, probe.name], probe) for probe in others
         ]
-        line += _beside_paper((dataset, setting), row)
+        theirs = ablation.reported.get((dataset, setting.name))
+        line += _beside(theirs or reported((dataset, setting)), setting, row)
         line += [f"{row['return']:.2f}", f"{row['d_mm']:.3f}", f"{row['d_mp']:.3f}"]
         line += [f"{row['alpha']:.2f}", *(_number(row[key]) for key in COLUMNS)]
+        line += [_over_held(row)] if held else []
         lines.append(line)
     return header, lines
+
+
+def _over_held(row: Row) -> str:
+    low, high = row["over_held_interval"]
+    told = f"{row['over_held']:+.2f} [{low:+.2f}, {high:+.2f}]"
+    return f"{told} over {row['best_held']:g}"
 
 
 def _number(value: float) -> str:
@@ -227,24 +276,22 @@ def _percent(row: Row, key: str) -> str:
 
 
 def _told(probe: Probe) -> str:
-    return probe.about if probe.alpha is None else f"{probe.about}: goals, return"
+    return probe.about if probe.alpha is None else f"{probe.about}: goals [%], return"
 
 
 def _short(row: Row, probe: Probe) -> str:
-    rate = _mean(row)
-    return rate if probe.alpha is None else f"{rate}, {row['return']:.2f}"
+    if probe.alpha is None:
+        return rate_with_interval(row)
+    return f"{_mean(row)}, {row['return']:.2f}"
 
 
-def _beside_paper(cell: Cell, row: Row) -> list[str]:
-    """The paper's figure, and ours less that."""
-    theirs = reported(cell)
-    if isinstance(theirs, str):
-        return [theirs, ""]
-    mean, std = theirs
-    told = f"{mean:.2f}" + ("" if std is None else f" +- {std:.2f}")
-    if cell[1].config.updates != LONG:
-        return [told, ""]
-    return [told, f"{100 * row['success'] - mean:+.1f}"]
+def _beside(theirs: Reported | None, setting: Setting, row: Row) -> list[str]:
+    """What others report, and ours less that; the paper's are of long runs."""
+    if theirs is None:
+        return ["", ""]
+    if theirs.success is None or setting.config.updates != LONG:
+        return [str(theirs), ""]
+    return [str(theirs), f"{100 * row['success'] - theirs.success:+.1f}"]
 
 
 def goals_table(half_width: float = 0.05) -> str:

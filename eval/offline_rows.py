@@ -161,8 +161,18 @@ class RowStore:
         return rows
 
     def curves(self, cell: Cell, seeds: Sequence[int]) -> list[Row]:
-        """A row per seed and point of the learning curve."""
-        return [row for row in self._curves(cell) if row["seed"] in seeds]
+        """A row per seed and point of the learning curve.
+
+        Raises:
+            UsageError: If there are none of a seed.
+        """
+        rows = [row for row in self._curves(cell) if row["seed"] in seeds]
+        if {row["seed"] for row in rows} != set(seeds):
+            raise UsageError(
+                f"{self._path(cell, '.curve.csv.gz')} lacks rows of seeds "
+                f"{', '.join(map(str, seeds))}: run marl-mm ablate without --check"
+            )
+        return rows
 
     def diverged(self, cell: Cell) -> dict[int, int]:
         """Updates after which runs diverged, by seed; what they had learnt counts."""

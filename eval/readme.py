@@ -111,14 +111,16 @@ def _ablation(name: str, *leave_out: str, dataset: str = "") -> str:
     whole = ABLATIONS[name]
     cells = [cell for cell in whole.cells if dataset in ("", cell[0])]
     shown = replace(whole, cells=tuple(cells))
-    return ablation_table(shown, summary, ("IQM", *leave_out))
+    return ablation_table(shown, summary, ("IQM [%]", *leave_out))
 
 
 def _offline_updates() -> str:
     return offline_speed_table(json.loads((RESULTS / "offline/bench.json").read_text()))
 
 
-_NOT_CURED = ("dataset", "paper", "difference", "d_mm [m]", "d_mp [m]", "alpha")
+_PAPER, _DIFFERENCE = "paper [%]", "difference [points]"
+
+_NOT_CURED = ("dataset", _PAPER, _DIFFERENCE, "d_mm [m]", "d_mp [m]", "alpha")
 """Columns that tell nothing of why learning fails."""
 
 TABLES: dict[str, Callable[[], str]] = {
@@ -132,8 +134,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "learnt": _learnt,
     "steps": _steps,
     "updates": _updates,
-    "offline": partial(_ablation, "offline", "difference", *COLUMNS.values()),
-    "tasks": partial(_ablation, "tasks", "paper", "difference"),
+    "offline": partial(_ablation, "offline", _DIFFERENCE, *COLUMNS.values()),
+    "tasks": partial(_ablation, "tasks", _PAPER, _DIFFERENCE),
     "cures": partial(_ablation, "cures", *_NOT_CURED, dataset="good-30k"),
     "offline-updates": _offline_updates,
     "goals": goals_table,

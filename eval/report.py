@@ -13,7 +13,7 @@ from markdown_it import MarkdownIt
 from markupsafe import Markup
 
 from marl_mm.errors import UsageError
-from marl_mm.eval.ablations import ABLATIONS
+from marl_mm.eval.ablations import ABLATIONS, made_by
 from marl_mm.eval.bench_tables import (
     abuse_table,
     bench_table,
@@ -28,14 +28,8 @@ from marl_mm.versions import versions
 
 _TEMPLATE = Path(__file__).with_name("report.html")
 
-_FIGURES = {
-    "fig4.png": "marl-mm ablate fig4",
-    "fig5.png": "marl-mm ablate fig5",
-    "fig6.png": "marl-mm ablate fig6",
-    "demonstrations.png": "marl-mm ablate demonstrations",
-    "alpha.png": "marl-mm ablate alpha",
-}
-"""Figures of online learning, and what draws them."""
+_FIGURES = ("fig4.png", "fig5.png", "fig6.png", "demonstrations.png", "alpha.png")
+"""Of online learning, by the names of the targets that draw them."""
 
 _TABLES = {
     "curves.csv.gz": ("online", "goals reached by steps", steps_table),
@@ -76,17 +70,18 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
 
     Args:
         results: Folder with what there is of ``offline``, ``online``, ``alpha``,
-            ``controller``, ``data`` and ``cards``.
+            ``controller`` and ``data``; or of runs, with results in ``offline`` and
+            ``online``.
         videos: Shown, too.
 
     Raises:
         UsageError: If there is nothing to show, or a video is none.
     """
     sections = [
-        *_offline(results / "offline"),
-        *_online(results / "online"),
+        *_offline(_drawn(results / "offline")),
+        *_online(_drawn(results / "online")),
         *_alpha(results / "alpha"),
-        *_cards(results / "offline/cards"),
+        *_cards(_drawn(results / "offline") / "cards"),
         *_benchmarks(results),
         *_videos(videos),
     ]
@@ -110,6 +105,11 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
     )
 
 
+def _drawn(folder: Path) -> Path:
+    """Where tables are: in a folder of runs, they are in a folder of their own."""
+    return folder / "results" if (folder / "results").is_dir() else folder
+
+
 def _offline(folder: Path) -> Iterator[Section]:
     pages = {path.stem: path for path in sorted(folder.glob("*.md"))}
     order = [name for name in ABLATIONS if name in pages]
@@ -122,7 +122,8 @@ def _offline(folder: Path) -> Iterator[Section]:
         yield Section(name, title, command, text, media)
     if pages:
         text = _html(goals_table())
-        yield Section("goals", "Goals for an interval of +- 5 points", text=text)
+        command = "python -m marl_mm.eval.readme"
+        yield Section("goals", "Goals for an interval of +- 5 points", command, text)
     made_of = sorted(folder.glob("rows/*/*.json"))
     if made_of:
         details = [
@@ -135,17 +136,17 @@ def _online(folder: Path) -> Iterator[Section]:
     page = folder / "online.md"
     if page.exists():
         title, text = _page(page)
-        yield Section("online", title, f"marl-mm ablate online --out {folder}", text)
+        yield Section("online", title, _redrawn("online", folder), text)
     for name, (target, about, table) in _TABLES.items():
         if (folder / name).exists():
             text = _html(table(read_rows(folder / name), SETTINGS))
-            command = f"marl-mm ablate {target} --out {folder}"
+            command = _redrawn(target, folder)
             yield Section(f"online-{name}", f"Online: {about}", command, text)
-    for name, command in _FIGURES.items():
+    for name in _FIGURES:
         if (folder / name).exists():
             media = [_media(folder / name)]
-            title = f"Online: {name.removesuffix('.png')}"
-            command = f"{command} --out {folder}"
+            target = name.removesuffix(".png")
+            title, command = f"Online: {target}", _redrawn(target, folder)
             yield Section(f"online-{name}", title, command, media=media)
     if page.exists():
         details = [
@@ -153,6 +154,11 @@ def _online(folder: Path) -> Iterator[Section]:
             for setting in SETTINGS
         ]
         yield Section("online-configs", "Configs of online runs", details=details)
+
+
+def _redrawn(target: str, folder: Path) -> str:
+    """What draws something of online learning again, from its rows."""
+    return f"marl-mm ablate {target} --rows {folder} --out {folder} --overwrite"
 
 
 def _config(config: dict[str, Any]) -> str:
@@ -164,9 +170,8 @@ def _alpha(folder: Path) -> Iterator[Section]:
     if page.exists():
         title, text = _page(page)
         media = [_media(path) for path in sorted(folder.glob("*.png"))]
-        yield Section(
-            "alpha", title, f"marl-mm sweep-alpha --out {folder}", text, media
-        )
+        command = f"marl-mm sweep-alpha --out {folder} --overwrite"
+        yield Section("alpha", title, command, text, media)
 
 
 def _cards(folder: Path) -> Iterator[Section]:
@@ -174,7 +179,8 @@ def _cards(folder: Path) -> Iterator[Section]:
         title, text = _page(path, pictures=False)
         figure = path.with_suffix(".png")
         media = [_media(figure)] if figure.exists() else []
-        yield Section(f"card-{path.stem}", f"Dataset {title}", "", text, media)
+        command = made_by(path.stem)
+        yield Section(f"card-{path.stem}", f"Dataset {title}", command, text, media)
 
 
 def _benchmarks(results: Path) -> Iterator[Section]:
@@ -195,7 +201,8 @@ def _benchmarks(results: Path) -> Iterator[Section]:
     found = {f: json.loads(p.read_text()) for f, p in paths.items() if p.exists()}
     if found:
         text = _html(abuse_table(found))
-        yield Section("abuse", "Limits under abuse", "marl-mm bench abuse", text)
+        command = "marl-mm bench abuse --ticks 1000000"
+        yield Section("abuse", "Limits under abuse", command, text)
 
 
 def _online_updates(result: dict[str, Any]) -> str:

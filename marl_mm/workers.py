@@ -19,7 +19,7 @@ from marl_mm.processes import process_context
 T = TypeVar("T")
 R = TypeVar("R")
 
-Executor = Literal["processes", "ray"]
+Executor = Literal["local", "ray"]
 
 
 class Pool(Protocol):
@@ -46,7 +46,7 @@ def open_pool(
     Raises:
         UsageError: If ``workers`` is not positive, or Ray is not installed.
     """
-    if executor == "processes":
+    if executor == "local":
         return Workers(workers, initializer, arguments)
     if find_spec("ray") is None:
         raise UsageError("ray is missing: pip install 'marl-mm[ray]'")

@@ -16,7 +16,14 @@ import pytest
 
 from marl_mm.cli import main
 from marl_mm.errors import UsageError
-from marl_mm.eval.ablation import LAST, Ablation, Probe, Setting, cell_name
+from marl_mm.eval.ablation import (
+    LAST,
+    Ablation,
+    Probe,
+    Reported,
+    Setting,
+    cell_name,
+)
 from marl_mm.eval.ablations import ABLATIONS, PAPER, reported
 from marl_mm.eval.metrics import success_interval
 from marl_mm.eval.offline import (
@@ -112,10 +119,12 @@ def test_the_papers_runs_have_its_budget() -> None:
 
 def test_the_papers_figures_stand_beside_its_own_settings_only() -> None:
     cells = [cell for one in ABLATIONS.values() for cell in one.cells]
-    assert {reported(cell) for cell in cells} == {"", *PAPER.values()}
+    assert {reported(cell) for cell in cells} == {None, *PAPER.values()}
     c_is_1 = Setting("c1", "c = 1", changes={"q_weight": 1.0})
-    assert reported(("good-30k", c_is_1)) == ""
-    assert reported(("good-30k", Setting("same", "same"))) == (34.00, 32.19)
+    assert reported(("good-30k", c_is_1)) is None
+    same = reported(("good-30k", Setting("same", "same")))
+    assert same == Reported("Table 4", 34.00, 32.19)
+    assert str(same) == "34.00 +- 32.19 (Table 4)"
 
 
 def test_what_is_committed_is_ablations() -> None:

@@ -1,5 +1,6 @@
 """The report: one page that a real browser shows without complaint."""
 
+import base64
 import os
 import re
 import shutil
@@ -7,10 +8,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from marl_mm.cli import main
 from marl_mm.eval.report import report_page
+from marl_mm.eval.video import write_video
 
 RESULTS = Path(__file__).resolve().parents[1] / "eval/results"
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
@@ -67,6 +70,10 @@ def test_a_browser_shows_it_without_complaint(
         ".map(e => parseFloat(getComputedStyle(e).fontSize))"
     )
     assert min(small) >= 12  # readable
+    # A figure's letters, 8 of 72 to an inch where it is 5 to 12 inches wide, shrink
+    # with it: it does not fall below this, and scrolls by itself on a phone.
+    shown = page.evaluate("[...document.images].map(i => i.clientWidth)")
+    assert min(shown) >= 600
     context.close()
 
 
@@ -87,6 +94,31 @@ def test_every_table_stands_with_what_makes_it(page_file: Path) -> None:
     assert "DDPG + HER" in page and "pybullet" in page
     for title in ("by steps", "the best held", "Online updates", "Configs of online"):
         assert title in page
+
+
+def test_every_section_of_results_says_what_makes_it(page_file: Path) -> None:
+    page = page_file.read_text()
+    sections = re.findall(r'<section id="([^"]+)">(.*?)</section>', page, re.DOTALL)
+    without = {name for name, text in sections if "<pre>" not in text}
+    assert without == {"versions"}
+
+
+def test_films_are_within_the_page(tmp_path: Path) -> None:
+    film = tmp_path / "film.mp4"
+    write_video(film, [np.full((32, 32, 3), 40 * i, np.uint8) for i in range(4)], 2)
+    (tmp_path / "offline").mkdir()
+    page = report_page(tmp_path, [film])
+    data = base64.b64encode(film.read_bytes()).decode()
+    assert (
+        f'<video controls preload="metadata" src="data:video/mp4;base64,{data}' in page
+    )
+
+
+def test_results_among_runs_are_found(tmp_path: Path) -> None:
+    folder = tmp_path / "offline" / "results"
+    folder.mkdir(parents=True)
+    (folder / "own.md").write_text("# Mine\n\n| a |\n| --- |\n")
+    assert "Mine" in report_page(tmp_path)
 
 
 def test_names_are_text_and_not_html(tmp_path: Path) -> None:

@@ -63,7 +63,8 @@ def main(arguments: Sequence[str]) -> None:
 def _offline(options: AblateOffline, ablations: Mapping[str, Ablation]) -> None:
     """Draw ablations of offline learning, and print their tables."""
     check_positive(workers=options.workers)
-    check_seeds(options.seeds)
+    if options.seeds is not None:
+        check_seeds(options.seeds)
     drawn = ablate_offline(options, ablations)
     if options.plan or options.check:
         return
@@ -105,7 +106,8 @@ def _declared(path: Path, name: str) -> Ablation:
 def _everything(options: AblateOffline) -> None:
     """All ablations of offline learning, and all targets that are drawn."""
     check_positive(workers=options.workers)
-    check_seeds(options.seeds)
+    seeds = Ablate().seeds if options.seeds is None else options.seeds
+    check_seeds(seeds)
 
     def part(folder: Path | None, name: str) -> Path | None:
         return None if folder is None else folder / name
@@ -116,7 +118,7 @@ def _everything(options: AblateOffline) -> None:
     online = Ablate(
         runs=part(runs, "online"),
         out=part(out, "online"),
-        seeds=options.seeds,
+        seeds=seeds,
         budget=options.budget,
         # So few episodes are over before other processes have begun.
         workers=1 if options.budget == "smoke" else options.workers,

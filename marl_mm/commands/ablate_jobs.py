@@ -91,7 +91,7 @@ def do_jobs(
     with show_distant_bars(messages, vanish=True):
         messages.put((_ALL, len(left), 0, ""))
         while left:
-            shared = (messages, stop) if executor == "processes" else (None, None)
+            shared = (messages, stop) if executor == "local" else (None, None)
             pool = open_pool(executor, min(workers, len(left)), _begin, shared)
             try:
                 for run, complaint in pool.completed(_do, list(left.values())):

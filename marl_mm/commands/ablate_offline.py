@@ -50,7 +50,7 @@ def ablate_offline(
         folder: Path, without: Collection[str] = ()
     ) -> dict[str, tuple[list[Row], str]]:
         return {
-            name: draw(name, ablation, store, options.seeds, folder)
+            name: draw(name, ablation, store, options.seeds_of(ablation), folder)
             for name, ablation in chosen.items()
             if name not in without
         }
@@ -58,7 +58,8 @@ def ablate_offline(
     if options.check:
         with every_failure() as attempt:
             for name, ablation in chosen.items():
-                again = partial(draw, name, ablation, store, options.seeds)
+                seeds = options.seeds_of(ablation)
+                again = partial(draw, name, ablation, store, seeds)
                 files = drawings(name, ablation)
                 attempt(partial(check_drawings, results, files, again))
         return {}

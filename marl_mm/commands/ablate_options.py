@@ -6,6 +6,7 @@ from typing import Literal
 
 from marl_mm.algorithms.speed import Precision
 from marl_mm.commands.options import COMMITTED, available_cores
+from marl_mm.eval.ablation import Ablation
 from marl_mm.eval.offline_rows import RowStore
 from marl_mm.workers import Executor
 
@@ -28,8 +29,9 @@ class AblateOffline:
     made of: what is there need not be trained; default RUNS/results, with --check of
     the full budget in a clone eval/results/offline."""
 
-    seeds: tuple[int, ...] = (0, 1, 2)
-    """One run each of every dataset and setting: the seeds, not their number."""
+    seeds: tuple[int, ...] | None = None
+    """One run each of every dataset and setting: the seeds, not their number; default
+    0 1 2, or what the ablation declares."""
 
     datasets: tuple[str, ...] | None = None
     """Those named; default all of the ablation. What is missing is not made, but the
@@ -55,8 +57,8 @@ class AblateOffline:
     workers: int = field(default_factory=available_cores)
     """Runs at once; the result does not depend on it."""
 
-    executor: Executor = "processes"
-    """"processes" of this machine, or of a Ray cluster that shares the folders."""
+    executor: Executor = "local"
+    """Processes of this machine, or of a Ray cluster that shares the folders."""
 
     resume: bool = False
     """Go on after an interruption, and replace what was drawn until then; runs go on
@@ -79,6 +81,10 @@ class AblateOffline:
         if self.check and not elsewhere and COMMITTED.exists():
             return COMMITTED / "offline"
         return self.out or self.runs_folder() / RESULTS
+
+    def seeds_of(self, ablation: Ablation) -> tuple[int, ...]:
+        """``seeds``, or the ablation's."""
+        return tuple(range(ablation.seeds)) if self.seeds is None else self.seeds
 
     def store(self) -> RowStore:
         """What tables and figures are made of."""

@@ -75,16 +75,15 @@ def missing_cells(
             ``--plan`` that is only told.
         OtherConfigError: If there are rows or runs that were made with something else.
     """
-    cells = _cells(ablations)
     store = options.store()
     wanted = []
     datasets: dict[str, Dataset] = {}
     unknown: dict[str, str] = {}
-    for cell, probes in cells:
+    for cell, probes, asked in _cells(options, ablations):
         training = training_options(options, cell[1])
         made_of = _made_of(cell[1].algorithm, training)
         try:
-            seeds = store.missing(cell, options.seeds, probes, made_of)
+            seeds = store.missing(cell, asked, probes, made_of)
         except OtherConfigError as error:
             advice = "name another folder with --out"
             raise OtherConfigError(error.difference, advice) from error
@@ -112,18 +111,21 @@ def missing_cells(
     return wanted
 
 
-def _cells(ablations: Iterable[Ablation]) -> list[tuple[Cell, tuple[Probe, ...]]]:
-    """Every cell once, with the probes of all ablations that it stands in."""
-    found: dict[tuple[str, str], tuple[Cell, tuple[Probe, ...]]] = {}
+def _cells(
+    options: AblateOffline, ablations: Iterable[Ablation]
+) -> list[tuple[Cell, tuple[Probe, ...], tuple[int, ...]]]:
+    """Every cell once, with probes and seeds of all ablations that it stands in."""
+    found: dict[tuple[str, str], tuple[Cell, tuple[Probe, ...], tuple[int, ...]]] = {}
     settings: dict[str, Setting] = {}
     for ablation in ablations:
         for cell in ablation.cells:
             _, setting = cell
             if settings.setdefault(setting.name, setting) != setting:
                 raise UsageError(f"two settings are called {setting.name!r}")
-            _, before = found.get(cell_name(cell), (cell, ()))
+            _, before, known = found.get(cell_name(cell), (cell, (), ()))
             probes = {probe.name: probe for probe in (*before, *ablation.probes)}
-            found[cell_name(cell)] = cell, tuple(probes.values())
+            seeds = dict.fromkeys((*known, *options.seeds_of(ablation)))
+            found[cell_name(cell)] = cell, tuple(probes.values()), tuple(seeds)
     return list(found.values())
 
 

@@ -58,8 +58,8 @@ class CollectOptions:
     workers: int = field(default_factory=available_cores)
     """Processes; the dataset does not depend on it."""
 
-    executor: Executor = "processes"
-    """"processes" of this machine, or of the Ray cluster that $RAY_ADDRESS names or of
+    executor: Executor = "local"
+    """Processes of this machine, or of the Ray cluster that $RAY_ADDRESS names or of
     one that is started here (pip install 'marl-mm[ray]')."""
 
     dataset: str | None = None

@@ -59,8 +59,8 @@ class Paper:
     workers: int = field(default_factory=available_cores)
     """Processes; the datasets do not depend on it."""
 
-    executor: Executor = "processes"
-    """"processes" of this machine, or of a Ray cluster."""
+    executor: Executor = "local"
+    """Processes of this machine, or of a Ray cluster."""
 
     resume: bool = False
     """Go on after an interruption: it does so anyway."""

@@ -91,9 +91,9 @@ class Rollouts:
     """
 
     def __init__(
-        self, config: ReachConfig, workers: int = 1, executor: Executor = "processes"
+        self, config: ReachConfig, workers: int = 1, executor: Executor = "local"
     ) -> None:
-        here = workers == 1 and executor == "processes"
+        here = workers == 1 and executor == "local"
         self._core = ReachCore(config) if here else None
         self._pool = (
             None if here else open_pool(executor, workers, _start_worker, (config,))
