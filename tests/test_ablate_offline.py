@@ -4,6 +4,8 @@ import json
 import random
 import shutil
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
 from itertools import product
@@ -15,6 +17,9 @@ import psutil
 import pytest
 
 from marl_mm.cli import main
+from marl_mm.commands import ablate_data
+from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.journal import FILE as JOURNAL
 from marl_mm.errors import UsageError
 from marl_mm.eval.ablation import (
     LAST,
@@ -55,6 +60,12 @@ FAILS = Ablation(
 )
 WILD = Setting("wild", "wild", changes={"critic_learning_rate": 1e38})
 DIVERGES = Ablation("What diverges counts as it is.", [("good-5k", WILD)])
+ELSEWHERE = Ablation("Of data that nobody has.", [("none", settings[0])])
+FEW = {"updates": 100, "hidden": (16, 16)}
+TINY = Ablation(
+    "Of data that is collected first.",
+    [("tiny", Setting("few", "few", "mabc", changes=FEW, goals=2, curve_goals=2))],
+)
 """
 """An ablation of one's own, of the dataset that ships."""
 
@@ -286,6 +297,9 @@ def test_a_run_that_fails_does_not_stop_the_others(
     assert "huge/1: " in complaint and "MemoryError" in complaint
     assert (tmp_path / "runs/results/rows/good-5k/width-16.csv.gz").exists()
     assert main([*asked, "--settings", "width-16"]) == 0
+    assert (tmp_path / "runs/results/fails-part.md").exists()
+    assert not (tmp_path / "runs/results/fails.md").exists()
+    assert main([*asked, "--settings", "width-16", "--check"]) == 2
 
 
 @pytest.mark.slow
@@ -368,6 +382,53 @@ def test_a_plan_of_everything_trains_nothing_either(
     assert not list(tmp_path.iterdir())
 
 
+def test_a_plan_says_what_is_collected_first(
+    datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, command in (
+        ("offline", "collect paper"),
+        ("tasks", "collect pretrained --task SmoothReach-v0 --steps 30000"),
+    ):
+        assert main(["ablate", name, "--plan", "--runs", str(tmp_path)]) == 0
+        told = capsys.readouterr()
+        assert f"it is collected first, with marl-mm {command}" in told.err
+        assert "| 0 of 0 |" in told.out
+
+
+@pytest.mark.slow
+def test_what_there_is_no_data_for_is_collected_first(
+    own: Path,
+    datasets_home: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Also the rest of a collection that was stopped; stdout is the table alone."""
+    command = "marl-mm collect pd --steps 250 --dataset tiny"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "marl_mm.cli", *command.split()[1:]],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    while sum(p.stat().st_size for p in datasets_home.rglob(f"{JOURNAL}*")) < 50_000:
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60) == 130
+    assert 0 < load_dataset("tiny").arrays.steps < 250
+    monkeypatch.setattr(ablate_data, "made_by", lambda name: command)
+    asked = ["ablate", f"{own}:TINY", "--seeds", "0", "--workers", "1", "--json"]
+    for told_first in ("tiny is not whole: going on with", "it is collected first"):
+        shutil.rmtree(tmp_path / "runs", ignore_errors=True)
+        assert main([*asked, "--runs", str(tmp_path / "runs")]) == 0
+        told = capsys.readouterr()
+        assert json.loads(told.out)["tiny"][0]["goals"] == 2
+        assert told_first in told.err and command in told.err
+        assert load_dataset("tiny").arrays.steps >= 250
+        shutil.rmtree(load_dataset("tiny").location.folder)
+
+
 @pytest.mark.parametrize(
     ("asked", "complaint"),
     [
@@ -382,8 +443,11 @@ def test_a_plan_of_everything_trains_nothing_either(
         (["own.py:WIDTHS", "--datasets"], "--datasets is empty: expected good-5k"),
         (["own.py:WIDTHS", "--seeds", "0", "0"], "seeds"),
         (["all", "--settings", "td3-bc"], "--settings and --datasets are for one targ"),
-        (["offline"], "make it with marl-mm collect paper"),
-        (["tasks"], "make it with marl-mm collect pretrained --task SmoothReach-v0"),
+        (["own.py:ELSEWHERE"], "no dataset marl_mm/reach/none-v0"),
+        (
+            ["own.py:WIDTHS", "--settings", "width-16", "--check"],
+            "--check is for whole tables",
+        ),
         (
             ["cures", "--datasets", "pd-30k", "--settings", "matd3-bc"],
             "--settings matd3-bc are not run on --datasets pd-30k",

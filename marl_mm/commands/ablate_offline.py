@@ -44,14 +44,18 @@ def ablate_offline(
         MarlMmError: With ``--check``, if files are not what is drawn.
     """
     chosen = {name: _chosen(one, options) for name, one in ablations.items()}
+    parts = [n for n in chosen if len(chosen[n].cells) < len(ablations[n].cells)]
+    if parts and options.check:
+        raise UsageError("--check is for whole tables, without --datasets, --settings")
+    stems = {name: f"{name}-part" if name in parts else name for name in chosen}
     results, store = options.results(), options.store()
 
     def draw_all(
         folder: Path, without: Collection[str] = ()
     ) -> dict[str, tuple[list[Row], str]]:
         return {
-            name: draw(name, ablation, store, options.seeds_of(ablation), folder)
-            for name, ablation in chosen.items()
+            name: draw(stems[name], one, store, options.seeds_of(one), folder)
+            for name, one in chosen.items()
             if name not in without
         }
 
@@ -65,7 +69,7 @@ def ablate_offline(
         return {}
     if not options.plan:
         for name, ablation in chosen.items():
-            for file in drawings(name, ablation):
+            for file in drawings(stems[name], ablation):
                 refuse_existing(results / file, options.overwrite or options.resume)
     wanted = missing_cells(options, chosen.values())
     left = [job for one in wanted for job in one.jobs if not job.done]

@@ -34,11 +34,12 @@ class AblateOffline:
     0 1 2, or what the ablation declares."""
 
     datasets: tuple[str, ...] | None = None
-    """Those named; default all of the ablation. What is missing is not made, but the
-    command that makes it is told."""
+    """Those named; default all of the ablation. What is missing of ours is collected
+    first, which is told with the command that does it."""
 
     settings: tuple[str, ...] | None = None
-    """Those named; default all of the ablation."""
+    """Those named; default all of the ablation. Of some datasets or settings, files
+    are called NAME-part."""
 
     budget: Budget = "full"
     """"smoke": hardly any training, on the dataset that ships, to see that everything

@@ -15,6 +15,7 @@ from marl_mm.algorithms.speed import (
     resolved,
 )
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
+from marl_mm.commands.ablate_data import dataset_named
 from marl_mm.commands.ablate_jobs import Job
 from marl_mm.commands.ablate_options import AblateOffline
 from marl_mm.commands.ablate_runs import ANOTHER_FOLDER
@@ -30,7 +31,6 @@ from marl_mm.datasets.location import SHIPPED
 from marl_mm.envs.config import reach_config
 from marl_mm.errors import OtherConfigError, UnknownDatasetError, UsageError
 from marl_mm.eval.ablation import Ablation, Cell, Probe, Setting, cell_name
-from marl_mm.eval.ablations import made_by
 from marl_mm.eval.evaluate import evaluate
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import progress_bar
@@ -71,8 +71,8 @@ def missing_cells(
     """Cells of some ablations without rows, each once, and the runs that make these.
 
     Raises:
-        UsageError: If two settings share a name, or a dataset is not there; with
-            ``--plan`` that is only told.
+        UsageError: If two settings share a name, or a dataset is not there and nobody
+            knows how to make it; with ``--plan`` that is only told.
         OtherConfigError: If there are rows or runs that were made with something else.
     """
     store = options.store()
@@ -166,14 +166,7 @@ def _made_of(algorithm: str, training: Offline) -> dict[str, Any]:
 def _dataset(options: AblateOffline, name: str) -> Dataset:
     if options.budget == "smoke":
         return load_dataset(SHIPPED)
-    try:
-        return load_dataset(name)
-    except UnknownDatasetError as error:
-        command = made_by(name)
-        if not command:
-            raise
-        told = f"no dataset {name}: make it with {command}"
-        raise UnknownDatasetError(told) from error
+    return dataset_named(name, options.workers, make=not options.plan)
 
 
 def _jobs(

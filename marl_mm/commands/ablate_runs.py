@@ -148,8 +148,8 @@ def told_missing(options: Ablate) -> str:
     cells = [(setting, seed) for setting in SETTINGS for seed in options.seeds]
     missing = sum(not _finished(options, *cell) for cell in cells)
     return (
-        f"{missing} of {len(cells)} online runs, each of 5 to 15 minutes, one after "
-        "the other"
+        f"{missing} of {len(cells)} online runs, about {missing / 6:.1f} hours at ten "
+        "minutes each"
     )
 
 
