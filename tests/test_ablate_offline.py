@@ -64,7 +64,7 @@ ELSEWHERE = Ablation("Of data that nobody has.", [("none", settings[0])])
 FEW = {"updates": 100, "hidden": (16, 16)}
 TINY = Ablation(
     "Of data that is collected first.",
-    [("tiny", Setting("few", "few", "mabc", changes=FEW, goals=2, curve_goals=2))],
+    [("tiny", Setting("few", "few", changes=FEW, goals=2, curve_goals=2))],
 )
 """
 """An ablation of one's own, of the dataset that ships."""
@@ -317,24 +317,34 @@ def test_runs_that_diverged_are_marked(own: Path, tmp_path: Path) -> None:
     assert row["diverged"] == "0 after 0, 1 after 0" and np.isnan(row["q_slope"])
 
 
+def unfinished(runs: Path) -> list[Path]:
+    """Runs between their first checkpoint and their end."""
+    begun = [path.parent for path in runs.rglob("checkpoint.pt")]
+    return [run for run in begun if not (run / "eval.json").exists()]
+
+
 @pytest.mark.slow
 def test_killing_it_again_and_again_changes_nothing(own: Path, tmp_path: Path) -> None:
     """Ten times while it is at work, before and after checkpoints."""
     assert main(words(own, tmp_path / "whole")) == 0
-    asked = words(own, tmp_path / "killed", "--resume")
-    moments, killed = random.Random(0), 0
+    asked = words(own, tmp_path / "killed", "--resume", "--workers", "2")
+    moments, killed, cut = random.Random(0), 0, 0
     context = get_context("forkserver")  # which imports everything once
     context.set_forkserver_preload(["marl_mm.commands.ablate"])
     while killed < 10:
         job = context.Process(target=main, args=(asked,))
         job.start()
-        job.join(moments.uniform(0.2, 3.0))
+        while killed % 2 and job.is_alive() and not unfinished(tmp_path / "killed"):
+            time.sleep(0.02)  # every second time when a run is in the middle
+        job.join(moments.uniform(0.0, 0.5 if killed % 2 else 4.0))
         job.kill()
         job.join()
         if job.exitcode != -signal.SIGKILL:  # it was done: once more from the start
             assert job.exitcode == 0
             shutil.rmtree(tmp_path / "killed")
         killed += job.exitcode == -signal.SIGKILL
+        cut += bool(unfinished(tmp_path / "killed"))
+    assert cut > 0  # some of them between the first checkpoint and the end
     assert main(asked) == 0
     assert contents(tmp_path / "killed/results") == contents(tmp_path / "whole/results")
 
@@ -378,7 +388,7 @@ def test_a_plan_of_everything_trains_nothing_either(
     *_, total, online = capsys.readouterr().out.splitlines()
     cells = {cell_name(cell) for one in ABLATIONS.values() for cell in one.cells}
     assert f"| {len(cells)} of {len(cells)} |" in total
-    assert "18 of 18 online runs" in online
+    assert "18 of 18 online runs, about 3.0 hours" in online
     assert not list(tmp_path.iterdir())
 
 

@@ -21,6 +21,7 @@ from marl_mm.commands.parser import Subcommand, parse_options, parse_subcommand
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.ablation import Ablation
 from marl_mm.eval.ablations import ABLATIONS
+from marl_mm.eval.online import SETTINGS
 from marl_mm.eval.rows import to_json
 from marl_mm.files import refuse_existing
 
@@ -123,22 +124,25 @@ def _everything(options: AblateOffline) -> None:
         # So few episodes are over before other processes have begun.
         workers=1 if options.budget == "smoke" else options.workers,
         check=options.check,
-        overwrite=options.overwrite or options.resume,
+        overwrite=options.overwrite,
+        resume=options.resume,
         quiet=options.json,
     )
     if not (options.plan or options.check):
         for target in TARGETS.values():
             for file in target.files:
-                refuse_existing(online.results(file), online.overwrite)
+                again = online.overwrite or online.resume
+                refuse_existing(online.results(file), again)
     offline = replace(options, runs=part(runs, "offline"), out=part(out, "offline"))
     if options.plan:
         _offline(offline, ABLATIONS)
-        print(f"and {told_missing(online)}")
+        names = [setting.name for setting in SETTINGS]
+        print(f"and online: {told_missing(online, names)}")
         return
     if not options.check:
         check_installed(online)
     with every_failure(usage=options.check) as attempt:
         attempt(partial(_offline, offline, ABLATIONS))
         for name, target in TARGETS.items():
-            if target.files and not (options.check and not target.of_rows):
+            if target.files:
                 attempt(partial(ablate_online, online, name))

@@ -9,7 +9,7 @@ from marl_mm.algorithms.checkpoint import BEST
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.pretrained import FOLDER, load_pretrained, ship
 from marl_mm.commands.ablate_check import check_drawings, note_artist
-from marl_mm.commands.ablate_runs import Ablate, train_missing
+from marl_mm.commands.ablate_runs import Ablate, told_missing, train_missing
 from marl_mm.envs.config import reach_config
 from marl_mm.errors import UsageError
 from marl_mm.eval.alpha_study import ALPHAS, alpha_steps, summarize_worth, worth_rows
@@ -31,6 +31,12 @@ from marl_mm.progress import progress_bar
 
 COMPARED = ("ddpg", "ddpg-her", "maddpg-her")
 """Settings in Figs 4 and 5."""
+
+DEMONSTRATED = ("ddpg", "ddpg-her", "ddpg-demonstrations", "ddpg-her-demonstrations")
+"""Settings with a dataset beside, and without."""
+
+CHOOSING = ("ddpg-her", "ddpg-her-smooth", "maddpg-her-smooth")
+"""Settings whose learnt alpha is looked at."""
 
 CUT_OFF = -30
 """Lowest return in Fig. 4: few agents that have learnt nothing drive off, to -200."""
@@ -57,8 +63,8 @@ class Target:
     files: tuple[str, ...] = ()
     """What it draws."""
 
-    of_rows: bool = True
-    """Whether it needs no more than rows: a film needs an agent."""
+    settings: tuple[str, ...] = ()
+    """Whose runs it needs; none: those that are asked for, or all."""
 
 
 def ablate_online(options: Ablate, name: str) -> None:
@@ -70,10 +76,14 @@ def ablate_online(options: Ablate, name: str) -> None:
         MarlMmError: With ``--check``, if a file is not what is drawn.
     """
     target = TARGETS[name]
-    if not options.check:
-        target.make(options)
+    if options.plan:
+        names = target.settings or [setting.name for setting in _settings(options)]
+        print(told_missing(options, names))
         return
-    if not (target.files and target.of_rows):
+    if not options.check:
+        target.make(replace(options, overwrite=options.overwrite or options.resume))
+        return
+    if not target.files:
         raise UsageError(f"--check is not for {name}, which is not drawn of rows")
 
     def draw(folder: Path) -> None:
@@ -138,9 +148,8 @@ def _fig5(options: Ablate) -> None:
 
 
 def _demonstrated(options: Ablate) -> None:
-    settings = ("ddpg", "ddpg-her", "ddpg-demonstrations", "ddpg-her-demonstrations")
     name, label = "demonstrations", "goals reached [%]"
-    _compare(options, name, "success_all", label, PERCENT, settings)
+    _compare(options, name, "success_all", label, PERCENT, DEMONSTRATED)
 
 
 def _compare(
@@ -194,13 +203,12 @@ def _alpha(options: Ablate) -> None:
 
 def _held(options: Ablate) -> tuple[list[Row], list[Row]]:
     """Trained agents with the learnt alpha and with held ones, and what they learnt."""
-    names = ("ddpg-her", "ddpg-her-smooth", "maddpg-her-smooth")
-    train_missing(options, names)
+    train_missing(options, CHOOSING)
     small = options.budget == "smoke"
     goals, alphas = (2, ALPHAS[::6]) if small else (100, ALPHAS)
     rows: list[Row] = []
     steps: list[Row] = []
-    for name in names:
+    for name in CHOOSING:
         for seed in options.seeds:
             run = options.runs_folder() / name / str(seed)
             made_of = json.loads((run / "config.json").read_text())
@@ -246,29 +254,37 @@ TARGETS = {
         "Fig. 4: return over episodes, with and without hindsight.",
         _fig4,
         ("fig4.png", "fig4.svg"),
+        COMPARED,
     ),
     "fig5": Target(
         "Fig. 5: success over episodes, with and without hindsight.",
         _fig5,
         ("fig5.png", "fig5.svg"),
+        COMPARED,
     ),
     "fig6": Target(
         "Fig. 6: film strips of the trained agent, ahead and behind.",
         _fig6,
         ("fig6.png",),
-        of_rows=False,
+        ("ddpg-her",),
     ),
     "demonstrations": Target(
         "Success over episodes with a dataset beside.",
         _demonstrated,
         ("demonstrations.png", "demonstrations.svg"),
+        DEMONSTRATED,
     ),
     "alpha": Target(
         "What alpha the trained agents choose, and what it is worth.",
         _alpha,
         ("alpha.png", "alpha_worth.csv"),
+        CHOOSING,
     ),
-    "pretrained": Target("The agent that ships: the best DDPG + HER run.", _pretrained),
+    "pretrained": Target(
+        "The agent that ships: the best DDPG + HER run.",
+        _pretrained,
+        settings=("ddpg-her",),
+    ),
 }
 """By name."""
 

@@ -24,7 +24,12 @@ from marl_mm.commands.train_online import (
 )
 from marl_mm.commands.train_sb3 import check_sb3, check_sb3_run, train_sb3_run
 from marl_mm.datasets.location import locate
-from marl_mm.errors import DivergedError, OtherConfigError
+from marl_mm.errors import (
+    DivergedError,
+    FailedRunsError,
+    MarlMmError,
+    OtherConfigError,
+)
 from marl_mm.eval.online import SETTINGS, Setting
 from marl_mm.files import only_here
 
@@ -65,6 +70,13 @@ class Ablate:
     workers: int = field(default_factory=available_cores)
     """Processes that run episodes; the result does not depend on it."""
 
+    plan: bool = False
+    """Only print how many runs are missing, and about how long they will take."""
+
+    resume: bool = False
+    """Go on after an interruption, and replace what was drawn until then; runs go on
+    from their last checkpoints anyway."""
+
     overwrite: bool = False
     """Replace figures and tables that exist; runs are never replaced."""
 
@@ -96,6 +108,7 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
     Raises:
         UsageError: If Stable-Baselines3 is needed and not installed.
         OtherConfigError: If a run was made with something else.
+        FailedRunsError: At the end, if some failed; the others are there.
     """
     wanted = [setting for setting in SETTINGS if setting.name in names]
     demonstrations = None
@@ -107,6 +120,7 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
     missing = [cell for cell in cells if not _finished(options, *cell)]
     announce(options.runs_folder(), len(missing), len(cells))
     as_it_was_to_be = partial(check_online_run, further=False)
+    failed: dict[Path, str] = {}
     for setting, seed in cells:
         run = _run(options, setting, seed)
         finished = _finished(options, setting, seed)
@@ -130,6 +144,15 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
             raise KeyboardInterrupt(
                 f"stopped in {run}; the same command {again}"
             ) from None
+        except MarlMmError as error:
+            failed[run] = str(error)
+            print(f"{run} failed: {error}; going on with others", file=sys.stderr)
+    if failed:
+        reasons = "; ".join(f"{run}: {why}" for run, why in failed.items())
+        raise FailedRunsError(
+            f"{len(failed)} of {len(missing)} runs failed, the same command tries them "
+            f"again: {reasons}"
+        )
 
 
 def check_installed(options: Ablate) -> None:
@@ -143,9 +166,10 @@ def check_installed(options: Ablate) -> None:
         check_sb3()
 
 
-def told_missing(options: Ablate) -> str:
-    """How many online runs are missing, in words."""
-    cells = [(setting, seed) for setting in SETTINGS for seed in options.seeds]
+def told_missing(options: Ablate, names: Sequence[str]) -> str:
+    """How many runs of these settings are missing, in words."""
+    wanted = [setting for setting in SETTINGS if setting.name in names]
+    cells = [(setting, seed) for setting in wanted for seed in options.seeds]
     missing = sum(not _finished(options, *cell) for cell in cells)
     return (
         f"{missing} of {len(cells)} online runs, about {missing / 6:.1f} hours at ten "
