@@ -8,14 +8,7 @@ import numpy as np
 import torch
 
 from marl_mm.algorithms.networks import ActionScale, Actor, Normalizer
-from marl_mm.layout import (
-    ACTION_HIGH,
-    ACTION_LOW,
-    AGENTS,
-    JOINT,
-    STATE,
-    AgentLayout,
-)
+from marl_mm.layout import JOINT_NAME, REACH, AgentLayout, Layout
 
 
 class AgentActor:
@@ -30,18 +23,15 @@ class AgentActor:
         self.layout = layout
         self.actor = actor
         self._entries = torch.tensor(layout.observation)
-        entries = list(layout.action)
-        self.scale = ActionScale(
-            torch.tensor(ACTION_LOW)[entries], torch.tensor(ACTION_HIGH)[entries]
-        )
+        self.scale = ActionScale(torch.tensor(layout.low), torch.tensor(layout.high))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """By value: torch would share weights that go on learning between processes."""
         return _revived, (self.layout, pickle.dumps(self.actor))
 
     def own(self, state: torch.Tensor) -> torch.Tensor:
-        """What the agent sees of joint states, shapes (..., 10) to (..., d)."""
-        if len(self._entries) == len(STATE):
+        """What the agent sees of joint states, shapes (..., n) to (..., d)."""
+        if len(self._entries) == state.shape[-1]:
             return state
         return state.index_select(-1, self._entries)
 
@@ -58,11 +48,11 @@ def _revived(layout: AgentLayout, actor: bytes) -> AgentActor:
 
 
 def actors_from(
-    states: Mapping[str, Any], hidden: Sequence[int]
+    states: Mapping[str, Any], hidden: Sequence[int], layout: Layout = REACH
 ) -> dict[str, AgentActor]:
     """Trained actors from their networks' states, of one joint agent or of several."""
     agents = {}
-    for agent in (JOINT,) if JOINT.name in states else AGENTS:
+    for agent in (layout.joint,) if JOINT_NAME in states else layout.agents:
         blank = Normalizer.blank(len(agent.observation))
         actor = Actor(blank, len(agent.action), hidden)
         actor.load_state_dict(states[agent.name])
@@ -71,6 +61,6 @@ def actors_from(
 
 
 def joint_action(agents: Mapping[str, AgentActor], state: torch.Tensor) -> torch.Tensor:
-    """All actors' actions at joint states, shapes (n, 10) to (n, 4), in [-1, 1]."""
+    """All actors' actions at joint states, shapes (m, n) to (m, k), in [-1, 1]."""
     parts = [agent.actor(agent.own(state)) for agent in agents.values()]
     return torch.cat(parts, dim=-1)

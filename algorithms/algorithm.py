@@ -6,12 +6,14 @@ from typing import Any, ClassVar, Protocol
 import torch
 
 from marl_mm.algorithms.actors import AgentActor
+from marl_mm.layout import Layout
 
 
 class Resumable(Protocol):
     """What a checkpoint keeps."""
 
     name: str
+    layout: Layout
     agents: dict[str, AgentActor]
     """The actors as they are now."""
 
@@ -31,6 +33,7 @@ class OfflineAlgorithm(Protocol):
 
     name: ClassVar[str]
     seeds: tuple[int, ...]
+    layout: Layout
     step: int
     """Updates made."""
 

@@ -10,7 +10,7 @@ from marl_mm.algorithms.actors import AgentActor, actors_from
 from marl_mm.algorithms.algorithm import OfflineAlgorithm, Resumable
 from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.files import new_file
-from marl_mm.layout import ACTION_HIGH, ACTION_LOW, AGENTS
+from marl_mm.layout import LAYOUTS, Layout
 
 FILE = "checkpoint.pt"
 """The last state of a run."""
@@ -24,12 +24,13 @@ KNOWN = ("mabc", "td3-bc", "matd3-bc", "ddpg", "ddpg-her", "maddpg", "maddpg-her
 _FORMAT = "marl_mm checkpoint 1"
 
 
-def agents_layout() -> dict[str, Any]:
+def agents_layout(layout: Layout) -> dict[str, Any]:
     """Agents in order with their entries, and the action space's bounds."""
+    agents = layout.agents
     return {
-        "agents": [[a.name, list(a.observation), list(a.action)] for a in AGENTS],
-        "action_low": list(ACTION_LOW),
-        "action_high": list(ACTION_HIGH),
+        "agents": [[a.name, list(a.observation), list(a.action)] for a in agents],
+        "action_low": list(layout.low),
+        "action_high": list(layout.high),
     }
 
 
@@ -63,7 +64,7 @@ def _save(
         "format": _FORMAT,
         "algorithm": algorithm.name,
         "config": asdict(algorithm.config),
-        "layout": agents_layout(),
+        "layout": agents_layout(algorithm.layout),
         "state": state,
     }
     # Into an open file: given a name, torch would write it into the bytes.
@@ -108,11 +109,16 @@ def read_checkpoint(path: Path, algorithm: str | None = None) -> dict[str, Any]:
             f"{file} holds a checkpoint of algorithm {checkpoint['algorithm']!r}, "
             f"expected {' or '.join(map(repr, expected))}"
         )
-    if checkpoint["layout"] != agents_layout():
+    if checkpoint["layout"] not in map(agents_layout, LAYOUTS):
         raise CheckpointError(
             f"{file} was made for another agent layout: {checkpoint['layout']}"
         )
     return checkpoint
+
+
+def _layout(checkpoint: dict[str, Any]) -> Layout:
+    (found,) = (one for one in LAYOUTS if agents_layout(one) == checkpoint["layout"])
+    return found
 
 
 def restored_agents(checkpoint: dict[str, Any], path: Path) -> dict[str, AgentActor]:
@@ -122,9 +128,8 @@ def restored_agents(checkpoint: dict[str, Any], path: Path) -> dict[str, AgentAc
         CheckpointError: If its networks do not fit its config.
     """
     try:
-        return actors_from(
-            checkpoint["state"]["actors"], checkpoint["config"]["hidden"]
-        )
+        actors, hidden = checkpoint["state"]["actors"], checkpoint["config"]["hidden"]
+        return actors_from(actors, hidden, _layout(checkpoint))
     except (KeyError, TypeError, RuntimeError) as error:
         reason = str(error).splitlines()[0]
         raise CheckpointError(f"{path} is damaged ({reason:.80})") from error

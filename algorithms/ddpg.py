@@ -41,7 +41,7 @@ from marl_mm.algorithms.replay import (
 from marl_mm.algorithms.statistics import RunningStatistics
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
-from marl_mm.layout import ACTION, ALPHA, JOINT, STATE, AgentLayout
+from marl_mm.layout import ALPHA, REACH, AgentLayout, Layout
 
 # --- Config ------------------------------------------------------------------
 
@@ -155,9 +155,9 @@ class Ddpg:
         judge: The task's reward and termination.
         seed: Of initial weights and batches.
         demonstrations: Episodes of others to learn from as well.
+        layout: Of joint state and action.
     """
 
-    layouts: ClassVar[tuple[AgentLayout, ...]] = (JOINT,)
     base_name: ClassVar[str] = "ddpg"
 
     def __init__(
@@ -166,36 +166,37 @@ class Ddpg:
         judge: Judge,
         seed: int,
         demonstrations: Sequence[Episode] = (),
+        layout: Layout = REACH,
     ) -> None:
-        self.config = config
+        self.config, self.layout = config, layout
         self.name = self.base_name + "-her" * (config.hindsight > 0)
         self.episodes = self.env_steps = self.updates = 0
-        self.replay = Replay(config.capacity, config.hindsight, judge)
+        self.replay = Replay(config.capacity, config.hindsight, judge, layout)
         self._highest = highest_reward(judge)
         self._demonstrations = Demonstrations(
             demonstrations, config.demonstration_successes, config.hindsight, judge
         )
         self._rng = np.random.default_rng(seed)
-        self._statistics = RunningStatistics(len(STATE), config.std_floor)
+        self._statistics = RunningStatistics(len(layout.state), config.std_floor)
         # --- Networks --------------------------------------------------------
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.critic = Critic(
-                Normalizer.blank(len(STATE)),
-                len(ACTION),
+                Normalizer.blank(len(layout.state)),
+                len(layout.action),
                 config.hidden,
                 layer_norm=config.layer_norm,
             )
             self.agents = {
-                layout.name: AgentActor(
-                    layout,
+                agent.name: AgentActor(
+                    agent,
                     Actor(
-                        Normalizer.blank(len(layout.observation)),
-                        len(layout.action),
+                        Normalizer.blank(len(agent.observation)),
+                        len(agent.action),
                         config.hidden,
                     ),
                 )
-                for layout in self.layouts
+                for agent in self._layouts()
             }
         self._target_critic = deepcopy(self.critic)
         self._target_agents = deepcopy(self.agents)
@@ -265,6 +266,10 @@ class Ddpg:
 
         self._follow(self._targets, self._online, None)
         return {"loss/critic": critic_loss.item(), "loss/actor": actor_loss.item()}
+
+    def _layouts(self) -> tuple[AgentLayout, ...]:
+        """Actors that it has."""
+        return (self.layout.joint,)
 
     def _actor_loss(self, batch: Batch) -> torch.Tensor:
         action = joint_action(self.agents, batch.observation)

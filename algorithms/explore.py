@@ -5,9 +5,6 @@ from typing import Any
 import numpy as np
 
 from marl_mm.algorithms.policy import LearnedPolicy
-from marl_mm.layout import ACTION_HIGH, ACTION_LOW
-
-_LOW, _HIGH = np.array(ACTION_LOW), np.array(ACTION_HIGH)
 
 
 class Explorer:
@@ -27,6 +24,10 @@ class Explorer:
         self._policy = policy
         self._noise = noise
         self._random_share = random_share
+        self._low, self._high = (
+            np.array(policy.layout.low),
+            np.array(policy.layout.high),
+        )
 
     def describe(self) -> dict[str, Any]:
         """Noise and the policy's own settings."""
@@ -39,9 +40,10 @@ class Explorer:
         self._policy.begin(rng)
 
     def act(self, state: np.ndarray) -> np.ndarray:
-        """Joint action, shape (4,), float32."""
+        """Joint action, shape (k,), float32."""
+        low, high = self._low, self._high
         if self._rng.random() < self._random_share:
-            return self._rng.uniform(_LOW, _HIGH).astype(np.float32)
-        noise = self._rng.normal(0.0, self._noise, len(_LOW)) * (_HIGH - _LOW) / 2
-        action: np.ndarray = np.clip(self._policy.act(state) + noise, _LOW, _HIGH)
+            return self._rng.uniform(low, high).astype(np.float32)
+        noise = self._rng.normal(0.0, self._noise, len(low)) * (high - low) / 2
+        action: np.ndarray = np.clip(self._policy.act(state) + noise, low, high)
         return action.astype(np.float32)

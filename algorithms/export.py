@@ -22,7 +22,6 @@ from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.errors import ExportError, UsageError
 from marl_mm.files import new_file
-from marl_mm.layout import ACTION, ACTION_HIGH, ACTION_LOW, STATE
 
 Format = Literal["torchscript", "onnx"]
 
@@ -95,14 +94,15 @@ class _Exported(nn.Module):
         self._alone = agent is not None
         self._actors = nn.ModuleList(one.actor for one in self._agents)
         self.requires_grad_(False)
+        layout = self._layout = policy.layout
         entries = [i for one in self._agents for i in one.layout.action]
         own = self._agents[0].layout.observation
-        seen = own if self._alone else range(len(STATE))
+        seen = own if self._alone else range(len(layout.state))
         self.metadata: dict[str, Any] = {
-            "observation": [STATE[i] for i in seen],
-            "action": [ACTION[i] for i in entries],
-            "action_low": [ACTION_LOW[i] for i in entries],
-            "action_high": [ACTION_HIGH[i] for i in entries],
+            "observation": [layout.state[i] for i in seen],
+            "action": [layout.action[i] for i in entries],
+            "action_low": [layout.low[i] for i in entries],
+            "action_high": [layout.high[i] for i in entries],
         }
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
@@ -118,12 +118,13 @@ class _Exported(nn.Module):
     def some(self, count: int) -> torch.Tensor:
         """Observations around those that the actors were trained on."""
         rng = np.random.default_rng(0)
-        mean, std = torch.zeros(len(STATE)), torch.ones(len(STATE))
+        width = len(self._layout.state)
+        mean, std = torch.zeros(width), torch.ones(width)
         for one in self._agents:
             entries = list(one.layout.observation)
             mean[entries] = one.actor.normalizer.mean
             std[entries] = one.actor.normalizer.std
-        draws = torch.from_numpy(rng.standard_normal((count, len(STATE)), np.float32))
+        draws = torch.from_numpy(rng.standard_normal((count, width), np.float32))
         states = mean + 2 * std * draws
         return self._agents[0].own(states) if self._alone else states
 

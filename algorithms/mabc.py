@@ -18,7 +18,7 @@ from marl_mm.algorithms.replay import Judge
 from marl_mm.algorithms.seeded import SeededActors, imitation_errors
 from marl_mm.algorithms.speed import Precision
 from marl_mm.datasets.arrays import EpisodeArrays
-from marl_mm.layout import AGENTS, AgentLayout, columns
+from marl_mm.layout import columns
 
 # --- Config ------------------------------------------------------------------
 
@@ -68,7 +68,6 @@ class Mabc:
     """
 
     name: ClassVar[str] = "mabc"
-    layouts: ClassVar[tuple[AgentLayout, ...]] = AGENTS
 
     def __init__(
         self,
@@ -79,6 +78,8 @@ class Mabc:
         device: str = "cpu",
     ) -> None:
         self.config, self.seeds, self.step = config, tuple(seeds), 0
+        self.layout = arrays.layout
+        self.layouts = self.layout.agents
         self.sound: dict[str, float] = {}
         shares = config.future, 0.0
         self._batches = OfflineBatches(
@@ -104,7 +105,7 @@ class Mabc:
         self.step += 1
         state = self.normalizer(batch.observation)
         losses = {}
-        for agent in AGENTS:
+        for agent in self.layouts:
             own = self.actors.own(agent.name, state)
             error = (own - batch.action[..., columns(agent.action)]).square()
             loss = error.mean(dim=(1, 2))

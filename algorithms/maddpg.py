@@ -13,7 +13,7 @@ import torch
 
 from marl_mm.algorithms.ddpg import Ddpg, DdpgConfig
 from marl_mm.algorithms.replay import Batch
-from marl_mm.layout import ACTION, AGENTS, AgentLayout
+from marl_mm.layout import AgentLayout
 
 # --- Config ------------------------------------------------------------------
 
@@ -30,9 +30,12 @@ class MaddpgConfig(DdpgConfig):
 class Maddpg(Ddpg):
     """Learns decentralised actors with a centralised critic; see ``Ddpg``."""
 
-    layouts: ClassVar[tuple[AgentLayout, ...]] = AGENTS
     base_name: ClassVar[str] = "maddpg"
     config: MaddpgConfig
+
+    def _layouts(self) -> tuple[AgentLayout, ...]:
+        """One actor for each agent."""
+        return self.layout.agents
 
     # --- Update --------------------------------------------------------------
 
@@ -50,5 +53,7 @@ class Maddpg(Ddpg):
         action[:, list(agent.layout.action)] = own
         value = self.critic(batch.observation, action)
         loss: torch.Tensor = -value.mean()
-        share = own.shape[-1] / len(ACTION)  # together as much as of all at once
+        share = own.shape[-1] / len(
+            self.layout.action
+        )  # together as much as of all at once
         return loss + self.config.action_penalty * share * own.square().mean()

@@ -12,7 +12,7 @@ import torch
 
 from marl_mm.algorithms.offline_batches import OfflineBatch
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
-from marl_mm.layout import AGENTS, AgentLayout, columns
+from marl_mm.layout import AgentLayout, columns
 
 # --- Config ------------------------------------------------------------------
 
@@ -34,12 +34,15 @@ class Matd3Bc(Td3Bc):
     """Learns decentralised actors with centralised critics; see ``Td3Bc``."""
 
     name: ClassVar[str] = "matd3-bc"
-    layouts: ClassVar[tuple[AgentLayout, ...]] = AGENTS
     config: Matd3BcConfig
+
+    def _layouts(self) -> tuple[AgentLayout, ...]:
+        """One actor for each agent."""
+        return self.layout.agents
 
     def _pairs(self) -> int:
         """One pair of critics for each agent, or one for all."""
-        return len(AGENTS) if self.config.critics == "own" else 1
+        return len(self.layouts) if self.config.critics == "own" else 1
 
     # --- Update --------------------------------------------------------------
 
@@ -50,7 +53,7 @@ class Matd3Bc(Td3Bc):
         losses = {}
         with torch.no_grad():
             now = self.actors.joint(state)
-        for number, agent in enumerate(AGENTS):
+        for number, agent in enumerate(self.layouts):
             entries = columns(agent.action)
             pair = number if self.config.critics == "own" else 0
             own = self.actors.own(agent.name, state)

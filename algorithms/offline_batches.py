@@ -22,7 +22,6 @@ from marl_mm.algorithms.replay import (
 )
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.errors import DatasetError, UsageError
-from marl_mm.layout import ACTION, EE, GOAL
 
 
 class OfflineBatch(NamedTuple):
@@ -82,6 +81,7 @@ class OfflineBatches:
         device: str = "cpu",
     ) -> None:
         _refuse_odd_values(arrays)
+        self._layout = arrays.layout
         self._size, self._judge, self._device = size, judge, device
         self._future, self._elsewhere = shares
         # float64, so that a reward computed again is the step's own to the bit.
@@ -157,22 +157,23 @@ class OfflineBatches:
         rows = rng.integers(len(self), size=count)
         kind, later = rng.random(count), rng.random(count)
         others = rng.integers(len(self), size=count)
-        noise = rng.standard_normal((count, len(ACTION)), np.float32)
+        noise = rng.standard_normal((count, self._action.shape[1]), np.float32)
         state, next_state = self._state[rows], self._next_state[rows]
         reward, terminated = self._reward[rows], self._terminated[rows]
         future = kind < self._future
         elsewhere = ~future & (kind < self._future + self._elsewhere)
 
         span = (later * (self._end[rows] - rows)).astype(np.int64)
-        goal = state[:, GOAL]
-        goal = np.where(future[:, None], self._next_state[rows + span][:, EE], goal)
-        goal = np.where(elsewhere[:, None], self._state[others][:, GOAL], goal)
-        state[:, GOAL], next_state[:, GOAL] = goal, goal
+        places, achieved = self._layout.goal, self._layout.achieved
+        goal, later_state = state[:, places], self._next_state[rows + span]
+        goal = np.where(future[:, None], later_state[:, achieved], goal)
+        goal = np.where(elsewhere[:, None], self._state[others][:, places], goal)
+        state[:, places], next_state[:, places] = goal, goal
         changed = np.flatnonzero(future | elsewhere)
+        costs = {name: values[rows[changed]] for name, values in self._costs.items()}
+        costs |= self._layout.told(next_state[changed])
         reward[changed], terminated[changed] = self._judge(
-            next_state[changed][:, EE],
-            goal[changed],
-            {name: values[rows[changed]] for name, values in self._costs.items()},
+            next_state[changed][:, achieved], goal[changed], costs
         )
         return (
             state.astype(np.float32),

@@ -11,7 +11,13 @@ import numpy as np
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.checkpoint import read_checkpoint, restored_agents
 from marl_mm.errors import UsageError
-from marl_mm.layout import ACTION, JOINT, STATE
+from marl_mm.layout import (
+    JOINT_NAME,
+    REACH,
+    Layout,
+    check_state,
+    layout_of_actions,
+)
 
 
 class LearnedPolicy:
@@ -29,6 +35,8 @@ class LearnedPolicy:
         self.name = name
         self.agents = dict(agents)
         self._source = source
+        entries = sum(len(agent.layout.action) for agent in self.agents.values())
+        self.layout = layout_of_actions(entries)
 
     def describe(self) -> dict[str, Any]:
         """Where it was loaded from."""
@@ -47,16 +55,16 @@ class LearnedPolicy:
         """Nothing to remember between episodes."""
 
     def act(self, observation: np.ndarray | Mapping[str, np.ndarray]) -> np.ndarray:
-        """Joint action, shape (4,), float32.
+        """Joint action, shape (k,), float32.
 
         Args:
-            observation: Joint state, shape (10,), or the goal environment's dictionary.
+            observation: Joint state, shape (n,), or the goal environment's dictionary.
 
         Raises:
             UsageError: If the state has another shape.
         """
-        state = joint_state(observation)
-        action = np.empty(len(ACTION), np.float32)
+        state = joint_state(observation, self.layout)
+        action = np.empty(len(self.layout.action), np.float32)
         for agent in self.agents.values():
             layout = agent.layout
             action[list(layout.action)] = agent.act(state[list(layout.observation)])
@@ -70,7 +78,7 @@ class LearnedPolicy:
         Raises:
             UsageError: If one joint actor sees and sets everything.
         """
-        if JOINT.name in self.agents:
+        if JOINT_NAME in self.agents:
             raise UsageError(
                 f"{self.name} has one joint actor, which needs the joint state: step "
                 "the parallel environment with marl_mm.envs.parallel.split_action of "
@@ -79,14 +87,15 @@ class LearnedPolicy:
         return {name: self.agents[name].act(o) for name, o in observations.items()}
 
 
-def joint_state(observation: np.ndarray | Mapping[str, np.ndarray]) -> np.ndarray:
-    """The joint state, shape (10,), of either form of observation."""
+def joint_state(
+    observation: np.ndarray | Mapping[str, np.ndarray], layout: Layout = REACH
+) -> np.ndarray:
+    """The joint state, shape (n,), of either form of observation."""
     if isinstance(observation, Mapping):
         parts = [observation["observation"], observation["desired_goal"]]
         return np.concatenate(parts)
     state = np.asarray(observation)
-    if state.shape != (len(STATE),):
-        raise UsageError(f"state has shape {state.shape}, expected ({len(STATE)},)")
+    check_state(state, layout)
     return state
 
 

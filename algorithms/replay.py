@@ -13,7 +13,7 @@ import torch
 
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
-from marl_mm.layout import ACTION, ACTION_HIGH, ACTION_LOW, EE, GOAL, STATE
+from marl_mm.layout import REACH, Layout, layout_of_actions
 
 COSTS = ("d_mm", "d_mp", "base_jerk_rms")
 """What of a step's info its reward depends on, apart from the goal."""
@@ -39,8 +39,9 @@ def highest_reward(judge: Judge) -> float:
 
 
 def normalized_actions(actions: np.ndarray) -> np.ndarray:
-    """Joint actions in [-1, 1], float32, shape (n, 4)."""
-    low, high = np.array(ACTION_LOW), np.array(ACTION_HIGH)
+    """Joint actions in [-1, 1], float32, shape (n, k)."""
+    layout = layout_of_actions(actions.shape[1])
+    low, high = np.array(layout.low), np.array(layout.high)
     scaled: np.ndarray = (2 * (actions - low) / (high - low) - 1).astype(np.float32)
     return scaled
 
@@ -90,15 +91,17 @@ class Replay:
         judge: The task's own reward and termination.
     """
 
-    def __init__(self, capacity: int, hindsight: int, judge: Judge) -> None:
-        self._capacity = capacity
+    def __init__(
+        self, capacity: int, hindsight: int, judge: Judge, layout: Layout = REACH
+    ) -> None:
+        self._capacity, self._layout = capacity, layout
         self._share = hindsight / (hindsight + 1)
         self._judge = judge
         # Rings: step s, counted from the first ever, is in row s % capacity.
         # float64, so that a reward computed again is the step's own to the bit.
-        self._state = np.zeros((capacity, len(STATE)))
-        self._next_state = np.zeros((capacity, len(STATE)))
-        self._action = np.zeros((capacity, len(ACTION)), np.float32)
+        self._state = np.zeros((capacity, len(layout.state)))
+        self._next_state = np.zeros((capacity, len(layout.state)))
+        self._action = np.zeros((capacity, len(layout.action)), np.float32)
         self._reward = np.zeros(capacity)
         self._terminated = np.zeros(capacity, bool)
         self._costs = {name: np.zeros(capacity) for name in (*COSTS, FAILED)}
@@ -148,11 +151,13 @@ class Replay:
         chosen = np.flatnonzero(relabelled)
         step, end = steps[chosen], self._end[rows[chosen]]
         future = step + (later[chosen] * (end + 1 - step)).astype(np.int64)
-        goal = self._next_state[future % self._capacity][:, EE]
-        state[chosen, GOAL], next_state[chosen, GOAL] = goal, goal
+        layout = self._layout
+        goal = self._next_state[future % self._capacity][:, layout.achieved]
+        state[chosen, layout.goal] = next_state[chosen, layout.goal] = goal
         costs = {name: values[rows[chosen]] for name, values in self._costs.items()}
+        costs |= layout.told(next_state[chosen])
         reward[chosen], terminated[chosen] = self._judge(
-            next_state[chosen][:, EE], goal, costs
+            next_state[chosen][:, layout.achieved], goal, costs
         )
         return Batch(
             torch.from_numpy(state.astype(np.float32)),

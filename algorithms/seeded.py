@@ -20,7 +20,7 @@ from marl_mm.algorithms.networks import (
     perceptron,
     saturation,
 )
-from marl_mm.layout import ACTION, STATE, AgentLayout, columns
+from marl_mm.layout import AgentLayout, columns, layout_of_actions
 
 TWINS = 2
 """Critics of a pair (Fujimoto 2018)."""
@@ -122,6 +122,7 @@ class SeededCritics:
     """Every seed's pairs of critics of joint actions at normalised joint states.
 
     Args:
+        inputs: Entries of state and action.
         pairs: How many pairs a seed has.
         hidden: Units of the hidden layers.
         layer_norm: Whether these are normalised.
@@ -132,6 +133,7 @@ class SeededCritics:
 
     def __init__(
         self,
+        inputs: int,
         pairs: int,
         hidden: Sequence[int],
         layer_norm: bool,
@@ -140,7 +142,7 @@ class SeededCritics:
         device: str,
     ) -> None:
         self._pairs, self._each = pairs, pairs * TWINS
-        widths = len(STATE) + len(ACTION), *hidden, 1
+        widths = inputs, *hidden, 1
         members = []
         for seed in seeds:
             with _seeded(seed, 1):
@@ -218,8 +220,9 @@ def imitation_errors(
         action: What the data did, likewise.
     """
     errors = (now - action).square().mean(dim=1)
+    names = layout_of_actions(action.shape[-1]).action
     return {
-        **{f"imitation/{name}": errors[:, i] for i, name in enumerate(ACTION)},
+        **{f"imitation/{name}": errors[:, i] for i, name in enumerate(names)},
         "action/saturation": saturation(now),
     }
 

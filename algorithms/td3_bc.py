@@ -22,7 +22,7 @@ from marl_mm.algorithms.seeded import SeededActors, SeededCritics, imitation_err
 from marl_mm.algorithms.speed import Precision
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.errors import UsageError
-from marl_mm.layout import ACTION, EE, GOAL, JOINT, AgentLayout
+from marl_mm.layout import ACTION, JOINT_NAME, AgentLayout
 
 # --- Config ------------------------------------------------------------------
 
@@ -89,7 +89,8 @@ class Td3BcConfig:
     actor's (Nair 2018), or those of episodes that reached their goal."""
 
     imitation_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
-    """Of the action's entries in the imitation error, against one another."""
+    """Of displacement and alpha in the imitation error, against one another and the
+    grip's 1."""
 
     imitation_scaled: bool = True
     """Measure the imitation error of each entry by its spread in the data: where the
@@ -148,7 +149,6 @@ class Td3Bc:
     """
 
     name: ClassVar[str] = "td3-bc"
-    layouts: ClassVar[tuple[AgentLayout, ...]] = (JOINT,)
 
     def __init__(
         self,
@@ -159,6 +159,8 @@ class Td3Bc:
         device: str = "cpu",
     ) -> None:
         self.config, self.seeds, self.step = config, tuple(seeds), 0
+        self.layout = arrays.layout
+        self.layouts = self._layouts()
         shares = config.future, config.elsewhere
         self._batches = OfflineBatches(
             arrays, config.batch_size, shares, judge, seeds, device
@@ -180,6 +182,7 @@ class Td3Bc:
             device,
         )
         self.critics = SeededCritics(
+            len(self.layout.state) + len(self.layout.action),
             self._pairs(),
             config.hidden,
             config.layer_norm,
@@ -192,12 +195,18 @@ class Td3Bc:
 
     def _imitation_weights(self, arrays: EpisodeArrays) -> torch.Tensor:
         """Of the squared error of each entry, shape (4,)."""
-        weights = torch.tensor(self.config.imitation_weights)
+        told = self.config.imitation_weights
+        grip = (1.0,) * (len(self.layout.action) - len(told))
+        weights = torch.tensor((*told[:-1], *grip, told[-1]))
         weights = weights / weights.mean()
         if self.config.imitation_scaled:
             actions = torch.from_numpy(normalized_actions(arrays.actions))
             weights /= actions.var(dim=0, correction=0).clamp_min(LEAST_SPREAD**2)
         return weights
+
+    def _layouts(self) -> tuple[AgentLayout, ...]:
+        """Actors that each seed has."""
+        return (self.layout.joint,)
 
     def _pairs(self) -> int:
         """Pairs of critics that each seed has."""
@@ -241,7 +250,7 @@ class Td3Bc:
         value = self.critics.first(state, action)
         error = self._imitation(action, state, batch, value)
         loss = error - self._weight(value) * value.mean(dim=1)
-        self.actors.descend(JOINT.name, loss)
+        self.actors.descend(JOINT_NAME, loss)
         return {"loss/actor": loss.detach(), "loss/imitation": error.detach()}
 
     def _imitation(
@@ -287,7 +296,8 @@ class Td3Bc:
         it, along x; below 0 it has learnt the opposite.
         """
         state, action = self._batches.some(DIAGNOSED)
-        towards = torch.sign(state[..., GOAL.start] - state[..., EE.start])
+        goal, achieved = self.layout.goal, self.layout.achieved
+        towards = torch.sign(state[..., goal.start] - state[..., achieved.start])
         inputs = self.normalizer(state).expand(len(self.seeds), -1, -1)
         action = action.expand(len(self.seeds), -1, -1)
         there, back = action.clone(), action.clone()

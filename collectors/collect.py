@@ -14,13 +14,18 @@ from marl_mm.collectors.medium import MediumConfig, MediumPolicy
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.pretrained import PretrainedConfig, PretrainedPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
+from marl_mm.collectors.scripted import ScriptedConfig, ScriptedPolicy
+from marl_mm.envs.config import ReachConfig
 from marl_mm.envs.rollout import EpisodePlan, episode_seed
 from marl_mm.episode import Episode
 from marl_mm.errors import HopelessError, UsageError
+from marl_mm.layout import HANDLING
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
 
-PolicyConfig = PdConfig | RandomConfig | PretrainedConfig | MediumConfig
+PolicyConfig = (
+    PdConfig | RandomConfig | PretrainedConfig | MediumConfig | ScriptedConfig
+)
 
 RunEpisodes = Callable[[Policy, Iterable[EpisodePlan]], Iterator[Episode]]
 """Runs episodes and yields each when it is finished, in whatever order."""
@@ -59,13 +64,20 @@ def make_collector(config: PolicyConfig) -> Collector:
         return Collector(PdPolicy(config), _reached)
     if isinstance(config, PretrainedConfig):
         return Collector(PretrainedPolicy(config), _reached)
+    if isinstance(config, ScriptedConfig):
+        return Collector(ScriptedPolicy(config), _reached)
     if isinstance(config, MediumConfig):
         return Collector(MediumPolicy(config), _whatever)
     return Collector(RandomPolicy(config), _whatever)
 
 
-def usual_steps(config: PolicyConfig) -> int:
-    """Length of a collector's episodes where nobody says another (paper, Sec. 5.4)."""
+def usual_steps(config: PolicyConfig, task: ReachConfig) -> int:
+    """Length of a collector's episodes where nobody says another.
+
+    As in the paper (Sec. 5.4); where there is a block to be taken, the task's.
+    """
+    if task.layout is HANDLING:
+        return task.max_steps
     return 50 if isinstance(config, PdConfig) else 25
 
 

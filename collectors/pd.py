@@ -6,7 +6,7 @@ from typing import Any, Literal
 import numpy as np
 
 from marl_mm.errors import UsageError
-from marl_mm.layout import ALPHA, BASE, DELTA, EE, GOAL
+from marl_mm.layout import ALPHA, BASE, DELTA, EE, GOAL, REACH, check_state
 
 AlphaRule = Literal["constant", "direction", "room"]
 
@@ -77,7 +77,12 @@ class PdPolicy:
         self._last_ee: np.ndarray | None = None
 
     def act(self, state: np.ndarray) -> np.ndarray:
-        """Deterministic in the episode's states."""
+        """Deterministic in the episode's states.
+
+        Raises:
+            UsageError: If they are of a task with a block to be taken.
+        """
+        check_state(state, REACH)
         config = self.config
         hand = state[EE]
         speed = np.zeros(3) if self._last_ee is None else hand - self._last_ee

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from marl_mm.layout import ACTION_HIGH, ACTION_LOW
+from marl_mm.layout import layout_of
 
 
 @dataclass(frozen=True)
@@ -36,4 +36,5 @@ class RandomPolicy:
 
     def act(self, state: np.ndarray) -> np.ndarray:
         """Uniform in the action space."""
-        return self._rng.uniform(ACTION_LOW, ACTION_HIGH).astype(np.float32)
+        layout = layout_of(len(state))
+        return self._rng.uniform(layout.low, layout.high).astype(np.float32)

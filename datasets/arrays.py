@@ -13,6 +13,7 @@ import numpy as np
 
 from marl_mm.episode import INFO, Episode, failures
 from marl_mm.errors import DatasetError
+from marl_mm.layout import Layout, layout_of
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,11 @@ class EpisodeArrays:
     def steps(self) -> int:
         """N."""
         return len(self.rewards)
+
+    @property
+    def layout(self) -> Layout:
+        """Of states and actions."""
+        return layout_of(self.states.shape[1])
 
     @cached_property
     def _ends(self) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.files import new_file, write_json
-from marl_mm.layout import ACTION_HIGH, ACTION_LOW, ALPHA, BASE, EE, GOAL
+from marl_mm.layout import ALPHA, BASE, EE
 
 _BINS = 10
 _CELL = 0.1
@@ -27,7 +27,7 @@ def card(dataset: Dataset) -> dict[str, Any]:
     """
     arrays = dataset.arrays
     ours = dataset.metadata["marl_mm"]
-    ahead = arrays.first_states()[:, GOAL][:, 0] > 0
+    ahead = arrays.first_states()[:, arrays.layout.goal][:, 0] > 0
     successes = arrays.successes()
     alphas = arrays.actions[:, ALPHA].astype(float)
     return {
@@ -66,8 +66,10 @@ def coverage(arrays: EpisodeArrays) -> dict[str, float]:
     states = arrays.states[~arrays.is_last_state()]
     base = np.zeros((len(states), 3))
     base[:, :2] = states[:, BASE][:, :2]
-    seen = np.hstack([states[:, GOAL] - states[:, EE], states[:, EE] - base])
-    low, high = np.array(ACTION_LOW), np.array(ACTION_HIGH)
+    layout = arrays.layout
+    way = states[:, layout.goal] - states[:, layout.achieved]
+    seen = np.hstack([way, states[:, EE] - base])
+    low, high = np.array(layout.low), np.array(layout.high)
     thirds = np.minimum((arrays.actions - low) / (high - low) * 3, 2).astype(int)
     cells = np.floor(seen / _CELL).astype(int)
     pairs = len(np.unique(np.hstack([cells, thirds]), axis=0))

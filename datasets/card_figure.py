@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from marl_mm.datasets.arrays import EpisodeArrays
-from marl_mm.layout import ACTION, ALPHA, EE, GOAL
+from marl_mm.layout import ACTION, ALPHA, EE
 
 _REACHED, _MISSED = "#1b6ca8", "#c8553d"
 
@@ -56,7 +56,7 @@ def draw_card(arrays: EpisodeArrays, values: dict[str, Any], path: Path) -> None
 
 
 def _goals(axes: Axes, arrays: EpisodeArrays) -> None:
-    goals, reached = arrays.first_states()[:, GOAL], arrays.successes()
+    goals, reached = arrays.first_states()[:, arrays.layout.goal], arrays.successes()
     size = float(np.clip(200 / np.sqrt(len(goals)), 2, 8))  # [pt]: all can be seen
     for chosen, color, label in (
         (reached, _REACHED, "goal reached"),

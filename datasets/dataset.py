@@ -18,7 +18,7 @@ from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.datasets.location import SHIPPED, Location, find, locate
 from marl_mm.datasets.storage import read_arrays, read_metadata
 from marl_mm.episode import Episode
-from marl_mm.layout import AGENTS, columns
+from marl_mm.layout import columns
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class Dataset:
         """Each agent's own observation and action, in the order of the agents."""
         return {
             agent.name: self._joint.part(agent.observation, agent.action)
-            for agent in AGENTS
+            for agent in self.arrays.layout.agents
         }
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
 from marl_mm.episode import INFO, Episode
 from marl_mm.errors import DatasetError, MarlMmError
-from marl_mm.layout import EE, GOAL, OBSERVATION
+from marl_mm.layout import LAYOUTS
 
 FILE = "main_data.hdf5"
 
@@ -39,8 +39,8 @@ class Field:
     kind: str
     """"float", "bool" or "number": what of numpy's kinds of types is accepted."""
 
-    columns: int | None = None
-    """Entries of one row; None for numbers."""
+    columns: tuple[int, ...] = ()
+    """Entries that one row may have, by layout; none for numbers."""
 
     extra: int = 0
     """Rows beyond the episode's steps."""
@@ -49,10 +49,15 @@ class Field:
 _KINDS = {"float": "f", "bool": "b", "number": "fiub"}
 
 FIELDS = (
-    Field("observations/observation", "float", 7, 1),
-    Field("observations/achieved_goal", "float", 3, 1),
-    Field("observations/desired_goal", "float", 3, 1),
-    Field("actions", "float", 4),
+    Field(
+        "observations/observation",
+        "float",
+        tuple(layout.observation.stop for layout in LAYOUTS),
+        1,
+    ),
+    Field("observations/achieved_goal", "float", (3,), 1),
+    Field("observations/desired_goal", "float", (3,), 1),
+    Field("actions", "float", tuple(len(layout.action) for layout in LAYOUTS)),
     Field("rewards", "float"),
     Field("terminations", "bool"),
     Field("truncations", "bool"),
@@ -100,10 +105,11 @@ def _without_times() -> Any:
 
 
 def _contents(episode: Episode) -> dict[str, np.ndarray]:
+    layout = episode.layout
     return {
-        "observations/observation": episode.states[:, OBSERVATION],
-        "observations/achieved_goal": episode.states[:, EE],
-        "observations/desired_goal": episode.states[:, GOAL],
+        "observations/observation": episode.states[:, layout.observation],
+        "observations/achieved_goal": episode.states[:, layout.achieved],
+        "observations/desired_goal": episode.states[:, layout.goal],
         "actions": episode.actions,
         "rewards": episode.rewards,
         "terminations": episode.terminated,
@@ -266,7 +272,8 @@ def checked(path: Path, group: Any, wanted: tuple[Field, ...]) -> dict[str, np.n
             )
         if field.key == "rewards":
             steps = shape[0] if len(shape) == 1 else 0
-        row = () if field.columns is None else (field.columns,)
+        known = shape[1:] and shape[1] in field.columns
+        row = shape[1:2] if known else field.columns[:1]
         expected = (steps + field.extra, *row)
         if shape != expected or not steps:
             wanted_shape = expected if steps else "(steps,)"

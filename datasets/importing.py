@@ -22,7 +22,7 @@ from marl_mm.datasets.hdf5 import (
 from marl_mm.datasets.verify import problems_of
 from marl_mm.episode import IMPORTED, INFO, Episode
 from marl_mm.errors import DatasetError, UsageError, WorkerDiedError
-from marl_mm.layout import AGENTS, EE, GOAL
+from marl_mm.layout import AGENTS, LAYOUTS, layout_of
 from marl_mm.workers import apart
 
 _SHARED = (
@@ -31,11 +31,14 @@ _SHARED = (
     Field("timeouts", "number"),
 )
 
+_STATES = tuple(len(layout.state) for layout in LAYOUTS)
+_ACTIONS = tuple(len(layout.action) for layout in LAYOUTS)
+
 FLAT = (
     *_SHARED,
-    Field("observations", "float", 10),
-    Field("actions", "float", 4),
-    Field("next_observations", "float", 10),
+    Field("observations", "float", _STATES),
+    Field("actions", "float", _ACTIONS),
+    Field("next_observations", "float", _STATES),
 )
 """Of the flat layout, as in D4RL; ``marl-mm datasets export`` writes it."""
 
@@ -44,9 +47,12 @@ _SAME = 1e-4
 
 PER_AGENT = (
     *_SHARED,
-    Field("state", "float", 10),
-    Field("next_state", "float", 10),
-    *(Field(f"{agent.name}/actions", "float", len(agent.action)) for agent in AGENTS),
+    Field("state", "float", _STATES),
+    Field("next_state", "float", _STATES),
+    *(
+        Field(f"{same[0].name}/actions", "float", tuple(len(a.action) for a in same))
+        for same in zip(*(layout.agents for layout in LAYOUTS), strict=True)
+    ),
 )
 """Of the layout with one group per agent."""
 
@@ -206,8 +212,10 @@ def _built(
 ) -> Episode:
     """An episode of our types; what nobody measured is NaN."""
     states = states.astype(np.float64)
+    layout = layout_of(states.shape[1])
+    way = states[1:, layout.achieved] - states[1:, layout.goal]
     known = {
-        "distance": np.linalg.norm(states[1:, EE] - states[1:, GOAL], axis=1),
+        "distance": np.linalg.norm(way, axis=1),
         "is_success": terminated,
     }
     unknown = np.full(len(rewards), np.nan)

@@ -13,7 +13,6 @@ from marl_mm.datasets.dataset import Dataset
 from marl_mm.datasets.location import Location
 from marl_mm.datasets.storage import write_alone
 from marl_mm.errors import UsageError
-from marl_mm.layout import GOAL
 
 
 @dataclass(frozen=True)
@@ -123,7 +122,7 @@ def filtered(dataset: Dataset, condition: Condition) -> Recipe:
     if condition.success is not None:
         keep &= arrays.successes() == condition.success
     if condition.direction is not None:
-        ahead = arrays.first_states()[:, GOAL][:, 0] > 0
+        ahead = arrays.first_states()[:, arrays.layout.goal][:, 0] > 0
         keep &= ahead == (condition.direction == "forward")
     if condition.min_return is not None:
         keep &= arrays.returns() >= condition.min_return

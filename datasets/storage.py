@@ -32,7 +32,6 @@ from marl_mm.files import (
     refuse_existing,
     write_json,
 )
-from marl_mm.layout import ACTION, AGENTS, STATE
 from marl_mm.spaces import action_space, goal_observation_space
 from marl_mm.versions import versions
 
@@ -79,8 +78,8 @@ def write_dataset(
     with new_folder(location.folder) as temporary:
         storage = MinariStorage.new(
             temporary / "data",
-            observation_space=goal_observation_space(),
-            action_space=action_space(),
+            observation_space=goal_observation_space(arrays.layout),
+            action_space=action_space(arrays.layout),
             env_spec=env_spec(description),
             data_format="hdf5",
         )
@@ -285,15 +284,15 @@ def _metadata(
     sources = ", ".join(np.unique(arrays.sources).tolist())
     ours = {
         "schema": SCHEMA,
-        "state": STATE,
-        "action": ACTION,
+        "state": arrays.layout.state,
+        "action": arrays.layout.action,
         "agents": [
             {
                 "name": agent.name,
                 "observation": agent.observation,
                 "action": agent.action,
             }
-            for agent in AGENTS
+            for agent in arrays.layout.agents
         ],
         "packages": versions(),
         "statistics": statistics(arrays),

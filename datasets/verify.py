@@ -18,7 +18,7 @@ from marl_mm.datasets.storage import (
 )
 from marl_mm.episode import IMPORTED, INFO
 from marl_mm.errors import DatasetError
-from marl_mm.layout import ACTION_HIGH, ACTION_LOW, EE, GOAL, MODE
+from marl_mm.layout import MODE
 
 
 def verify(location: Location) -> list[str]:
@@ -67,10 +67,11 @@ def _counts(arrays: EpisodeArrays, metadata: dict[str, Any]) -> list[str]:
 
 
 def _values(arrays: EpisodeArrays) -> list[str]:
-    low, high = np.array(ACTION_LOW), np.array(ACTION_HIGH)
+    layout = arrays.layout
+    low, high = np.array(layout.low), np.array(layout.high)
     outside = (arrays.actions < low) | (arrays.actions > high)
     modes = arrays.states[:, MODE]
-    moved = np.diff(arrays.states[:, GOAL], axis=0)[~arrays.is_last_state()[:-1]]
+    moved = np.diff(arrays.states[:, layout.goal], axis=0)[~arrays.is_last_state()[:-1]]
     checks = {
         "actions outside of the action space": outside.any(axis=1).sum(),
         "states whose control mode is outside of [0, 1]": (
@@ -94,7 +95,7 @@ def _infos(arrays: EpisodeArrays) -> list[str]:
 
 def _achieved(arrays: EpisodeArrays, location: Location) -> list[str]:
     achieved = achieved_goals(location.data / FILE, len(arrays))
-    count = (achieved != arrays.states[:, EE]).any(axis=1).sum()
+    count = (achieved != arrays.states[:, arrays.layout.achieved]).any(axis=1).sum()
     return [f"{count} achieved goals are not where the hand is"] if count else []
 
 

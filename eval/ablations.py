@@ -157,6 +157,13 @@ OTHER_TASKS = {
 }
 """What collects the datasets of other tasks."""
 
+BLOCKS = {
+    "marl_mm/carry-reach/scripted-v0": "CarryReach-v0",
+    "marl_mm/grasp/scripted-v0": "Grasp-v0",
+    "marl_mm/grasp-reach/scripted-v0": "GraspReach-v0",
+}
+"""Tasks with a block, by dataset."""
+
 _MABC = Setting("mabc", "MABC", "mabc")
 _TD3_BC = Setting("td3-bc", "TD3+BC")
 _MATD3_BC = Setting("matd3-bc", "MATD3+BC", "matd3-bc")
@@ -260,6 +267,10 @@ _OURS = {
         "Table: the same on SmoothReach-v0 and PreciseReach-v0.",
         tuple(product(OTHER_TASKS, _LEARNERS)),
     ),
+    "blocks": Ablation(
+        "Table: the same on 20,000 steps of a script that carries, takes, or both.",
+        tuple(product(BLOCKS, _LEARNERS)),
+    ),
     "cures": Ablation(
         "Table: why TD3+BC and MATD3+BC fail, and what cures them.",
         (
@@ -288,6 +299,8 @@ def made_by(dataset: str) -> str:
     """The command that makes a dataset, if it is one of ours."""
     if dataset in (*GOOD, *MIXES, "pd-30k"):
         return "marl-mm collect paper"
+    if dataset in BLOCKS:
+        return f"marl-mm collect scripted --task {BLOCKS[dataset]} --steps 20000"
     if dataset not in OTHER_TASKS:
         return ""
     name = f"--steps 30000 --dataset marl_mm/reach/{dataset}-v0"

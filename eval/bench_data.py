@@ -28,7 +28,7 @@ from marl_mm.envs.config import reach_config
 from marl_mm.envs.core import ReachCore
 from marl_mm.envs.rollout import Rollouts, episode_seed
 from marl_mm.episode import Episode
-from marl_mm.layout import ACTION_HIGH, ACTION_LOW, EE, GOAL, OBSERVATION
+from marl_mm.layout import ACTION_HIGH, ACTION_LOW, EE, GOAL, OBSERVATION, REACH
 from marl_mm.progress import Advance, silent
 
 TASK = "Reach-v0"
@@ -204,8 +204,8 @@ def _minari_size(arrays: EpisodeArrays, folder: Path) -> float:
 
     storage = MinariStorage.new(
         folder / "minari",
-        observation_space=goal_observation_space(),
-        action_space=action_space(),
+        observation_space=goal_observation_space(REACH),
+        action_space=action_space(REACH),
         data_format="hdf5",
     )
     storage.update_episodes(

@@ -164,6 +164,33 @@ def alpha_pareto(summaries: Sequence[Row], path: Path) -> None:
     save(figure, path)
 
 
+def load_response(summaries: Sequence[Row], path: Path) -> None:
+    """ZMP margin and the base's jerk over alpha, a line per mass of the load."""
+    figure = Figure(figsize=(8, 3.4), layout="constrained")
+    axes: Any = figure.subplots(1, 3)
+    columns = (
+        ("zmp_margin", "ZMP margin [m], mean"),
+        ("zmp_margin_least", "ZMP margin [m], least"),
+        ("base_jerk_rms", "base jerk [m/s^3]"),
+    )
+    masses = sorted({row["mass"] for row in summaries})
+    for axis, (name, label) in zip(axes, columns, strict=True):
+        for number, mass in enumerate(masses):
+            rows = [row for row in summaries if row["mass"] == mass]
+            axis.plot(
+                [row["alpha"] for row in rows],
+                [row[name] for row in rows],
+                "o-",
+                ms=3,
+                color=matplotlib.colormaps["viridis"](0.9 * number / len(masses)),
+                label=f"{mass:g} kg",
+            )
+        axis.set_title(label, fontsize=9)
+        axis.set_xlabel("alpha")
+    axes[0].legend(frameon=False, fontsize=8)
+    save(figure, path)
+
+
 def _first_task(summaries: Sequence[Row]) -> str:
     tasks = {row["task"] for row in summaries}
     return "Reach-v0" if "Reach-v0" in tasks else min(tasks)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from marl_mm.episode import Episode
-from marl_mm.layout import ALPHA, GOAL
+from marl_mm.layout import ALPHA
 
 Row = dict[str, Any]
 
@@ -20,7 +20,7 @@ def episode_row(episode: Episode) -> Row:
     return {
         "index": episode.index,
         "seed": episode.seed,
-        "goal": episode.states[0, GOAL].tolist(),
+        "goal": episode.states[0, episode.layout.goal].tolist(),
         "direction": episode.direction,
         "success": episode.success,
         "steps": len(episode),

@@ -134,8 +134,12 @@ def _wider_interval(
 
 
 def success_scores(rows: Sequence[Row]) -> np.ndarray:
-    """Success rates by seed and direction, shape (seeds, 2): as many goals in each."""
+    """Success rates by seed and direction, shape (seeds, 2): as many goals in each.
+
+    Where all goals are on one side, shape (seeds, 1).
+    """
     seeds = sorted({row["seed"] for row in rows})
+    directions = {row["direction"] for row in rows}
     return np.array(
         [
             [
@@ -147,6 +151,7 @@ def success_scores(rows: Sequence[Row]) -> np.ndarray:
                     ]
                 )
                 for direction in ("forward", "backward")
+                if direction in directions
             ]
             for seed in seeds
         ]

@@ -5,11 +5,13 @@ test holds that this changes nothing.
 """
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from marl_mm.envs.config import TASKS
 from marl_mm.eval.ablations import ABLATIONS
 from marl_mm.eval.bench_tables import (
     abuse_table,
@@ -29,7 +31,9 @@ from marl_mm.eval.online_tables import (
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.sweep import responses
 from marl_mm.eval.sweep_tables import alpha_table, response_table, worth_table
+from marl_mm.eval.tables import markdown_table
 from marl_mm.files import new_file
+from marl_mm.layout import HANDLING, REACH
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "eval" / "results"
@@ -118,12 +122,34 @@ def _offline_updates() -> str:
     return offline_speed_table(json.loads((RESULTS / "offline/bench.json").read_text()))
 
 
+def _entries() -> str:
+    """Entries of joint state and action, and whose they are, as Markdown."""
+    only = [f"`{task}`" for task, one in TASKS.items() if one.layout is HANDLING]
+    sides = [
+        ("seen by", HANDLING.state, REACH.state, "observation"),
+        ("set by", HANDLING.action, REACH.action, "action"),
+    ]
+    lines: dict[tuple[str, ...], list[str]] = {}
+    for verb, names, everywhere, part in sides:
+        for number, name in enumerate(names):
+            agents = [a.name for a in HANDLING.agents if number in getattr(a, part)]
+            where = "all" if name in everywhere else ", ".join(only)
+            thing = re.sub("_[xyz]$", "", name)
+            line = thing, f"{verb} {' and '.join(agents)}", where
+            lines.setdefault(line, []).append(f"`{name}`")
+    header = ("entry", "whose", "tasks")
+    return markdown_table(
+        header, [(", ".join(n), who, where) for (_, who, where), n in lines.items()]
+    )
+
+
 _PAPER, _DIFFERENCE = "paper [%]", "difference [points]"
 
 _NOT_CURED = ("dataset", _PAPER, _DIFFERENCE, "d_mm [m]", "d_mp [m]", "alpha")
 """Columns that tell nothing of why learning fails."""
 
 TABLES: dict[str, Callable[[], str]] = {
+    "entries": _entries,
     "alpha": _alpha,
     "responses": _responses,
     "worth": _worth,

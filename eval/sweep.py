@@ -35,7 +35,7 @@ class Cell:
     """One setting of the sweep: everything its rows depend on."""
 
     task: str
-    """A key of ``RUNS``."""
+    """Run; see ``RUNS`` for those that give others' rewards, too."""
 
     form: Form
     pd: PdConfig
@@ -47,15 +47,28 @@ class Cell:
 
     max_steps: int = LONG
 
+    mass: float | None = None
+    """Of what is carried [kg]; None: nothing is."""
+
     def to_json(self) -> dict[str, Any]:
         """Everything, JSON-serialisable."""
         return asdict(self)
 
+    @property
+    def overrides(self) -> dict[str, Any]:
+        """Of the task."""
+        own: dict[str, Any] = {
+            "max_steps": self.max_steps,
+            "controller": {"form": self.form},
+        }
+        if self.mass is not None:
+            own["load"] = {"mass": (self.mass, self.mass)}
+        return own
+
 
 def run_cell(cell: Cell) -> list[Row]:
     """One row per goal and task."""
-    overrides = {"max_steps": cell.max_steps, "controller": {"form": cell.form}}
-    config = reach_config(cell.task, overrides)
+    config = reach_config(cell.task, cell.overrides)
     plans = goal_set(config, cell.goals, cell.seed)
     policy = PdPolicy(cell.pd)
     episodes = run_episodes(config, policy, plans)
@@ -64,14 +77,17 @@ def run_cell(cell: Cell) -> list[Row]:
 
 def _rows(cell: Cell, episode: Episode) -> Iterable[Row]:
     info, steps = episode.info, len(episode)
-    for task in RUNS[cell.task]:
-        reward = reach_reward(
-            info["distance"],
-            info["d_mm"],
-            info["d_mp"],
-            info["base_jerk_rms"],
-            TASKS[task],
-        )
+    load = {} if cell.mass is None else {"mass": cell.mass}
+    for task in RUNS.get(cell.task, (cell.task,)):
+        reward = episode.rewards
+        if task != cell.task:
+            reward = reach_reward(
+                info["distance"],
+                info["d_mm"],
+                info["d_mp"],
+                info["base_jerk_rms"],
+                TASKS[task],
+            )
         yield {
             "task": task,
             "form": cell.form,
@@ -89,6 +105,7 @@ def _rows(cell: Cell, episode: Episode) -> Iterable[Row]:
             "base_jerk_rms": float(info["base_jerk_rms"].mean()),
             "zmp_margin": float(info["zmp_margin"].min()),
             "qp_failures": int(info["qp_failures"].sum()),
+            **load,
         }
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
+from marl_mm.eval.load_sweep import load_table
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.sweep import Response
 from marl_mm.eval.tables import markdown_table
@@ -115,7 +116,10 @@ def worth_table(worth: Sequence[Row]) -> str:
 
 
 def sweep_markdown(
-    summaries: Sequence[Row], responses: Sequence[Response], worth: Sequence[Row]
+    summaries: Sequence[Row],
+    responses: Sequence[Response],
+    worth: Sequence[Row],
+    loads: Sequence[Row],
 ) -> str:
     """Everything of an alpha sweep as one Markdown file."""
     parts = [
@@ -136,6 +140,14 @@ def sweep_markdown(
             "## What a state-dependent alpha is worth on SmoothReach-v0\n",
             "On goals that were not used to choose the rules, paired by goal.\n",
             worth_table(worth),
+        ]
+    if loads:
+        parts += [
+            "## What alpha is worth with a load\n",
+            "The same goals with each mass on CarryReach-v0. The margin is the zero-"
+            "moment point's to the edge of the support, the least of an episode; what "
+            "alpha gains is paired by goal.\n",
+            load_table(loads),
         ]
     for task, form in sorted({(row["task"], row["form"]) for row in summaries}):
         parts += [f"## {task}, {form}\n", alpha_table(summaries, task, form)]

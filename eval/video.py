@@ -133,12 +133,19 @@ def film_both_ways(
             config, policy, plan, Camera(), fps, advance=advance
         )
         advance(config.max_steps - len(episode), "")
-        ends = [round(share * (len(frames) - 1)) for share in (0, 0.25, 0.5, 0.75, 1)]
-        pictures = [(f"step {i // fps}", frames[i]) for i in ends]
         result.episodes.append(episode)
         result.frames.extend(frames)
-        result.strips.append((f"{direction}: {len(episode)} steps", pictures))
+        label = f"{direction}: {len(episode)} steps"
+        result.strips.append((label, pictures_of(frames, fps)))
     return result
+
+
+def pictures_of(
+    frames: Sequence[np.ndarray], fps: int, count: int = 5
+) -> list[tuple[str, np.ndarray]]:
+    """Pictures of an episode at even times, with their steps, for ``film_strip``."""
+    ends = [round(i * (len(frames) - 1) / (count - 1)) for i in range(count)]
+    return [(f"step {i // fps}", frames[i]) for i in ends]
 
 
 def write_video(path: Path, frames: Sequence[np.ndarray], fps: int) -> None:

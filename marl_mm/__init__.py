@@ -4,7 +4,14 @@ import gymnasium
 
 __version__ = "0.1.0"
 
-for _task in ("Reach-v0", "SmoothReach-v0", "PreciseReach-v0", "CarryReach-v0"):
+for _task in (
+    "Reach-v0",
+    "SmoothReach-v0",
+    "PreciseReach-v0",
+    "CarryReach-v0",
+    "Grasp-v0",
+    "GraspReach-v0",
+):
     gymnasium.register(
         id=f"marl_mm/{_task}",
         entry_point="marl_mm.envs.reach:ReachEnv",

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marl_mm.layout import GOAL
+from marl_mm.layout import Layout, layout_of
 
 INFO = {
     "d_mm": "end-effector to its target at the step's end [m]",
@@ -88,9 +88,14 @@ class Episode:
         return failures(self.terminated, self.info["is_success"])
 
     @property
+    def layout(self) -> Layout:
+        """Of states and actions."""
+        return layout_of(self.states.shape[1])
+
+    @property
     def direction(self) -> str:
         """``"forward"`` or ``"backward"``: on which side of the start the goal is."""
-        return "forward" if self.states[0, GOAL][0] > 0 else "backward"
+        return "forward" if self.states[0, self.layout.goal][0] > 0 else "backward"
 
     @property
     def episode_return(self) -> float:

@@ -11,6 +11,7 @@ from marl_mm.control.tasks.task import Reference
 from marl_mm.envs.config import ReachConfig, reach_config
 from marl_mm.envs.core import ReachCore
 from marl_mm.episode import INFO, Episode
+from marl_mm.layout import REACH, Layout
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
@@ -67,15 +68,19 @@ def short_task() -> ReachConfig:
     return reach_config("Reach-v0", {"ticks_per_step": 24, "max_steps": 4})
 
 
-def build_episode(index: int, steps: int = 3, success: bool = True) -> Episode:
+def build_episode(
+    index: int, steps: int = 3, success: bool = True, layout: Layout = REACH
+) -> Episode:
     rng = np.random.default_rng(index)
     ends = np.arange(steps) == steps - 1
     goal_x = 1.2 if index % 2 else -0.6
-    states = rng.normal(size=(steps + 1, 10))
-    states[:, 7:] = goal_x, 0.1, 0.6
+    states = rng.normal(size=(steps + 1, len(layout.state)))
+    states[:, layout.goal] = goal_x, 0.1, 0.6
+    if layout.held is not None:
+        states[:, layout.held] = rng.integers(2, size=steps + 1)
     return Episode(
         states=states,
-        actions=rng.uniform(0, 1, (steps, 4)).astype(np.float32),
+        actions=rng.uniform(0, 1, (steps, len(layout.action))).astype(np.float32),
         rewards=rng.normal(size=steps),
         terminated=ends & success,
         truncated=ends & (not success),
@@ -89,7 +94,7 @@ def build_episode(index: int, steps: int = 3, success: bool = True) -> Episode:
 
 @pytest.fixture(scope="session")
 def make_episode() -> MakeEpisode:
-    """Builds an episode of random numbers: index, steps, success."""
+    """Builds an episode of random numbers: index, steps, success, layout."""
     return build_episode
 
 

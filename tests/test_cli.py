@@ -14,12 +14,14 @@ import torch
 
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm.cli import COMMANDS, main
+from marl_mm.commands.options import own_task
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.episode import Episode
+from marl_mm.errors import UsageError
 
 ID = "marl_mm/reach/test-v0"
 DESCRIPTION = {
@@ -121,16 +123,18 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         (["collect", "random", "--dataset", "/dev/null/x"], "cannot write"),
         (
             ["eval", "nowhere"],
-            "no policy 'nowhere': expected pretrained, pd, random, a run folder",
+            "no policy 'nowhere': expected pretrained, pd, random, scripted",
         ),
         (["eval", "pd", "--episodes", "0"], "--episodes is 0"),
         (["play", "pd", "--video", "x.avi"], ".mp4 or .gif"),
+        (["play", "pd", "--strip", "x.gif"], "--strip is for films of episodes"),
+        (["play", "arm-reach", "--strip", "x.png"], "--strip is for films of episodes"),
         (["bench", "control", "--steps", "-1"], "--steps is -1"),
         (["bench", "abuse", "--ticks", "0"], "--ticks is 0"),
         (["play", "base-turn", "--angle", "400"], "--angle is 400.0, expected -180"),
         (["play", "arm-reach", "--seconds", "0"], "--seconds is 0.0, expected 0.1"),
         (["sweep-alpha", "--alphas", "1"], "--alphas is 1, expected >= 2"),
-        (["sweep-alpha", "--goals", "3"], "half ahead, half behind: even"),
+        (["sweep-alpha", "--goals", "3"], "--goals is 3, expected an even number"),
         (["sweep-alpha", "--tasks", "Fly-v0"], "--tasks is Fly-v0, expected some of"),
         (["quickstart", "--workers", "-1"], "--workers is -1"),
         (["datasets", "show", "marl_mm/reach/no-v0"], "no dataset"),
@@ -328,11 +332,43 @@ def test_eval_compares_policies_on_the_same_goals(
     assert max(row["steps"] for row in pd["episodes"]) == 3
 
 
+def test_a_policy_of_other_entries_is_refused(capsys: Output) -> None:
+    for policy in ("pretrained", "pd"):
+        assert run("play", policy, "--task", "Grasp-v0", "--video", "x.mp4") == 2
+        told = capsys.readouterr().err.splitlines()[-1]  # after the progress bar
+        assert "state has shape (15,), expected (10,)" in told
+        assert not Path("x.mp4").exists()
+
+
+def test_no_run_is_of_a_dataset_with_other_entries_than_its_task(
+    tmp_path: Path, capsys: Output
+) -> None:
+    options = ["--dataset", "good-5k", "--task", "Grasp-v0", "--out", f"{tmp_path}/run"]
+    assert run("train", "mabc", *options) == 2
+    assert "good-5k-v0 is of Reach-v0, whose states" in one_line(capsys)
+    assert not (tmp_path / "run").exists()
+
+
+def test_runs_are_evaluated_on_their_own_task(tmp_path: Path) -> None:
+    for name, task in (("a", "Grasp-v0"), ("b", "Grasp-v0"), ("c", "Reach-v0")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "config.json").write_text(json.dumps({"task": task}))
+    (tmp_path / "a" / "best.pt").touch()
+    a, b, c = (str(tmp_path / name) for name in "abc")
+    assert own_task([a, b, "pd"]) == own_task([f"{a}/best.pt"]) == "Grasp-v0"
+    assert own_task([c]) == own_task(["pd", "pretrained"]) == "Reach-v0"
+    with pytest.raises(UsageError, match="choose one with --task"):
+        own_task([a, c])
+
+
 @pytest.mark.slow
 def test_play_writes_a_film(tmp_path: Path, capsys: Output) -> None:
     film = tmp_path / "film.mp4"
     options = ["--fps", "2", "--camera.width", "96", "--camera.height", "64"]
+    strip = film.with_suffix(".png")
+    options += ["--strip", str(strip)]
     assert run("play", "pd", "--video", str(film), "--max-steps", "2", *options) == 0
+    assert strip.read_bytes().startswith(b"\x89PNG")
     assert film.stat().st_size > 1000
     assert "did not reach the goal in 2 steps" in capsys.readouterr().out
 

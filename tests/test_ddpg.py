@@ -96,7 +96,7 @@ def test_one_update_equals_the_hand_written_one(
         normal = (states - mean) / std
         return [
             torch.tanh(perceptron(w, normal[:, list(layout.observation)]))
-            for w, layout in zip(actors, kind.layouts, strict=True)
+            for w, layout in zip(actors, algorithm._layouts(), strict=True)
         ]
 
     def values(

@@ -14,15 +14,15 @@ from marl_mm.envs.reach import ReachEnv
 from marl_mm.envs.terms import judge
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
-from marl_mm.layout import EE, GOAL
+from marl_mm.layout import EE
 
 MakeEpisode = Callable[..., Episode]
 JUDGE = partial(judge, config=reach_config("SmoothReach-v0"))
 
 
 def near(episode: Episode, scale: float = 0.05) -> Episode:
-    """The episode with its hands so close together that many goals count as reached."""
-    episode.states[:, EE] *= scale
+    """The episode so close together that many goals count as reached."""
+    episode.states[:, episode.layout.achieved] *= scale
     return episode
 
 
@@ -52,40 +52,46 @@ def origin(batch: Batch, row: int, episodes: list[Episode]) -> tuple[Episode, in
 @pytest.mark.parametrize("capacity", [1000, 23])
 @pytest.mark.parametrize("task", list(TASKS))
 def test_relabelled_transitions_equal_a_brute_force_recomputation(
-    some: list[Episode], task: str, capacity: int
+    make_episode: MakeEpisode, task: str, capacity: int
 ) -> None:
-    """Every goal is the original or a later hand of the same episode; reward and
+    """Every goal is the original or where the same episode came to later; reward and
     termination are what the environment says of the step with that goal."""
     config = reach_config(task)
-    env = ReachEnv(task)
-    replay = Replay(capacity, 4, partial(judge, config=config))  # 23: a full ring
+    layout, env = config.layout, ReachEnv(task)
+    some = [near(make_episode(i, 3 + i % 5, layout=layout)) for i in range(12)]
+    rewards = partial(judge, config=config)
+    replay = Replay(capacity, 4, rewards, layout)  # 23: a full ring
     for episode in some:
         replay.add(episode)
     batch = replay.sample(2000, np.random.default_rng(0))
     relabelled = ended = 0
     for row in range(2000):
         episode, step = origin(batch, row, some)
-        goal = batch.observation[row, GOAL].numpy()
-        np.testing.assert_array_equal(batch.next_observation[row, GOAL].numpy(), goal)
-        later = episode.states[step + 1 :, EE].astype(np.float32)
+        goal = batch.observation[row, layout.goal].numpy()
+        np.testing.assert_array_equal(
+            batch.next_observation[row, layout.goal].numpy(), goal
+        )
+        later = episode.states[step + 1 :, layout.achieved].astype(np.float32)
         source = np.flatnonzero((later == goal).all(axis=1))
         if not len(source):
-            original = episode.states[step, GOAL].astype(np.float32)
+            original = episode.states[step, layout.goal].astype(np.float32)
             np.testing.assert_array_equal(goal, original)
             assert batch.reward[row] == np.float32(episode.rewards[step])
             assert batch.terminated[row] == episode.terminated[step]
             continue
         relabelled += 1
-        exact = episode.states[step + 1 + source[0], EE]
-        hand = episode.states[step + 1, EE]
+        exact = episode.states[step + 1 + source[0], layout.achieved]
+        hand = episode.states[step + 1, layout.achieved]
         info = {name: episode.info[name][step] for name in COSTS}
+        if layout.held is not None:
+            info["held"] = episode.states[step + 1, layout.held]
         reward = env.compute_reward(hand, exact, info)
         ends = env.compute_terminated(hand, exact, info)
         assert batch.reward[row] == np.float32(reward)
         assert batch.terminated[row] == ends
         ended += bool(ends)
         if source[0] == 0:
-            assert ends, "the goal is where the step itself ended"
+            assert ends == info.get("held", 1), "it is where the step itself ended"
     env.close()
     assert 0.77 < relabelled / 2000 < 0.83  # k = 4 of 5
     assert 0 < ended < relabelled

@@ -12,6 +12,7 @@ from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands import sweep_alpha
 from marl_mm.control.config import FORMS
 from marl_mm.control.priorities import stability_share
+from marl_mm.eval.load_sweep import load_cells, load_table, summarize_loads
 from marl_mm.eval.metrics import Row, bootstrap_interval
 from marl_mm.eval.readme import RESULTS
 from marl_mm.eval.rows import read_rows
@@ -25,7 +26,8 @@ from marl_mm.eval.sweep import (
 
 SMALL = Cell("Reach-v0", "blend", PdConfig(alpha=0.5), 2, 0, 12)
 ARGUMENTS = (
-    *("--alphas", "3", "--goals", "2", "--worth-goals", "2", "--workers", "1"),
+    *("--alphas", "3", "--goals", "2", "--worth-goals", "2", "--load-goals", "0"),
+    *("--workers", "1"),
     *("--forms", "blend", "--tasks", "Reach-v0", "SmoothReach-v0"),
 )
 
@@ -90,6 +92,31 @@ def test_response_by_hand() -> None:
     assert response.d_mm_falls == pytest.approx(0.001)
     assert response.d_mp_rises == pytest.approx(0.01)
     assert response.hump == pytest.approx(0.006)
+
+
+def test_loads_are_carried_by_all_alphas_to_the_same_goals() -> None:
+    cells = load_cells(2, 0)
+    assert len({(cell.mass, cell.pd.alpha) for cell in cells}) == len(cells)
+    light, heavy = cells[0], cells[-1]
+    rows = [*run_cell(light), *run_cell(replace(heavy, pd=light.pd))]
+    assert [one["mass"] for one in rows] == [light.mass] * 2 + [heavy.mass] * 2
+    assert all(one["success"] for one in rows)
+    margins = [one["zmp_margin"] for one in rows]
+    assert max(margins[2:]) < max(margins[:2])  # what a mass takes off it
+
+
+def test_what_alpha_gains_is_paired_by_goal() -> None:
+    rows = [
+        row(alpha, "forward", goal, mass=1.0, zmp_margin=0.1 * goal + gain * alpha)
+        for alpha, gain in ((0.0, 0.0), (1.0, 0.02))
+        for goal in range(4)
+    ]
+    first, last = summarize_loads(rows)
+    assert (first["gain"], first["goals"]) == (0.0, 4)
+    assert last["gain"] == pytest.approx(0.02)
+    assert last["gain_interval"] == pytest.approx((0.02, 0.02))
+    assert last["zmp_margin_least"] == pytest.approx(0.02)
+    assert "| 20.0 [20.0, 20.0] |" in load_table([first, last])
 
 
 def test_worth_is_paired_by_goal() -> None:

@@ -379,8 +379,10 @@ def test_shares_beyond_one_are_refused() -> None:
         Td3BcConfig(imitation_weights=(1.0, 1.0, 1.0))
 
 
-def test_the_joint_actor_sees_everything() -> None:
-    assert Td3Bc.layouts == (JOINT,) and Matd3Bc.layouts == AGENTS
+def test_the_joint_actor_sees_everything(arrays: EpisodeArrays) -> None:
+    config = Matd3BcConfig(**SMALL)
+    assert Td3Bc(config, arrays, JUDGE, [0]).layouts == (JOINT,)
+    assert Matd3Bc(config, arrays, JUDGE, [0]).layouts == AGENTS
 
 
 @pytest.mark.parametrize(("kind", "config"), KINDS)

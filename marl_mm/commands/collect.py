@@ -12,6 +12,7 @@ from marl_mm.collectors.medium import MediumConfig
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.collectors.pretrained import PretrainedConfig
 from marl_mm.collectors.random import RandomConfig
+from marl_mm.collectors.scripted import ScriptedConfig
 from marl_mm.commands.collect_dataset import (
     CollectOptions,
     collect_dataset,
@@ -66,7 +67,22 @@ class Random(CollectOptions):
     )
 
 
-KINDS = {"pretrained": Pretrained, "pd": Pd, "medium": Medium, "random": Random}
+@dataclass(frozen=True)
+class Scripted(CollectOptions):
+    """Take the block, if there is one, and bring it to the goal; keep successes."""
+
+    policy: Annotated[ScriptedConfig, tyro.conf.arg(name="")] = field(
+        default_factory=ScriptedConfig
+    )
+
+
+KINDS = {
+    "pretrained": Pretrained,
+    "pd": Pd,
+    "medium": Medium,
+    "random": Random,
+    "scripted": Scripted,
+}
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -2,7 +2,9 @@
 
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Annotated, Any
+
+import tyro
 
 from marl_mm.collectors.collect import (
     Collection,
@@ -20,7 +22,12 @@ from marl_mm.commands.collect_resume import (
     refuse_other,
     remove_if_empty,
 )
-from marl_mm.commands.options import available_cores, check_positive, check_seed
+from marl_mm.commands.options import (
+    REGISTERED,
+    available_cores,
+    check_positive,
+    check_seed,
+)
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.journal import FILE as JOURNAL
 from marl_mm.datasets.journal import Journal
@@ -66,11 +73,10 @@ class CollectOptions:
     """Id below $MINARI_DATASETS_PATH, or path; default marl_mm/TASK/COLLECTOR-v0, of
     pretrained marl_mm/TASK/good-v0. A word is short for marl_mm/reach/WORD-v0."""
 
-    task: str = "Reach-v0"
-    """Reach-v0, SmoothReach-v0, PreciseReach-v0 or CarryReach-v0."""
+    task: Annotated[str, tyro.conf.arg(help=f"{REGISTERED}.")] = "Reach-v0"
 
     max_steps: int | None = None
-    """Steps per episode; default 50 for pd, 25 for the others."""
+    """Steps per episode; default the task's for scripted, 50 for pd, 25 for others."""
 
     resume: bool = False
     """Go on where a collection was stopped, or with more --steps where it ended;
@@ -163,7 +169,7 @@ def _about(policy: PolicyConfig, options: CollectOptions) -> dict[str, Any]:
     """What the episodes depend on."""
     max_steps = options.max_steps
     if max_steps is None:
-        max_steps = usual_steps(policy)
+        max_steps = usual_steps(policy, reach_config(options.task))
     check_positive(max_steps=max_steps)
     if isinstance(policy, MediumConfig) and policy.random_steps >= max_steps:
         raise UsageError(

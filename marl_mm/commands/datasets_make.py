@@ -3,11 +3,11 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
-from marl_mm.commands.options import check_seed, read_dataset
+from marl_mm.commands.options import REGISTERED, check_seed, read_dataset
 from marl_mm.datasets.card import card_text, keep_card
 from marl_mm.datasets.dataset import existing, load_dataset
 from marl_mm.datasets.importing import read_foreign
@@ -108,10 +108,13 @@ class Import:
     out: str
     """Id or path of the new dataset."""
 
-    task: str | None = None
-    """Whose rewards they are: Reach-v0, SmoothReach-v0, PreciseReach-v0 or
-    CarryReach-v0; default what the file's attribute "task" says, and Reach-v0 where it
-    says nothing."""
+    task: Annotated[
+        str | None,
+        tyro.conf.arg(
+            help=f"Whose rewards they are: {REGISTERED}; default what the file's "
+            'attribute "task" says, and Reach-v0 where it says nothing.'
+        ),
+    ] = None
 
     overwrite: bool = False
     """Replace it if it exists."""

@@ -4,15 +4,18 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands.options import (
+    REGISTERED,
     available_cores,
     check_positive,
     check_seed,
     named_policy,
+    own_task,
     print_evaluations,
 )
 from marl_mm.commands.parser import parse_options
@@ -27,7 +30,7 @@ class Eval:
     """Evaluate runs and scripted policies on fixed goals."""
 
     policies: tyro.conf.Positional[tuple[str, ...]]
-    """Run folders, checkpoint files, "pretrained", "pd" or "random"."""
+    """Run folders, checkpoint files, "pretrained", "pd", "random" or "scripted"."""
 
     episodes: int = 100
     """Goals, half ahead and half behind."""
@@ -35,11 +38,13 @@ class Eval:
     seed: int = 0
     """Of the goals and of random policies."""
 
-    task: str = "Reach-v0"
-    """Reach-v0, SmoothReach-v0, PreciseReach-v0 or CarryReach-v0."""
+    task: Annotated[
+        str | None,
+        tyro.conf.arg(help=f"{REGISTERED}; default the runs' own, or Reach-v0."),
+    ] = None
 
     max_steps: int | None = None
-    """Steps per episode; default 25, the paper's."""
+    """Steps per episode; default the task's: 25 for Reach-v0, the paper's."""
 
     workers: int = field(default_factory=available_cores)
     """Processes; the result does not depend on it."""
@@ -73,6 +78,7 @@ def main(arguments: Sequence[str]) -> None:
     if options.out is not None:
         refuse_existing(options.out, options.overwrite)
     policies = [named_policy(name, options.pd) for name in options.policies]
+    task = options.task or own_task(options.policies)
     evaluations = []
     for name, policy in zip(options.policies, policies, strict=True):
         with progress_bar(f"eval {Path(name).name}", options.episodes) as advance:
@@ -81,7 +87,7 @@ def main(arguments: Sequence[str]) -> None:
                     policy,
                     options.episodes,
                     options.seed,
-                    options.task,
+                    task,
                     overrides,
                     options.workers,
                     advance,

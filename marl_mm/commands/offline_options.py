@@ -17,7 +17,7 @@ from marl_mm.algorithms.presets import Preset, offline_preset
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.speed import resolved
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
-from marl_mm.commands.options import check_positive
+from marl_mm.commands.options import REGISTERED, check_positive
 from marl_mm.commands.runs import (
     TrainOptions,
     check_run,
@@ -40,9 +40,12 @@ class TrainOffline(TrainOptions):
     preset: Preset = "tuned"
     """Hyper-parameters that the defaults below are of: ours, or the paper's Table 3."""
 
-    task: str | None = None
-    """To evaluate on: Reach-v0, SmoothReach-v0, PreciseReach-v0 or CarryReach-v0;
-    default that of the dataset."""
+    task: Annotated[
+        str | None,
+        tyro.conf.arg(
+            help=f"To evaluate on: {REGISTERED}; default that of the dataset."
+        ),
+    ] = None
 
     require_success: bool = True
     """Refuse a dataset in which no episode reaches its goal."""
@@ -150,7 +153,12 @@ def check_offline(
             "reaches its goal, so that there is nothing to imitate; with "
             f"--no-require-success{others} it is tried all the same"
         )
-    reach_config(task_of(dataset, options), options.overrides)
+    task = task_of(dataset, options)
+    if reach_config(task, options.overrides).layout is not dataset.arrays.layout:
+        raise UsageError(
+            f"{dataset.metadata['dataset_id']} is of {_dataset_task(dataset)}, whose "
+            f"states and actions are not those of --task {task}"
+        )
     ignored = (*_MAY_DIFFER, *(CONTINUED if further else ()))
     for seed, run in runs.items():
         check_run(run, offline_config(dataset, options, seed), options, ignored)

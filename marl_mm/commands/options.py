@@ -1,5 +1,6 @@
 """What several commands share: defaults, and policies by name."""
 
+import json
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -11,8 +12,10 @@ from rich.console import Console
 import marl_mm
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
+from marl_mm.collectors.scripted import ScriptedConfig, ScriptedPolicy
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import Location
+from marl_mm.envs.config import TASKS
 from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.eval.tables import evaluation_table
@@ -21,7 +24,10 @@ from marl_mm.policy import Policy
 COMMITTED = Path(marl_mm.__file__).parent / "eval" / "results"
 """In a clone, the results that its tables are made of."""
 
-NAMED = ("pretrained", "pd", "random")
+REGISTERED = " or ".join((", ".join(list(TASKS)[:-1]), list(TASKS)[-1]))
+"""The tasks, for helps."""
+
+NAMED = ("pretrained", "pd", "random", "scripted")
 """Policies that need no run folder."""
 
 
@@ -34,7 +40,7 @@ def named_policy(name: str, pd: PdConfig, others: tuple[str, ...] = ()) -> Polic
     """A policy by name, or that of a run folder.
 
     Args:
-        name: ``pretrained``, ``pd``, ``random`` or a path.
+        name: ``pretrained``, ``pd``, ``random``, ``scripted`` or a path.
         pd: Gains and alpha of ``pd``.
         others: What else the command takes in this place.
 
@@ -46,6 +52,8 @@ def named_policy(name: str, pd: PdConfig, others: tuple[str, ...] = ()) -> Polic
         return PdPolicy(pd)
     if name == "random":
         return RandomPolicy(RandomConfig())
+    if name == "scripted":
+        return ScriptedPolicy(ScriptedConfig())
     if name != "pretrained" and not Path(name).exists():
         raise UsageError(
             f"no policy {name!r}: expected {', '.join((*NAMED, *others))}, a run "
@@ -54,6 +62,27 @@ def named_policy(name: str, pd: PdConfig, others: tuple[str, ...] = ()) -> Polic
     from marl_mm.algorithms.policy import load_policy  # torch takes a second to import
 
     return load_policy(name)
+
+
+def own_task(policies: Sequence[str]) -> str:
+    """The task that all runs among some policies are for; without runs Reach-v0.
+
+    Args:
+        policies: As in ``named_policy``.
+
+    Raises:
+        UsageError: If there are several.
+    """
+    tasks: dict[str, str] = {}
+    for name in policies:
+        path = Path(name)
+        config = (path.parent if path.is_file() else path) / "config.json"
+        if name not in NAMED and config.exists():
+            tasks[json.loads(config.read_text()).get("task", "Reach-v0")] = name
+    if len(tasks) > 1:
+        told = ", ".join(f"{name} for {task}" for task, name in sorted(tasks.items()))
+        raise UsageError(f"runs for several tasks, {told}: choose one with --task")
+    return next(iter(tasks), "Reach-v0")
 
 
 def print_evaluations(evaluations: Sequence[Evaluation]) -> None:

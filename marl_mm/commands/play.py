@@ -5,13 +5,19 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import tyro
 
 from marl_mm.collectors.pd import PdConfig
-from marl_mm.commands.options import check_positive, check_seed, named_policy
+from marl_mm.commands.options import (
+    REGISTERED,
+    check_positive,
+    check_seed,
+    named_policy,
+    own_task,
+)
 from marl_mm.commands.parser import parse_options
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.demos import DEMOS, Drift, arm_reach, base_turn, demo_drive
@@ -19,7 +25,14 @@ from marl_mm.envs.drive import Drive, Tick, Watch
 from marl_mm.errors import UsageError
 from marl_mm.eval.goals import goal_set
 from marl_mm.eval.metrics import episode_row
-from marl_mm.eval.video import Film, check_format, film_episode, write_video
+from marl_mm.eval.video import (
+    Film,
+    check_format,
+    film_episode,
+    film_strip,
+    pictures_of,
+    write_video,
+)
 from marl_mm.files import refuse_existing
 from marl_mm.progress import progress_bar
 from marl_mm.sim.config import RATE, Camera
@@ -30,12 +43,15 @@ class Play:
     """Film an episode, or watch it in a window."""
 
     policy: tyro.conf.Positional[str]
-    """Run folder, checkpoint file, "pretrained", "pd" or "random"; or the robot alone:
-    "arm-reach" (the base stands) or "base-turn" (the arm rests). These two take no
-    goal and no task, and hold the arm's posture tightly."""
+    """Run folder, checkpoint file, "pretrained", "pd", "random" or "scripted"; or the
+    robot alone: "arm-reach" (the base stands) or "base-turn" (the arm rests). These two
+    take no goal and no task, and hold the arm's posture tightly."""
 
     video: Path = Path("episode.mp4")
     """Where to write the film: .mp4 or .gif."""
+
+    strip: Path | None = None
+    """Also write six pictures of the episode, side by side, to this PNG."""
 
     direction: Literal["forward", "backward"] = "backward"
     """On which side of the robot the goal is."""
@@ -43,11 +59,14 @@ class Play:
     seed: int = 0
     """Of the goal and of random policies."""
 
-    task: str = "Reach-v0"
-    """Reach-v0, SmoothReach-v0, PreciseReach-v0 or CarryReach-v0."""
+    task: Annotated[
+        str | None,
+        tyro.conf.arg(help=f"{REGISTERED}; default the run's own, or Reach-v0."),
+    ] = None
 
-    max_steps: int = 25
-    """Steps of one second until the episode is cut off."""
+    max_steps: int | None = None
+    """Steps of one second until the episode is cut off; default the task's: 25 for
+    Reach-v0, the paper's."""
 
     fps: int = 10
     """Frames per second of film and of simulated time."""
@@ -81,18 +100,27 @@ class Play:
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm play``."""
     options = parse_options(Play, "marl-mm play", arguments)
-    check_positive(max_steps=options.max_steps, fps=options.fps)
+    check_positive(fps=options.fps)
+    overrides = {}
+    if options.max_steps is not None:
+        check_positive(max_steps=options.max_steps)
+        overrides["max_steps"] = options.max_steps
     check_seed(options.seed)
     if not options.gui:
         check_format(options.video)
         refuse_existing(options.video, options.overwrite)
+    if options.strip is not None:
+        if options.gui or options.policy in DEMOS or options.strip.suffix != ".png":
+            raise UsageError("--strip is for films of episodes, and ends in .png")
+        refuse_existing(options.strip, options.overwrite)
     if options.policy in DEMOS:
         _play_demo(options)
         return
     policy = named_policy(options.policy, options.pd, DEMOS)
-    config = reach_config(options.task, {"max_steps": options.max_steps})
+    task = options.task or own_task([options.policy])
+    config = reach_config(task, overrides)
     plan = goal_set(config, 2, options.seed)[options.direction == "backward"]
-    with progress_bar(f"play {policy.name}", options.max_steps) as advance:
+    with progress_bar(f"play {policy.name}", config.max_steps) as advance:
         episode, frames = film_episode(
             config,
             policy,
@@ -104,6 +132,10 @@ def main(arguments: Sequence[str]) -> None:
         )
     if not options.gui:
         write_video(options.video, frames, options.fps)
+    if options.strip is not None:
+        label = f"{task}: {len(episode)} steps"
+        pictures = pictures_of(frames, options.fps, 6)
+        film_strip(options.strip, [(label, pictures)])
     if options.json:
         print(json.dumps(episode_row(episode), indent=2))
         return

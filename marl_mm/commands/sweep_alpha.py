@@ -15,7 +15,8 @@ from marl_mm.commands.parser import parse_options
 from marl_mm.control.config import FORMS, Form
 from marl_mm.envs.config import config_dict, reach_config
 from marl_mm.errors import UsageError
-from marl_mm.eval.figures import alpha_pareto, alpha_response
+from marl_mm.eval.figures import alpha_pareto, alpha_response, load_response
+from marl_mm.eval.load_sweep import load_cells, summarize_loads
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.sweep import (
@@ -45,10 +46,11 @@ FINE = 0.05
 
 @dataclass(frozen=True)
 class SweepAlpha:
-    """Run the PD agent at fixed alphas, and with rules that choose alpha by the state.
+    """Run the PD agent at fixed alphas, with rules that choose alpha, and with loads.
 
-    Writes alpha.md, figures (response.png, pareto.png), means (alpha.csv, worth.csv)
-    and every episode (episodes.csv.gz). Takes about twenty minutes on two cores.
+    Writes alpha.md, figures (response.png, pareto.png, loads.png), means (alpha.csv,
+    worth.csv, loads.csv) and every episode (episodes.csv.gz, load_episodes.csv.gz).
+    Takes about half an hour on two cores.
     """
 
     out: Path = Path("runs/alpha")
@@ -72,6 +74,9 @@ class SweepAlpha:
     worth_goals: int = 96
     """For comparing rules with fixed alphas, on goals of the next seed; 0: none."""
 
+    load_goals: int = 24
+    """Per mass and alpha, for CarryReach-v0 with 0.1 to 3 kg in the hand; 0: none."""
+
     workers: int = field(default_factory=available_cores)
     """Processes; the result does not depend on it."""
 
@@ -90,19 +95,23 @@ def main(arguments: Sequence[str]) -> None:
     options = parse_options(SweepAlpha, "marl-mm sweep-alpha", arguments)
     check_positive(goals=options.goals, workers=options.workers)
     check_seed(options.seed)
-    if options.goals % 2 or options.worth_goals % 2:
-        raise UsageError("--goals and --worth-goals are half ahead, half behind: even")
+    for name in ("goals", "worth_goals", "load_goals"):
+        goals = getattr(options, name)
+        if goals < 0 or goals % 2:
+            option = name.replace("_", "-")
+            raise UsageError(
+                f"--{option} is {goals}, expected an even number: half ahead, half "
+                "behind"
+            )
     if options.alphas < 2:
         raise UsageError(f"--alphas is {options.alphas}, expected >= 2")
-    if options.worth_goals < 0:
-        raise UsageError(f"--worth-goals is {options.worth_goals}, expected >= 0")
     _check_known(
         "--tasks", options.tasks, [t for tasks in RUNS.values() for t in tasks]
     )
     _check_known("--forms", options.forms, FORMS)
     refuse_existing(options.out, options.overwrite)
-    rows, worth_rows = _run(options)
-    summary = summarize_cells(rows)
+    rows, worth_rows, load_rows = _run(options)
+    summary, loads = summarize_cells(rows), summarize_loads(load_rows)
     answer = responses(summary)
     worth = worth_of_a_rule(worth_rows, SMOOTH) if worth_rows else []
     with new_folder(options.out) as folder:
@@ -110,9 +119,13 @@ def main(arguments: Sequence[str]) -> None:
         write_csv(folder / "alpha.csv", summary)
         if worth:
             write_csv(folder / "worth.csv", worth)
+        if loads:
+            write_csv(folder / "load_episodes.csv.gz", load_rows)
+            write_csv(folder / "loads.csv", loads)
+            load_response(loads, folder / "loads.png")
         alpha_response(summary, folder / "response.png")
         alpha_pareto(summary, folder / "pareto.png")
-        text = sweep_markdown(summary, answer, worth)
+        text = sweep_markdown(summary, answer, worth, loads)
         (folder / "alpha.md").write_text(text)
         write_json(folder / "config.json", _described(options))
     shutil.rmtree(_cells_folder(options.out), ignore_errors=True)
@@ -121,6 +134,7 @@ def main(arguments: Sequence[str]) -> None:
             "alphas": summary,
             "responses": [asdict(one) for one in answer],
             "worth": worth,
+            "loads": loads,
         }
         print(json.dumps(result, indent=2))
     else:
@@ -136,13 +150,14 @@ def _check_known(option: str, given: Sequence[str], known: Sequence[str]) -> Non
         )
 
 
-def _run(options: SweepAlpha) -> tuple[list[Row], list[Row]]:
-    """Rows of the sweep, and those for the worth of a rule."""
+def _run(options: SweepAlpha) -> tuple[list[Row], list[Row], list[Row]]:
+    """Rows of the sweep, those for the worth of a rule, and those with loads."""
     sweep, worth = _cells(options), _worth_cells(options)
+    carried = load_cells(options.load_goals, options.seed) if options.load_goals else []
     folder = _cells_folder(options.out)
     if not options.resume:
         shutil.rmtree(folder, ignore_errors=True)
-    cells = [*sweep, *worth]
+    cells = [*sweep, *worth, *carried]
     rows: dict[Cell, list[Row]] = {}
     for cell in cells:
         found = _read_cell(folder, cell)
@@ -165,7 +180,7 @@ def _run(options: SweepAlpha) -> tuple[list[Row], list[Row]]:
             ) from None
     kept = [row for cell in sweep for row in rows[cell] if row["task"] in options.tasks]
     smooth = [row for cell in worth for row in rows[cell] if row["task"] == SMOOTH]
-    return kept, smooth
+    return kept, smooth, [row for cell in carried for row in rows[cell]]
 
 
 def _cells(options: SweepAlpha) -> list[Cell]:
@@ -195,13 +210,14 @@ def _cells_folder(out: Path) -> Path:
 
 def _cell_name(cell: Cell) -> str:
     pd = cell.pd
-    parts = (cell.task, cell.form, pd.alpha_rule, f"{pd.alpha:g}", str(cell.seed))
+    parts = [cell.task, cell.form, pd.alpha_rule, f"{pd.alpha:g}", str(cell.seed)]
+    parts += [] if cell.mass is None else [f"{cell.mass:g}-kg"]
     return "-".join(parts) + ".json"
 
 
 def _cell_key(cell: Cell) -> dict[str, Any]:
     """All that the rows depend on: settings, config, sources of the controller."""
-    config = config_dict(reach_config(cell.task, {"controller": {"form": cell.form}}))
+    config = config_dict(reach_config(cell.task, cell.overrides))
     sources = source_fingerprint()
     return {**cell.to_json(), "config": config, "sources": sources, **versions()}
 

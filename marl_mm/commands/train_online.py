@@ -17,7 +17,7 @@ from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.presets import Preset, preset
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.train import resume
-from marl_mm.commands.options import check_positive
+from marl_mm.commands.options import REGISTERED, check_positive
 from marl_mm.commands.runs import (
     BEST_EVALUATION,
     CURVE,
@@ -47,8 +47,7 @@ from marl_mm.versions import versions
 class TrainOnline(TrainOptions):
     """What every online algorithm needs."""
 
-    task: str = "Reach-v0"
-    """To learn: Reach-v0, SmoothReach-v0, PreciseReach-v0 or CarryReach-v0."""
+    task: Annotated[str, tyro.conf.arg(help=f"To learn: {REGISTERED}.")] = "Reach-v0"
 
     preset: Preset = "tuned"
     """Hyper-parameters that the defaults below are of: ours, or the paper's Table 2."""

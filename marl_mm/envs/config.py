@@ -7,17 +7,18 @@ from typing import Any, get_args
 
 from marl_mm.control.config import ControllerConfig
 from marl_mm.control.payload import Knowledge
-from marl_mm.envs.hand import Grasp
 from marl_mm.errors import UsageError
+from marl_mm.layout import HANDLING, REACH, Layout
 from marl_mm.robot.description import RobotConfig
 from marl_mm.sim.config import SimulationConfig
+from marl_mm.sim.scene import Grasp
 
 Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class LoadConfig:
-    """A block in the hand, drawn anew for each episode; all numbers are ours."""
+    """A block in the hand or on a stand, drawn for each episode; all numbers ours."""
 
     mass: Interval = (0.05, 3.0)
     """[kg]; the arm carries 3 (Franka data sheet)."""
@@ -35,12 +36,34 @@ class LoadConfig:
     grasp: Grasp = "friction"
     """"friction" holds the block between the pads; "weld" fixes it to the hand."""
 
+    on_stand: bool = False
+    """Whether the block is on a stand at first, and not in the hand."""
+
+    stand_x: Interval = (0.60, 0.80)
+    """Where the stand, and the block in its middle, is, world [m]."""
+
+    stand_y: Interval = (0.42, 0.52)
+    """[m]; on the arm's side, and out of the way of a base that passes it."""
+
+    stand_height: Interval = (0.42, 0.50)
+    """[m]"""
+
+    stand_edge: float = 0.14
+    """Of its square top [m]."""
+
+    lift: float = 0.0
+    """The goal is so far above where the block is at first [m]; 0: it is one of the
+    reach task's."""
+
+    hold_ticks: int = 240
+    """The block counts as held once it has been clear of the stand for so long."""
+
     failure_reward: float = -10.0
-    """Instead of minus the distance, for a drop or a collision, which end the episode:
-    as every step costs, ending it early must not pay."""
+    """Instead of minus the distance, for a drop, a missed grasp or a collision, which
+    end the episode: as every step costs, ending it early must not pay."""
 
     def __post_init__(self) -> None:
-        for name in ("mass", "edge", "friction"):
+        for name in ("mass", "edge", "friction", "stand_height"):
             low, high = getattr(self, name)
             if not 0 < low <= high:
                 raise UsageError(
@@ -130,6 +153,12 @@ class ReachConfig:
 
     controller: ControllerConfig = field(default_factory=ControllerConfig)
 
+    @property
+    def layout(self) -> Layout:
+        """Of joint state and action."""
+        on_stand = self.load is not None and self.load.on_stand
+        return HANDLING if on_stand else REACH
+
     def __post_init__(self) -> None:
         for name in ("max_steps", "ticks_per_step", "look_every"):
             if getattr(self, name) < 1:
@@ -146,9 +175,11 @@ TASKS: dict[str, ReachConfig] = {
     "SmoothReach-v0": ReachConfig(jerk_weight=0.2),
     "PreciseReach-v0": ReachConfig(success_distance=0.02, random_start_steps=8),
     "CarryReach-v0": ReachConfig(load=LoadConfig()),
+    "Grasp-v0": ReachConfig(max_steps=20, load=LoadConfig(on_stand=True, lift=0.1)),
+    "GraspReach-v0": ReachConfig(max_steps=50, load=LoadConfig(on_stand=True)),
 }
-"""The registered tasks: the paper's reward, with a cost of jerk, with a finer goal,
-with a load in the hand."""
+"""The registered tasks: the paper's reward, with a cost of jerk, with a finer goal;
+with a load in the hand, with one to be lifted, with one to be lifted and carried."""
 
 
 def reach_config(

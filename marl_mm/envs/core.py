@@ -14,7 +14,7 @@ from marl_mm.envs.drive import Drive, Motion, Watch
 from marl_mm.envs.hand import Hand
 from marl_mm.envs.terms import goal_distance, reach_reward, reached
 from marl_mm.errors import InvalidActionError, UsageError
-from marl_mm.layout import ACTION_HIGH, ACTION_LOW, ALPHA, DELTA
+from marl_mm.layout import ALPHA, DELTA, GRIP, HANDLING
 from marl_mm.robot.model import RobotState
 from marl_mm.sim.config import RATE
 from marl_mm.sim.scene import Block, Scene
@@ -87,7 +87,12 @@ class ReachCore:
             config.robot, config.simulation, config.controller, visual, gui
         )
         self._posture = np.array(config.robot.initial_joints)
-        self._low, self._high = np.array(ACTION_LOW), np.array(ACTION_HIGH)
+        start = RobotState(np.array([0, 0, 1, 0, *self._posture]), np.zeros(10))
+        self._start_w = self.drive.model.evaluate(start).position_w.copy()
+        self._low, self._high = (
+            np.array(config.layout.low),
+            np.array(config.layout.high),
+        )
         self._steps = -1
 
     def sample_goal(self, rng: np.random.Generator) -> np.ndarray:
@@ -109,15 +114,18 @@ class ReachCore:
             goal_w: Where to go instead of a drawn goal, shape (3,) [m].
         """
         drawn = self.sample_goal(rng)
-        self._goal_w = drawn if goal_w is None else _checked_goal(goal_w)
         scene = None if self.config.load is None else self._draw_load(rng)
+        if scene is not None and self.config.load.lift:  # type: ignore[union-attr]
+            drawn = np.array(scene.position_w)
+            drawn[2] += self.config.load.lift  # type: ignore[union-attr]
+        self._goal_w = drawn if goal_w is None else _checked_goal(goal_w)
         start = self.drive.model.evaluate(self.drive.reset(self._goal_w, scene))
         self._ee_rotation_w = np.ascontiguousarray(start.rotation_w).copy()
         self._ee_w = self.drive.world.grasp_position_w()
         self._alpha = self.config.initial_alpha
         self._steps = 0
         if scene is not None:
-            self._take(scene)
+            self._handle(scene)
         for _ in range(self.config.random_start_steps):
             action = rng.uniform(self._low, self._high)
             target_w = self._ee_w + self.config.action_scale * action[DELTA]
@@ -129,8 +137,7 @@ class ReachCore:
         """Act for one second.
 
         Args:
-            action: Shape (4,): three displacements in [-1, 1], alpha in [0, 1]; values
-                outside are clipped.
+            action: Entries as in the task's layout; values outside are clipped.
             watch: Called after each tick, for rendering and for limits.
 
         Raises:
@@ -145,6 +152,8 @@ class ReachCore:
             raise UsageError("step() was called before reset()")
         target_w = self._ee_w + self.config.action_scale * action[DELTA]
         self._alpha = float(action[ALPHA])
+        if self.config.layout is HANDLING and self.drive.hand is not None:
+            self.drive.hand.grip(bool(action[GRIP] > 0))
         plan = self._plan_base(target_w)
         motion = self._follow(target_w, plan, watch)
         self._steps += 1
@@ -155,19 +164,26 @@ class ReachCore:
         self.drive.close()
 
     def _draw_load(self, rng: np.random.Generator) -> Scene:
-        """A block between the fingers."""
+        """A block between the fingers, or on a stand."""
         load = self.config.load
         assert load is not None
         mass, edge, friction = (
             float(rng.uniform(*interval))
             for interval in (load.mass, load.edge, load.friction)
         )
-        start = RobotState(np.array([0, 0, 1, 0, *self._posture]), np.zeros(10))
-        x, y, z = self.drive.model.evaluate(start).position_w.tolist()
-        return Scene(Block((edge, edge, edge), mass, friction), (x, y, z))
+        block = Block((edge, edge, edge), mass, friction)
+        if not load.on_stand:
+            x, y, z = self._start_w.tolist()
+            return Scene(block, (x, y, z), grasp=load.grasp)
+        x, y, height = (
+            float(rng.uniform(*interval))
+            for interval in (load.stand_x, load.stand_y, load.stand_height)
+        )
+        stand = load.stand_edge, load.stand_edge, height
+        return Scene(block, (x, y, height + edge / 2), stand, load.grasp)
 
-    def _take(self, scene: Scene) -> None:
-        """Hold the block still for as long as a step, unseen by the policy."""
+    def _handle(self, scene: Scene) -> None:
+        """Open the hand, or let it hold the block still for as long as a step."""
         load, drive = self.config.load, self.drive
         assert load is not None
         drive.hand = Hand(
@@ -175,23 +191,25 @@ class ReachCore:
             drive.model,
             scene,
             load.knowledge,
-            load.grasp,
             self.config.look_every,
         )
+        if load.on_stand:
+            drive.hand.grip(False)
+            return
         drive.hand.take(self._ee_w)
-        self._follow(np.array(scene.position_w), BasePlan(0.0, 0.0, 0.0), None)
+        self._follow(self._start_w, BasePlan(0.0, 0.0, 0.0), None)
 
     def _checked(self, action: np.ndarray) -> np.ndarray:
         try:
             values = np.asarray(action, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise InvalidActionError(
-                f"action is {action!r}, expected four numbers"
+                f"action is {action!r}, expected numbers"
             ) from error
         if values.shape != self._low.shape:
             raise InvalidActionError(
-                f"action has shape {values.shape}, expected (4,): three displacements "
-                "in [-1, 1] and alpha in [0, 1]"
+                f"action has shape {values.shape}, expected {self._low.shape}: "
+                f"{', '.join(self.config.layout.action)}"
             )
         if not np.isfinite(values).all():
             raise InvalidActionError(
@@ -236,17 +254,23 @@ class ReachCore:
     def _joint_state(self) -> np.ndarray:
         state = self.drive.state
         base = [state.q[0], state.q[1], state.yaw]
-        return np.array([*self._ee_w, *base, self._alpha, *self._goal_w])
+        seen = [*self._ee_w, *base, self._alpha]
+        if self.config.layout is HANDLING:
+            handling = self.drive.world.handling
+            seen += [handling.opening(), self._held(), *handling.block_w()[0]]
+        return np.array([*seen, *self._goal_w])
 
     def _outcome(self, target_w: np.ndarray, plan: BasePlan, motion: Motion) -> Step:
         config = self.config
-        distance = goal_distance(self._ee_w, self._goal_w)
+        after = self._joint_state()
+        distance = goal_distance(after[config.layout.achieved], self._goal_w)
         d_mm = float(np.linalg.norm(target_w - self._ee_w))
         d_mp = float(np.linalg.norm(plan.points(1)[0] - self.drive.state.q[:2]))
         jerk = np.diff(motion.base_acceleration) * RATE
         jerk_rms = float(np.sqrt(np.mean(jerk * jerk))) if len(jerk) else 0.0
         failure = "" if self.drive.hand is None else self.drive.hand.failure
-        success = bool(reached(distance, config)) and not failure
+        held = self._held()
+        success = bool(reached(distance, config, held)) and not failure
         reward = reach_reward(
             distance,
             np.asarray(d_mm),
@@ -254,6 +278,7 @@ class ReachCore:
             np.asarray(jerk_rms),
             config,
             bool(failure),
+            held,
         )
         info: dict[str, Any] = {
             "d_mm": d_mm,
@@ -273,10 +298,17 @@ class ReachCore:
             "safe_ticks": motion.safe_ticks,
         }
         if self.drive.hand is not None:
-            info["reason"] = failure
+            info["reason"], info["held"] = failure, held
         ended = success or bool(failure)
         truncated = self._steps >= config.max_steps and not ended
-        return Step(self._joint_state(), float(reward), ended, truncated, info)
+        return Step(after, float(reward), ended, truncated, info)
+
+    def _held(self) -> bool:
+        """Whether a block has been held, clear of its stand, for long enough."""
+        hand, load = self.drive.hand, self.config.load
+        if hand is None or load is None:
+            return False
+        return hand.held and (not load.on_stand or hand.clear_ticks >= load.hold_ticks)
 
 
 def _checked_goal(goal_w: np.ndarray) -> np.ndarray:

@@ -1,20 +1,25 @@
 """The hand at work: what it holds, what the controller knows of it, what goes wrong."""
 
-from typing import Literal
-
 import numpy as np
 
 from marl_mm.control.payload import Knowledge, Payload
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
 from marl_mm.sim.config import RATE
-from marl_mm.sim.handling import Handling
+from marl_mm.sim.handling import Handling, Touches
 from marl_mm.sim.scene import Scene
-
-Grasp = Literal["friction", "weld"]
-"""How a block is held: between the pads, or fixed to the hand."""
 
 SLIPPED = 0.03
 """A held block whose centre is this far from where it was taken is dropped [m]."""
+
+EMPTY = 0.7
+"""Pads that come closer than this share of the block's edge have missed it."""
+
+CLEAR = 0.01
+"""Under a block that is clear of its stand [m]."""
+
+REACH = 1.3
+"""A block farther than this from the base along the ground cannot be had [m]: the arm's
+foot is 0.22 ahead of the base, and it reaches 0.855 (Franka data sheet)."""
 
 
 class Hand:
@@ -25,7 +30,6 @@ class Hand:
         model: The controller's side.
         scene: What there is to hold.
         knowledge: What the controller knows of the load.
-        grasp: How a block is held.
         every: Ticks between looks at contacts.
     """
 
@@ -35,15 +39,28 @@ class Hand:
         model: RobotModel,
         scene: Scene,
         knowledge: Knowledge,
-        grasp: Grasp,
         every: int,
     ) -> None:
         self._handling, self._scene, self._every = handling, scene, every
-        self._weld = grasp == "weld"
+        self._weld = scene.grasp == "weld"
+        self._closing = False
         self.payload = Payload(model, knowledge, RATE)
         self.held = False
+        self.clear_ticks = 0
+        """How long a held block has been clear of its stand."""
+
         self.failure = ""
         """What went wrong first, in words; or nothing."""
+
+    def grip(self, close: bool) -> None:
+        """Close or open from now on; a block that is let go is no longer held."""
+        if not close and self.held:
+            self._lose()
+        if close:
+            self._handling.close_gripper()
+        else:
+            self._handling.open_gripper()
+        self._closing = close
 
     def take(self, grasp_w: np.ndarray) -> None:
         """The block is between the fingers: hold it from now on.
@@ -51,7 +68,7 @@ class Hand:
         Args:
             grasp_w: Where the grasp point is, shape (3,) [m].
         """
-        self._handling.close_gripper()
+        self.grip(True)
         if self._weld:
             self._handling.weld()
         self._offset = self._handling.block_w()[0] - grasp_w
@@ -69,17 +86,56 @@ class Hand:
     ) -> None:
         """Take in a tick; see ``Payload.learn``."""
         self.payload.learn(before, terms, torque, after)
-        if number % self._every:
-            return
-        collision = self._handling.collision()
-        if collision:
-            self._fail(f"collision of {collision}")
+        if number % self._every == 0:
+            self._look(before, terms.position_w)
+
+    def _look(self, state: RobotState, grasp_w: np.ndarray) -> None:
+        touches = self._handling.touches()
+        if touches.collision:
+            self._fail(f"collision of {touches.collision}")
+        block_w, _ = self._handling.block_w()
         if self.held:
-            way = self._handling.block_w()[0] - terms.position_w - self._offset
+            way = block_w - grasp_w - self._offset
             if not self._weld and np.linalg.norm(way) > SLIPPED:
-                self.held = False
-                self.payload.release()
-                self._fail("dropped")
+                self._lose()
+        elif self._closing:
+            self._close_around(touches, grasp_w)
+        self.clear_ticks += self._every
+        if not (self.held and self._is_clear(block_w, touches)):
+            self.clear_ticks = 0
+        if not self.held:
+            self._find(block_w, state)
+
+    def _is_clear(self, block_w: np.ndarray, touches: Touches) -> bool:
+        """Whether the block is off its stand, and above where it was on it."""
+        stand = self._scene.stand_size
+        if stand is None:
+            return True
+        under = block_w[2] - self._scene.block.size[2] / 2 - stand[2]
+        return bool(under > CLEAR and not touches.stand)
+
+    def _close_around(self, touches: Touches, grasp_w: np.ndarray) -> None:
+        if touches.fingers == 2:
+            self.take(grasp_w)
+        elif self._handling.opening() < EMPTY * self._scene.block.size[0]:
+            self._fail("missed grasp")
+
+    def _lose(self) -> None:
+        """What is held no longer is; clear of its stand, it falls."""
+        self.held = False
+        if self._weld:
+            self._handling.unweld()
+        self.payload.release()
+        block_w, _ = self._handling.block_w()
+        if self._is_clear(block_w, self._handling.touches()):
+            self._fail("dropped")
+
+    def _find(self, block_w: np.ndarray, state: RobotState) -> None:
+        """See whether a block that is not held can still be had."""
+        stand = self._scene.stand_size
+        fallen = stand is not None and block_w[2] < stand[2]
+        if fallen or np.linalg.norm(block_w[:2] - state.q[:2]) > REACH:
+            self._fail("the block is out of reach")
 
     def _fail(self, reason: str) -> None:
         self.failure = self.failure or reason

@@ -15,7 +15,7 @@ from pettingzoo import ParallelEnv
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.core import RENDER_MODES, ReachCore, check_render_mode
 from marl_mm.errors import InvalidActionError, UsageError
-from marl_mm.layout import ACTION, AGENTS
+from marl_mm.layout import REACH, Layout, layout_of, layout_of_actions
 from marl_mm.sim.config import Camera
 from marl_mm.spaces import (
     agent_action_spaces,
@@ -27,23 +27,27 @@ AgentDict = dict[str, np.ndarray]
 
 
 def split_state(state: np.ndarray) -> AgentDict:
-    """Each agent's observation of a joint state, shape (..., 10)."""
-    return {agent.name: state[..., list(agent.observation)] for agent in AGENTS}
+    """Each agent's observation of a joint state, shape (..., n)."""
+    agents = layout_of(state.shape[-1]).agents
+    return {agent.name: state[..., list(agent.observation)] for agent in agents}
 
 
 def split_action(action: np.ndarray) -> AgentDict:
-    """Each agent's part of the joint action, shape (4,)."""
-    return {agent.name: action[list(agent.action)] for agent in AGENTS}
+    """Each agent's part of the joint action, shape (k,)."""
+    agents = layout_of_actions(len(action)).agents
+    return {agent.name: action[list(agent.action)] for agent in agents}
 
 
-def join_actions(actions: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The joint action, shape (4,), of the agents' actions.
+def join_actions(
+    actions: Mapping[str, np.ndarray], layout: Layout = REACH
+) -> np.ndarray:
+    """The joint action, shape (k,), of the agents' actions.
 
     Raises:
         InvalidActionError: If an agent is missing or its action has another shape.
     """
-    joint = np.zeros(len(ACTION))
-    for agent in AGENTS:
+    joint = np.zeros(len(layout.action))
+    for agent in layout.agents:
         if agent.name not in actions:
             raise InvalidActionError(
                 f"no action for agent {agent.name!r}, got {sorted(actions)}"
@@ -82,11 +86,12 @@ class ReachParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         self.render_mode = render_mode
         self.config = reach_config(task, overrides)
         self.core = ReachCore(self.config, visual=render_mode is not None)
-        self.possible_agents = [agent.name for agent in AGENTS]
+        layout = self.config.layout
+        self.possible_agents = [agent.name for agent in layout.agents]
         self.agents: list[str] = []
-        self.observation_spaces = agent_observation_spaces()
-        self.action_spaces = agent_action_spaces()
-        self.state_space = state_space()
+        self.observation_spaces = agent_observation_spaces(layout)
+        self.action_spaces = agent_action_spaces(layout)
+        self.state_space = state_space(layout)
         self._rng, _ = seeding.np_random()
         self._joint: np.ndarray | None = None
 
@@ -120,7 +125,7 @@ class ReachParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         """Act for one second; rewards, ends and infos are the same for both agents."""
         if not self.agents:
             return {}, {}, {}, {}, {}
-        outcome = self.core.step(join_actions(actions))
+        outcome = self.core.step(join_actions(actions, self.config.layout))
         self._joint, agents = outcome.state, self.agents
         if outcome.terminated or outcome.truncated:
             self.agents = []

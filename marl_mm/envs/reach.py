@@ -10,7 +10,7 @@ from gymnasium import spaces
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.core import RENDER_MODES, ReachCore, check_render_mode
 from marl_mm.envs.terms import goal_distance, reach_reward, reached
-from marl_mm.layout import EE, GOAL, OBSERVATION
+from marl_mm.layout import layout_of
 from marl_mm.sim.config import Camera
 from marl_mm.spaces import action_space, goal_observation_space
 
@@ -19,11 +19,12 @@ Infos = Mapping[str, Any] | Sequence[Mapping[str, Any]]
 
 
 def goal_observation(state: np.ndarray) -> GoalObservation:
-    """The joint state, shape (10,), as a goal dictionary."""
+    """The joint state, shape (n,), as a goal dictionary."""
+    layout = layout_of(len(state))
     return {
-        "observation": state[OBSERVATION].copy(),
-        "achieved_goal": state[EE].copy(),
-        "desired_goal": state[GOAL].copy(),
+        "observation": state[layout.observation].copy(),
+        "achieved_goal": state[layout.achieved].copy(),
+        "desired_goal": state[layout.goal].copy(),
     }
 
 
@@ -51,9 +52,9 @@ class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
         self.config = reach_config(task, overrides)
         self.core = ReachCore(self.config, visual=render_mode is not None)
         self.observation_space = cast(
-            spaces.Space[GoalObservation], goal_observation_space()
+            spaces.Space[GoalObservation], goal_observation_space(self.config.layout)
         )
-        self.action_space = action_space()
+        self.action_space = action_space(self.config.layout)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -87,13 +88,15 @@ class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
             _gathered(info, "base_jerk_rms"),
             self.config,
             _failed(info),
+            _held(info),
         )
 
     def compute_terminated(
         self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Infos
     ) -> np.ndarray:
         """Whether a step would have ended the episode with other goals."""
-        near = reached(goal_distance(achieved_goal, desired_goal), self.config)
+        distance = goal_distance(achieved_goal, desired_goal)
+        near = reached(distance, self.config, _held(info))
         return np.asarray(near | _failed(info))
 
     def compute_truncated(
@@ -118,6 +121,13 @@ def _failed(info: Infos) -> np.ndarray:
     if isinstance(info, Mapping):
         return np.asarray(bool(info.get("reason")))
     return np.array([bool(single.get("reason")) for single in info])
+
+
+def _held(info: Infos) -> np.ndarray:
+    """Whether a block that was on a stand is held."""
+    if isinstance(info, Mapping):
+        return np.asarray(bool(info.get("held")))
+    return np.array([bool(single.get("held")) for single in info])
 
 
 def _gathered(info: Infos, key: str) -> np.ndarray:

@@ -17,9 +17,19 @@ def goal_distance(achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
     return distance
 
 
-def reached(distance: np.ndarray, config: ReachConfig) -> np.ndarray:
-    """Whether the goal counts as reached."""
+def reached(
+    distance: np.ndarray, config: ReachConfig, held: np.ndarray | bool = True
+) -> np.ndarray:
+    """Whether the goal counts as reached.
+
+    Args:
+        distance: Of what was achieved to it [m].
+        config: The task.
+        held: Whether a block that was on a stand is held.
+    """
     below: np.ndarray = np.less(distance, config.success_distance)
+    if config.load is not None and config.load.on_stand:
+        below = below & held
     return below
 
 
@@ -30,6 +40,7 @@ def reach_reward(
     base_jerk_rms: np.ndarray,
     config: ReachConfig,
     failed: np.ndarray | bool = False,
+    held: np.ndarray | bool = True,
 ) -> np.ndarray:
     """Eq. 6-9 of the paper and the cost of jerk.
 
@@ -40,8 +51,9 @@ def reach_reward(
         base_jerk_rms: Over the step [m/s^3].
         config: Weights.
         failed: Whether the load was dropped, or something collided.
+        held: As in ``reached``.
     """
-    goal = np.where(reached(distance, config), config.goal_reward, -distance)
+    goal = np.where(reached(distance, config, held), config.goal_reward, -distance)
     if config.load is not None:
         goal = np.where(failed, config.load.failure_reward, goal)
     hand = config.ee_error_weight * d_mm
@@ -60,12 +72,13 @@ def judge(
     Args:
         achieved: End-effector after the step [m].
         desired: Goal to judge it by [m].
-        costs: The step's ``d_mm``, ``d_mp`` and ``base_jerk_rms``, and ``failed`` where
-            a load can be dropped.
+        costs: The step's ``d_mm``, ``d_mp`` and ``base_jerk_rms``, and where there is a
+            block ``failed`` and ``held``.
         config: The task.
     """
     distance = goal_distance(achieved, desired)
     terms = costs["d_mm"], costs["d_mp"], costs["base_jerk_rms"]
     failed = np.asarray(costs.get("failed", False)).astype(bool)
-    reward = reach_reward(distance, *terms, config, failed)
-    return reward, reached(distance, config) | failed
+    held = np.asarray(costs.get("held", True)).astype(bool)
+    reward = reach_reward(distance, *terms, config, failed, held)
+    return reward, reached(distance, config, held) | failed

@@ -74,9 +74,10 @@ class BulletWorld:
         pybullet.resetSimulation(physicsClientId=client)
         pybullet.setGravity(0, 0, -GRAVITY, physicsClientId=client)
         pybullet.setTimeStep(1 / RATE, physicsClientId=client)
+        friction = scene is not None and scene.grasp == "friction"
         pybullet.setPhysicsEngineParameter(
             numSolverIterations=(
-                config.solver_iterations if scene is None else config.grasp_iterations
+                config.grasp_iterations if friction else config.solver_iterations
             ),
             physicsClientId=client,
         )
@@ -84,7 +85,7 @@ class BulletWorld:
         links = self._load_robot(solid=scene is not None)
         if scene is not None:
             self.handling = Handling(
-                client, self._robot, links, config, scene, self._visual
+                client, self._robot, links, self._ground, config, scene, self._visual
             )
         if goal_w is not None and self._visual:
             self._draw_goal(goal_w)

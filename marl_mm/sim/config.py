@@ -28,8 +28,8 @@ class SimulationConfig:
     """Largest force of a finger's position motor, which only keeps it there [N]."""
 
     grasp_iterations: int = 200
-    """Of the contact solver where there is something to grasp: with 50 the fingers lose
-    3 kg at once, with 200 they hold them for 12 s to 1 mm."""
+    """Of the contact solver where friction holds what is grasped: with 50 the fingers
+    lose 3 kg at once, with 200 they hold them for 12 s to 1 mm."""
 
     grip_force: float = 70.0
     """Of each finger on what it holds [N] (Franka Hand data sheet: continuous)."""

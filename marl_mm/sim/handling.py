@@ -1,7 +1,7 @@
-"""The gripper and the block it holds, and what collides with what."""
+"""The gripper and what it handles: a block, its stand, and who touches whom."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,13 +11,30 @@ from marl_mm.sim.engine import pybullet
 from marl_mm.sim.scene import Scene
 
 
+class Touches(NamedTuple):
+    """Who touches whom after a step."""
+
+    fingers: int
+    """How many of the two touch the block."""
+
+    stand: bool
+    """Whether the block touches its stand."""
+
+    ground: bool
+    """Whether the block touches the ground."""
+
+    collision: str
+    """What collides that must not, in words; or nothing."""
+
+
 class Handling:
-    """A block in a robot's gripper.
+    """A block, and maybe its stand, in a robot's world.
 
     Args:
         client: Of the world.
         robot: Body of the robot.
         links: Number of each of its links by name.
+        ground: Body of the ground.
         config: Of the gripper.
         scene: What is there.
         visual: Whether it is to be seen.
@@ -28,23 +45,39 @@ class Handling:
         client: int,
         robot: int,
         links: Mapping[str, int],
+        ground: int,
         config: SimulationConfig,
         scene: Scene,
         visual: bool,
     ) -> None:
-        self._client, self._robot = client, robot
+        self._client, self._robot, self._ground = client, robot, ground
         self._config, self._visual = config, visual
         self._fingers = [links[name] for name in FINGER_LINKS]
         self._hand = links[HAND_LINK]
         self._names = {number: name for name, number in links.items()}
+        self._weld: int | None = None
         self._exclude_pairs(links)
         self._couple_fingers()
+        self._stand = self._load_stand(scene)
         self._block = self._load_block(scene)
-        self._put_fingers(scene.block.size[0] / 2)
+        if scene.stand_size is None:
+            self._put_fingers(scene.block.size[0] / 2)
 
     def close_gripper(self) -> None:
-        """Close with constant force from now on."""
-        self._drive_fingers(-self._config.grip_speed)
+        """Close with constant force from now on; around a welded block, stay."""
+        welded = self._weld is not None
+        self._drive_fingers(0.0 if welded else -self._config.grip_speed)
+
+    def open_gripper(self) -> None:
+        """Open from now on, and stay so."""
+        self._drive_fingers(self._config.grip_speed)
+
+    def opening(self) -> float:
+        """Between the finger tips [m]."""
+        states = pybullet.getJointStates(
+            self._robot, self._fingers, physicsClientId=self._client
+        )
+        return float(states[0][0] + states[1][0])
 
     def block_w(self) -> tuple[np.ndarray, np.ndarray]:
         """The block's centre, shape (3,) [m], and quaternion x, y, z, w."""
@@ -54,7 +87,7 @@ class Handling:
         return np.array(place), np.array(turn)
 
     def weld(self) -> None:
-        """Fix the block to the hand where it is now, whatever the fingers do."""
+        """Fix the block to the hand where it is now, and the fingers."""
         hand = pybullet.getLinkState(
             self._robot, self._hand, physicsClientId=self._client
         )
@@ -63,7 +96,8 @@ class Handling:
             self._block, physicsClientId=self._client
         )
         place_h, turn_h = pybullet.multiplyTransforms(*inverse, place, turn)
-        pybullet.createConstraint(
+        self._touch_block(False)
+        self._weld = pybullet.createConstraint(
             self._robot,
             self._hand,
             self._block,
@@ -75,21 +109,44 @@ class Handling:
             turn_h,
             physicsClientId=self._client,
         )
+        self.close_gripper()
 
-    def collision(self) -> str:
-        """What collided that must not in the last step, in words; or nothing."""
-        holding = {self._hand, *self._fingers}
-        found = [
-            f"the block and {self._names[contact[4]]}"
-            for contact in self._contacts(self._block)
-            if contact[2] == self._robot and contact[4] not in holding
-        ]
-        found += [
-            f"{self._names[contact[3]]} and {self._names[contact[4]]}"
-            for contact in self._contacts(self._robot)
-            if contact[2] == self._robot
-        ]
-        return min(found, default="")
+    def unweld(self) -> None:
+        """Undo it."""
+        pybullet.removeConstraint(self._weld, physicsClientId=self._client)
+        self._weld = None
+        self._touch_block(True)
+
+    def touches(self) -> Touches:
+        """Contacts of the last step that press harder than nothing."""
+        fingers, stand, ground, collisions = set(), False, False, set()
+        for contact in self._contacts(self._block):
+            body, link = contact[2], contact[4]
+            if body == self._robot and link in self._fingers:
+                fingers.add(link)
+            elif body == self._robot and link != self._hand:
+                collisions.add(f"the block and {self._names[link]}")
+            stand |= body == self._stand
+            ground |= body == self._ground
+        for contact in self._contacts(self._robot):
+            body, own = contact[2], self._names[contact[3]]
+            if body == self._stand:
+                collisions.add(f"{own} and the stand")
+            elif body == self._robot:
+                collisions.add(f"{own} and {self._names[contact[4]]}")
+        return Touches(len(fingers), stand, ground, min(collisions, default=""))
+
+    def _touch_block(self, solid: bool) -> None:
+        """Whether the fingers push the block, or pass through it."""
+        for finger in self._fingers:
+            pybullet.setCollisionFilterPair(
+                self._robot,
+                self._block,
+                finger,
+                -1,
+                int(solid),
+                physicsClientId=self._client,
+            )
 
     def _contacts(self, body: int) -> list[tuple[Any, ...]]:
         """Of a body with others that press, as PyBullet has them."""
@@ -158,10 +215,30 @@ class Handling:
                 self._robot, finger, travel, 0, physicsClientId=self._client
             )
 
+    def _load_stand(self, scene: Scene) -> int:
+        if scene.stand_size is None:
+            return -2
+        x, y, _ = scene.position_w
+        height = scene.stand_size[2]
+        place = (x, y, height / 2)
+        return self._box(0, scene.stand_size, place, (0.55, 0.45, 0.35, 1), 1.0)
+
     def _load_block(self, scene: Scene) -> int:
-        """The body of a new block."""
-        block, client = scene.block, self._client
-        half = [edge / 2 for edge in block.size]
+        block = scene.block
+        color = (0.85, 0.55, 0.10, 1)
+        return self._box(
+            block.mass, block.size, scene.position_w, color, block.friction
+        )
+
+    def _box(
+        self,
+        mass: float,
+        size: tuple[float, float, float],
+        place: tuple[float, float, float],
+        color: tuple[float, float, float, float],
+        friction: float,
+    ) -> int:
+        client, half = self._client, [edge / 2 for edge in size]
         shape = pybullet.createCollisionShape(
             pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client
         )
@@ -170,16 +247,16 @@ class Handling:
             look = pybullet.createVisualShape(
                 pybullet.GEOM_BOX,
                 halfExtents=half,
-                rgbaColor=(0.85, 0.55, 0.10, 1),
+                rgbaColor=color,
                 physicsClientId=client,
             )
         body: int = pybullet.createMultiBody(
-            block.mass, shape, look, scene.position_w, physicsClientId=client
+            mass, shape, look, place, physicsClientId=client
         )
         pybullet.changeDynamics(
             body,
             -1,
-            lateralFriction=block.friction,
+            lateralFriction=friction,
             spinningFriction=self._config.spinning_friction,
             linearDamping=0,
             angularDamping=0,

@@ -1,6 +1,7 @@
 """What stands in the world beside the robot; knows nothing of PyBullet."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -14,14 +15,24 @@ class Block:
     """[kg]"""
 
     friction: float = 0.8
-    """Coefficient against the finger pads, whose own is 1."""
+    """Coefficient against the finger pads, whose own is 1, and against the stand."""
+
+
+Grasp = Literal["friction", "weld"]
+"""How a block is held: between the pads, or fixed to the hand, which is faster."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A block between the fingers."""
+    """A block, and maybe the stand that it is on."""
 
     block: Block
 
     position_w: tuple[float, float, float]
     """Of the block's centre [m]."""
+
+    stand_size: tuple[float, float, float] | None = None
+    """Edges of the stand [m], which reaches from the ground to the block; None: there
+    is none, and the block is in the hand."""
+
+    grasp: Grasp = "friction"

@@ -1,0 +1,93 @@
+"""What alpha does with a load: the PD agent on ``CarryReach-v0``, by mass and alpha."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from marl_mm.collectors.pd import PdConfig
+from marl_mm.eval.metrics import Row, bootstrap_interval
+from marl_mm.eval.sweep import Cell
+from marl_mm.eval.tables import markdown_table
+
+CARRY = "CarryReach-v0"
+
+MASSES = (0.1, 1.0, 2.0, 3.0)
+"""[kg]"""
+
+ALPHAS = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+
+def load_cells(goals: int, seed: int) -> list[Cell]:
+    """Every mass at every alpha, on the same goals.
+
+    Args:
+        goals: Half ahead, half behind.
+        seed: Of the goals.
+    """
+    return [
+        Cell(CARRY, "blend", PdConfig(alpha=alpha), goals, seed, mass=mass)
+        for mass in MASSES
+        for alpha in ALPHAS
+    ]
+
+
+def summarize_loads(rows: Sequence[Row]) -> list[Row]:
+    """One row per mass and alpha, with the margin's gain over alpha 0, goal by goal."""
+    summary = []
+    for mass in sorted({row["mass"] for row in rows}):
+        margins = {}
+        for alpha in sorted({row["alpha"] for row in rows}):
+            own = sorted(
+                (row for row in rows if (row["mass"], row["alpha"]) == (mass, alpha)),
+                key=lambda row: row["goal"],
+            )
+            margin = margins[alpha] = np.array([row["zmp_margin"] for row in own])
+            gain = margin - margins[min(margins)]
+            summary.append(
+                {
+                    "mass": mass,
+                    "alpha": alpha,
+                    "goals": len(own),
+                    "success": float(np.mean([row["success"] for row in own])),
+                    "steps": float(np.mean([row["steps"] for row in own])),
+                    "d_mm": float(np.mean([row["d_mm"] for row in own])),
+                    "base_jerk_rms": float(
+                        np.mean([row["base_jerk_rms"] for row in own])
+                    ),
+                    "zmp_margin": float(margin.mean()),
+                    "zmp_margin_least": float(margin.min()),
+                    "gain": float(gain.mean()),
+                    "gain_interval": bootstrap_interval(gain),
+                }
+            )
+    return summary
+
+
+def load_table(summary: Sequence[Row]) -> str:
+    """A mass a row, as Markdown: margins at both ends of alpha, and the gain."""
+    header = (
+        "load [kg]",
+        "goals",
+        "reached, alpha 0 and 1",
+        "least ZMP margin, alpha 0 [m]",
+        "alpha 1 [m]",
+        "mean, alpha 0 [m]",
+        "alpha 1 [m]",
+        "gained by alpha [mm, 95 % interval]",
+    )
+    lines = []
+    for mass in sorted({row["mass"] for row in summary}):
+        own = [row for row in summary if row["mass"] == mass]
+        ends = own[0], own[-1]
+        low, high = (1000 * bound for bound in ends[1]["gain_interval"])
+        lines.append(
+            (
+                f"{mass:g}",
+                str(ends[0]["goals"]),
+                ", ".join(f"{100 * row['success']:.0f}" for row in ends) + " %",
+                *(f"{row['zmp_margin_least']:.3f}" for row in ends),
+                *(f"{row['zmp_margin']:.3f}" for row in ends),
+                f"{1000 * ends[1]['gain']:.1f} [{low:.1f}, {high:.1f}]",
+            )
+        )
+    return markdown_table(header, lines)

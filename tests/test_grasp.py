@@ -1,0 +1,167 @@
+"""Taking a block: seen, held by friction, lifted, carried; and how that can fail."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+import marl_mm  # noqa: F401  registers the environments
+from marl_mm.collectors.scripted import ScriptedConfig, ScriptedPolicy
+from marl_mm.envs import parallel_env
+from marl_mm.envs.config import reach_config
+from marl_mm.envs.core import ReachCore, Step
+from marl_mm.envs.rollout import EpisodePlan, run_episode
+from marl_mm.envs.terms import judge
+from marl_mm.layout import HANDLING
+
+OPEN, CLOSE = -1.0, 1.0
+
+
+def core(task: str = "Grasp-v0", **load: Any) -> ReachCore:
+    return ReachCore(reach_config(task, {"load": load}))
+
+
+def moved(x: float, y: float, z: float, grip: float) -> np.ndarray:
+    return np.array([x, y, z, grip, 0.0])
+
+
+def towards(way: np.ndarray, grip: float) -> np.ndarray:
+    return np.array([*np.clip(way / 0.1, -1, 1), grip, 0.0])
+
+
+def over_the_block(world: ReachCore, seed: int = 0, above: float = 0.09) -> np.ndarray:
+    """The joint state with the open hand over the block, or around it."""
+    state = world.reset(np.random.default_rng(seed))
+    for height in (0.09, 0.09, 0.09, above):
+        way = state[HANDLING.achieved] - state[:3] + np.array([0, 0, height])
+        state = world.step(towards(way, OPEN)).state
+    return state
+
+
+@pytest.mark.parametrize("task", ["Grasp-v0", "GraspReach-v0"])
+def test_the_script_takes_the_block_where_it_is_to_go(task: str) -> None:
+    policy = ScriptedPolicy(ScriptedConfig())
+    world = ReachCore(reach_config(task))
+    for seed in range(3):
+        episode = run_episode(world, policy, EpisodePlan(seed, seed))
+        assert episode.success
+        states = episode.states
+        lifted = states[-1, HANDLING.achieved] - states[0, HANDLING.achieved]
+        assert np.linalg.norm(lifted) > 0.05
+        way = states[-1, HANDLING.achieved] - states[-1, HANDLING.goal]
+        assert np.linalg.norm(way) < 0.05
+
+
+def test_success_is_a_block_held_off_its_stand_for_a_second() -> None:
+    world = core()
+    over_the_block(world, above=0.0)
+    closed = world.step(moved(0, 0, 0, CLOSE))
+    assert not closed.info["held"] and not closed.terminated
+    lifted = world.step(moved(0, 0, 1, CLOSE))
+    assert not lifted.info["is_success"]  # it left the stand within this second
+    held = world.step(moved(0, 0, 0, CLOSE))
+    assert held.info["held"] and held.info["is_success"] and held.terminated
+    assert held.reward > 9
+
+
+def test_closing_on_nothing_is_a_missed_grasp() -> None:
+    world = core()
+    over_the_block(world)
+    step = world.step(moved(0, 0, 0, CLOSE))
+    assert step.terminated and step.info["reason"] == "missed grasp"
+    assert step.reward < -9.9 and not step.info["is_success"]
+
+
+def lifted(world: ReachCore) -> Step:
+    over_the_block(world, above=0.0)
+    world.step(moved(0, 0, 0, CLOSE))
+    return world.step(moved(0, 0, 1, CLOSE))
+
+
+@pytest.mark.parametrize("grasp", ["friction", "weld"])
+def test_opening_in_the_air_drops_the_block(grasp: str) -> None:
+    world = core("GraspReach-v0", grasp=grasp)
+    assert not lifted(world).terminated
+    step = world.step(moved(0, 0, 0, OPEN))
+    assert step.terminated and step.info["reason"] == "dropped"
+
+
+@pytest.mark.parametrize("grasp", ["friction", "weld"])
+def test_a_block_that_is_put_back_can_be_taken_again(grasp: str) -> None:
+    world = core("GraspReach-v0", grasp=grasp)
+    over_the_block(world, above=0.0)
+    assert not world.step(moved(0, 0, 0, CLOSE)).terminated
+    assert not world.step(moved(0, 0, 0, OPEN)).terminated
+    assert not world.step(moved(0, 0, 0, CLOSE)).terminated
+    assert not world.step(moved(0, 0, 1, CLOSE)).terminated
+    assert world.step(moved(0, 0, 0, CLOSE)).info["held"]
+
+
+def test_a_block_that_is_pushed_off_its_stand_is_out_of_reach() -> None:
+    world = core(mass=(0.1, 0.1), edge=(0.058, 0.058))
+    over_the_block(world, above=0.02)
+    for _ in range(6):
+        step = world.step(np.array([0.5, 0.0, 0.0, OPEN, 1.0]))
+        if step.terminated:
+            break
+    assert step.terminated and step.info["reason"] == "the block is out of reach"
+
+
+def test_a_hand_that_meets_the_stand_collides() -> None:
+    world = core()
+    state = over_the_block(world)
+    for _ in range(4):
+        way = state[HANDLING.achieved] - state[:3] + np.array([0.05, 0.0, -0.15])
+        step = world.step(towards(way, OPEN))
+        state = step.state
+        if step.terminated:
+            break
+    assert step.terminated and step.info["reason"].startswith("collision of ")
+
+
+def test_the_controller_weighs_what_it_has_taken() -> None:
+    world = core("GraspReach-v0", mass=(2.0, 2.0))
+    lifted(world)
+    world.step(moved(0, 0, 0, CLOSE))
+    assert world.drive.hand is not None
+    assert world.drive.hand.payload.mass == pytest.approx(2.0, rel=0.02)
+
+
+def test_agents_see_and_set_what_is_theirs() -> None:
+    env = parallel_env("GraspReach-v0")
+    observations, _ = env.reset(seed=0)
+    shapes = {name: seen.shape for name, seen in observations.items()}
+    assert shapes == {"end_effector": (14,), "balance": (7,)}
+    assert env.action_space("end_effector").shape == (4,)
+    assert env.action_space("balance").shape == (1,)
+    assert env.state().shape == (15,)
+    env.close()
+
+
+def test_hindsight_does_not_take_a_block_that_lies_for_one_that_is_held() -> None:
+    config = reach_config("Grasp-v0")
+    hit = np.ones((2, 3))
+    costs = dict.fromkeys(("d_mm", "d_mp", "base_jerk_rms"), np.zeros(2))
+    costs |= {"failed": np.zeros(2), "held": np.array([0, 1])}
+    rewards, terminated = judge(hit, hit, costs, config)
+    assert rewards.tolist() == [0.0, 10.0] and terminated.tolist() == [False, True]
+
+
+def test_the_environment_judges_as_the_step_did() -> None:
+    env: Any = gymnasium.make("marl_mm/Grasp-v0")
+    observation, _ = env.reset(seed=0)
+    policy = ScriptedPolicy(ScriptedConfig())
+    for _ in range(20):
+        state = np.concatenate(
+            [observation["observation"], observation["desired_goal"]]
+        )
+        step = env.step(policy.act(state))
+        observation, reward, terminated, _, info = step
+        goals = observation["achieved_goal"], observation["desired_goal"]
+        assert env.unwrapped.compute_reward(*goals, info) == reward
+        assert env.unwrapped.compute_terminated(*goals, info) == terminated
+        if terminated:
+            break
+    assert info["is_success"]
+    env.close()
