@@ -105,6 +105,13 @@ def test_loads_are_carried_by_all_alphas_to_the_same_goals() -> None:
     assert max(margins[2:]) < max(margins[:2])  # what a mass takes off it
 
 
+def test_what_is_committed_is_drawn_from_its_rows(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["sweep-alpha", "--out", str(RESULTS / "alpha"), "--check"]) == 0
+    assert "pareto.png: the same" in capsys.readouterr().out
+
+
 def test_what_alpha_gains_is_paired_by_goal() -> None:
     rows = [
         row(alpha, "forward", goal, mass=1.0, zmp_margin=0.1 * goal + gain * alpha)

@@ -16,8 +16,9 @@ from marl_mm.commands.ablate_offline import ablate_offline
 from marl_mm.commands.ablate_online import TARGETS, ablate_online, check_settings
 from marl_mm.commands.ablate_options import RESULTS, AblateOffline
 from marl_mm.commands.ablate_runs import Ablate, check_installed, told_missing
-from marl_mm.commands.options import check_positive, check_seeds
+from marl_mm.commands.options import COMMITTED, check_positive, check_seeds
 from marl_mm.commands.parser import Subcommand, parse_options, parse_subcommand
+from marl_mm.commands.sweep_alpha import check_sweep
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.ablation import Ablation
 from marl_mm.eval.ablations import ABLATIONS
@@ -141,7 +142,10 @@ def _everything(options: AblateOffline) -> None:
         return
     if not options.check:
         check_installed(online)
+    sweep = COMMITTED / "alpha" if out is None else out / "alpha"
     with every_failure(usage=options.check) as attempt:
+        if options.check and sweep.exists():
+            attempt(partial(check_sweep, sweep))
         attempt(partial(_offline, offline, ABLATIONS))
         for name, target in TARGETS.items():
             if target.files:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from marl_mm.collectors.pd import PdConfig
+from marl_mm.commands.ablate_check import check_drawings, note_artist
 from marl_mm.commands.options import available_cores, check_positive, check_seed
 from marl_mm.commands.parser import parse_options
 from marl_mm.control.config import FORMS, Form
@@ -18,8 +19,9 @@ from marl_mm.errors import UsageError
 from marl_mm.eval.figures import alpha_pareto, alpha_response, load_response
 from marl_mm.eval.load_sweep import load_cells, summarize_loads
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.rows import write_csv
+from marl_mm.eval.rows import as_read, read_rows, write_csv
 from marl_mm.eval.sweep import (
+    LONG,
     RUNS,
     SHORT,
     Cell,
@@ -39,6 +41,8 @@ RULES = (PdConfig(alpha_rule="direction"), PdConfig(alpha_rule="room"))
 """State-dependent alphas, compared with every fixed one on SmoothReach-v0."""
 
 SMOOTH = "SmoothReach-v0"
+
+EPISODES, LOAD_EPISODES = "episodes.csv.gz", "load_episodes.csv.gz"
 
 FINE = 0.05
 """Step of the fixed alphas they are compared with."""
@@ -86,6 +90,9 @@ class SweepAlpha:
     overwrite: bool = False
     """Replace OUT if it exists."""
 
+    check: bool = False
+    """Only say whether files in OUT are what is drawn from its rows, to the byte."""
+
     json: bool = False
     """Print the means as JSON."""
 
@@ -109,36 +116,69 @@ def main(arguments: Sequence[str]) -> None:
         "--tasks", options.tasks, [t for tasks in RUNS.values() for t in tasks]
     )
     _check_known("--forms", options.forms, FORMS)
+    if options.check:
+        check_sweep(options.out)
+        return
     refuse_existing(options.out, options.overwrite)
-    rows, worth_rows, load_rows = _run(options)
-    summary, loads = summarize_cells(rows), summarize_loads(load_rows)
-    answer = responses(summary)
-    worth = worth_of_a_rule(worth_rows, SMOOTH) if worth_rows else []
+    rows, load_rows = map(as_read, _run(options))
     with new_folder(options.out) as folder:
-        write_csv(folder / "episodes.csv.gz", [*rows, *worth_rows])
-        write_csv(folder / "alpha.csv", summary)
-        if worth:
-            write_csv(folder / "worth.csv", worth)
-        if loads:
-            write_csv(folder / "load_episodes.csv.gz", load_rows)
-            write_csv(folder / "loads.csv", loads)
-            load_response(loads, folder / "loads.png")
-        alpha_response(summary, folder / "response.png")
-        alpha_pareto(summary, folder / "pareto.png")
-        text = sweep_markdown(summary, answer, worth, loads)
-        (folder / "alpha.md").write_text(text)
+        write_csv(folder / EPISODES, rows)
+        if load_rows:
+            write_csv(folder / LOAD_EPISODES, load_rows)
+        result, text = _draw(folder, rows, load_rows)
         write_json(folder / "config.json", _described(options))
+        note_artist(folder)
     shutil.rmtree(_cells_folder(options.out), ignore_errors=True)
-    if options.json:
-        result = {
-            "alphas": summary,
-            "responses": [asdict(one) for one in answer],
-            "worth": worth,
-            "loads": loads,
-        }
-        print(json.dumps(result, indent=2))
-    else:
-        print(f"{text}\nwritten to {options.out}")
+    print(json.dumps(result, indent=2) if options.json else f"{text}\n{options.out}")
+
+
+def check_sweep(out: Path) -> None:
+    """Print of every file of a sweep whether it is what its rows give.
+
+    Raises:
+        UsageError: If there are no rows.
+        MarlMmError: If a file is another.
+    """
+    if not (out / EPISODES).exists():
+        raise UsageError(f"there is no {out / EPISODES} to draw from")
+    loads = out / LOAD_EPISODES
+    rows, load_rows = read_rows(out / EPISODES), []
+    files = ["alpha.csv", "alpha.md", "response.png", "pareto.png"]
+    if any(row["max_steps"] == SHORT for row in rows):
+        files.append("worth.csv")
+    if loads.exists():
+        load_rows = read_rows(loads)
+        files += ["loads.csv", "loads.png"]
+    check_drawings(out, files, lambda folder: _draw(folder, rows, load_rows))
+
+
+def _draw(
+    folder: Path, rows: Sequence[Row], load_rows: Sequence[Row]
+) -> tuple[dict[str, Any], str]:
+    """All tables and figures, from rows; returns the means, and the text."""
+    long, short = (
+        [row for row in rows if row["max_steps"] == steps] for steps in (LONG, SHORT)
+    )
+    summary, loads = summarize_cells(long), summarize_loads(load_rows)
+    answer = responses(summary)
+    worth = worth_of_a_rule(short, SMOOTH) if short else []
+    text = sweep_markdown(summary, answer, worth, loads)
+    write_csv(folder / "alpha.csv", summary)
+    alpha_response(summary, folder / "response.png")
+    alpha_pareto(summary, folder / "pareto.png")
+    (folder / "alpha.md").write_text(text)
+    if worth:
+        write_csv(folder / "worth.csv", worth)
+    if loads:
+        write_csv(folder / "loads.csv", loads)
+        load_response(loads, folder / "loads.png")
+    means = {
+        "alphas": summary,
+        "responses": [asdict(one) for one in answer],
+        "worth": worth,
+        "loads": loads,
+    }
+    return means, text
 
 
 def _check_known(option: str, given: Sequence[str], known: Sequence[str]) -> None:
@@ -150,8 +190,8 @@ def _check_known(option: str, given: Sequence[str], known: Sequence[str]) -> Non
         )
 
 
-def _run(options: SweepAlpha) -> tuple[list[Row], list[Row], list[Row]]:
-    """Rows of the sweep, those for the worth of a rule, and those with loads."""
+def _run(options: SweepAlpha) -> tuple[list[Row], list[Row]]:
+    """Rows of the sweep and for the worth of a rule, and those with loads."""
     sweep, worth = _cells(options), _worth_cells(options)
     carried = load_cells(options.load_goals, options.seed) if options.load_goals else []
     folder = _cells_folder(options.out)
@@ -180,7 +220,7 @@ def _run(options: SweepAlpha) -> tuple[list[Row], list[Row], list[Row]]:
             ) from None
     kept = [row for cell in sweep for row in rows[cell] if row["task"] in options.tasks]
     smooth = [row for cell in worth for row in rows[cell] if row["task"] == SMOOTH]
-    return kept, smooth, [row for cell in carried for row in rows[cell]]
+    return [*kept, *smooth], [row for cell in carried for row in rows[cell]]
 
 
 def _cells(options: SweepAlpha) -> list[Cell]:
@@ -236,6 +276,6 @@ def _read_cell(folder: Path, cell: Cell) -> list[Row] | None:
 
 def _described(options: SweepAlpha) -> dict[str, Any]:
     described = {**asdict(options), "out": options.out.name}
-    for name in ("resume", "overwrite", "json", "workers"):
+    for name in ("resume", "overwrite", "json", "workers", "check"):
         del described[name]
     return {"options": described, "versions": versions()}
