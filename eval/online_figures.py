@@ -17,7 +17,7 @@ PAPER_COLORS = ("#c8553d", "#2e7d4f", "#1b6ca8", "#8a6fb0", "#8a8a8a", "#c9a227"
 
 def seed_curves(
     curves: Sequence[Row],
-    labels: Mapping[str, str],
+    panels: Mapping[str, Mapping[str, str]],
     key: str,
     ylabel: str,
     stem: Path,
@@ -25,11 +25,11 @@ def seed_curves(
     bottom: float | None = None,
     top: float | None = None,
 ) -> None:
-    """Mean and standard deviation over seeds, a line per setting.
+    """Mean and standard deviation over seeds, a line per setting, side by side.
 
     Args:
         curves: Rows of ``curve_rows``.
-        labels: Settings to draw, and what to call them.
+        panels: By title, settings to draw and what to call them.
         key: Column to draw.
         ylabel: Its name and unit.
         stem: Of the PNG and the SVG.
@@ -37,21 +37,23 @@ def seed_curves(
         bottom: Where the figure cuts off; None shows everything.
         top: Likewise.
     """
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    axis: Any = figure.subplots()
-    for (setting, label), color in zip(labels.items(), PAPER_COLORS, strict=False):
-        times, values = on_a_grid(curves, setting, key)
-        mean = scale * values.mean(axis=0)
-        std = scale * values.std(axis=0, ddof=min(1, len(values) - 1))
-        seeds = f"{label} ({len(values)} seed{'s' * (len(values) > 1)})"
-        axis.plot(times, mean, "o-", ms=2, color=color, label=seeds)
-        axis.fill_between(
-            times, mean - std, mean + std, color=color, alpha=0.2, linewidth=0
-        )
-    axis.set(xlabel="training episodes", ylabel=ylabel)
-    if bottom is not None or top is not None:
-        axis.set_ylim(bottom, top)
-    axis.legend(frameon=False)
+    figure = Figure(figsize=(1.2 + 5.2 * len(panels), 4.0), layout="constrained")
+    axes: Any = figure.subplots(1, len(panels), sharey=True, squeeze=False)
+    for axis, (title, labels) in zip(axes[0], panels.items(), strict=True):
+        for (setting, label), color in zip(labels.items(), PAPER_COLORS, strict=False):
+            times, values = on_a_grid(curves, setting, key)
+            mean = scale * values.mean(axis=0)
+            std = scale * values.std(axis=0, ddof=min(1, len(values) - 1))
+            seeds = f"{label} ({len(values)} seed{'s' * (len(values) > 1)})"
+            axis.plot(times, mean, "o-", ms=2, color=color, label=seeds)
+            axis.fill_between(
+                times, mean - std, mean + std, color=color, alpha=0.2, linewidth=0
+            )
+        axis.set(title=title, xlabel="training episodes")
+        if bottom is not None or top is not None:
+            axis.set_ylim(bottom, top)
+        axis.legend(frameon=False)
+    axes[0][0].set_ylabel(ylabel)
     save_both(figure, stem)
 
 

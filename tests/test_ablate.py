@@ -31,13 +31,13 @@ def ablate(runs: Path, out: Path, target: str, *more: str) -> int:
 def test_every_target_from_raw_runs(
     runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    compared = ["ddpg", "ddpg-her", "maddpg-her"]
+    compared = ["ddpg", "ddpg-her", "maddpg-her", "ddpg-paper", "ddpg-her-paper"]
     assert ablate(runs, tmp_path, "online", "--settings", *compared) == 0
     assert "| DDPG + HER | Reach-v0 | 1 |" in capsys.readouterr().out
     summary = read_rows(tmp_path / "online.csv")
     assert [row["setting"] for row in summary] == compared
     evaluations = read_rows(tmp_path / "evaluations.csv.gz")
-    assert len(evaluations) == 3 * 2 * 2  # settings, checkpoints, goals
+    assert len(evaluations) == 5 * 2 * 2  # settings, checkpoints, goals
     trained = {path: path.stat().st_mtime_ns for path in runs.rglob("*")}
     for target, file in (
         ("fig4", "fig4.png"),

@@ -1,7 +1,7 @@
 """Figures and tables of online learning, from raw run folders or from their rows."""
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,6 +9,7 @@ from marl_mm.algorithms.checkpoint import BEST
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.pretrained import FOLDER, load_pretrained, ship
 from marl_mm.commands.ablate_check import check_drawings, note_artist
+from marl_mm.commands.ablate_rows import CURVES, best_run, curves_of, rows_of
 from marl_mm.commands.ablate_runs import Ablate, told_missing, train_missing
 from marl_mm.envs.config import reach_config
 from marl_mm.errors import UsageError
@@ -17,7 +18,6 @@ from marl_mm.eval.metrics import Row
 from marl_mm.eval.online import (
     SETTINGS,
     Setting,
-    curve_rows,
     evaluation_rows,
     summarize_settings,
 )
@@ -29,11 +29,19 @@ from marl_mm.files import new_file, refuse_existing
 from marl_mm.policy import Policy
 from marl_mm.progress import progress_bar
 
-COMPARED = ("ddpg", "ddpg-her", "maddpg-her")
-"""Settings in Figs 4 and 5."""
+COMPARED = {
+    "tuned preset": ("ddpg", "ddpg-her", "maddpg-her"),
+    "paper preset": ("ddpg-paper", "ddpg-her-paper"),
+}
+"""Settings in Figs 4 and 5, by panel."""
 
-DEMONSTRATED = ("ddpg", "ddpg-her", "ddpg-demonstrations", "ddpg-her-demonstrations")
-"""Settings with a dataset beside, and without."""
+DEMONSTRATED = {
+    "Reach-v0": (
+        *("ddpg", "ddpg-her"),
+        *("ddpg-demonstrations", "ddpg-her-demonstrations"),
+    )
+}
+"""Settings with a dataset beside, and without, by panel."""
 
 CHOOSING = ("ddpg-her", "ddpg-her-smooth", "maddpg-her-smooth")
 """Settings whose learnt alpha is looked at."""
@@ -47,7 +55,7 @@ PERCENT = {"scale": 100.0, "bottom": 0.0, "top": 102.0}
 FPS = 1
 """Pictures per simulated second and step, of which Fig. 6 takes five an episode."""
 
-CURVES, EVALUATIONS = "curves.csv.gz", "evaluations.csv.gz"
+EVALUATIONS = "evaluations.csv.gz"
 GOALS, STEPS = "alpha_goals.csv.gz", "alpha_steps.csv"
 
 
@@ -126,8 +134,8 @@ def _online(options: Ablate) -> None:
     _refuse(options, *files)
     settings = _settings(options)
     names = [setting.name for setting in settings]
-    curves = _curves(options, names)
-    evaluations = _rows(options, EVALUATIONS, names, evaluation_rows)
+    curves = curves_of(options, names)
+    evaluations = rows_of(options, EVALUATIONS, names, evaluation_rows)
     summary = summarize_settings(curves, evaluations, names)
     text = online_markdown(summary, settings, curves)
     write_csv(options.results(CURVES), curves)
@@ -158,15 +166,23 @@ def _compare(
     key: str,
     label: str,
     look: Mapping[str, float],
-    settings: Sequence[str] = COMPARED,
+    names: Mapping[str, Sequence[str]] = COMPARED,
 ) -> None:
     """Draw one column of the learning curves of some settings."""
     _refuse(options, f"{name}.png", f"{name}.svg")
-    labels = {one.name: one.about for one in SETTINGS if one.name in settings}
-    curves = _curves(options, settings)
-    seed_curves(curves, labels, key, label, options.results(name), **look)
+    panels = {
+        title: {one.name: one.about for one in SETTINGS if one.name in own}
+        for title, own in names.items()
+    }
+    curves = curves_of(options, _flat(names))
+    seed_curves(curves, panels, key, label, options.results(name), **look)
     note_artist(options.results_folder())
-    _tell(options, f"{options.results(name)}.png, .svg: {', '.join(labels.values())}")
+    drawn = (label for labels in panels.values() for label in labels.values())
+    _tell(options, f"{options.results(name)}.png, .svg: {', '.join(drawn)}")
+
+
+def _flat(names: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    return tuple(name for own in names.values() for name in own)
 
 
 def _fig6(options: Ablate) -> None:
@@ -254,13 +270,13 @@ TARGETS = {
         "Fig. 4: return over episodes, with and without hindsight.",
         _fig4,
         ("fig4.png", "fig4.svg"),
-        COMPARED,
+        _flat(COMPARED),
     ),
     "fig5": Target(
         "Fig. 5: success over episodes, with and without hindsight.",
         _fig5,
         ("fig5.png", "fig5.svg"),
-        COMPARED,
+        _flat(COMPARED),
     ),
     "fig6": Target(
         "Fig. 6: film strips of the trained agent, ahead and behind.",
@@ -272,7 +288,7 @@ TARGETS = {
         "Success over episodes with a dataset beside.",
         _demonstrated,
         ("demonstrations.png", "demonstrations.svg"),
-        DEMONSTRATED,
+        _flat(DEMONSTRATED),
     ),
     "alpha": Target(
         "What alpha the trained agents choose, and what it is worth.",
@@ -289,44 +305,10 @@ TARGETS = {
 """By name."""
 
 
-def best_run(options: Ablate, name: str) -> Path:
-    """The seed whose best policy was best by its learning curve's own goals."""
-    curves = _curves(options, [name])  # max takes the first of equals
-    best = max(curves, key=lambda row: (row["success_all"], row["return_all"]))
-    return options.runs_folder() / name / str(best["seed"])
-
-
 def _settings(options: Ablate) -> list[Setting]:
     if options.settings is None:
         return list(SETTINGS)
     return [setting for setting in SETTINGS if setting.name in options.settings]
-
-
-def _curves(options: Ablate, names: Sequence[str]) -> list[Row]:
-    return _rows(options, CURVES, names, curve_rows)
-
-
-def _rows(
-    options: Ablate,
-    file: str,
-    names: Sequence[str],
-    of_run: Callable[[Path, str, int], Iterable[Row]],
-) -> list[Row]:
-    """Rows of settings, from runs or from a file, but with the digits of a file."""
-    if options.rows is None:
-        train_missing(options, names)
-        runs = options.runs_folder()
-        cells = [(name, seed) for name in names for seed in options.seeds]
-        return as_read([row for cell in cells for row in of_run(runs, *cell)])
-    path = options.rows / file
-    if not path.exists():
-        raise UsageError(f"there is no {path} to draw from")
-    found = [row for row in read_rows(path) if row["setting"] in names]
-    rows = [row for row in found if row["seed"] in options.seeds]
-    missing = set(names) - {row["setting"] for row in rows}
-    if missing:
-        raise UsageError(f"{path} has no rows of {', '.join(sorted(missing))}")
-    return rows
 
 
 def _print(options: Ablate, summary: Sequence[Row], text: str) -> None:
