@@ -1,6 +1,7 @@
 """Ablations of offline learning: declared, run, interrupted, drawn and checked."""
 
 import json
+import os
 import random
 import shutil
 import signal
@@ -38,6 +39,7 @@ from marl_mm.eval.offline import (
     success_scores,
 )
 from marl_mm.eval.rows import read_rows
+from marl_mm.eval.tables import latex_table
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 
@@ -126,6 +128,13 @@ def test_the_papers_runs_have_its_budget() -> None:
         assert set(presets) == {"paper", "tuned"}  # side by side
         for _, setting in ablation.cells:
             assert setting.config.updates == 180_000
+
+
+def test_latex_holds_the_same_table() -> None:
+    assert latex_table(("setting", "reached [%]"), [("a_b & c", "1.0 +- 0.5")]) == (
+        "\\begin{tabular}{ll}\n\\toprule\nsetting & reached [\\%] \\\\\n\\midrule\n"
+        "a\\_b \\& c & 1.0 $\\pm$ 0.5 \\\\\n\\bottomrule\n\\end{tabular}\n"
+    )
 
 
 def test_the_papers_figures_stand_beside_its_own_settings_only() -> None:
@@ -347,6 +356,29 @@ def test_killing_it_again_and_again_changes_nothing(own: Path, tmp_path: Path) -
     assert cut > 0  # some of them between the first checkpoint and the end
     assert main(asked) == 0
     assert contents(tmp_path / "killed/results") == contents(tmp_path / "whole/results")
+
+
+@pytest.mark.slow
+def test_ctrl_c_in_the_middle_of_a_run_loses_nothing(own: Path, tmp_path: Path) -> None:
+    assert main(words(own, tmp_path / "whole")) == 0
+    asked = words(own, tmp_path / "stopped", "--workers", "2")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "marl_mm.cli", *asked],
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        start_new_session=True,
+    )
+    while not unfinished(tmp_path / "stopped"):
+        assert process.poll() is None
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: workers hear it, too
+    _, complaint = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert b"go on with --resume" in complaint and b"Traceback" not in complaint
+    assert not (tmp_path / "stopped/results/widths.md").exists()
+    assert main([*asked, "--resume"]) == 0
+    results = (tmp_path / name / "results" for name in ("stopped", "whole"))
+    assert contents(next(results)) == contents(next(results))
 
 
 @pytest.mark.slow
