@@ -31,7 +31,8 @@ class Demonstrations:
         for success, share in kinds:
             own = [episode for episode in episodes if episode.success == success]
             if own:
-                replay = Replay(sum(map(len, own)), hindsight, judge)
+                size = sum(map(len, own))
+                replay = Replay(size, hindsight, judge, own[0].layout)
                 for episode in own:
                     replay.add(episode)
                 self._parts.append((replay, share))

@@ -53,7 +53,6 @@ class Maddpg(Ddpg):
         action[:, list(agent.layout.action)] = own
         value = self.critic(batch.observation, action)
         loss: torch.Tensor = -value.mean()
-        share = own.shape[-1] / len(
-            self.layout.action
-        )  # together as much as of all at once
+        # Together as much as of all at once.
+        share = own.shape[-1] / len(self.layout.action)
         return loss + self.config.action_penalty * share * own.square().mean()

@@ -44,7 +44,7 @@ class Setting:
     preset: Preset = "tuned"
     task: str = "Reach-v0"
     demonstrations: bool = False
-    """Whether it replays episodes of the PD agent, too."""
+    """Whether it replays episodes of an agent that knows how: PD, or the script."""
 
     changes: dict[str, Any] = field(default_factory=dict)
     """Of the preset's hyper-parameters."""

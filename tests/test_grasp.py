@@ -1,5 +1,6 @@
 """Taking a block: seen, held by friction, lifted, carried; and how that can fail."""
 
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -7,6 +8,8 @@ import numpy as np
 import pytest
 
 import marl_mm  # noqa: F401  registers the environments
+from marl_mm.algorithms.policy import load_policy
+from marl_mm.cli import main
 from marl_mm.collectors.scripted import ScriptedConfig, ScriptedPolicy
 from marl_mm.envs import parallel_env
 from marl_mm.envs.config import reach_config
@@ -165,3 +168,31 @@ def test_the_environment_judges_as_the_step_did() -> None:
             break
     assert info["is_success"]
     env.close()
+
+
+@pytest.mark.slow
+def test_all_algorithms_learn_to_handle(
+    datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From the script's data, and online with and without it."""
+    collect = ["collect", "scripted", "--task", "Grasp-v0", "--steps", "30"]
+    assert main([*collect, "--workers", "1"]) == 0
+    data = "marl_mm/grasp/scripted-v0"
+    few = ["--eval-episodes", "2", "--curve-episodes", "1", "--max-steps", "3"]
+    offline = ["--dataset", data, "--updates", "20", *few, "--workers", "1"]
+    online = ["--task", "Grasp-v0", "--episodes", "4", "--warm-up", "2", *few]
+    online += ["--updates-per-episode", "2", "--workers", "1"]
+    for words in (
+        ["mabc", *offline],
+        ["td3-bc", *offline],
+        ["matd3-bc", *offline],
+        ["ddpg-her", *online],
+        ["maddpg-her", *online, "--demonstrations", data],
+    ):
+        run = tmp_path / words[0]
+        assert main(["train", *words, "--out", str(run)]) == 0
+        action = load_policy(run / "0").act(np.zeros(15))
+        assert action.shape == (5,)
+        assert main(["export", str(run / "0")]) == 0
+        assert main(["eval", str(run / "0"), "--episodes", "1", "--workers", "1"]) == 0
+    assert "Grasp-v0" in (run / "0" / "eval.json").read_text()

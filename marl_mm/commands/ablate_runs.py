@@ -12,6 +12,7 @@ import tyro
 from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.online import Schedule
 from marl_mm.collectors.pd import PdConfig
+from marl_mm.collectors.scripted import ScriptedConfig
 from marl_mm.commands.collect_dataset import CollectOptions, collect_dataset
 from marl_mm.commands.options import COMMITTED, available_cores
 from marl_mm.commands.runs import BEST_EVALUATION, EVALUATION
@@ -24,6 +25,7 @@ from marl_mm.commands.train_online import (
 )
 from marl_mm.commands.train_sb3 import check_sb3, check_sb3_run, train_sb3_run
 from marl_mm.datasets.location import locate
+from marl_mm.envs.config import reach_config
 from marl_mm.errors import (
     DivergedError,
     FailedRunsError,
@@ -32,12 +34,13 @@ from marl_mm.errors import (
 )
 from marl_mm.eval.online import SETTINGS, Setting
 from marl_mm.files import only_here
+from marl_mm.layout import HANDLING
 
 ANOTHER_FOLDER = "name another folder with --runs, or delete this one"
 """What to do about a run that was made with something else."""
 
 DEMONSTRATIONS = "demonstrations"
-"""Dataset of the PD agent, in the folder of the runs."""
+"""Dataset of an agent that knows how, in the folder of the runs."""
 
 
 @dataclass(frozen=True)
@@ -111,9 +114,8 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
         FailedRunsError: At the end, if some failed; the others are there.
     """
     wanted = [setting for setting in SETTINGS if setting.name in names]
-    demonstrations = None
-    if any(setting.demonstrations for setting in wanted):
-        demonstrations = _demonstrations(options)
+    shown = dict.fromkeys(one.task for one in wanted if one.demonstrations)
+    demonstrations = {task: _demonstrations(options, task) for task in shown}
     cells = [(setting, seed) for setting in wanted for seed in options.seeds]
     if any(s.library == "sb3" and not _finished(options, s, n) for s, n in cells):
         check_sb3()
@@ -124,7 +126,8 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
     for setting, seed in cells:
         run = _run(options, setting, seed)
         finished = _finished(options, setting, seed)
-        training = _training(options, setting, demonstrations, finished, run)
+        data = demonstrations[setting.task] if setting.demonstrations else None
+        training = _training(options, setting, data, finished, run)
         sb3 = setting.library == "sb3"
         if finished or training.resume:
             try:
@@ -221,7 +224,7 @@ def _training(
         setting.algorithm,
         setting.preset,
         task=setting.task,
-        demonstrations=str(demonstrations) if setting.demonstrations else None,
+        demonstrations=None if demonstrations is None else str(demonstrations),
         eval_episodes=2 if small else 200,
         curve_episodes=2 if small else 50,
         max_steps=4 if small else None,
@@ -236,17 +239,21 @@ def _training(
     return replace(training, config=replace(training.config, **changes))
 
 
-def _demonstrations(options: Ablate) -> Path:
-    """A dataset of the PD agent that knows alpha's rule, collected once."""
-    path = (options.runs_folder() / DEMONSTRATIONS).resolve()
+def _demonstrations(options: Ablate, task: str) -> Path:
+    """A dataset of PD, with a rule for alpha, or of the script; collected once."""
+    takes = reach_config(task).layout is HANDLING
+    policy = ScriptedConfig() if takes else PdConfig(alpha_rule="room")
+    name = DEMONSTRATIONS if task == "Reach-v0" else f"{DEMONSTRATIONS}-{task}"
+    path = (options.runs_folder() / name).resolve()
     steps = 100 if options.budget == "smoke" else 2_000
     with only_here(path.parent, wait=True):  # others may need it as well
         location = locate(str(path))
         collection = collect_dataset(
             location,
-            PdConfig(alpha_rule="room"),
+            policy,
             CollectOptions(
                 steps=steps,
+                task=task,
                 workers=options.workers,
                 resume=location.folder.exists() or location.working.exists(),
             ),

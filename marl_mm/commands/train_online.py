@@ -190,6 +190,7 @@ def _train(options: TrainDdpg, seed: int, run: Path) -> None:
         partial(judge, config=task),
         seed,
         demonstrations.episodes if demonstrations else (),
+        task.layout,
     )
     if options.resume and (run / FILE).exists():
         resume(algorithm, run, ("episodes",))
