@@ -13,10 +13,13 @@ from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    Task,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.table import Column
+from rich.text import Text
 
 Advance = Callable[[int, str], None]
 """Called with the work done since the last call and a short note."""
@@ -31,6 +34,19 @@ _LOST = 5.0
 """Seconds to wait for last messages: a process that was killed may hold the queue."""
 
 
+class _Elastic(TextColumn):
+    """Text that is cut off where a line is too long, so that numbers are not."""
+
+    def __init__(self, form: str) -> None:
+        super().__init__(form, table_column=Column(no_wrap=False))
+
+    def render(self, task: Task) -> Text:
+        """In one line."""
+        text = super().render(task)
+        text.no_wrap, text.overflow = True, "ellipsis"
+        return text
+
+
 @contextmanager
 def progress_bars(vanish: bool = False) -> Iterator[Bar]:
     """Bars below one another; into a pipe or a file, a line for each per minute.
@@ -39,13 +55,13 @@ def progress_bars(vanish: bool = False) -> Iterator[Bar]:
         vanish: Whether those that are full go.
     """
     bars = Progress(
-        TextColumn("{task.description:<16}"),
+        _Elastic("{task.description:<16}"),
         BarColumn(bar_width=6),  # all of it and a note fit into 80 columns
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         TextColumn("left"),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
+        _Elastic("{task.fields[note]}"),
         console=Console(stderr=True),
         speed_estimate_period=600,  # an evaluation between may take a minute
     )

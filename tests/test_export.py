@@ -63,6 +63,11 @@ def test_torchscript_acts_without_the_package(
     np.testing.assert_allclose(found, expected, atol=TOLERANCE)
 
 
+def test_the_best_policy_has_a_file_of_its_own(mabc: Path) -> None:
+    assert main(["export", str(mabc / "best.pt")]) == 0
+    assert (mabc / "best-policy.ts").exists()
+
+
 def test_onnx_of_one_agent_acts_on_its_own_observation(
     mabc: Path, states: np.ndarray, capsys: pytest.CaptureFixture[str]
 ) -> None:

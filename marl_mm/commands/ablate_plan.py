@@ -184,7 +184,7 @@ def _jobs(
         folder = folder.absolute()
     return tuple(
         Job(
-            f"{short} {setting.name} {seed}",
+            f"{setting.name} {seed} {short}",
             seed,
             folder / str(seed),
             dataset.location,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import tyro
 
+from marl_mm.algorithms.checkpoint import BEST
 from marl_mm.algorithms.export import SUFFIXES, Format, export_policy
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.commands.parser import parse_options
@@ -35,8 +36,8 @@ class Export:
     default the joint action at the joint state."""
 
     out: Path | None = None
-    """File; default RUN/policy or RUN/AGENT with .ts or .onnx, for "pretrained" in this
-    folder."""
+    """File; default RUN/policy or RUN/AGENT with .ts or .onnx, of RUN/best.pt
+    RUN/best-policy or RUN/best-AGENT, for "pretrained" in this folder."""
 
     overwrite: bool = False
     """Replace OUT if it exists."""
@@ -51,7 +52,8 @@ def main(arguments: Sequence[str]) -> None:
     policy = load_policy(options.run)
     run = Path(options.run)
     folder = run if run.is_dir() else run.parent
-    name = (options.agent or "policy") + SUFFIXES[options.format]
+    best = "best-" if run.is_file() and run.name == BEST else ""
+    name = f"{best}{options.agent or 'policy'}{SUFFIXES[options.format]}"
     out = options.out or folder / name
     if out.is_dir():
         raise UsageError(
