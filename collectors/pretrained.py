@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from marl_mm.errors import UsageError
-from marl_mm.layout import ACTION_HIGH, ACTION_LOW
+from marl_mm.layout import layout_of
 
 if TYPE_CHECKING:
     from marl_mm.algorithms.policy import LearnedPolicy
@@ -59,7 +59,8 @@ class PretrainedPolicy:
         action = self._agent.act(state)
         if self.config.noise:
             noisy = action + self._rng.normal(0.0, self.config.noise, len(action))
-            action = np.clip(noisy, ACTION_LOW, ACTION_HIGH)
+            layout = layout_of(len(state))
+            action = np.clip(noisy, layout.low, layout.high)
         return action.astype(np.float32)
 
 

@@ -27,8 +27,8 @@ OVER = 0.008
 CLEARANCE = 0.09
 """Of the grasp point over the block while it comes [m]: the pads end 1 cm below it."""
 
-CARRY_Z = 0.62
-"""Of the block before it is carried away [m]: over every stand."""
+LIFT = 0.12
+"""Of the block's centre over its stand before it is carried away [m]."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,9 @@ def _handle(state: np.ndarray) -> tuple[np.ndarray, float]:
     to_block, to_goal = block - state[EE], state[HANDLING.goal] - block
     near = np.linalg.norm(to_block)
     if state[HANDLING.state.index("opening")] < CLOSED and near < HOLDS:
-        if block[2] < CARRY_Z - 0.02 and np.linalg.norm(to_goal[:2]) > 0.06:
-            return np.array([0.0, 0.0, CARRY_Z - block[2]]), 1.0
+        up = state[HANDLING.state.index("stand_z")] + LIFT - block[2]
+        if up > 0.02 and np.linalg.norm(to_goal[:2]) > 0.06:
+            return np.array([0.0, 0.0, up]), 1.0
         return to_goal, 1.0
     if near < THERE:
         return np.zeros(3), 1.0

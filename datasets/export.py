@@ -9,7 +9,6 @@ from marl_mm.datasets.dataset import Dataset
 from marl_mm.datasets.hdf5 import write_tables
 from marl_mm.errors import UsageError
 from marl_mm.files import new_file, refuse_existing
-from marl_mm.layout import GOAL
 
 Layout = Literal["agents", "flat", "d4rl"]
 
@@ -68,7 +67,7 @@ def _d4rl(dataset: Dataset) -> dict[str, np.ndarray]:
     flat = _flat(dataset)
     floats = ("observations", "next_observations", "rewards")
     flat |= {name: flat[name].astype(np.float32) for name in floats}
-    return flat | {"infos/goal": flat["observations"][:, GOAL]}
+    return flat | {"infos/goal": flat["observations"][:, dataset.arrays.layout.goal]}
 
 
 def _agents(dataset: Dataset) -> dict[str, np.ndarray]:

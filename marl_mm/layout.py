@@ -143,20 +143,22 @@ HANDLING = Layout(
         "opening",
         "held",
         *("block_x", "block_y", "block_z"),
+        *("stand_x", "stand_y", "stand_z"),
         *STATE[GOAL],
     ),
     (*ACTION[:-1], "grip", ACTION[-1]),
     (*ACTION_LOW[:-1], -1.0, ACTION_LOW[-1]),
     (*ACTION_HIGH[:-1], 1.0, ACTION_HIGH[-1]),
     {
-        "end_effector": (0, 1, 2, 3, 4, 5, *range(7, 15)),
-        "balance": (0, 1, 2, 3, 4, 5, 6),
+        "end_effector": (0, 1, 2, 3, 4, 5, *range(7, 18)),
+        "balance": (0, 1, 2, 3, 4, 5, 6, 8),
     },
     achieved_from=9,
     held=8,
 )
-"""Of tasks with a block to be taken: the end-effector's agent sees it, the gripper's
-opening [m] and whether the block is held, and closes with a ``grip`` above 0."""
+"""Of tasks with a block to be taken: the end-effector's agent sees it, its stand's top
+and the gripper's opening [m], and closes with a ``grip`` above 0; both agents see
+whether the block is held."""
 
 LAYOUTS = (REACH, HANDLING)
 

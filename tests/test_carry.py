@@ -8,13 +8,14 @@ import pytest
 
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm.algorithms.pretrained import load_pretrained
+from marl_mm.collectors.scripted import ScriptedConfig, ScriptedPolicy
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.core import ReachCore, Step
 from marl_mm.envs.drive import Tick
 from marl_mm.envs.rollout import EpisodePlan, run_episode
 from marl_mm.envs.terms import judge
 from marl_mm.errors import UsageError
-from marl_mm.layout import EE
+from marl_mm.layout import EE, GRIP, HANDLING
 
 STAY = np.zeros(4)
 
@@ -114,13 +115,48 @@ def test_an_episode_tells_failure_from_success() -> None:
     assert episode.terminated[-1] and episode.failed[-1] and not episode.success
 
 
+@pytest.mark.parametrize("iterations", [30, 100])
+def test_pads_press_with_the_grip_s_force(iterations: int) -> None:
+    """However well the contact solver converges."""
+    overrides = {"simulation": {"grasp_iterations": iterations}}
+    core = ReachCore(reach_config("CarryReach-v0", overrides))
+    begun(core)
+    core.step(STAY)
+    world = core.drive.world
+    forces = world.handling.pad_forces()
+    expected = core.config.simulation.grip_force
+    np.testing.assert_allclose(forces, [expected] * 2, rtol=0.05)
+
+
+@pytest.mark.parametrize("task", ["CarryReach-v0", "Grasp-v0", "GraspReach-v0"])
+@pytest.mark.parametrize("ahead", [True, False])
+def test_it_does_not_pay_to_fail(task: str, ahead: bool) -> None:
+    """To fail at once costs more than to do nothing until the end, which costs more
+    than to do what is asked."""
+    config = reach_config(task)
+    goal = None if task == "Grasp-v0" else (1.4 if ahead else -1.0, 0.0, 0.7)
+    core = ReachCore(config)
+    taken = run_episode(core, ScriptedPolicy(ScriptedConfig()), EpisodePlan(0, 3, goal))
+    assert taken.success
+    core.reset(np.random.default_rng(3), None if goal is None else np.array(goal))
+    still = np.zeros(len(config.layout.action))
+    if config.layout is HANDLING:
+        still[GRIP] = -1.0
+    steps = [core.step(still) for _ in range(config.max_steps)]
+    assert config.load is not None and not steps[-1].terminated
+    stays = sum(step.reward for step in steps)
+    assert config.load.failure_reward < stays < taken.episode_return
+
+
 def test_goals_in_hindsight_do_not_mend_a_drop() -> None:
     config = reach_config("CarryReach-v0")
     hit = np.ones((2, 3))
     costs = dict.fromkeys(("d_mm", "d_mp", "base_jerk_rms"), np.zeros(2))
     failed = {**costs, "failed": np.array([False, True])}
     rewards, terminated = judge(hit, hit, failed, config)
-    assert rewards.tolist() == [10.0, -10.0] and terminated.all()
+    assert config.load is not None
+    assert rewards.tolist() == [10.0, config.load.failure_reward]
+    assert terminated.all()
 
 
 def test_the_environment_judges_as_the_step_did() -> None:

@@ -336,7 +336,7 @@ def test_a_policy_of_other_entries_is_refused(capsys: Output) -> None:
     for policy in ("pretrained", "pd"):
         assert run("play", policy, "--task", "Grasp-v0", "--video", "x.mp4") == 2
         told = capsys.readouterr().err.splitlines()[-1]  # after the progress bar
-        assert "state has shape (15,), expected (10,)" in told
+        assert "state has shape (18,), expected (10,)" in told
         assert not Path("x.mp4").exists()
 
 

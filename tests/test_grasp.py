@@ -135,10 +135,10 @@ def test_agents_see_and_set_what_is_theirs() -> None:
     env = parallel_env("GraspReach-v0")
     observations, _ = env.reset(seed=0)
     shapes = {name: seen.shape for name, seen in observations.items()}
-    assert shapes == {"end_effector": (14,), "balance": (7,)}
+    assert shapes == {"end_effector": (17,), "balance": (8,)}
     assert env.action_space("end_effector").shape == (4,)
     assert env.action_space("balance").shape == (1,)
-    assert env.state().shape == (15,)
+    assert env.state().shape == (18,)
     env.close()
 
 
@@ -170,6 +170,24 @@ def test_the_environment_judges_as_the_step_did() -> None:
     env.close()
 
 
+def test_infos_are_judged_one_by_one_and_together() -> None:
+    env: Any = gymnasium.make("marl_mm/Grasp-v0").unwrapped
+    base = {"d_mm": 0.0, "d_mp": 0.0, "base_jerk_rms": 0.0}
+    infos = [
+        {**base, "reason": reason, "held": held}
+        for reason, held in (("", True), ("", False), ("dropped", False))
+    ]
+    at = np.ones((3, 3))
+    rewards, ended = [10.0, 0.0, -10.0], [True, False, True]
+    together = {key: np.array([info[key] for info in infos]) for key in infos[0]}
+    for info in (infos, together):
+        assert env.compute_reward(at, at, info).tolist() == rewards
+        assert env.compute_terminated(at, at, info).tolist() == ended
+    with pytest.raises(KeyError):  # what is not told is not taken for no
+        env.compute_reward(at[0], at[0], base)
+    env.close()
+
+
 @pytest.mark.slow
 def test_all_algorithms_learn_to_handle(
     datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -191,7 +209,7 @@ def test_all_algorithms_learn_to_handle(
     ):
         run = tmp_path / words[0]
         assert main(["train", *words, "--out", str(run)]) == 0
-        action = load_policy(run / "0").act(np.zeros(15))
+        action = load_policy(run / "0").act(np.zeros(18))
         assert action.shape == (5,)
         assert main(["export", str(run / "0")]) == 0
         assert main(["eval", str(run / "0"), "--episodes", "1", "--workers", "1"]) == 0

@@ -60,7 +60,7 @@ class LoadConfig:
 
     failure_reward: float = -10.0
     """Instead of minus the distance, for a drop, a missed grasp or a collision, which
-    end the episode: as every step costs, ending it early must not pay."""
+    end the episode: less than all steps of one can cost, so that it does not pay."""
 
     def __post_init__(self) -> None:
         for name in ("mass", "edge", "friction", "stand_height"):
@@ -174,9 +174,11 @@ TASKS: dict[str, ReachConfig] = {
     "Reach-v0": ReachConfig(),
     "SmoothReach-v0": ReachConfig(jerk_weight=0.2),
     "PreciseReach-v0": ReachConfig(success_distance=0.02, random_start_steps=8),
-    "CarryReach-v0": ReachConfig(load=LoadConfig()),
+    "CarryReach-v0": ReachConfig(load=LoadConfig(failure_reward=-50.0)),
     "Grasp-v0": ReachConfig(max_steps=20, load=LoadConfig(on_stand=True, lift=0.1)),
-    "GraspReach-v0": ReachConfig(max_steps=50, load=LoadConfig(on_stand=True)),
+    "GraspReach-v0": ReachConfig(
+        max_steps=50, load=LoadConfig(on_stand=True, failure_reward=-100.0)
+    ),
 }
 """The registered tasks: the paper's reward, with a cost of jerk, with a finer goal;
 with a load in the hand, with one to be lifted, with one to be lifted and carried."""

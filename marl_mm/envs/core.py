@@ -191,7 +191,6 @@ class ReachCore:
             drive.model,
             scene,
             load.knowledge,
-            self.config.look_every,
         )
         if load.on_stand:
             drive.hand.grip(False)
@@ -258,6 +257,7 @@ class ReachCore:
         if self.config.layout is HANDLING:
             handling = self.drive.world.handling
             seen += [handling.opening(), self._held(), *handling.block_w()[0]]
+            seen += handling.stand_w
         return np.array([*seen, *self._goal_w])
 
     def _outcome(self, target_w: np.ndarray, plan: BasePlan, motion: Motion) -> Step:

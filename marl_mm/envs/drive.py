@@ -147,7 +147,7 @@ class Drive:
                 safe += command.safe
             after = world.read()
             if hand is not None:
-                hand.feel(k, state, terms, command.torque, after)
+                hand.feel(state, terms, command.torque, after)
             if watch is not None:
                 watch(Tick(k, state, command))
             state = after

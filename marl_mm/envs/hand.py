@@ -11,15 +11,21 @@ from marl_mm.sim.scene import Scene
 SLIPPED = 0.03
 """A held block whose centre is this far from where it was taken is dropped [m]."""
 
-EMPTY = 0.7
+EMPTY = 0.9
 """Pads that come closer than this share of the block's edge have missed it."""
+
+LOOK_EVERY = 8
+"""Ticks between looks at contacts."""
 
 CLEAR = 0.01
 """Under a block that is clear of its stand [m]."""
 
-REACH = 1.3
-"""A block farther than this from the base along the ground cannot be had [m]: the arm's
-foot is 0.22 ahead of the base, and it reaches 0.855 (Franka data sheet)."""
+FAR = 1.3
+"""A block farther than this from the base along the ground is out of reach [m]: the
+arm's foot is 0.22 ahead of the base, and it reaches 0.855 (Franka data sheet)."""
+
+HIGH = 1.4
+"""And one that is higher than this [m]: the arm's shoulder is at 0.68."""
 
 
 class Hand:
@@ -30,7 +36,6 @@ class Hand:
         model: The controller's side.
         scene: What there is to hold.
         knowledge: What the controller knows of the load.
-        every: Ticks between looks at contacts.
     """
 
     def __init__(
@@ -39,9 +44,9 @@ class Hand:
         model: RobotModel,
         scene: Scene,
         knowledge: Knowledge,
-        every: int,
     ) -> None:
-        self._handling, self._scene, self._every = handling, scene, every
+        self._handling, self._scene = handling, scene
+        self._ticks = 0
         self._weld = scene.grasp == "weld"
         self._closing = False
         self.payload = Payload(model, knowledge, RATE)
@@ -71,6 +76,8 @@ class Hand:
         self.grip(True)
         if self._weld:
             self._handling.weld()
+        else:
+            self._handling.squeeze()
         self._offset = self._handling.block_w()[0] - grasp_w
         block = self._scene.block
         self.payload.hold(block.mass, block.size)
@@ -78,7 +85,6 @@ class Hand:
 
     def feel(
         self,
-        number: int,
         before: RobotState,
         terms: ModelTerms,
         torque: np.ndarray,
@@ -86,13 +92,16 @@ class Hand:
     ) -> None:
         """Take in a tick; see ``Payload.learn``."""
         self.payload.learn(before, terms, torque, after)
-        if number % self._every == 0:
+        self._ticks += 1
+        if self._ticks % LOOK_EVERY == 0 and not self.failure:
             self._look(before, terms.position_w)
 
     def _look(self, state: RobotState, grasp_w: np.ndarray) -> None:
         touches = self._handling.touches()
         if touches.collision:
             self._fail(f"collision of {touches.collision}")
+        elif touches.ground and self.held:
+            self._fail("collision of the block and the ground")
         block_w, _ = self._handling.block_w()
         if self.held:
             way = block_w - grasp_w - self._offset
@@ -100,7 +109,7 @@ class Hand:
                 self._lose()
         elif self._closing:
             self._close_around(touches, grasp_w)
-        self.clear_ticks += self._every
+        self.clear_ticks += LOOK_EVERY
         if not (self.held and self._is_clear(block_w, touches)):
             self.clear_ticks = 0
         if not self.held:
@@ -115,10 +124,10 @@ class Hand:
         return bool(under > CLEAR and not touches.stand)
 
     def _close_around(self, touches: Touches, grasp_w: np.ndarray) -> None:
-        if touches.fingers == 2:
-            self.take(grasp_w)
-        elif self._handling.opening() < EMPTY * self._scene.block.size[0]:
+        if self._handling.opening() < EMPTY * self._scene.block.size[0]:
             self._fail("missed grasp")
+        elif touches.fingers == 2:
+            self.take(grasp_w)
 
     def _lose(self) -> None:
         """What is held no longer is; clear of its stand, it falls."""
@@ -134,7 +143,8 @@ class Hand:
         """See whether a block that is not held can still be had."""
         stand = self._scene.stand_size
         fallen = stand is not None and block_w[2] < stand[2]
-        if fallen or np.linalg.norm(block_w[:2] - state.q[:2]) > REACH:
+        far = np.linalg.norm(block_w[:2] - state.q[:2]) > FAR
+        if fallen or far or block_w[2] > HIGH:
             self._fail("the block is out of reach")
 
     def _fail(self, reason: str) -> None:

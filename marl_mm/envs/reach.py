@@ -87,8 +87,7 @@ class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
             _gathered(info, "d_mp"),
             _gathered(info, "base_jerk_rms"),
             self.config,
-            _failed(info),
-            _held(info),
+            *self._told(info),
         )
 
     def compute_terminated(
@@ -96,8 +95,14 @@ class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
     ) -> np.ndarray:
         """Whether a step would have ended the episode with other goals."""
         distance = goal_distance(achieved_goal, desired_goal)
-        near = reached(distance, self.config, _held(info))
-        return np.asarray(near | _failed(info))
+        failed, held = self._told(info)
+        return np.asarray(reached(distance, self.config, held) | failed)
+
+    def _told(self, info: Infos) -> tuple[np.ndarray, np.ndarray]:
+        """Whether steps failed, and whether a block was held, where there is one."""
+        if self.config.load is None:
+            return np.asarray(False), np.asarray(True)
+        return _true(_gathered(info, "reason")), _true(_gathered(info, "held"))
 
     def compute_truncated(
         self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Infos
@@ -116,21 +121,13 @@ class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
         self.core.close()
 
 
-def _failed(info: Infos) -> np.ndarray:
-    """Whether steps ended their episode with a reason other than success."""
-    if isinstance(info, Mapping):
-        return np.asarray(bool(info.get("reason")))
-    return np.array([bool(single.get("reason")) for single in info])
-
-
-def _held(info: Infos) -> np.ndarray:
-    """Whether a block that was on a stand is held."""
-    if isinstance(info, Mapping):
-        return np.asarray(bool(info.get("held")))
-    return np.array([bool(single.get("held")) for single in info])
-
-
 def _gathered(info: Infos, key: str) -> np.ndarray:
     if isinstance(info, Mapping):
         return np.asarray(info[key])
     return np.array([single[key] for single in info])
+
+
+def _true(values: np.ndarray) -> np.ndarray:
+    """Of reasons, which are words or none, and of flags."""
+    truth: np.ndarray = values.astype(object).astype(bool)
+    return truth

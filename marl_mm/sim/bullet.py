@@ -59,6 +59,7 @@ class BulletWorld:
         self._visual = visual or gui
         self._client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
         self._com_b = robot.base_com_b
+        self._handling: Handling | None = None
 
     def reset(
         self, goal_w: np.ndarray | None = None, scene: Scene | None = None
@@ -83,8 +84,9 @@ class BulletWorld:
         )
         self._load_ground()
         links = self._load_robot(solid=scene is not None)
+        self._handling = None
         if scene is not None:
-            self.handling = Handling(
+            self._handling = Handling(
                 client, self._robot, links, self._ground, config, scene, self._visual
             )
         if goal_w is not None and self._visual:
@@ -168,7 +170,15 @@ class BulletWorld:
 
     def step(self) -> None:
         """Advance by 1/240 s."""
+        if self._handling is not None:
+            self._handling.tick()
         pybullet.stepSimulation(physicsClientId=self._client)
+
+    @property
+    def handling(self) -> Handling:
+        """The gripper and what it handles, in a world with a scene."""
+        assert self._handling is not None
+        return self._handling
 
     def grasp_position_w(self) -> np.ndarray:
         """Where the end-effector is in the simulation, shape (3,) [m]."""

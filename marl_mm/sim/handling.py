@@ -51,11 +51,13 @@ class Handling:
         visual: bool,
     ) -> None:
         self._client, self._robot, self._ground = client, robot, ground
-        self._config, self._visual = config, visual
+        self._config, self._visual, self._scene = config, visual, scene
         self._fingers = [links[name] for name in FINGER_LINKS]
         self._hand = links[HAND_LINK]
+        self._arm = {links[name] for name in (*ARM_LINKS, HAND_LINK, *FINGER_LINKS)}
         self._names = {number: name for name, number in links.items()}
         self._weld: int | None = None
+        self._squeezing = False
         self._exclude_pairs(links)
         self._couple_fingers()
         self._stand = self._load_stand(scene)
@@ -64,13 +66,34 @@ class Handling:
             self._put_fingers(scene.block.size[0] / 2)
 
     def close_gripper(self) -> None:
-        """Close with constant force from now on; around a welded block, stay."""
-        welded = self._weld is not None
-        self._drive_fingers(0.0 if welded else -self._config.grip_speed)
+        """Close from now on, until something is there to squeeze."""
+        if not self._squeezing and self._weld is None:
+            self._drive_fingers(-self._config.grip_speed)
 
     def open_gripper(self) -> None:
         """Open from now on, and stay so."""
+        self._squeezing = False
         self._drive_fingers(self._config.grip_speed)
+
+    def squeeze(self) -> None:
+        """Press what is between the pads from now on, with the grip's force.
+
+        A motor that is to close at some speed presses with as much force as the solver
+        finds in its iterations; this is the force itself.
+        """
+        self._drive_fingers(0.0, force=0.0)
+        self._squeezing = True
+
+    def tick(self) -> None:
+        """What acts during the next step only."""
+        if self._squeezing:
+            pybullet.setJointMotorControlArray(
+                self._robot,
+                self._fingers,
+                pybullet.TORQUE_CONTROL,
+                forces=[-self._config.grip_force] * 2,
+                physicsClientId=self._client,
+            )
 
     def opening(self) -> float:
         """Between the finger tips [m]."""
@@ -78,6 +101,13 @@ class Handling:
             self._robot, self._fingers, physicsClientId=self._client
         )
         return float(states[0][0] + states[1][0])
+
+    @property
+    def stand_w(self) -> tuple[float, float, float]:
+        """Middle of the stand's top [m]; without one, of the ground."""
+        x, y, _ = self._scene.position_w
+        size = self._scene.stand_size
+        return x, y, 0.0 if size is None else size[2]
 
     def block_w(self) -> tuple[np.ndarray, np.ndarray]:
         """The block's centre, shape (3,) [m], and quaternion x, y, z, w."""
@@ -109,13 +139,21 @@ class Handling:
             turn_h,
             physicsClientId=self._client,
         )
-        self.close_gripper()
+        self._drive_fingers(0.0)
 
     def unweld(self) -> None:
         """Undo it."""
         pybullet.removeConstraint(self._weld, physicsClientId=self._client)
         self._weld = None
         self._touch_block(True)
+
+    def pad_forces(self) -> list[float]:
+        """How hard each pad pressed on the block in the last step [N]."""
+        forces = dict.fromkeys(self._fingers, 0.0)
+        for contact in self._contacts(self._block):
+            if contact[2] == self._robot and contact[4] in forces:
+                forces[contact[4]] += contact[9]
+        return list(forces.values())
 
     def touches(self) -> Touches:
         """Contacts of the last step that press harder than nothing."""
@@ -129,8 +167,10 @@ class Handling:
             stand |= body == self._stand
             ground |= body == self._ground
         for contact in self._contacts(self._robot):
-            body, own = contact[2], self._names[contact[3]]
-            if body == self._stand:
+            body, link, own = contact[2], contact[3], self._names[contact[3]]
+            if body == self._ground and link in self._arm:
+                collisions.add(f"{own} and the ground")
+            elif body == self._stand:
                 collisions.add(f"{own} and the stand")
             elif body == self._robot:
                 collisions.add(f"{own} and {self._names[contact[4]]}")
@@ -155,12 +195,11 @@ class Handling:
 
     def _exclude_pairs(self, links: Mapping[str, int]) -> None:
         """Of the robot's own links only arm and base may collide with each other."""
-        arm = [links[name] for name in (*ARM_LINKS, HAND_LINK, *FINGER_LINKS)]
         near = {links[name] for name in ARM_LINKS[:2]}
         for number in links.values():
             for other in links.values():
                 wanted = {number, other} & {links[BASE_LINK]} and (
-                    {number, other} & (set(arm) - near)
+                    {number, other} & (self._arm - near)
                 )
                 if number < other and not wanted:
                     pybullet.setCollisionFilterPair(
@@ -198,13 +237,14 @@ class Handling:
                 physicsClientId=self._client,
             )
 
-    def _drive_fingers(self, speed: float) -> None:
+    def _drive_fingers(self, speed: float, force: float | None = None) -> None:
+        force = self._config.grip_force if force is None else force
         pybullet.setJointMotorControlArray(
             self._robot,
             self._fingers,
             pybullet.VELOCITY_CONTROL,
             targetVelocities=[speed] * 2,
-            forces=[self._config.grip_force] * 2,
+            forces=[force] * 2,
             physicsClientId=self._client,
         )
 
