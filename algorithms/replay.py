@@ -50,16 +50,16 @@ class Batch(NamedTuple):
     """Transitions, float32; actions in normalised coordinates."""
 
     observation: torch.Tensor
-    """Joint states, shape (n, 10)."""
+    """Joint states, shape (n, d)."""
 
     action: torch.Tensor
-    """Joint actions in [-1, 1], shape (n, 4)."""
+    """Joint actions in [-1, 1], shape (n, k)."""
 
     reward: torch.Tensor
     """Shape (n,)."""
 
     next_observation: torch.Tensor
-    """Shape (n, 10)."""
+    """Shape (n, d)."""
 
     terminated: torch.Tensor
     """1 where the goal was reached, shape (n,)."""

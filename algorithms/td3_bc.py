@@ -194,7 +194,7 @@ class Td3Bc:
         self._target_critics = self.critics.copy()
 
     def _imitation_weights(self, arrays: EpisodeArrays) -> torch.Tensor:
-        """Of the squared error of each entry, shape (4,)."""
+        """Of the squared error of each entry of the action, shape (k,)."""
         told = self.config.imitation_weights
         grip = (1.0,) * (len(self.layout.action) - len(told))
         weights = torch.tensor((*told[:-1], *grip, told[-1]))

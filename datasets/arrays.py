@@ -24,7 +24,7 @@ class EpisodeArrays:
     """Joint states, each episode's last one included, shape (n + E, 10)."""
 
     actions: np.ndarray
-    """Shape (n, 4), float32."""
+    """Shape (n, k), float32."""
 
     rewards: np.ndarray
     """Shape (n,)."""

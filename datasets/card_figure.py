@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from marl_mm.datasets.arrays import EpisodeArrays
-from marl_mm.layout import ACTION, ALPHA, EE
+from marl_mm.layout import ALPHA, EE
 
 _REACHED, _MISSED = "#1b6ca8", "#c8553d"
 
@@ -41,7 +41,7 @@ def draw_card(arrays: EpisodeArrays, values: dict[str, Any], path: Path) -> None
     )
     axes[3].set(xlabel="return", ylabel="episodes")
     axes[3].legend(frameon=False)
-    for column, name in enumerate(ACTION[:ALPHA]):
+    for column, name in enumerate(arrays.layout.action[:ALPHA]):
         axes[4].hist(
             arrays.actions[:, column], 40, range=(-1, 1), histtype="step", label=name
         )

@@ -16,7 +16,7 @@ Layout = Literal["agents", "flat", "d4rl"]
 def export(dataset: Dataset, layout: Layout, path: Path, overwrite: bool) -> None:
     """Write all steps, one after the other.
 
-    ``flat``: observations (n, 10), actions (n, 4), next_observations, rewards,
+    ``flat``: observations (n, d), actions (n, k), next_observations, rewards,
     terminals, timeouts, and each step's episode; types as they are stored. ``d4rl``:
     the same with float32, and ``infos/goal``. ``agents``: observations, actions and
     next_observations in one group per agent, the joint ones as ``state`` and

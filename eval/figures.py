@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from marl_mm.episode import Episode
 from marl_mm.eval.metrics import Row
 from marl_mm.files import new_file
-from marl_mm.layout import ACTION, ALPHA
+from marl_mm.layout import ALPHA
 
 COLORS = {"forward": "#1b6ca8", "backward": "#c8553d", "all": "#333333"}
 
@@ -22,8 +22,10 @@ def learning_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
     success, imitation, *value = figure.subplots(1, 2 + critics)
     _over_directions(success, metrics, "step", "success", 100)
     success.set(ylabel="goals reached [%]", ylim=(-3, 103))
-    for name in ACTION:
-        _plot(imitation, metrics, "step", f"imitation/{name}", name)
+    told = dict.fromkeys(key for row in metrics for key in row)
+    for key in told:
+        if key.startswith("imitation/"):
+            _plot(imitation, metrics, "step", key, key.removeprefix("imitation/"))
     imitation.set(ylabel="mean square difference to the data", yscale="log")
     for axis in value:
         _plot(axis, metrics, "step", "q/policy", "of the policy")

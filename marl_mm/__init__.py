@@ -4,7 +4,7 @@ import gymnasium
 
 __version__ = "0.1.0"
 
-for _task in (
+for _task in (  # those of marl_mm.envs.config.TASKS, without importing it; tested
     "Reach-v0",
     "SmoothReach-v0",
     "PreciseReach-v0",

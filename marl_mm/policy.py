@@ -19,4 +19,4 @@ class Policy(Protocol):
         """A new episode starts; ``rng`` is the only source of randomness in it."""
 
     def act(self, state: np.ndarray) -> np.ndarray:
-        """Joint action, shape (4,), float32, at a joint state, shape (10,)."""
+        """Joint action, float32, at a joint state, as in the task's ``Layout``."""

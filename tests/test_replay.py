@@ -49,6 +49,32 @@ def origin(batch: Batch, row: int, episodes: list[Episode]) -> tuple[Episode, in
     raise AssertionError("a transition of no episode")
 
 
+@pytest.mark.parametrize("task", ["CarryReach-v0", "Grasp-v0", "GraspReach-v0"])
+def test_what_failed_has_failed_whatever_the_goal(
+    make_episode: MakeEpisode, task: str
+) -> None:
+    """Also where the goal is where the block was when it was dropped."""
+    config = reach_config(task)
+    episode = near(make_episode(0, 6, layout=config.layout))
+    episode.terminated[:] = np.arange(6) == 5
+    episode.info["is_success"][:] = 0
+    replay = Replay(100, 4, partial(judge, config=config), config.layout)
+    replay.add(episode)
+    batch = replay.sample(400, np.random.default_rng(0))
+    ends = [origin(batch, row, [episode])[1] == 5 for row in range(400)]
+    assert config.load is not None and 20 < sum(ends) < 120
+    costs = {name: episode.info[name][5] for name in COSTS}
+    failed = config.load.failure_reward - (
+        config.ee_error_weight * costs["d_mm"]
+        + config.base_error_weight * costs["d_mp"]
+        + config.jerk_weight * costs["base_jerk_rms"]
+    )
+    relabelled = batch.reward[ends] != np.float32(episode.rewards[5])
+    assert relabelled.any()
+    np.testing.assert_allclose(batch.reward[ends][relabelled], failed, rtol=1e-6)
+    assert batch.terminated[ends].all()
+
+
 @pytest.mark.parametrize("capacity", [1000, 23])
 @pytest.mark.parametrize("task", list(TASKS))
 def test_relabelled_transitions_equal_a_brute_force_recomputation(

@@ -97,7 +97,7 @@ class Import:
     """Take a Minari dataset or an HDF5 file of your own.
 
     Minari's layout with goal-dictionary observations: observation (7), achieved_goal
-    (3), desired_goal (3). Or flat arrays: observations (n, 10), actions (n, 4),
+    (3), desired_goal (3). Or flat arrays: observations (n, d), actions (n, k),
     next_observations, rewards, terminals, timeouts; or what export writes per agent.
     Where its episodes were collected is not kept, and nothing can replay them.
     """

@@ -15,6 +15,9 @@ from marl_mm.sim.scene import Grasp
 
 Interval = tuple[float, float]
 
+WIDEST = 0.075
+"""Edge of a block that open pads, 0.08 apart, can go around [m]."""
+
 
 @dataclass(frozen=True)
 class LoadConfig:
@@ -69,6 +72,17 @@ class LoadConfig:
                 raise UsageError(
                     f"load.{name} is {low} to {high}, expected 0 < low <= high"
                 )
+        if self.edge[1] > WIDEST:
+            raise UsageError(f"load.edge is up to {self.edge[1]}, expected <= {WIDEST}")
+        if self.hold_ticks < 0 or not 0 <= self.lift <= 0.5:
+            raise UsageError(
+                f"load.hold_ticks is {self.hold_ticks} and load.lift {self.lift}, "
+                "expected >= 0, and lift <= 0.5"
+            )
+        if not self.failure_reward < 0:
+            raise UsageError(
+                f"load.failure_reward is {self.failure_reward}, expected below 0"
+            )
         for name, choices in (("knowledge", Knowledge), ("grasp", Grasp)):
             if getattr(self, name) not in get_args(choices):
                 expected = ", ".join(get_args(choices))

@@ -61,7 +61,7 @@ class Step(NamedTuple):
     """What a step returns."""
 
     state: np.ndarray
-    """Joint state, shape (10,)."""
+    """Joint state, as in the task's layout."""
 
     reward: float
     terminated: bool
@@ -107,7 +107,7 @@ class ReachCore:
     def reset(
         self, rng: np.random.Generator, goal_w: np.ndarray | None = None
     ) -> np.ndarray:
-        """Begin an episode and return the joint state, shape (10,).
+        """Begin an episode and return the joint state.
 
         Args:
             rng: Draws the goal and the random start.

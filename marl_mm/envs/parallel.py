@@ -138,7 +138,7 @@ class ReachParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         )
 
     def state(self) -> np.ndarray:
-        """The joint state, shape (10,).
+        """The joint state, as in the task's layout.
 
         Raises:
             UsageError: If no episode has begun.
