@@ -254,7 +254,9 @@ def _over_held(row: Row) -> str:
 
 
 def _number(value: float) -> str:
-    return "" if np.isnan(value) else f"{value:.2f}"
+    if np.isnan(value):
+        return ""
+    return f"{value:.2f}" if abs(value) < 1e4 else f"{value:.2e}"
 
 
 def _every_seed(row: Row) -> str:

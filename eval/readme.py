@@ -145,6 +145,9 @@ def _entries() -> str:
 
 _PAPER, _DIFFERENCE = "paper [%]", "difference [points]"
 
+_NOT_LONG = ("d_mm [m]", "d_mp [m]", "alpha", COLUMNS["q_slope"])
+"""Columns that are the same wherever goals are reached."""
+
 _NOT_CURED = ("dataset", _PAPER, _DIFFERENCE, "d_mm [m]", "d_mp [m]", "alpha")
 """Columns that tell nothing of why learning fails."""
 
@@ -162,6 +165,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "updates": _updates,
     "offline": partial(_ablation, "offline", _DIFFERENCE, *COLUMNS.values()),
     "tasks": partial(_ablation, "tasks", _PAPER, _DIFFERENCE),
+    "table4": partial(_ablation, "table4", *_NOT_LONG),
     "cures": partial(_ablation, "cures", *_NOT_CURED, dataset="good-30k"),
     "offline-updates": _offline_updates,
     "goals": goals_table,

@@ -69,7 +69,7 @@ def test_what_failed_has_failed_whatever_the_goal(
         + config.base_error_weight * costs["d_mp"]
         + config.jerk_weight * costs["base_jerk_rms"]
     )
-    relabelled = batch.reward[ends] != np.float32(episode.rewards[5])
+    relabelled = batch.reward[ends].numpy() != np.float32(episode.rewards[5])
     assert relabelled.any()
     np.testing.assert_allclose(batch.reward[ends][relabelled], failed, rtol=1e-6)
     assert batch.terminated[ends].all()
