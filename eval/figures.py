@@ -33,7 +33,8 @@ def learning_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
         axis.set(ylabel="Q")
     for axis in (success, imitation, *value):
         axis.set_xlabel("updates")
-        axis.legend(frameon=False)
+        if axis.lines:
+            axis.legend(frameon=False)
     save(figure, path)
 
 

@@ -109,15 +109,17 @@ def test_relabelled_transitions_equal_a_brute_force_recomputation(
         exact = episode.states[step + 1 + source[0], layout.achieved]
         hand = episode.states[step + 1, layout.achieved]
         info = {name: episode.info[name][step] for name in COSTS}
+        info["held"] = True
         if layout.held is not None:
             info["held"] = episode.states[step + 1, layout.held]
+        info["reason"] = "dropped" if episode.failed[step] else ""
         reward = env.compute_reward(hand, exact, info)
         ends = env.compute_terminated(hand, exact, info)
         assert batch.reward[row] == np.float32(reward)
         assert batch.terminated[row] == ends
         ended += bool(ends)
         if source[0] == 0:
-            assert ends == info.get("held", 1), "it is where the step itself ended"
+            assert ends == info["held"], "it is where the step itself ended"
     env.close()
     assert 0.77 < relabelled / 2000 < 0.83  # k = 4 of 5
     assert 0 < ended < relabelled
