@@ -96,7 +96,8 @@ def _infos(arrays: EpisodeArrays) -> list[str]:
 def _achieved(arrays: EpisodeArrays, location: Location) -> list[str]:
     achieved = achieved_goals(location.data / FILE, len(arrays))
     count = (achieved != arrays.states[:, arrays.layout.achieved]).any(axis=1).sum()
-    return [f"{count} achieved goals are not where the hand is"] if count else []
+    what = "achieved goals are not where the hand, or the block, is"
+    return [f"{count} {what}"] if count else []
 
 
 def _ends(arrays: EpisodeArrays) -> list[str]:

@@ -9,11 +9,12 @@ from marl_mm.layout import Layout, layout_of
 INFO = {
     "d_mm": "end-effector to its target at the step's end [m]",
     "d_mp": "base to its plan at the step's end [m]",
-    "distance": "end-effector to the goal at the step's end [m]",
+    "distance": "end-effector, or block to be taken, to the goal at its end [m]",
     "is_success": "whether that is within the task's threshold",
     "base_jerk_rms": "of the base's commanded acceleration over the step [m/s^3]",
     "base_acceleration_rms": "commanded, over the step [m/s^2]",
-    "zmp_margin": "least distance of the zero-moment point to the support's edge [m]",
+    "zmp_margin": "least distance of the zero-moment point to the support's edge [m], "
+    "of the masses that the controller knows",
     "tilt": "largest angle of the base's vertical axis to the world's [rad]",
     "base_pitch": "largest pitch, which the controller's planar model lacks [rad]",
     "wheel_slip": "largest speed of a drive wheel's rim over the ground [m/s]",
@@ -21,7 +22,11 @@ INFO = {
     "qp_failures": "levels of the hierarchy that found no solution",
     "safe_ticks": "ticks in which the limits contradicted each other: it only braked",
 }
-"""What ``info`` tells of each step, and an episode keeps; looked at every few ticks."""
+"""What ``info`` tells of each step, and an episode keeps; looked at every few ticks.
+
+Where there is a block, ``info`` also has ``reason``, why the episode failed or nothing,
+and ``held``, whether it counts as held.
+"""
 
 
 IMPORTED = "imported"
@@ -43,10 +48,10 @@ class Episode:
     """One episode of T steps."""
 
     states: np.ndarray
-    """Joint states, the last one after the last action, shape (T + 1, 10)."""
+    """Joint states, the last one after the last action, shape (T + 1, n)."""
 
     actions: np.ndarray
-    """Joint actions, shape (T, 4), float32."""
+    """Joint actions, shape (T, k), float32."""
 
     rewards: np.ndarray
     """Shape (T,)."""
