@@ -47,16 +47,21 @@ def _revived(layout: AgentLayout, actor: bytes) -> AgentActor:
     return AgentActor(layout, pickle.loads(actor))
 
 
+def blank_actor(agent: AgentLayout, hidden: Sequence[int]) -> AgentActor:
+    """An untrained actor, whose input statistics are yet to be set."""
+    normalizer = Normalizer.blank(len(agent.observation))
+    return AgentActor(agent, Actor(normalizer, len(agent.action), hidden))
+
+
 def actors_from(
     states: Mapping[str, Any], hidden: Sequence[int], layout: Layout = REACH
 ) -> dict[str, AgentActor]:
     """Trained actors from their networks' states, of one joint agent or of several."""
     agents = {}
     for agent in (layout.joint,) if JOINT_NAME in states else layout.agents:
-        blank = Normalizer.blank(len(agent.observation))
-        actor = Actor(blank, len(agent.action), hidden)
-        actor.load_state_dict(states[agent.name])
-        agents[agent.name] = AgentActor(agent, actor.eval())
+        agents[agent.name] = blank_actor(agent, hidden)
+        agents[agent.name].actor.load_state_dict(states[agent.name])
+        agents[agent.name].actor.eval()
     return agents
 
 

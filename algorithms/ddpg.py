@@ -17,13 +17,12 @@ import torch
 from torch.nn import functional
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
-from marl_mm.algorithms.actors import AgentActor, joint_action
+from marl_mm.algorithms.actors import blank_actor, joint_action
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.demonstrations import Demonstrations
 from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.networks import (
     DIAGNOSED,
-    Actor,
     Critic,
     Normalizer,
     descend,
@@ -188,14 +187,7 @@ class Ddpg:
                 layer_norm=config.layer_norm,
             )
             self.agents = {
-                agent.name: AgentActor(
-                    agent,
-                    Actor(
-                        Normalizer.blank(len(agent.observation)),
-                        len(agent.action),
-                        config.hidden,
-                    ),
-                )
+                agent.name: blank_actor(agent, config.hidden)
                 for agent in self._layouts()
             }
         self._target_critic = deepcopy(self.critic)

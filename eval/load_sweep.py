@@ -7,7 +7,6 @@ import numpy as np
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.eval.metrics import Row, bootstrap_interval
 from marl_mm.eval.sweep import Cell
-from marl_mm.eval.tables import markdown_table
 
 CARRY = "CarryReach-v0"
 
@@ -61,33 +60,3 @@ def summarize_loads(rows: Sequence[Row]) -> list[Row]:
                 }
             )
     return summary
-
-
-def load_table(summary: Sequence[Row]) -> str:
-    """A mass a row, as Markdown: margins at both ends of alpha, and the gain."""
-    header = (
-        "load [kg]",
-        "goals",
-        "reached, alpha 0 and 1",
-        "least ZMP margin, alpha 0 [m]",
-        "alpha 1 [m]",
-        "mean, alpha 0 [m]",
-        "alpha 1 [m]",
-        "gained by alpha [mm, 95 % interval]",
-    )
-    lines = []
-    for mass in sorted({row["mass"] for row in summary}):
-        own = [row for row in summary if row["mass"] == mass]
-        ends = own[0], own[-1]
-        low, high = (1000 * bound for bound in ends[1]["gain_interval"])
-        lines.append(
-            (
-                f"{mass:g}",
-                str(ends[0]["goals"]),
-                ", ".join(f"{100 * row['success']:.0f}" for row in ends) + " %",
-                *(f"{row['zmp_margin_least']:.3f}" for row in ends),
-                *(f"{row['zmp_margin']:.3f}" for row in ends),
-                f"{1000 * ends[1]['gain']:.1f} [{low:.1f}, {high:.1f}]",
-            )
-        )
-    return markdown_table(header, lines)

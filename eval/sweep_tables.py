@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 
-from marl_mm.eval.load_sweep import load_table
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.sweep import Response
 from marl_mm.eval.tables import markdown_table
@@ -110,6 +109,36 @@ def worth_table(worth: Sequence[Row]) -> str:
                 f"{best['difference']:.2f} [{low:.2f}, {high:.2f}]",
                 f"{best['better_on']}/{best['goals']}",
                 f"{min(row['interval'][0] for row in own):.2f}",
+            )
+        )
+    return markdown_table(header, lines)
+
+
+def load_table(summary: Sequence[Row]) -> str:
+    """A mass a row, as Markdown: margins at both ends of alpha, and the gain."""
+    header = (
+        "load [kg]",
+        "goals",
+        "reached, alpha 0 and 1",
+        "least ZMP margin, alpha 0 [m]",
+        "alpha 1 [m]",
+        "mean, alpha 0 [m]",
+        "alpha 1 [m]",
+        "gained by alpha [mm, 95 % interval]",
+    )
+    lines = []
+    for mass in sorted({row["mass"] for row in summary}):
+        own = [row for row in summary if row["mass"] == mass]
+        ends = own[0], own[-1]
+        low, high = (1000 * bound for bound in ends[1]["gain_interval"])
+        lines.append(
+            (
+                f"{mass:g}",
+                str(ends[0]["goals"]),
+                ", ".join(f"{100 * row['success']:.0f}" for row in ends) + " %",
+                *(f"{row['zmp_margin_least']:.3f}" for row in ends),
+                *(f"{row['zmp_margin']:.3f}" for row in ends),
+                f"{1000 * ends[1]['gain']:.1f} [{low:.1f}, {high:.1f}]",
             )
         )
     return markdown_table(header, lines)

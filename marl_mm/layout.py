@@ -5,6 +5,7 @@ Every other package builds on this one place: environments, datasets, algorithms
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -185,11 +186,7 @@ def layout_of(width: int) -> Layout:
     Raises:
         UsageError: If there is none.
     """
-    for layout in LAYOUTS:
-        if len(layout.state) == width:
-            return layout
-    expected = " or ".join(str(len(layout.state)) for layout in LAYOUTS)
-    raise UsageError(f"state has {width} entries, expected {expected}")
+    return _layout_with("state", width)
 
 
 def layout_of_actions(width: int) -> Layout:
@@ -198,11 +195,15 @@ def layout_of_actions(width: int) -> Layout:
     Raises:
         UsageError: If there is none.
     """
-    for layout in LAYOUTS:
-        if len(layout.action) == width:
-            return layout
-    expected = " or ".join(str(len(layout.action)) for layout in LAYOUTS)
-    raise UsageError(f"action has {width} entries, expected {expected}")
+    return _layout_with("action", width)
+
+
+def _layout_with(part: Literal["state", "action"], width: int) -> Layout:
+    known = {len(getattr(layout, part)): layout for layout in LAYOUTS}
+    if width not in known:
+        expected = " or ".join(map(str, known))
+        raise UsageError(f"{part} has {width} entries, expected {expected}")
+    return known[width]
 
 
 def columns(entries: tuple[int, ...]) -> slice | list[int]:

@@ -29,6 +29,7 @@ from marl_mm.envs.config import reach_config
 from marl_mm.envs.terms import judge
 from marl_mm.episode import Episode
 from marl_mm.errors import DivergedError
+from marl_mm.progress import Advance
 
 MakeEpisode = Callable[..., Episode]
 JUDGE = partial(judge, config=reach_config())
@@ -89,18 +90,23 @@ def test_a_nan_in_a_batch_ends_the_run(
     assert np.isfinite(load_policy(tmp_path).act(np.zeros(10))).all()
 
 
-def test_a_value_beyond_all_returns_ends_the_run(
-    arrays: EpisodeArrays, tmp_path: Path
-) -> None:
-    """And weights that the last step spoilt are not kept."""
-    config = Td3BcConfig(updates=300, **SMALL)
-    algorithm = Td3Bc(config, arrays, JUDGE, [0])
+def spoilt_at_200(arrays: EpisodeArrays) -> tuple[Td3Bc, Advance]:
+    """An algorithm, and what makes its critics' values run away half-way."""
+    algorithm = Td3Bc(Td3BcConfig(updates=300, **SMALL), arrays, JUDGE, [0])
 
     def spoil(done: int, note: str) -> None:
         if algorithm.step == 200:
             with torch.no_grad():
                 algorithm.critics.networks.flat.mul_(1e4)
 
+    return algorithm, spoil
+
+
+def test_a_value_beyond_all_returns_ends_the_run(
+    arrays: EpisodeArrays, tmp_path: Path
+) -> None:
+    """And weights that the last step spoilt are not kept."""
+    algorithm, spoil = spoilt_at_200(arrays)
     with pytest.raises(DivergedError, match=r"q/data is .* more than .* update 200"):
         train(algorithm, [tmp_path], lambda policy: {}, 100, spoil)
     assert np.isfinite(load_policy(tmp_path).act(np.zeros(10))).all()
@@ -109,14 +115,7 @@ def test_a_value_beyond_all_returns_ends_the_run(
 def test_unless_it_is_to_go_on_to_its_end(
     arrays: EpisodeArrays, tmp_path: Path
 ) -> None:
-    config = Td3BcConfig(updates=300, **SMALL)
-    algorithm = Td3Bc(config, arrays, JUDGE, [0])
-
-    def spoil(done: int, note: str) -> None:
-        if algorithm.step == 200:
-            with torch.no_grad():
-                algorithm.critics.networks.flat.mul_(1e4)
-
+    algorithm, spoil = spoilt_at_200(arrays)
     train(algorithm, [tmp_path], lambda policy: {}, 100, spoil, stop_unsound=False)
     assert algorithm.step == 300
     rows = read_metrics(tmp_path)

@@ -85,6 +85,11 @@ def trajectory_hash(seed: int, task: str) -> str:
     return digest.hexdigest()
 
 
+def test_every_task_is_registered_and_nothing_else() -> None:
+    found = {name for name in gymnasium.registry if name.startswith("marl_mm/")}
+    assert found == {f"marl_mm/{task}" for task in TASKS}
+
+
 @pytest.mark.parametrize("task", TASKS)
 def test_gymnasium_check_env(task: str) -> None:
     env = gymnasium.make(f"marl_mm/{task}", overrides=QUICK, disable_env_checker=True)

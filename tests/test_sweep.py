@@ -12,7 +12,7 @@ from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands import sweep_alpha
 from marl_mm.control.config import FORMS
 from marl_mm.control.priorities import stability_share
-from marl_mm.eval.load_sweep import load_cells, load_table, summarize_loads
+from marl_mm.eval.load_sweep import load_cells, summarize_loads
 from marl_mm.eval.metrics import Row, bootstrap_interval
 from marl_mm.eval.readme import RESULTS
 from marl_mm.eval.rows import read_rows
@@ -23,6 +23,7 @@ from marl_mm.eval.sweep import (
     summarize_cells,
     worth_of_a_rule,
 )
+from marl_mm.eval.sweep_tables import load_table
 
 SMALL = Cell("Reach-v0", "blend", PdConfig(alpha=0.5), 2, 0, 12)
 ARGUMENTS = (

@@ -54,7 +54,7 @@ class SweepAlpha:
 
     Writes alpha.md, figures (response.png, pareto.png, loads.png), means (alpha.csv,
     worth.csv, loads.csv) and every episode (episodes.csv.gz, load_episodes.csv.gz).
-    Takes about half an hour on two cores.
+    Takes about twenty minutes on two cores, and some more for the loads.
     """
 
     out: Path = Path("runs/alpha")
