@@ -13,7 +13,8 @@ from marl_mm.envs.config import reach_config
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.episode import Episode
 from marl_mm.eval.goals import goal_set
-from marl_mm.eval.metrics import Row, bootstrap_interval
+from marl_mm.eval.intervals import bootstrap_interval
+from marl_mm.eval.metrics import Row
 from marl_mm.layout import ALPHA, MODE
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent

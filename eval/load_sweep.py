@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from marl_mm.collectors.pd import PdConfig
-from marl_mm.eval.metrics import Row, bootstrap_interval
+from marl_mm.eval.intervals import bootstrap_interval
+from marl_mm.eval.metrics import Row
 from marl_mm.eval.sweep import Cell
 
 CARRY = "CarryReach-v0"

@@ -4,14 +4,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest
 
 from marl_mm.episode import Episode
+from marl_mm.eval.intervals import success_interval
 from marl_mm.layout import ALPHA
 
 Row = dict[str, Any]
-
-CONFIDENCE = 0.95
 
 
 def episode_row(episode: Episode) -> Row:
@@ -35,13 +33,6 @@ def episode_row(episode: Episode) -> Row:
     }
 
 
-def success_interval(successes: int, episodes: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a success rate."""
-    test = binomtest(successes, episodes)
-    interval = test.proportion_ci(CONFIDENCE, method="wilson")
-    return float(interval.low), float(interval.high)
-
-
 def summarize(rows: Sequence[Row]) -> dict[str, Any]:
     """Success rate with interval, and means over episodes; steps over successes."""
     successes = [row for row in rows if row["success"]]
@@ -63,15 +54,3 @@ def summarize_directions(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
     for direction in ("forward", "backward"):
         parts[direction] = [row for row in rows if row["direction"] == direction]
     return {name: summarize(part) for name, part in parts.items() if part}
-
-
-def bootstrap_interval(
-    values: np.ndarray, resamples: int = 10_000
-) -> tuple[float, float]:
-    """95 % percentile interval of the mean, by resampling with a fixed seed."""
-    rng = np.random.default_rng(0)
-    picks = rng.integers(len(values), size=(resamples, len(values)))
-    means = np.asarray(values)[picks].mean(axis=1)
-    tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(means, [tail, 1 - tail])
-    return float(low), float(high)

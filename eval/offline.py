@@ -4,22 +4,21 @@ from collections.abc import Mapping, Sequence
 from math import ceil
 
 import numpy as np
-from scipy.stats import trim_mean
 
 from marl_mm.eval.ablation import Ablation, Cell, Probe, Reported, Setting
 from marl_mm.eval.ablations import LONG, reported
-from marl_mm.eval.metrics import (
-    CONFIDENCE,
-    Row,
+from marl_mm.eval.intervals import (
     bootstrap_interval,
+    deviation,
+    interquartile_interval,
+    interquartile_mean,
     success_interval,
+    success_scores,
+    wider_interval,
 )
+from marl_mm.eval.metrics import Row
 from marl_mm.eval.offline_rows import RowStore
-from marl_mm.eval.online import deviation, mean_interval
-from marl_mm.eval.tables import markdown_table
-
-_RESAMPLES = 2_000
-"""Of the bootstrap."""
+from marl_mm.eval.tables import markdown_table, percent_with_interval, without
 
 COLUMNS = {"q_policy": "critic's value", "q_slope": "critic's slope"}
 """Headings of what the critics say of the policy's actions, and how much more they
@@ -106,7 +105,7 @@ def _summarize(cell: Cell, probe: Probe, rows: Sequence[Row]) -> Row:
         "goals": len(rows) // len(rates),
         "success": float(np.mean(rates)),
         "success_std": deviation(rates),
-        "success_interval": _wider_interval(
+        "success_interval": wider_interval(
             rates, sum(row["success"] for row in rows), len(rows)
         ),
         "success_iqm": interquartile_mean(scores),
@@ -116,74 +115,6 @@ def _summarize(cell: Cell, probe: Probe, rows: Sequence[Row]) -> Row:
     for key in ("return", "d_mm", "d_mp", "alpha"):
         summary[key] = float(np.mean([row[key] for row in rows]))
     return summary
-
-
-def _wider_interval(
-    rates: Sequence[float], successes: int, goals: int
-) -> tuple[float, float]:
-    """The wider to each side of Student's interval over seeds and Wilson's over goals.
-
-    Seeds alone know nothing of goals where all of them reach the same share, and goals
-    alone nothing of how much seeds differ.
-    """
-    low, high = success_interval(successes, goals)
-    if len(rates) > 1:
-        over_seeds = mean_interval(rates)
-        low, high = min(low, over_seeds[0]), max(high, over_seeds[1])
-    return max(low, 0.0), min(high, 1.0)
-
-
-def success_scores(rows: Sequence[Row]) -> np.ndarray:
-    """Success rates by seed and direction, shape (seeds, 2): as many goals in each.
-
-    Where all goals are on one side, shape (seeds, 1).
-    """
-    seeds = sorted({row["seed"] for row in rows})
-    directions = {row["direction"] for row in rows}
-    return np.array(
-        [
-            [
-                np.mean(
-                    [
-                        row["success"]
-                        for row in rows
-                        if (row["seed"], row["direction"]) == (seed, direction)
-                    ]
-                )
-                for direction in ("forward", "backward")
-                if direction in directions
-            ]
-            for seed in seeds
-        ]
-    )
-
-
-def interquartile_mean(scores: np.ndarray) -> float:
-    """Mean without the lowest and the highest quarter (Agarwal 2021).
-
-    Of what is no whole number less is left out: of six scores one at each end.
-    """
-    return float(trim_mean(scores, 0.25, axis=None))
-
-
-def interquartile_interval(scores: np.ndarray) -> tuple[float, float]:
-    """95 % stratified bootstrap interval of the interquartile mean; nan of one run.
-
-    Runs are drawn with replacement and a fixed seed, in each column for itself (Agarwal
-    2021).
-
-    Args:
-        scores: Shape (runs, columns).
-    """
-    if len(scores) == 1:
-        return np.nan, np.nan
-    rng = np.random.default_rng(0)
-    picks = rng.integers(len(scores), size=(_RESAMPLES, *scores.shape))
-    drawn = np.take_along_axis(scores[None], picks, axis=1)
-    means = trim_mean(drawn.reshape(_RESAMPLES, -1), 0.25, axis=1)
-    tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(means, [tail, 1 - tail])
-    return float(low), float(high)
 
 
 def goals_for(rate: float, half_width: float) -> int:
@@ -210,11 +141,7 @@ def ablation_table(
     ablation: Ablation, summary: Sequence[Row], leave_out: Sequence[str] = ()
 ) -> str:
     """One row per cell, as Markdown, without some columns; see ``ablation_lines``."""
-    header, lines = ablation_lines(ablation, summary)
-    kept = [i for i, name in enumerate(header) if name not in leave_out]
-    return markdown_table(
-        [header[i] for i in kept], [[line[i] for i in kept] for line in lines]
-    )
+    return markdown_table(*without(*ablation_lines(ablation, summary), leave_out))
 
 
 def ablation_lines(
@@ -234,7 +161,7 @@ def ablation_lines(
         row = known[dataset, setting.name, first.name]
         line = [dataset, setting.about, rate_with_interval(row)]
         line += [_every_seed(row)]
-        line += [_percent(row, "success_iqm")]
+        line += [percent_with_interval(row["success_iqm"], row["success_iqm_interval"])]
         line += [
             _short(known[dataset, setting.name, probe.name], probe) for probe in others
         ]
@@ -274,12 +201,6 @@ def _mean(row: Row) -> str:
     """With the deviation over seeds, if there are several."""
     deviation = f" +- {100 * row['success_std']:.1f}" if row["seeds"] > 1 else ""
     return f"{100 * row['success']:.1f}{deviation}"
-
-
-def _percent(row: Row, key: str) -> str:
-    low, high = (100 * bound for bound in row[f"{key}_interval"])
-    interval = "" if np.isnan(low) else f" [{low:.1f}, {high:.1f}]"
-    return f"{100 * row[key]:.1f}{interval}"
 
 
 def _told(probe: Probe) -> str:

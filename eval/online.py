@@ -11,13 +11,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
 from marl_mm.algorithms.ddpg import DdpgConfig
 from marl_mm.algorithms.presets import Preset, preset
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.errors import UsageError
-from marl_mm.eval.metrics import CONFIDENCE, Row, success_interval
+from marl_mm.eval.ablation import Reported
+from marl_mm.eval.intervals import (
+    deviation,
+    interquartile_interval,
+    interquartile_mean,
+    mean_interval,
+    success_scores,
+    wider_interval,
+)
+from marl_mm.eval.metrics import Row
 
 LEVELS = (0.70, 0.95)
 """Success rates to which episodes are counted; the paper's own ends at 70 %."""
@@ -52,6 +60,9 @@ class Setting:
     library: str = "marl_mm"
     """``marl_mm``, or ``sb3`` for Stable-Baselines3."""
 
+    reported: Reported | None = None
+    """What the paper says of it."""
+
     @property
     def config(self) -> DdpgConfig:
         """Its hyper-parameters."""
@@ -64,12 +75,21 @@ def _departure(name: str, about: str, **changes: Any) -> Setting:
     return Setting(f"ddpg-her-{name}", f"DDPG + HER, {about}", changes=changes)
 
 
+_PLAIN = Reported("Sec. 5.4.1", words="under 40")
+_HINDSIGHT = Reported("Sec. 5.4.1", words="70 by about episode 90")
+
 SETTINGS = (
-    Setting("ddpg", "DDPG", "ddpg"),
-    Setting("ddpg-her", "DDPG + HER"),
+    Setting("ddpg", "DDPG", "ddpg", reported=_PLAIN),
+    Setting("ddpg-her", "DDPG + HER", reported=_HINDSIGHT),
     Setting("maddpg-her", "MADDPG + HER", "maddpg-her"),
-    Setting("ddpg-paper", "DDPG, Table 2", "ddpg", "paper"),
-    Setting("ddpg-her-paper", "DDPG + HER, Table 2", "ddpg-her", "paper"),
+    Setting("ddpg-paper", "DDPG, Table 2", "ddpg", "paper", reported=_PLAIN),
+    Setting(
+        "ddpg-her-paper",
+        "DDPG + HER, Table 2",
+        "ddpg-her",
+        "paper",
+        reported=_HINDSIGHT,
+    ),
     Setting(SB3, "Stable-Baselines3, DDPG + HER", library="sb3"),
     Setting("ddpg-demonstrations", "DDPG, demonstrations", "ddpg", demonstrations=True),
     Setting(
@@ -187,9 +207,12 @@ def summarize_settings(
             row[f"success_{checkpoint}"] = float(np.mean(rates))
             row[f"success_{checkpoint}_std"] = deviation(rates)
             successes = sum(one["success"] for one in goals)
-            row[f"success_{checkpoint}_interval"] = success_interval(
-                successes, len(goals)
+            row[f"success_{checkpoint}_interval"] = wider_interval(
+                rates, successes, len(goals)
             )
+            scores = success_scores(goals)
+            row[f"success_{checkpoint}_iqm"] = interquartile_mean(scores)
+            row[f"success_{checkpoint}_iqm_interval"] = interquartile_interval(scores)
             row[f"return_{checkpoint}"] = float(
                 np.mean([one["return"] for one in goals])
             )
@@ -218,18 +241,6 @@ def _counted(name: str, counts: Sequence[tuple[int, int] | None]) -> Row:
         _, high = mean_interval([at for _, at in known])
         row[f"{name}_interval"] = max(0.0, low), high
     return row
-
-
-def deviation(rates: Sequence[float]) -> float:
-    """Standard deviation over seeds, estimated; 0 of a single one."""
-    return float(np.std(rates, ddof=1)) if len(rates) > 1 else 0.0
-
-
-def mean_interval(values: Sequence[float]) -> tuple[float, float]:
-    """Student's 95 % interval of a mean of few values."""
-    spread = np.std(values, ddof=1) / np.sqrt(len(values))
-    width = student.ppf((1 + CONFIDENCE) / 2, len(values) - 1) * spread
-    return float(np.mean(values) - width), float(np.mean(values) + width)
 
 
 def success_at(curves: Sequence[Row], setting: Setting, env_steps: int) -> list[float]:

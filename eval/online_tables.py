@@ -6,22 +6,30 @@ from typing import Any
 
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.online import LEVELS, SB3, Setting, success_at
-from marl_mm.eval.tables import markdown_table
+from marl_mm.eval.tables import markdown_table, percent_with_interval, without
+
+IQM = "IQM at the end [%]"
 
 ONLINE_HEADER = (
     "setting",
     "task",
     "seeds",
     "success at the end [%]",
+    IQM,
     "at the best checkpoint [%]",
+    "paper [%]",
     "return",
     *(f"episodes to {100 * level:.0f} %" for level in LEVELS),
     "episodes",
 )
 
 
-def online_table(summary: Sequence[Row], settings: Sequence[Setting]) -> str:
-    """One row per setting, as Markdown."""
+def online_table(
+    summary: Sequence[Row],
+    settings: Sequence[Setting],
+    leave_out: Sequence[str] = (),
+) -> str:
+    """One row per setting, as Markdown, without some columns."""
     by_name = {setting.name: setting for setting in settings}
     lines = []
     for row in summary:
@@ -32,13 +40,17 @@ def online_table(summary: Sequence[Row], settings: Sequence[Setting]) -> str:
                 setting.task,
                 str(row["seeds"]),
                 _success(row, "last"),
+                percent_with_interval(
+                    row["success_last_iqm"], row["success_last_iqm_interval"]
+                ),
                 _success(row, "best"),
+                "" if setting.reported is None else str(setting.reported),
                 f"{row['return_last']:.2f}",
                 *(_count(row, f"to_{100 * level:.0f}") for level in LEVELS),
                 str(row["episodes"]),
             )
         )
-    return markdown_table(ONLINE_HEADER, lines)
+    return markdown_table(*without(ONLINE_HEADER, lines, leave_out))
 
 
 def worth_of_alpha(summary: Sequence[Row], settings: Sequence[Setting]) -> str:
@@ -119,13 +131,15 @@ def online_markdown(
     return f"""# Online learning
 
 Made by `marl-mm ablate online`. Success: mean and standard deviation over seeds of the
-share of goals reached, the same for all, and Wilson's 95 % interval over the goals of
-all seeds together, which says how well these agents do and not how much agents differ:
-for that there is the deviation. Episodes: until an evaluation on other goals
-first had the rate, mean over seeds, its 95 % interval and every seed's count (-: not
-within the run). The interval is Student's, from the evaluation before to the one that
-had the rate, as it was reached in between. The last column is where the longest run
-ended: 500 episodes after its best success rate, or with as many as it was to have.
+share of goals reached, the same for all, and the wider of two 95 % intervals: Student's
+over seeds, Wilson's over all goals. IQM: interquartile mean over seeds and directions,
+with its 95 % stratified bootstrap interval, which is too narrow for so few seeds.
+Paper: of its learning curves, on a task of its own. Episodes: until an evaluation on
+other goals first had the rate, mean over seeds, its 95 % interval and every seed's
+count (-: not within the run). The interval is Student's, from the evaluation before to
+the one that had the rate, as it was reached in between. The last column is where the
+longest run ended: 500 episodes after its best success rate, or with as many as it was
+to have.
 
 {online_table(summary, settings)}
 {hindsight_in_words(summary)}

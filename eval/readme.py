@@ -22,6 +22,7 @@ from marl_mm.eval.bench_tables import (
 from marl_mm.eval.offline import COLUMNS, ablation_table, goals_table
 from marl_mm.eval.online import SETTINGS
 from marl_mm.eval.online_tables import (
+    IQM,
     hindsight_in_words,
     online_table,
     steps_table,
@@ -93,7 +94,7 @@ _ONLINE = (
 def _online() -> str:
     rows = read_rows(RESULTS / "online/online.csv")
     shown = [row for row in rows if row["setting"] in _ONLINE]
-    return f"{online_table(shown, SETTINGS)}\n{hindsight_in_words(shown)}"
+    return f"{online_table(shown, SETTINGS, [IQM])}\n{hindsight_in_words(shown)}"
 
 
 def _learnt() -> str:

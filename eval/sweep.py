@@ -18,7 +18,8 @@ from marl_mm.envs.rollout import run_episodes
 from marl_mm.envs.terms import reach_reward
 from marl_mm.episode import Episode
 from marl_mm.eval.goals import goal_set
-from marl_mm.eval.metrics import Row, bootstrap_interval, success_interval
+from marl_mm.eval.intervals import bootstrap_interval, success_interval
+from marl_mm.eval.metrics import Row
 
 LONG, SHORT = 50, 25
 """Steps that an episode has, and steps of the registered tasks."""

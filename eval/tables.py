@@ -1,5 +1,6 @@
 """Evaluations side by side, as Markdown or on the terminal."""
 
+import math
 import re
 from collections.abc import Sequence
 
@@ -54,6 +55,21 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table."""
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def without(
+    header: Sequence[str], rows: Sequence[Sequence[str]], names: Sequence[str]
+) -> tuple[list[str], list[list[str]]]:
+    """Header and rows without the columns of some names."""
+    kept = [i for i, name in enumerate(header) if name not in names]
+    return [header[i] for i in kept], [[row[i] for i in kept] for row in rows]
+
+
+def percent_with_interval(value: float, interval: tuple[float, float]) -> str:
+    """A share [%], with its interval if it is known."""
+    low, high = (100 * bound for bound in interval)
+    told = "" if math.isnan(low) else f" [{low:.1f}, {high:.1f}]"
+    return f"{100 * value:.1f}{told}"
 
 
 def latex_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

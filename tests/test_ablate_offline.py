@@ -31,12 +31,11 @@ from marl_mm.eval.ablation import (
     cell_name,
 )
 from marl_mm.eval.ablations import ABLATIONS, PAPER, reported
-from marl_mm.eval.metrics import success_interval
+from marl_mm.eval.intervals import (
+    success_interval,
+)
 from marl_mm.eval.offline import (
     goals_for,
-    interquartile_interval,
-    interquartile_mean,
-    success_scores,
 )
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.tables import latex_table
@@ -194,41 +193,6 @@ def test_a_declaration_that_makes_no_sense_is_refused(
 ) -> None:
     with pytest.raises(UsageError, match=complaint):
         make()
-
-
-# --- Statistics --------------------------------------------------------------
-
-
-def test_scores_by_seed_and_direction() -> None:
-    hits = {
-        (0, "forward"): 2,
-        (0, "backward"): 1,
-        (1, "forward"): 0,
-        (1, "backward"): 2,
-    }
-    rows = [
-        {"seed": seed, "direction": direction, "success": int(goal < reached)}
-        for (seed, direction), reached in hits.items()
-        for goal in range(2)
-    ]
-    assert success_scores(rows).tolist() == [[1.0, 0.5], [0.0, 1.0]]
-
-
-def test_the_interquartile_mean_of_a_table_worked_by_hand() -> None:
-    assert interquartile_mean(np.array([[0.0, 0.4], [0.6, 1.0]])) == pytest.approx(0.5)
-    # Of six the highest and the lowest go, and one each: 1.5 of 6, rounded down.
-    six = np.array([[0.0, 0.1], [0.5, 0.6], [0.8, 1.0]])
-    assert interquartile_mean(six) == pytest.approx((0.1 + 0.5 + 0.6 + 0.8) / 4)
-
-
-def test_the_interval_of_the_interquartile_mean_draws_columns_apart() -> None:
-    # Whatever is drawn, the runs agree: there is nothing to be unsure of.
-    assert interquartile_interval(np.array([[0.2, 0.8], [0.2, 0.8]])) == (0.5, 0.5)
-    low, high = interquartile_interval(np.array([[0.0, 0.0], [1.0, 1.0]]))
-    assert (low, high) == (0.0, 1.0)
-    # Two runs that trade one direction for the other: each may be drawn twice.
-    assert interquartile_interval(np.array([[0.0, 1.0], [1.0, 0.0]])) == (0.0, 1.0)
-    assert np.isnan(interquartile_interval(np.array([[0.5, 0.5]]))).all()
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.26, 0.5, 0.95, 1.0])

@@ -14,7 +14,7 @@ from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate
 from marl_mm.eval.figures import alpha_over_time, learning_curve
 from marl_mm.eval.goals import goal_set
-from marl_mm.eval.metrics import episode_row, success_interval, summarize_directions
+from marl_mm.eval.metrics import episode_row, summarize_directions
 from marl_mm.eval.tables import evaluation_markdown
 from marl_mm.eval.video import film_episode, film_strip, write_video
 from marl_mm.sim.config import Camera
@@ -39,16 +39,6 @@ def test_goals_alternate_lie_in_the_paper_s_boxes_and_extend() -> None:
     assert ((goals[:, 2] > 0.55) & (goals[:, 2] < 0.8)).all()
     assert goal_set(config, 10, seed=3) == plans[:10]
     assert goal_set(config, 10, seed=4) != plans[:10]
-
-
-@pytest.mark.parametrize(
-    ("successes", "episodes", "low", "high"),
-    [(0, 10, 0.0, 0.2775), (5, 10, 0.2366, 0.7634), (100, 100, 0.9630, 1.0)],
-)
-def test_wilson_interval_from_the_textbook(
-    successes: int, episodes: int, low: float, high: float
-) -> None:
-    assert success_interval(successes, episodes) == pytest.approx((low, high), abs=1e-4)
 
 
 def test_summary_by_hand() -> None:

@@ -13,7 +13,7 @@ from marl_mm.commands import sweep_alpha
 from marl_mm.control.config import FORMS
 from marl_mm.control.priorities import stability_share
 from marl_mm.eval.load_sweep import load_cells, summarize_loads
-from marl_mm.eval.metrics import Row, bootstrap_interval
+from marl_mm.eval.metrics import Row
 from marl_mm.eval.readme import RESULTS
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.sweep import (
@@ -137,14 +137,6 @@ def test_worth_is_paired_by_goal() -> None:
     assert worth["difference"] == pytest.approx(1.5)
     assert 1.2 < worth["interval"][0] < 1.5 < worth["interval"][1] < 1.8
     assert worth["better_on"] == 20
-
-
-def test_bootstrap_interval_is_that_of_the_mean() -> None:
-    values = np.random.default_rng(0).normal(3, 2, 400)
-    low, high = bootstrap_interval(values)
-    assert (low + high) / 2 == pytest.approx(values.mean(), abs=0.02)
-    assert (high - low) / 2 == pytest.approx(1.96 * 2 / 20, rel=0.1)
-    assert bootstrap_interval(values) == (low, high)
 
 
 def test_stability_share_reaches_its_ends() -> None:

@@ -144,7 +144,7 @@ def ours(folder: Path) -> None:
     from marl_mm.envs.terms import judge
     from marl_mm.eval.bench_offline import plain_config
     from marl_mm.eval.evaluate import evaluate
-    from marl_mm.eval.metrics import success_interval
+    from marl_mm.eval.intervals import success_interval
     from marl_mm.policy import Policy
 
     torch.set_num_threads(1)

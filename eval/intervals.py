@@ -1,0 +1,112 @@
+"""Means, deviations and intervals of success over few seeds and many goals."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest, trim_mean
+from scipy.stats import t as student
+
+CONFIDENCE = 0.95
+
+_RESAMPLES = 2_000
+"""Of the interquartile mean's bootstrap."""
+
+
+def success_interval(successes: int, episodes: int) -> tuple[float, float]:
+    """Wilson's 95 % interval of a success rate."""
+    test = binomtest(successes, episodes)
+    interval = test.proportion_ci(CONFIDENCE, method="wilson")
+    return float(interval.low), float(interval.high)
+
+
+def bootstrap_interval(
+    values: np.ndarray, resamples: int = 10_000
+) -> tuple[float, float]:
+    """95 % percentile interval of the mean, by resampling with a fixed seed."""
+    rng = np.random.default_rng(0)
+    picks = rng.integers(len(values), size=(resamples, len(values)))
+    means = np.asarray(values)[picks].mean(axis=1)
+    tail = (1 - CONFIDENCE) / 2
+    low, high = np.quantile(means, [tail, 1 - tail])
+    return float(low), float(high)
+
+
+def deviation(rates: Sequence[float]) -> float:
+    """Standard deviation over seeds, estimated; 0 of a single one."""
+    return float(np.std(rates, ddof=1)) if len(rates) > 1 else 0.0
+
+
+def mean_interval(values: Sequence[float]) -> tuple[float, float]:
+    """Student's 95 % interval of a mean of few values."""
+    spread = np.std(values, ddof=1) / np.sqrt(len(values))
+    width = student.ppf((1 + CONFIDENCE) / 2, len(values) - 1) * spread
+    return float(np.mean(values) - width), float(np.mean(values) + width)
+
+
+def wider_interval(
+    rates: Sequence[float], successes: int, goals: int
+) -> tuple[float, float]:
+    """The wider to each side of Student's interval over seeds and Wilson's over goals.
+
+    Seeds alone know nothing of goals where all of them reach the same share, and goals
+    alone nothing of how much seeds differ.
+    """
+    low, high = success_interval(successes, goals)
+    if len(rates) > 1:
+        over_seeds = mean_interval(rates)
+        low, high = min(low, over_seeds[0]), max(high, over_seeds[1])
+    return max(low, 0.0), min(high, 1.0)
+
+
+def success_scores(rows: Sequence[Mapping[str, Any]]) -> np.ndarray:
+    """Success rates by seed and direction, shape (seeds, 2): as many goals in each.
+
+    Where all goals are on one side, shape (seeds, 1).
+    """
+    seeds = sorted({row["seed"] for row in rows})
+    directions = {row["direction"] for row in rows}
+    return np.array(
+        [
+            [
+                np.mean(
+                    [
+                        row["success"]
+                        for row in rows
+                        if (row["seed"], row["direction"]) == (seed, direction)
+                    ]
+                )
+                for direction in ("forward", "backward")
+                if direction in directions
+            ]
+            for seed in seeds
+        ]
+    )
+
+
+def interquartile_mean(scores: np.ndarray) -> float:
+    """Mean without the lowest and the highest quarter (Agarwal 2021).
+
+    Of what is no whole number less is left out: of six scores one at each end.
+    """
+    return float(trim_mean(scores, 0.25, axis=None))
+
+
+def interquartile_interval(scores: np.ndarray) -> tuple[float, float]:
+    """95 % stratified bootstrap interval of the interquartile mean; nan of one run.
+
+    Runs are drawn with replacement and a fixed seed, in each column for itself (Agarwal
+    2021).
+
+    Args:
+        scores: Shape (runs, columns).
+    """
+    if len(scores) == 1:
+        return np.nan, np.nan
+    rng = np.random.default_rng(0)
+    picks = rng.integers(len(scores), size=(_RESAMPLES, *scores.shape))
+    drawn = np.take_along_axis(scores[None], picks, axis=1)
+    means = trim_mean(drawn.reshape(_RESAMPLES, -1), 0.25, axis=1)
+    tail = (1 - CONFIDENCE) / 2
+    low, high = np.quantile(means, [tail, 1 - tail])
+    return float(low), float(high)

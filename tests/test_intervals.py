@@ -1,0 +1,68 @@
+"""Means and intervals of success, by hand and from textbooks."""
+
+import numpy as np
+import pytest
+
+from marl_mm.eval.intervals import (
+    bootstrap_interval,
+    interquartile_interval,
+    interquartile_mean,
+    mean_interval,
+    success_interval,
+    success_scores,
+)
+
+
+@pytest.mark.parametrize(
+    ("successes", "episodes", "low", "high"),
+    [(0, 10, 0.0, 0.2775), (5, 10, 0.2366, 0.7634), (100, 100, 0.9630, 1.0)],
+)
+def test_wilson_interval_from_the_textbook(
+    successes: int, episodes: int, low: float, high: float
+) -> None:
+    assert success_interval(successes, episodes) == pytest.approx((low, high), abs=1e-4)
+
+
+def test_bootstrap_interval_is_that_of_the_mean() -> None:
+    values = np.random.default_rng(0).normal(3, 2, 400)
+    low, high = bootstrap_interval(values)
+    assert (low + high) / 2 == pytest.approx(values.mean(), abs=0.02)
+    assert (high - low) / 2 == pytest.approx(1.96 * 2 / 20, rel=0.1)
+    assert bootstrap_interval(values) == (low, high)
+
+
+def test_the_interval_of_three_by_hand() -> None:
+    """t(2, 0.975) = 4.303; standard error of 1, 2, 3 is 1 / sqrt(3)."""
+    assert mean_interval([1, 2, 3]) == pytest.approx((2 - 2.484, 2 + 2.484), abs=1e-3)
+
+
+def test_scores_by_seed_and_direction() -> None:
+    hits = {
+        (0, "forward"): 2,
+        (0, "backward"): 1,
+        (1, "forward"): 0,
+        (1, "backward"): 2,
+    }
+    rows = [
+        {"seed": seed, "direction": direction, "success": int(goal < reached)}
+        for (seed, direction), reached in hits.items()
+        for goal in range(2)
+    ]
+    assert success_scores(rows).tolist() == [[1.0, 0.5], [0.0, 1.0]]
+
+
+def test_the_interquartile_mean_of_a_table_worked_by_hand() -> None:
+    assert interquartile_mean(np.array([[0.0, 0.4], [0.6, 1.0]])) == pytest.approx(0.5)
+    # Of six the highest and the lowest go, and one each: 1.5 of 6, rounded down.
+    six = np.array([[0.0, 0.1], [0.5, 0.6], [0.8, 1.0]])
+    assert interquartile_mean(six) == pytest.approx((0.1 + 0.5 + 0.6 + 0.8) / 4)
+
+
+def test_the_interval_of_the_interquartile_mean_draws_columns_apart() -> None:
+    # Whatever is drawn, the runs agree: there is nothing to be unsure of.
+    assert interquartile_interval(np.array([[0.2, 0.8], [0.2, 0.8]])) == (0.5, 0.5)
+    low, high = interquartile_interval(np.array([[0.0, 0.0], [1.0, 1.0]]))
+    assert (low, high) == (0.0, 1.0)
+    # Two runs that trade one direction for the other: each may be drawn twice.
+    assert interquartile_interval(np.array([[0.0, 1.0], [1.0, 0.0]])) == (0.0, 1.0)
+    assert np.isnan(interquartile_interval(np.array([[0.5, 0.5]]))).all()
