@@ -1,6 +1,7 @@
 """From episodes to rows, and from rows to summaries: pure functions."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,12 @@ Row = dict[str, Any]
 
 
 def episode_row(episode: Episode) -> Row:
-    """One episode as numbers; errors and jerk are means over its steps."""
+    """One episode as numbers; errors and jerk are means over its steps.
+
+    ``reason``, why it failed or nothing, where there is a block.
+    """
     info = episode.info
+    told = {} if episode.reason is None else {"reason": episode.reason}
     return {
         "index": episode.index,
         "seed": episode.seed,
@@ -30,6 +35,7 @@ def episode_row(episode: Episode) -> Row:
         "zmp_margin": float(info["zmp_margin"].min()),
         "alpha": float(episode.actions[:, ALPHA].mean()),
         "qp_failures": int(info["qp_failures"].sum()),
+        **told,
     }
 
 
@@ -45,7 +51,22 @@ def summarize(rows: Sequence[Row]) -> dict[str, Any]:
     }
     for key in ("return", "d_mm", "d_mp", "base_jerk_rms", "alpha"):
         summary[key] = float(np.mean([row[key] for row in rows]))
-    return summary
+    failures = count_failures(rows)
+    return summary if failures is None else {**summary, "failures": failures}
+
+
+def count_failures(rows: Sequence[Row]) -> dict[str, int] | None:
+    """How many episodes ended for which reason; None if that is not known."""
+    if not any("reason" in row for row in rows):
+        return None
+    reasons = [row["reason"] for row in rows if row.get("reason")]
+    kinds = ("collision" if r.startswith("collision") else r for r in reasons)
+    return dict(Counter(kinds).most_common())
+
+
+def failures_in_words(failures: Mapping[str, int]) -> str:
+    """Counts of ``count_failures``."""
+    return ", ".join(f"{reason} {n}" for reason, n in failures.items()) or "none"
 
 
 def summarize_directions(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:

@@ -16,7 +16,7 @@ from marl_mm.eval.intervals import (
     success_scores,
     wider_interval,
 )
-from marl_mm.eval.metrics import Row
+from marl_mm.eval.metrics import Row, count_failures, failures_in_words
 from marl_mm.eval.offline_rows import RowStore
 from marl_mm.eval.tables import markdown_table, percent_with_interval, without
 
@@ -26,6 +26,9 @@ value going to the goal than away from it; no return can pass 10."""
 
 OVER_HELD = "return over the best alpha held [95 %]"
 """Heading of what the learnt alpha is worth."""
+
+FAILED = "failed"
+"""Heading of how many episodes of all seeds failed, and why, where they can."""
 
 
 def summarize_ablation(
@@ -114,7 +117,9 @@ def _summarize(cell: Cell, probe: Probe, rows: Sequence[Row]) -> Row:
     }
     for key in ("return", "d_mm", "d_mp", "alpha"):
         summary[key] = float(np.mean([row[key] for row in rows]))
-    return summary
+    failures = count_failures(rows)
+    told = {} if failures is None else {"failed": failures_in_words(failures)}
+    return summary | told
 
 
 def goals_for(rate: float, half_width: float) -> int:
@@ -156,6 +161,8 @@ def ablation_lines(
     header += ["return", "d_mm [m]", "d_mp [m]", "alpha", *COLUMNS.values()]
     held = any(probe.alpha is not None for probe in others)
     header += [OVER_HELD] * held
+    can_fail = any("failed" in row for row in summary)
+    header += [FAILED] * can_fail
     lines = []
     for dataset, setting in ablation.cells:
         row = known[dataset, setting.name, first.name]
@@ -170,6 +177,7 @@ def ablation_lines(
         line += [f"{row['return']:.2f}", f"{row['d_mm']:.3f}", f"{row['d_mp']:.3f}"]
         line += [f"{row['alpha']:.2f}", *(_number(row[key]) for key in COLUMNS)]
         line += [_over_held(row)] if held else []
+        line += [row.get("failed", "")] if can_fail else []
         lines.append(line)
     return header, lines
 

@@ -203,6 +203,7 @@ def _evaluation(run: Path, seed: int, probe: Probe) -> Iterator[Row]:
             "direction": row["direction"],
             "success": int(row["success"]),
             **{key: row[key] for key in _MEASURED},
+            **{key: row[key] for key in ("reason",) if key in row},
         }
 
 

@@ -98,9 +98,8 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
     return page.render(
         title="marl_mm: results",
         about="Tables and figures, what they were made of, and the commands that make "
-        "them. Success rates of online learning: mean and standard deviation over "
-        "seeds, and Wilson's 95 % interval over all goals; of offline learning: as "
-        "said below each table.",
+        "them. Success rates: mean and standard deviation over seeds, and the wider of "
+        "two 95 % intervals, Student's over seeds and Wilson's over all goals.",
         sections=[*sections, made],
     )
 

@@ -16,11 +16,13 @@ from marl_mm.files import new_file
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
     """Rows as CSV, compressed if the name ends in .gz.
 
-    Numbers have six significant digits, intervals two columns.
+    Numbers have six significant digits, intervals two columns; what only some rows have
+    is empty in the others.
     """
     flat = [_spread(row) for row in rows]
     text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, fieldnames=list(flat[0]))
+    names = list(dict.fromkeys(name for row in flat for name in row))
+    writer = csv.DictWriter(text, fieldnames=names)
     writer.writeheader()
     writer.writerows(flat)
     data = text.getvalue().encode()

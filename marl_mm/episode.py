@@ -79,6 +79,9 @@ class Episode:
     """The robot's configuration before the first action, shape (11,): base x, y [m],
     cosine and sine of its yaw, joints [rad]."""
 
+    reason: str | None = None
+    """Why it failed, or nothing; None where there is no block. Not kept in files."""
+
     def __len__(self) -> int:
         return len(self.rewards)
 

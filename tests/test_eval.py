@@ -14,7 +14,12 @@ from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate
 from marl_mm.eval.figures import alpha_over_time, learning_curve
 from marl_mm.eval.goals import goal_set
-from marl_mm.eval.metrics import episode_row, summarize_directions
+from marl_mm.eval.metrics import (
+    count_failures,
+    episode_row,
+    failures_in_words,
+    summarize_directions,
+)
 from marl_mm.eval.tables import evaluation_markdown
 from marl_mm.eval.video import film_episode, film_strip, write_video
 from marl_mm.sim.config import Camera
@@ -60,6 +65,16 @@ def test_no_success_has_no_steps_to_success() -> None:
     summary = summarize_directions([row("forward", False, 25)])
     assert summary["all"]["steps_to_success"] is None
     assert "backward" not in summary
+
+
+def test_failures_are_counted_by_kind_where_they_are_known() -> None:
+    assert count_failures([row("forward", True, 6)]) is None
+    reasons = ("", "dropped", "collision of a and b", "collision of a and c")
+    rows = [row("forward", not why, 6) | {"reason": why} for why in reasons]
+    failures = count_failures(rows)
+    assert failures == {"collision": 2, "dropped": 1}
+    assert failures_in_words(failures) == "collision 2, dropped 1"
+    assert failures_in_words({}) == "none"
 
 
 def test_row_is_what_the_episode_says(make_episode: MakeEpisode) -> None:

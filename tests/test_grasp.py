@@ -16,6 +16,7 @@ from marl_mm.envs.config import reach_config
 from marl_mm.envs.core import ReachCore, Step
 from marl_mm.envs.rollout import EpisodePlan, run_episode
 from marl_mm.envs.terms import judge
+from marl_mm.eval import evaluate
 from marl_mm.layout import HANDLING
 
 OPEN, CLOSE = -1.0, 1.0
@@ -66,6 +67,27 @@ def test_success_is_a_block_held_off_its_stand_for_a_second() -> None:
     held = world.step(moved(0, 0, 0, CLOSE))
     assert held.info["held"] and held.info["is_success"] and held.terminated
     assert held.reward > 9
+
+
+class _Impatient:
+    """Closes at once, far from the block."""
+
+    name = "impatient"
+
+    def describe(self) -> dict[str, Any]:
+        return {}
+
+    def begin(self, rng: np.random.Generator) -> None:
+        pass
+
+    def act(self, state: np.ndarray) -> np.ndarray:
+        return moved(0, 0, 0, CLOSE)
+
+
+def test_an_evaluation_counts_why_episodes_failed() -> None:
+    evaluation = evaluate(_Impatient(), 2, task="Grasp-v0")
+    assert [row["reason"] for row in evaluation.rows] == ["missed grasp"] * 2
+    assert evaluation.summary["all"]["failures"] == {"missed grasp": 2}
 
 
 def test_closing_on_nothing_is_a_missed_grasp() -> None:

@@ -18,6 +18,7 @@ from marl_mm.datasets.location import Location
 from marl_mm.envs.config import TASKS
 from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Evaluation
+from marl_mm.eval.metrics import failures_in_words
 from marl_mm.eval.tables import evaluation_table
 from marl_mm.policy import Policy
 
@@ -92,6 +93,10 @@ def print_evaluations(evaluations: Sequence[Evaluation]) -> None:
         longest = max(len(evaluation.policy) for evaluation in evaluations)
         console = Console(width=80 + longest)
     console.print(evaluation_table(evaluations, console.width))
+    for evaluation in evaluations:
+        failures = evaluation.summary["all"].get("failures")
+        if failures is not None:
+            print(f"{evaluation.policy} failed: {failures_in_words(failures)}")
 
 
 def read_dataset(name: str | Location) -> Dataset:

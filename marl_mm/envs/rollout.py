@@ -75,6 +75,7 @@ def run_episode(
         index=plan.index,
         source=policy.name,
         start=start,
+        reason=steps[-1].info.get("reason"),
     )
 
 
