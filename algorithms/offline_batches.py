@@ -28,19 +28,19 @@ class OfflineBatch(NamedTuple):
     """Transitions of S seeds, float32; actions in normalised coordinates."""
 
     observation: torch.Tensor
-    """Joint states, shape (S, B, 10)."""
+    """Joint states, shape (S, B, d)."""
 
     action: torch.Tensor
-    """Joint actions in [-1, 1], shape (S, B, 4)."""
+    """Joint actions in [-1, 1], shape (S, B, k)."""
 
     reward: torch.Tensor
     """Shape (S, B)."""
 
     next_observation: torch.Tensor
-    """Shape (S, B, 10)."""
+    """Shape (S, B, d)."""
 
     terminated: torch.Tensor
-    """1 where the goal was reached, shape (S, B)."""
+    """1 where the episode ended, for good or ill, shape (S, B)."""
 
     imitated: torch.Tensor
     """0 where the goal is that of any other step, so that the action was not for it,
@@ -50,7 +50,7 @@ class OfflineBatch(NamedTuple):
     """1 in episodes that reached their goal, shape (S, B)."""
 
     noise: torch.Tensor
-    """Standard normal, for the target's actions, shape (S, B, 4)."""
+    """Standard normal, for the target's actions, shape (S, B, k)."""
 
 
 class OfflineBatches:
@@ -119,7 +119,7 @@ class OfflineBatches:
         return self._drawn[self._taken - 1]
 
     def some(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """States and actions of the dataset, always the same: (1, n, 10), (1, n, 4)."""
+        """States and actions of the dataset, always the same: (1, n, d), (1, n, k)."""
         rows = np.linspace(0, len(self) - 1, min(count, len(self))).astype(np.int64)
         state = torch.from_numpy(self._state[rows].astype(np.float32))
         action = torch.from_numpy(self._action[rows])

@@ -62,7 +62,7 @@ class Batch(NamedTuple):
     """Shape (n, d)."""
 
     terminated: torch.Tensor
-    """1 where the goal was reached, shape (n,)."""
+    """1 where the episode ended, for good or ill, shape (n,)."""
 
     def split(self, size: int) -> list["Batch"]:
         """Batches of ``size`` transitions each."""

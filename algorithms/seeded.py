@@ -64,7 +64,7 @@ class SeededActors:
         return torch.tanh(self.networks[name](state[..., entries]))
 
     def joint(self, state: torch.Tensor) -> torch.Tensor:
-        """All agents' actions, shape (S, B, 4)."""
+        """All agents' actions, shape (S, B, k)."""
         return torch.cat([self.own(name, state) for name in self._layouts], dim=-1)
 
     def descend(self, name: str, loss: torch.Tensor) -> None:
@@ -216,7 +216,7 @@ def imitation_errors(
     """Mean square difference to actions of the data by entry, and saturation.
 
     Args:
-        now: What the actors do, in [-1, 1], shape (S, n, 4).
+        now: What the actors do, in [-1, 1], shape (S, n, k).
         action: What the data did, likewise.
     """
     errors = (now - action).square().mean(dim=1)

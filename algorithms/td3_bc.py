@@ -28,8 +28,8 @@ from marl_mm.layout import ACTION, JOINT_NAME, AgentLayout
 
 
 LEAST_SPREAD = 0.1
-"""Of an action's entry in the data that imitation errors are measured by, of half its
-range."""
+"""Imitation errors are divided by an entry's standard deviation in the data, by this at
+least, as a share of half its range."""
 
 
 @dataclass(frozen=True)
@@ -89,8 +89,8 @@ class Td3BcConfig:
     actor's (Nair 2018), or those of episodes that reached their goal."""
 
     imitation_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
-    """Of displacement and alpha in the imitation error, against one another and the
-    grip's 1."""
+    """Weight in the imitation error of delta_x, delta_y, delta_z and alpha; a grip's is
+    1."""
 
     imitation_scaled: bool = True
     """Measure the imitation error of each entry by its spread in the data: where the

@@ -34,7 +34,7 @@ Evaluate = Callable[[LearnedPolicy], dict[str, float]]
 """Measures a policy; the loop knows nothing of environments."""
 
 LOG_EVERY = 100
-"""Most updates whose mean is one row of ``metrics.jsonl``, and between checkpoints."""
+"""Updates per row of ``metrics.jsonl``, which has their means, and per checkpoint."""
 
 
 def train(

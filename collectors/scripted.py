@@ -12,8 +12,8 @@ import numpy as np
 from marl_mm.errors import UsageError
 from marl_mm.layout import ALPHA, DELTA, EE, GRIP, HANDLING, layout_of
 
-CLOSED = 0.075
-"""Narrower openings hold something [m]; open, the hand has 0.08."""
+CLOSED = 0.0775
+"""Narrower openings hold something [m]: blocks have up to 0.075, the open hand 0.08."""
 
 HOLDS = 0.025
 """A block this near to the grasp point is between the closed fingers [m]."""

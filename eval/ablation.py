@@ -13,6 +13,7 @@ from marl_mm.algorithms.presets import (
     Preset,
     offline_preset,
 )
+from marl_mm.envs.config import reach_config
 from marl_mm.errors import UsageError
 
 
@@ -140,6 +141,9 @@ class Probe:
         """
         _check_name(self.name)
         _check_choice("checkpoint", self.checkpoint, ("last", "best"))
+        if self.alpha is not None and not 0 <= self.alpha <= 1:
+            raise UsageError(f"alpha is {self.alpha}, expected a number in [0, 1]")
+        reach_config(overrides=self.overrides)
 
 
 LAST = Probe("last", "at the end")

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from marl_mm.algorithms.runlog import read_metrics
-from marl_mm.differences import refuse_difference
+from marl_mm.differences import as_json, refuse_difference
 from marl_mm.errors import UsageError
 from marl_mm.eval.ablation import LAST, Cell, Probe
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows, write_csv
-from marl_mm.files import write_json
+from marl_mm.files import only_here, write_json
 
 _MEASURED = ("steps", "return", "final_distance", "d_mm", "d_mp", "alpha")
 CRITIC = ("q/policy", "q/slope")
@@ -60,8 +60,8 @@ def is_probed(
     known = json.loads(path.read_text())
     return (
         len(known["episodes"]) == goals
-        and known["overrides"] == {**overrides, **probe.overrides}
-        and (probe == LAST or known.get("probe") == probe_way(probe))
+        and known["overrides"] == as_json({**overrides, **probe.overrides})
+        and (probe == LAST or known.get("probe") == as_json(probe_way(probe)))
     )
 
 
@@ -80,6 +80,12 @@ class RowStore:
     ) -> list[int]:
         """Seeds of which there are not the rows of all these probes.
 
+        Args:
+            cell: What the rows are of.
+            seeds: Those that are wanted.
+            probes: Likewise.
+            made_of: What there is must have been made so.
+
         Raises:
             OtherConfigError: If there are rows of runs of another config.
         """
@@ -93,6 +99,17 @@ class RowStore:
         pairs = {(row["seed"], row["probe"]) for row in self._rows(cell)}
         return [seed for seed in seeds if not pairs >= set(product([seed], ways))]
 
+    def check_dataset(self, cell: Cell, identity: Mapping[str, Any]) -> None:
+        """Raise if there are rows of runs that learnt from other data.
+
+        Raises:
+            OtherConfigError: Saying what differs.
+        """
+        path = self._path(cell, ".json")
+        if path.exists():
+            known = json.loads(path.read_text())
+            refuse_difference(path, known, {"dataset": _bytes_of(identity)})
+
     def keep(
         self, cell: Cell, runs: Mapping[int, Path], probes: Sequence[Probe]
     ) -> None:
@@ -103,6 +120,12 @@ class RowStore:
             runs: Their folders, by seed.
             probes: Evaluations that they have.
         """
+        with only_here(self.folder, wait=True):  # others may add to the same cell
+            self._keep(cell, runs, probes)
+
+    def _keep(
+        self, cell: Cell, runs: Mapping[int, Path], probes: Sequence[Probe]
+    ) -> None:
         rows = [
             row
             for seed, run in runs.items()
@@ -123,9 +146,9 @@ class RowStore:
         config = json.loads((next(iter(runs.values())) / "config.json").read_text())
         for key in ("seed", "preset", "device"):
             config.pop(key)
-        config["dataset"].pop("path", None)
         if {row["seed"] for row in rows} - set(runs):
-            refuse_difference(path, known, {"dataset": config["dataset"]})
+            self.check_dataset(cell, config["dataset"])
+        config["dataset"] = _bytes_of(config["dataset"])
         ends = {s: u for s, u in self.diverged(cell).items() if s not in runs}
         for seed, run in runs.items():
             step = read_metrics(run)[-1]["step"]
@@ -155,8 +178,8 @@ class RowStore:
         }:
             raise UsageError(
                 f"{self._path(cell, '.csv.gz')} lacks rows of seeds "
-                f"{', '.join(map(str, seeds))} and {', '.join(names)}: run marl-mm "
-                "ablate without --check"
+                f"{', '.join(map(str, seeds))} and {', '.join(names)}: marl-mm ablate "
+                "without --check makes what is missing"
             )
         return rows
 
@@ -170,7 +193,8 @@ class RowStore:
         if {row["seed"] for row in rows} != set(seeds):
             raise UsageError(
                 f"{self._path(cell, '.curve.csv.gz')} lacks rows of seeds "
-                f"{', '.join(map(str, seeds))}: run marl-mm ablate without --check"
+                f"{', '.join(map(str, seeds))}: marl-mm ablate without --check makes "
+                "what is missing"
             )
         return rows
 
@@ -191,6 +215,11 @@ class RowStore:
     def _path(self, cell: Cell, end: str) -> Path:
         dataset, setting = cell
         return self.folder / dataset.replace("/", "-") / f"{setting.name}{end}"
+
+
+def _bytes_of(identity: Mapping[str, Any]) -> dict[str, Any]:
+    """What a dataset is, wherever it lies."""
+    return {key: value for key, value in identity.items() if key != "path"}
 
 
 def _evaluation(run: Path, seed: int, probe: Probe) -> Iterator[Row]:

@@ -11,7 +11,7 @@ from marl_mm.interrupts import end_on_signals
 
 COMMANDS = {
     "quickstart": "collect, train and evaluate in a few minutes, with a report",
-    "collect": "collect a dataset: pretrained, pd, medium, random, the paper's",
+    "collect": "collect a dataset: pretrained, pd, medium, random, scripted, paper",
     "datasets": "list, show, mix, split, filter, verify, export, import, delete",
     "train": "train a policy: from a dataset, or online",
     "eval": "evaluate runs and scripted policies on fixed goals",

@@ -11,7 +11,8 @@ INFO = {
     "d_mp": "base to its plan at the step's end [m]",
     "distance": "end-effector, or block to be taken, to the goal at its end [m]",
     "is_success": "whether that is within the task's threshold",
-    "base_jerk_rms": "of the base's commanded acceleration over the step [m/s^3]",
+    "base_jerk_rms": "of the base's commanded acceleration within the step, without "
+    "the jump at its beginning [m/s^3]",
     "base_acceleration_rms": "commanded, over the step [m/s^2]",
     "zmp_margin": "least distance of the zero-moment point to the support's edge [m], "
     "of the masses that the controller knows",

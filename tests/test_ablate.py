@@ -34,10 +34,13 @@ def test_every_target_from_raw_runs(
     compared = ["ddpg", "ddpg-her", "maddpg-her", "ddpg-paper", "ddpg-her-paper"]
     assert ablate(runs, tmp_path, "online", "--settings", *compared) == 0
     assert "| DDPG + HER | Reach-v0 | 1 |" in capsys.readouterr().out
-    summary = read_rows(tmp_path / "online.csv")
+    summary = read_rows(tmp_path / "online-part.csv")
     assert [row["setting"] for row in summary] == compared
     evaluations = read_rows(tmp_path / "evaluations.csv.gz")
     assert len(evaluations) == 5 * 2 * 2  # settings, checkpoints, goals
+    again = ["--settings", "ddpg-her", "--overwrite"]
+    assert ablate(runs, tmp_path, "online", *again, "--rows", str(tmp_path)) == 0
+    assert read_rows(tmp_path / "evaluations.csv.gz") == evaluations
     trained = {path: path.stat().st_mtime_ns for path in runs.rglob("*")}
     for target, file in (
         ("fig4", "fig4.png"),
@@ -121,7 +124,7 @@ def test_a_run_that_fails_does_not_stop_the_others(
     assert "1 of 2 runs failed, the same command tries them again" in told
     assert "the disk is full" in told
     assert ablate(tmp_path, tmp_path, "runs", *names, "--plan") == 0
-    assert "1 of 2 online runs, about 0.2 hours" in capsys.readouterr().out
+    assert "1 of 2 online runs" in capsys.readouterr().out
     assert ablate(tmp_path, tmp_path, "online", *names, "--resume") == 0
     assert ablate(tmp_path, tmp_path, "online", *names) == 2
     assert ablate(tmp_path, tmp_path, "online", *names, "--resume") == 0

@@ -12,16 +12,18 @@ from functools import partial
 from pathlib import Path
 
 from marl_mm.commands.ablate_check import every_failure
+from marl_mm.commands.ablate_draw import drawings
 from marl_mm.commands.ablate_offline import ablate_offline
 from marl_mm.commands.ablate_online import TARGETS, ablate_online, check_settings
 from marl_mm.commands.ablate_options import RESULTS, AblateOffline
 from marl_mm.commands.ablate_runs import Ablate, check_installed, told_missing
 from marl_mm.commands.options import COMMITTED, check_positive, check_seeds
 from marl_mm.commands.parser import Subcommand, parse_options, parse_subcommand
-from marl_mm.commands.sweep_alpha import check_sweep
+from marl_mm.commands.sweep_alpha import EPISODES, check_sweep
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.ablation import Ablation
 from marl_mm.eval.ablations import ABLATIONS
+from marl_mm.eval.metrics import Row
 from marl_mm.eval.online import SETTINGS
 from marl_mm.eval.rows import to_json
 from marl_mm.files import refuse_existing
@@ -67,14 +69,20 @@ def _offline(options: AblateOffline, ablations: Mapping[str, Ablation]) -> None:
     check_positive(workers=options.workers)
     if options.seeds is not None:
         check_seeds(options.seeds)
+    tables = _tables(options, ablations)
+    if tables and options.json:
+        print(to_json(tables))
+
+
+def _tables(
+    options: AblateOffline, ablations: Mapping[str, Ablation]
+) -> dict[str, Sequence[Row]]:
+    """Draw ablations; rows of their tables, which are printed unless as JSON."""
     drawn = ablate_offline(options, ablations)
-    if options.plan or options.check:
-        return
-    if options.json:
-        print(to_json({name: rows for name, (rows, _) in drawn.items()}))
-        return
-    for name, (_, text) in drawn.items():
-        print(f"{ablations[name].about}\n\n{text}")
+    if not options.json:
+        for name, (_, text) in drawn.items():
+            print(f"{ablations[name].about}\n\n{text}")
+    return {name: rows for name, (rows, _) in drawn.items()}
 
 
 def _declared(path: Path, name: str) -> Ablation:
@@ -142,11 +150,39 @@ def _everything(options: AblateOffline) -> None:
         return
     if not options.check:
         check_installed(online)
-    sweep = COMMITTED / "alpha" if out is None else out / "alpha"
-    with every_failure(usage=options.check) as attempt:
-        if options.check and sweep.exists():
+    if options.check:
+        _check_everything(offline, online, (out or COMMITTED) / "alpha")
+        return
+    tables: dict[str, Sequence[Row]] = {}
+    try:
+        with every_failure(usage=False) as attempt:
+            attempt(lambda: tables.update(_tables(offline, ABLATIONS)))
+            for name, target in TARGETS.items():
+                if target.files:
+                    attempt(partial(_add_table, tables, online, name))
+    finally:
+        if options.json:
+            print(to_json(tables))
+
+
+def _add_table(tables: dict[str, Sequence[Row]], options: Ablate, name: str) -> None:
+    """Make a target of online learning, and take the rows of its table."""
+    rows = ablate_online(options, name)
+    if rows is not None:
+        tables[name] = rows
+
+
+def _check_everything(offline: AblateOffline, online: Ablate, sweep: Path) -> None:
+    """Check what there are results of, and tell what there are none of."""
+    with every_failure() as attempt:
+        if (sweep / EPISODES).exists():
             attempt(partial(check_sweep, sweep))
-        attempt(partial(_offline, offline, ABLATIONS))
+        for name, ablation in ABLATIONS.items():
+            files = drawings(name, ablation)
+            if any((offline.results() / file).exists() for file in files):
+                attempt(partial(_offline, offline, {name: ablation}))
+            else:
+                print(f"{offline.results() / name}: no results yet")
         for name, target in TARGETS.items():
             if target.files:
                 attempt(partial(ablate_online, online, name))

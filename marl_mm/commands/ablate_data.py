@@ -24,6 +24,7 @@ def dataset_named(name: str, workers: int, make: bool) -> Dataset:
         KeyboardInterrupt: After Ctrl-C; the same command goes on.
     """
     command = made_by(name)
+    words = shlex.split(command)[2:]
     try:
         dataset = load_dataset(name)
     except UnknownDatasetError as error:
@@ -34,12 +35,16 @@ def dataset_named(name: str, workers: int, make: bool) -> Dataset:
             raise UnknownDatasetError(told) from error
         print(told, file=sys.stderr)
     else:
-        whole = dataset.metadata["marl_mm"].get("complete", True)
+        metadata = dataset.metadata["marl_mm"]
+        whole = metadata.get("complete", True)
+        if "--steps" in words:  # an id may be a collector's usual one
+            steps = int(words[words.index("--steps") + 1])
+            whole &= metadata.get("steps_asked") == steps
         if whole or not (command and make):
             return dataset
         print(f"{name} is not whole: going on with {command}", file=sys.stderr)
     location = locate(name)
-    words = [*shlex.split(command)[2:], "--workers", str(workers)]
+    words += ["--workers", str(workers)]
     if location.folder.exists() or location.working.exists():
         words.append("--resume")
     with redirect_stdout(sys.stderr):  # stdout is for tables

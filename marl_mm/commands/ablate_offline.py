@@ -76,7 +76,7 @@ def ablate_offline(
     if left and options.budget == "full":
         wanted = estimated(wanted)
     if options.plan:
-        print(plan_table(wanted, options.workers), end="")
+        print(plan_table(wanted, options.workers, options.budget == "full"), end="")
         return {}
     failed = _make_rows(options, wanted)
     if not failed:

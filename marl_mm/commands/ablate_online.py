@@ -9,7 +9,13 @@ from marl_mm.algorithms.checkpoint import BEST
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.pretrained import FOLDER, load_pretrained, ship
 from marl_mm.commands.ablate_check import check_drawings, note_artist
-from marl_mm.commands.ablate_rows import CURVES, best_run, curves_of, rows_of
+from marl_mm.commands.ablate_rows import (
+    CURVES,
+    best_run,
+    curves_of,
+    keep_rows,
+    rows_of,
+)
 from marl_mm.commands.ablate_runs import Ablate, told_missing, train_missing
 from marl_mm.envs.config import reach_config
 from marl_mm.errors import UsageError
@@ -66,7 +72,8 @@ class Target:
     about: str
     """For helps."""
 
-    make: Callable[[Ablate], None]
+    make: Callable[[Ablate], Sequence[Row] | None]
+    """Returns the rows of its table, if it has one."""
 
     files: tuple[str, ...] = ()
     """What it draws."""
@@ -75,8 +82,11 @@ class Target:
     """Whose runs it needs; none: those that are asked for, or all."""
 
 
-def ablate_online(options: Ablate, name: str) -> None:
+def ablate_online(options: Ablate, name: str) -> Sequence[Row] | None:
     """Make a target: of runs, which are trained if they are missing, or of rows.
+
+    Returns:
+        Rows of its table, if it was made and has one.
 
     Raises:
         UsageError: If something stands there already, or rows are missing.
@@ -84,13 +94,15 @@ def ablate_online(options: Ablate, name: str) -> None:
         MarlMmError: With ``--check``, if a file is not what is drawn.
     """
     target = TARGETS[name]
+    if options.check and options.settings is not None:
+        raise UsageError("--check is for the whole table, without --settings")
     if options.plan:
         names = target.settings or [setting.name for setting in _settings(options)]
         print(told_missing(options, names))
-        return
+        return None
     if not options.check:
-        target.make(replace(options, overwrite=options.overwrite or options.resume))
-        return
+        again = options.overwrite or options.resume
+        return target.make(replace(options, overwrite=again))
     if not target.files:
         raise UsageError(f"--check is not for {name}, which is not drawn of rows")
 
@@ -100,6 +112,7 @@ def ablate_online(options: Ablate, name: str) -> None:
         target.make(quiet)
 
     check_drawings(options.results_folder(), target.files, draw)
+    return None
 
 
 def check_settings(options: Ablate, target: str) -> None:
@@ -129,21 +142,23 @@ def _runs(options: Ablate) -> None:
     print(f"{options.runs_folder()}: {', '.join(names)}; seeds {seeds}")
 
 
-def _online(options: Ablate) -> None:
-    files = ("online.csv", "online.md", CURVES, EVALUATIONS)
-    _refuse(options, *files)
+def _online(options: Ablate) -> list[Row]:
     settings = _settings(options)
+    stem = "online" if len(settings) == len(SETTINGS) else "online-part"
+    table, page = f"{stem}.csv", f"{stem}.md"
+    _refuse(options, table, page)
     names = [setting.name for setting in settings]
     curves = curves_of(options, names)
     evaluations = rows_of(options, EVALUATIONS, names, evaluation_rows)
     summary = summarize_settings(curves, evaluations, names)
     text = online_markdown(summary, settings, curves)
-    write_csv(options.results(CURVES), curves)
-    write_csv(options.results(EVALUATIONS), evaluations)
-    write_csv(options.results("online.csv"), summary)
-    with new_file(options.results("online.md")) as temporary:
+    keep_rows(options.results(CURVES), curves)
+    keep_rows(options.results(EVALUATIONS), evaluations)
+    write_csv(options.results(table), summary)
+    with new_file(options.results(page)) as temporary:
         temporary.write_text(text)
     _print(options, summary, text)
+    return summary
 
 
 def _fig4(options: Ablate) -> None:
@@ -201,7 +216,7 @@ def _fig6(options: Ablate) -> None:
     _tell(options, f"{options.results('fig6.png')}: {run}, {', '.join(told)}")
 
 
-def _alpha(options: Ablate) -> None:
+def _alpha(options: Ablate) -> list[Row]:
     _refuse(options, "alpha.png", GOALS, STEPS, "alpha_worth.csv")
     if options.rows is None:
         rows, steps = map(as_read, _held(options))
@@ -215,6 +230,7 @@ def _alpha(options: Ablate) -> None:
     alpha_figure(steps, summary, labels, options.results("alpha.png"))
     note_artist(options.results_folder())
     _print(options, summary, worth_of_alpha(summary, SETTINGS))
+    return summary
 
 
 def _held(options: Ablate) -> tuple[list[Row], list[Row]]:

@@ -1,7 +1,8 @@
 """What ablations of offline learning lack, and how long it will take."""
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -82,11 +83,8 @@ def missing_cells(
     for cell, probes, asked in _cells(options, ablations):
         training = training_options(options, cell[1])
         made_of = _made_of(cell[1].algorithm, training)
-        try:
+        with _advising("name another folder with --out"):
             seeds = store.missing(cell, asked, probes, made_of)
-        except OtherConfigError as error:
-            advice = "name another folder with --out"
-            raise OtherConfigError(error.difference, advice) from error
         name = cell[0]
         if not seeds or name in unknown:
             continue
@@ -96,12 +94,12 @@ def missing_cells(
             except UnknownDatasetError as error:
                 unknown[name] = str(error)
                 continue
+        with _advising("name another folder with --out"):
+            store.check_dataset(cell, datasets[name].identity())
         jobs = _jobs(options, seeds, cell, probes, datasets[name], training)
         runs = {job.seed: job.run for job in jobs}
-        try:
+        with _advising(ANOTHER_FOLDER):
             check_offline(datasets[name], training, runs, further=False)
-        except OtherConfigError as error:
-            raise OtherConfigError(error.difference, ANOTHER_FOLDER) from error
         wanted.append(Wanted(cell, probes, jobs))
     if unknown:
         told = "; ".join(unknown.values())
@@ -109,6 +107,15 @@ def missing_cells(
             raise UnknownDatasetError(told)
         print(f"not counted: {told}", file=sys.stderr)
     return wanted
+
+
+@contextmanager
+def _advising(advice: str) -> Iterator[None]:
+    """Say what to do about a difference."""
+    try:
+        yield
+    except OtherConfigError as error:
+        raise OtherConfigError(error.difference, advice) from error
 
 
 def _cells(
@@ -262,17 +269,22 @@ def hours(jobs: Sequence[Job], workers: int) -> float:
     return sum(job.seconds for job in jobs if not job.done) / workers / 3600
 
 
-def plan_table(wanted: Sequence[Wanted], workers: int) -> str:
-    """What is missing, a line per cell, as Markdown; the last one is the sum."""
-    lines = []
-    for one in wanted:
-        left = [job for job in one.jobs if not job.done]
-        dataset, setting = one.cell
-        told = f"{hours(left, workers):.2f}"
-        lines.append((dataset, setting.about, f"{len(left)} of {len(one.jobs)}", told))
-    jobs = [job for one in wanted for job in one.jobs]
-    left = [job for job in jobs if not job.done]
-    total = f"{hours(left, workers):.2f}"
-    lines.append(("all", "", f"{len(left)} of {len(jobs)}", total))
-    header = ("dataset", "setting", "runs missing", f"hours, {workers} at once")
+def plan_table(wanted: Sequence[Wanted], workers: int, measured: bool) -> str:
+    """What is missing, a line per cell, as Markdown; the last one is the sum.
+
+    Args:
+        wanted: What is.
+        workers: Runs at once.
+        measured: Whether it is known how long jobs take.
+    """
+
+    def line(dataset: str, setting: str, jobs: Sequence[Job]) -> list[str]:
+        left = [job for job in jobs if not job.done]
+        told = [f"{hours(left, workers):.2f}"] if measured else []
+        return [dataset, setting, f"{len(left)} of {len(jobs)}", *told]
+
+    lines = [line(one.cell[0], one.cell[1].about, one.jobs) for one in wanted]
+    lines.append(line("all", "", [job for one in wanted for job in one.jobs]))
+    header = ["dataset", "setting", "runs missing"]
+    header += [f"hours, {workers} at once"] if measured else []
     return markdown_table(header, lines)

@@ -6,8 +6,8 @@ from pathlib import Path
 from marl_mm.commands.ablate_runs import Ablate, train_missing
 from marl_mm.errors import UsageError
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.online import curve_rows
-from marl_mm.eval.rows import as_read, read_rows
+from marl_mm.eval.online import SETTINGS, curve_rows
+from marl_mm.eval.rows import as_read, read_rows, write_csv
 
 CURVES = "curves.csv.gz"
 
@@ -41,7 +41,24 @@ def rows_of(
         raise UsageError(f"there is no {path} to draw from")
     found = [row for row in read_rows(path) if row["setting"] in names]
     rows = [row for row in found if row["seed"] in options.seeds]
-    missing = set(names) - {row["setting"] for row in rows}
+    there = {(row["setting"], row["seed"]) for row in rows}
+    missing = [
+        f"{name} {seed}"
+        for name in names
+        for seed in options.seeds
+        if (name, seed) not in there
+    ]
     if missing:
-        raise UsageError(f"{path} has no rows of {', '.join(sorted(missing))}")
+        raise UsageError(f"{path} has no rows of {', '.join(missing)}")
     return rows
+
+
+def keep_rows(path: Path, rows: Sequence[Row]) -> None:
+    """Add rows to a file: they replace those of their settings and seeds."""
+    new = {(row["setting"], row["seed"]) for row in rows}
+    before = read_rows(path) if path.exists() else []
+    kept = [row for row in before if (row["setting"], row["seed"]) not in new]
+    order = {setting.name: number for number, setting in enumerate(SETTINGS)}
+    rows = [*as_read(rows), *kept]
+    rows.sort(key=lambda row: (order.get(row["setting"], len(order)), row["seed"]))
+    write_csv(path, rows)

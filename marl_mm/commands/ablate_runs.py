@@ -59,7 +59,8 @@ class Ablate:
     """One run each of every setting: the seeds, not their number."""
 
     settings: tuple[str, ...] | None = None
-    """For "runs" and "online": those named, which "runs --help" lists; default all."""
+    """For "runs" and "online": those named, which "runs --help" lists; default all. Of
+    some settings, the table's files are called online-part."""
 
     rows: Path | None = None
     """Draw from the rows in this folder, such as curves.csv.gz, and not from runs."""
@@ -96,7 +97,8 @@ class Ablate:
 
     def results_folder(self) -> Path:
         """``out`` or its default."""
-        if self.check and self.out is None and self.runs is None and COMMITTED.exists():
+        elsewhere = self.out or self.runs or self.budget == "smoke"
+        if self.check and not elsewhere and COMMITTED.exists():
             return COMMITTED / "online"
         return self.out or self.runs_folder() / "results"
 
@@ -174,10 +176,10 @@ def told_missing(options: Ablate, names: Sequence[str]) -> str:
     wanted = [setting for setting in SETTINGS if setting.name in names]
     cells = [(setting, seed) for setting in wanted for seed in options.seeds]
     missing = sum(not _finished(options, *cell) for cell in cells)
-    return (
-        f"{missing} of {len(cells)} online runs, about {missing / 6:.1f} hours at ten "
-        "minutes each"
-    )
+    told = f"{missing} of {len(cells)} online runs"
+    if options.budget == "smoke":
+        return told
+    return f"{told}, about {missing / 6:.1f} hours at ten minutes each"
 
 
 def announce(folder: Path, missing: int, wanted: int) -> None:

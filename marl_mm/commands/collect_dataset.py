@@ -76,7 +76,8 @@ class CollectOptions:
     task: Annotated[str, tyro.conf.arg(help=f"{REGISTERED}.")] = "Reach-v0"
 
     max_steps: int | None = None
-    """Steps per episode; default the task's for scripted, 50 for pd, 25 for others."""
+    """Steps per episode; default 25, for pd 50, and where a block is to be taken the
+    task's."""
 
     resume: bool = False
     """Go on where a collection was stopped, or with more --steps where it ended;

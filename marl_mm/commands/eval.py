@@ -33,7 +33,7 @@ class Eval:
     """Run folders, checkpoint files, "pretrained", "pd", "random" or "scripted"."""
 
     episodes: int = 100
-    """Goals, half ahead and half behind."""
+    """Goals, half ahead and half behind; in Grasp-v0 all are ahead."""
 
     seed: int = 0
     """Of the goals and of random policies."""
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str]) -> None:
     options = parse_options(Eval, "marl-mm eval", arguments)
     if not options.policies:
         raise UsageError(
-            "no policy given, expected run folders, pretrained, pd or random"
+            "no policy given, expected run folders, pretrained, pd, random or scripted"
         )
     check_positive(episodes=options.episodes, workers=options.workers)
     check_seed(options.seed)

@@ -53,8 +53,9 @@ class Play:
     strip: Path | None = None
     """Also write six pictures of the episode, side by side, to this PNG."""
 
-    direction: Literal["forward", "backward"] = "backward"
-    """On which side of the robot the goal is."""
+    direction: Literal["forward", "backward"] | None = None
+    """On which side of the robot the goal is; default backward. In Grasp-v0 it is where
+    the block is, ahead."""
 
     seed: int = 0
     """Of the goal and of random policies."""
@@ -119,7 +120,10 @@ def main(arguments: Sequence[str]) -> None:
     policy = named_policy(options.policy, options.pd, DEMOS)
     task = options.task or own_task([options.policy])
     config = reach_config(task, overrides)
-    plan = goal_set(config, 2, options.seed)[options.direction == "backward"]
+    ahead, behind = goal_set(config, 2, options.seed)
+    if options.direction is not None and ahead.goal_w is None:
+        raise UsageError(f"--direction is not for {task}, whose goal is at its block")
+    plan = ahead if options.direction == "forward" else behind
     with progress_bar(f"play {policy.name}", config.max_steps) as advance:
         episode, frames = film_episode(
             config,

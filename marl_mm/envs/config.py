@@ -1,4 +1,4 @@
-"""The reach tasks as data: every number of an episode, with its unit and source."""
+"""The tasks as data: every number of an episode, with its unit and source."""
 
 import math
 from collections.abc import Mapping
@@ -63,7 +63,8 @@ class LoadConfig:
 
     failure_reward: float = -10.0
     """Instead of minus the distance, for a drop, a missed grasp or a collision, which
-    end the episode: less than all steps of one can cost, so that it does not pay."""
+    end the episode: less than to stand still until the end costs, so that it does not
+    pay."""
 
     def __post_init__(self) -> None:
         for name in ("mass", "edge", "friction", "stand_height"):
@@ -93,7 +94,7 @@ class LoadConfig:
 
 @dataclass(frozen=True)
 class ReachConfig:
-    """One task: bring the end-effector to a goal in front of or behind the robot."""
+    """One task: bring the end-effector, or a block, to a goal ahead or behind."""
 
     goal_x_forward: Interval = (1.0, 1.5)
     """Goals ahead, world [m] (paper, Sec. 5.1)."""
@@ -114,7 +115,8 @@ class ReachConfig:
     """Controller ticks per policy step: 1 Hz over 240 Hz (paper, Fig. 2)."""
 
     success_distance: float = 0.05
-    """End-effector to goal at the end of a step [m]; reaching it terminates."""
+    """End-effector, or block to be taken, to goal at the end of a step [m]; reaching it
+    terminates."""
 
     action_scale: float = 0.1
     """Largest displacement of the end-effector's target per axis and step [m]; ours,
@@ -136,7 +138,8 @@ class ReachConfig:
     """Cost of d_mp [1/m] (Eq. 8)."""
 
     jerk_weight: float = 0.0
-    """Cost of the base's rms jerk [s^3/m]; 0 is the paper's reward."""
+    """Cost of the base's rms jerk within a step [s^3/m], see ``INFO``; 0 is the paper's
+    reward."""
 
     cruise: float = 0.03
     """Most the base plan advances per step [m]. A plan that kept up with the hand would
@@ -238,6 +241,8 @@ def _replaced(config: Any, overrides: Mapping[str, Any], path: str) -> Any:
                 f"unknown field {path + name!r}, expected one of {', '.join(known)}"
             )
         current = getattr(config, name)
+        if current is None and isinstance(value, Mapping):
+            current = LoadConfig()  # the only one that may be None
         if is_dataclass(current) or hasattr(current, "_asdict"):
             if not isinstance(value, Mapping):
                 raise UsageError(

@@ -1,4 +1,4 @@
-"""One reach episode: the shared core of the Gymnasium and the PettingZoo environment.
+"""One episode: the shared core of the Gymnasium and the PettingZoo environment.
 
 A step is one second: the action becomes a target for the hand and a plan for the base,
 which the whole-body controller follows for 240 ticks.
@@ -142,7 +142,7 @@ class ReachCore:
 
         Raises:
             InvalidActionError: If the action has another shape or is not finite.
-            UsageError: If no episode is running.
+            UsageError: If there was no ``reset()``.
         """
         return self.push(np.clip(self._checked(action), self._low, self._high), watch)
 
@@ -313,7 +313,7 @@ class ReachCore:
 
 def _checked_goal(goal_w: np.ndarray) -> np.ndarray:
     try:
-        goal = np.asarray(goal_w, dtype=np.float64)
+        goal = np.array(goal_w, dtype=np.float64)
     except (TypeError, ValueError):
         goal = np.empty(0)
     if goal.shape != (3,) or not np.isfinite(goal).all():

@@ -9,7 +9,8 @@ from marl_mm.sim.handling import Handling, Touches
 from marl_mm.sim.scene import Scene
 
 SLIPPED = 0.03
-"""A held block whose centre is this far from where it was taken is dropped [m]."""
+"""A held block whose centre has moved this far from where it was between the pads, in
+world axes, is let go [m]: dropped, unless it is back on its stand."""
 
 EMPTY = 0.9
 """Pads that come closer than this share of the block's edge have missed it."""

@@ -77,7 +77,7 @@ class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
         """The reward a step would have had with other goals, shapes (..., 3) to (...).
 
         Args:
-            achieved_goal: End-effector after the step [m].
+            achieved_goal: Where end-effector, or block, is after the step [m].
             desired_goal: Goal to judge it by [m].
             info: The step's info, or one per row of the goals.
         """

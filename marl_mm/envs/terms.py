@@ -12,7 +12,7 @@ from marl_mm.envs.config import ReachConfig
 
 
 def goal_distance(achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
-    """Distance of end-effector and goal, shapes (..., 3) to (...) [m]."""
+    """Distance of what was achieved and the goal, shapes (..., 3) to (...) [m]."""
     distance: np.ndarray = np.linalg.norm(np.subtract(achieved, desired), axis=-1)
     return distance
 
@@ -45,10 +45,10 @@ def reach_reward(
     """Eq. 6-9 of the paper and the cost of jerk.
 
     Args:
-        distance: End-effector to goal [m].
+        distance: Of what was achieved to the goal [m].
         d_mm: End-effector to its target [m].
         d_mp: Base to its plan [m].
-        base_jerk_rms: Over the step [m/s^3].
+        base_jerk_rms: Within the step [m/s^3].
         config: Weights.
         failed: Whether the load was dropped, or something collided.
         held: As in ``reached``.
@@ -70,7 +70,7 @@ def judge(
     """Reward and termination of steps by other goals, shapes (n, 3) to (n,).
 
     Args:
-        achieved: End-effector after the step [m].
+        achieved: Where end-effector, or block, is after the step [m].
         desired: Goal to judge it by [m].
         costs: The step's ``d_mm``, ``d_mp`` and ``base_jerk_rms``, and where there is a
             block ``failed`` and ``held``.
