@@ -37,7 +37,7 @@ def deviation(rates: Sequence[float]) -> float:
     return float(np.std(rates, ddof=1)) if len(rates) > 1 else 0.0
 
 
-def mean_interval(values: Sequence[float]) -> tuple[float, float]:
+def mean_interval(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
     """Student's 95 % interval of a mean of few values."""
     spread = np.std(values, ddof=1) / np.sqrt(len(values))
     width = student.ppf((1 + CONFIDENCE) / 2, len(values) - 1) * spread
@@ -52,11 +52,28 @@ def wider_interval(
     Seeds alone know nothing of goals where all of them reach the same share, and goals
     alone nothing of how much seeds differ.
     """
-    low, high = success_interval(successes, goals)
-    if len(rates) > 1:
-        over_seeds = mean_interval(rates)
-        low, high = min(low, over_seeds[0]), max(high, over_seeds[1])
+    low, high = _widened(success_interval(successes, goals), rates)
     return max(low, 0.0), min(high, 1.0)
+
+
+def paired_interval(differences: np.ndarray) -> tuple[float, float]:
+    """Likewise of a mean of differences: Student's, and the bootstrap over all of them.
+
+    Args:
+        differences: Shape (seeds, goals).
+    """
+    return _widened(bootstrap_interval(differences.ravel()), differences.mean(axis=1))
+
+
+def _widened(
+    interval: tuple[float, float], of_seeds: Sequence[float] | np.ndarray
+) -> tuple[float, float]:
+    """The wider to each side of an interval and Student's over seeds, if several."""
+    low, high = interval
+    if len(of_seeds) > 1:
+        over_seeds = mean_interval(of_seeds)
+        low, high = min(low, over_seeds[0]), max(high, over_seeds[1])
+    return low, high
 
 
 def success_scores(rows: Sequence[Mapping[str, Any]]) -> np.ndarray:

@@ -8,10 +8,10 @@ import numpy as np
 from marl_mm.eval.ablation import Ablation, Cell, Probe, Reported, Setting
 from marl_mm.eval.ablations import LONG, reported
 from marl_mm.eval.intervals import (
-    bootstrap_interval,
     deviation,
     interquartile_interval,
     interquartile_mean,
+    paired_interval,
     success_interval,
     success_scores,
     wider_interval,
@@ -64,7 +64,7 @@ def summarize_ablation(
 def worth_of_alpha(learnt: Sequence[Row], held: Mapping[float, Sequence[Row]]) -> Row:
     """Return with the learnt alpha less that with the best one held.
 
-    Paired by seed and goal, with a 95 % bootstrap interval over all of them.
+    Paired by seed and goal; the interval is that of ``paired_interval``.
 
     Args:
         learnt: Evaluated episodes.
@@ -72,15 +72,17 @@ def worth_of_alpha(learnt: Sequence[Row], held: Mapping[float, Sequence[Row]]) -
     """
 
     def returns(rows: Sequence[Row]) -> np.ndarray:
+        """Shape (seeds, goals)."""
         ordered = sorted(rows, key=lambda row: (row["seed"], row["goal"]))
-        return np.array([row["return"] for row in ordered])
+        seeds = len({row["seed"] for row in rows})
+        return np.array([row["return"] for row in ordered]).reshape(seeds, -1)
 
     best = max(held, key=lambda alpha: float(returns(held[alpha]).mean()))
     difference = returns(learnt) - returns(held[best])
     return {
         "best_held": best,
         "over_held": float(difference.mean()),
-        "over_held_interval": bootstrap_interval(difference),
+        "over_held_interval": paired_interval(difference),
     }
 
 

@@ -34,8 +34,10 @@ from marl_mm.eval.ablations import ABLATIONS, PAPER, reported
 from marl_mm.eval.intervals import (
     success_interval,
 )
+from marl_mm.eval.metrics import Row
 from marl_mm.eval.offline import (
     goals_for,
+    worth_of_alpha,
 )
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.tables import latex_table
@@ -51,7 +53,8 @@ settings = [
 HELD = Probe("held", "alpha held at one half", alpha=0.5)
 NARROW = Probe("narrow", "near goals", overrides={"goal_y": (-0.1, 0.1)})
 PROBES = LAST, BEST, HELD, NARROW
-WIDTHS = Ablation("TD3+BC by width.", [("good-5k", one) for one in settings], PROBES, True)
+CELLS = [("good-5k", one) for one in settings]
+WIDTHS = Ablation("TD3+BC by width.", CELLS, PROBES, True)
 FAILS = Ablation(
     "One of two.",
     [
@@ -195,6 +198,23 @@ def test_a_declaration_that_makes_no_sense_is_refused(
 ) -> None:
     with pytest.raises(UsageError, match=complaint):
         make()
+
+
+def test_the_learnt_alpha_is_compared_with_the_best_held_one() -> None:
+    def rows(*returns: float) -> list[Row]:
+        cells = product((0, 1), (0, 1))  # seeds and goals
+        return [
+            {"seed": seed, "goal": goal, "return": one}
+            for (seed, goal), one in zip(cells, returns, strict=True)
+        ]
+
+    held = {0.0: rows(0, 0, 0, 0), 0.5: rows(1, 2, 1, 2), 1.0: rows(4, 0, 0, 0)}
+    worth = worth_of_alpha(rows(2, 4, 1, 3), held)
+    assert worth["best_held"] == 0.5
+    assert worth["over_held"] == (1 + 2 + 0 + 1) / 4
+    low, high = worth["over_held_interval"]
+    assert low == pytest.approx(1 - 12.706 / 2, abs=1e-2)  # seeds: 1.5 and 0.5; t(1)
+    assert high == pytest.approx(1 + 12.706 / 2, abs=1e-2)
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.26, 0.5, 0.95, 1.0])

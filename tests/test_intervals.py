@@ -8,8 +8,10 @@ from marl_mm.eval.intervals import (
     interquartile_interval,
     interquartile_mean,
     mean_interval,
+    paired_interval,
     success_interval,
     success_scores,
+    wider_interval,
 )
 
 
@@ -34,6 +36,25 @@ def test_bootstrap_interval_is_that_of_the_mean() -> None:
 def test_the_interval_of_three_by_hand() -> None:
     """t(2, 0.975) = 4.303; standard error of 1, 2, 3 is 1 / sqrt(3)."""
     assert mean_interval([1, 2, 3]) == pytest.approx((2 - 2.484, 2 + 2.484), abs=1e-3)
+
+
+def test_seeds_that_agree_leave_the_doubt_about_goals() -> None:
+    assert wider_interval([0.5, 0.5], 10, 20) == success_interval(10, 20)
+    assert wider_interval([0.5], 5, 10) == success_interval(5, 10)
+
+
+def test_seeds_that_differ_widen_the_interval_as_far_as_a_rate_can_go() -> None:
+    low, high = wider_interval([0.4, 0.5, 0.6], 1500, 3000)
+    assert (low, high) == pytest.approx((0.5 - 0.2484, 0.5 + 0.2484), abs=1e-3)
+    assert wider_interval([0.0, 1.0], 100, 200) == (0.0, 1.0)
+
+
+def test_differences_that_seeds_agree_on_are_known_better() -> None:
+    goals = np.linspace(-1, 1, 100)
+    agreed = paired_interval(np.stack([goals, goals]))
+    assert agreed == bootstrap_interval(np.tile(goals, 2))
+    low, high = paired_interval(np.stack([goals - 1, goals, goals + 1]))
+    assert (low, high) == pytest.approx((-2.484, 2.484), abs=1e-3)
 
 
 def test_scores_by_seed_and_direction() -> None:
