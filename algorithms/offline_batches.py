@@ -171,7 +171,7 @@ class OfflineBatches:
         state[:, places], next_state[:, places] = goal, goal
         changed = np.flatnonzero(future | elsewhere)
         costs = {name: values[rows[changed]] for name, values in self._costs.items()}
-        costs |= self._layout.told(next_state[changed])
+        costs |= self._layout.reward_inputs(next_state[changed])
         reward[changed], terminated[changed] = self._judge(
             next_state[changed][:, achieved], goal[changed], costs
         )

@@ -155,7 +155,7 @@ class Replay:
         goal = self._next_state[future % self._capacity][:, layout.achieved]
         state[chosen, layout.goal] = next_state[chosen, layout.goal] = goal
         costs = {name: values[rows[chosen]] for name, values in self._costs.items()}
-        costs |= layout.told(next_state[chosen])
+        costs |= layout.reward_inputs(next_state[chosen])
         reward[chosen], terminated[chosen] = self._judge(
             next_state[chosen][:, layout.achieved], goal, costs
         )

@@ -49,9 +49,9 @@ def _long(algorithm: str, preset: Preset, batch: int = 256, **more: Any) -> Sett
     )
 
 
-def _both(algorithm: str, **changes: Any) -> tuple[Setting, Setting]:
+def _both(algorithm: str, **more: Any) -> tuple[Setting, Setting]:
     """Under the paper's preset and ours."""
-    return _long(algorithm, "paper", **changes), _long(algorithm, "tuned", **changes)
+    return _long(algorithm, "paper", **more), _long(algorithm, "tuned", **more)
 
 
 PAPER = {

@@ -7,7 +7,7 @@ import numpy as np
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.eval.intervals import bootstrap_interval
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.sweep import Cell
+from marl_mm.eval.sweep import SweepCell
 
 CARRY = "CarryReach-v0"
 
@@ -17,7 +17,7 @@ MASSES = (0.1, 1.0, 2.0, 3.0)
 ALPHAS = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
-def load_cells(goals: int, seed: int) -> list[Cell]:
+def load_cells(goals: int, seed: int) -> list[SweepCell]:
     """Every mass at every alpha, on the same goals.
 
     Args:
@@ -25,7 +25,7 @@ def load_cells(goals: int, seed: int) -> list[Cell]:
         seed: Of the goals.
     """
     return [
-        Cell(CARRY, "blend", PdConfig(alpha=alpha), goals, seed, mass=mass)
+        SweepCell(CARRY, "blend", PdConfig(alpha=alpha), goals, seed, mass=mass)
         for mass in MASSES
         for alpha in ALPHAS
     ]

@@ -39,7 +39,7 @@ SB3 = "sb3-ddpg-her"
 
 
 @dataclass(frozen=True)
-class Setting:
+class OnlineSetting:
     """One way to learn online, run with several seeds."""
 
     name: str
@@ -69,35 +69,39 @@ class Setting:
         return replace(preset(self.algorithm, self.preset), **self.changes)
 
 
-def _departure(name: str, about: str, **changes: Any) -> Setting:
+def _departure(name: str, about: str, **changes: Any) -> OnlineSetting:
     """The tuned preset with one hyper-parameter back at Table 2's or the plain one."""
     changes = {"episodes": 300, **changes}
-    return Setting(f"ddpg-her-{name}", f"DDPG + HER, {about}", changes=changes)
+    return OnlineSetting(f"ddpg-her-{name}", f"DDPG + HER, {about}", changes=changes)
 
 
 _PLAIN = Reported("Sec. 5.4.1", words="under 40")
 _HINDSIGHT = Reported("Sec. 5.4.1", words="70 by about episode 90")
 
 SETTINGS = (
-    Setting("ddpg", "DDPG", "ddpg", reported=_PLAIN),
-    Setting("ddpg-her", "DDPG + HER", reported=_HINDSIGHT),
-    Setting("maddpg-her", "MADDPG + HER", "maddpg-her"),
-    Setting("ddpg-paper", "DDPG, Table 2", "ddpg", "paper", reported=_PLAIN),
-    Setting(
+    OnlineSetting("ddpg", "DDPG", "ddpg", reported=_PLAIN),
+    OnlineSetting("ddpg-her", "DDPG + HER", reported=_HINDSIGHT),
+    OnlineSetting("maddpg-her", "MADDPG + HER", "maddpg-her"),
+    OnlineSetting("ddpg-paper", "DDPG, Table 2", "ddpg", "paper", reported=_PLAIN),
+    OnlineSetting(
         "ddpg-her-paper",
         "DDPG + HER, Table 2",
         "ddpg-her",
         "paper",
         reported=_HINDSIGHT,
     ),
-    Setting(SB3, "Stable-Baselines3, DDPG + HER", library="sb3"),
-    Setting("ddpg-demonstrations", "DDPG, demonstrations", "ddpg", demonstrations=True),
-    Setting(
+    OnlineSetting(SB3, "Stable-Baselines3, DDPG + HER", library="sb3"),
+    OnlineSetting(
+        "ddpg-demonstrations", "DDPG, demonstrations", "ddpg", demonstrations=True
+    ),
+    OnlineSetting(
         "ddpg-her-demonstrations", "DDPG + HER, demonstrations", demonstrations=True
     ),
-    Setting("ddpg-her-smooth", "DDPG + HER", task="SmoothReach-v0"),
-    Setting("maddpg-her-smooth", "MADDPG + HER", "maddpg-her", task="SmoothReach-v0"),
-    Setting(
+    OnlineSetting("ddpg-her-smooth", "DDPG + HER", task="SmoothReach-v0"),
+    OnlineSetting(
+        "maddpg-her-smooth", "MADDPG + HER", "maddpg-her", task="SmoothReach-v0"
+    ),
+    OnlineSetting(
         "maddpg-her-others",
         "MADDPG + HER, others' replayed actions",
         "maddpg-her",
@@ -243,7 +247,9 @@ def _counted(name: str, counts: Sequence[tuple[int, int] | None]) -> Row:
     return row
 
 
-def success_at(curves: Sequence[Row], setting: Setting, env_steps: int) -> list[float]:
+def success_at(
+    curves: Sequence[Row], setting: OnlineSetting, env_steps: int
+) -> list[float]:
     """Every seed's success rate after so many steps, between its evaluations.
 
     A run that ended when it was flat keeps its last one; one that ended because it was

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.online import LEVELS, SB3, Setting, success_at
+from marl_mm.eval.online import LEVELS, SB3, OnlineSetting, success_at
 from marl_mm.eval.tables import markdown_table, percent_with_interval, without
 
 IQM = "IQM at the end [%]"
@@ -26,7 +26,7 @@ ONLINE_HEADER = (
 
 def online_table(
     summary: Sequence[Row],
-    settings: Sequence[Setting],
+    settings: Sequence[OnlineSetting],
     leave_out: Sequence[str] = (),
 ) -> str:
     """One row per setting, as Markdown, without some columns."""
@@ -53,7 +53,7 @@ def online_table(
     return markdown_table(*without(ONLINE_HEADER, lines, leave_out))
 
 
-def worth_of_alpha(summary: Sequence[Row], settings: Sequence[Setting]) -> str:
+def alpha_worth_table(summary: Sequence[Row], settings: Sequence[OnlineSetting]) -> str:
     """The learnt alpha against the best one held, an agent a row, as Markdown."""
     header = (
         "agent",
@@ -95,7 +95,7 @@ Stable-Baselines3."""
 STEPS = (1_500, 2_000, 3_000, 4_000, 6_000, 8_000)
 
 
-def steps_table(curves: Sequence[Row], settings: Sequence[Setting]) -> str:
+def steps_table(curves: Sequence[Row], settings: Sequence[OnlineSetting]) -> str:
     """Success by steps of the environment, beside Stable-Baselines3, as Markdown."""
     known = {row["setting"] for row in curves}
     lines = []
@@ -113,7 +113,7 @@ def steps_table(curves: Sequence[Row], settings: Sequence[Setting]) -> str:
     return markdown_table(header, lines)
 
 
-def updates_table(result: Mapping[str, Any], settings: Sequence[Setting]) -> str:
+def updates_table(result: Mapping[str, Any], settings: Sequence[OnlineSetting]) -> str:
     """Gradient updates per second from ``marl-mm bench train``, as Markdown."""
     about = {setting.name: setting.about for setting in settings}
     lines = [
@@ -125,7 +125,7 @@ def updates_table(result: Mapping[str, Any], settings: Sequence[Setting]) -> str
 
 
 def online_markdown(
-    summary: Sequence[Row], settings: Sequence[Setting], curves: Sequence[Row]
+    summary: Sequence[Row], settings: Sequence[OnlineSetting], curves: Sequence[Row]
 ) -> str:
     """The tables with what their columns mean."""
     return f"""# Online learning

@@ -23,11 +23,11 @@ from marl_mm.eval.offline import COLUMNS, ablation_table, goals_table
 from marl_mm.eval.online import SETTINGS
 from marl_mm.eval.online_tables import (
     IQM,
+    alpha_worth_table,
     hindsight_in_words,
     online_table,
     steps_table,
     updates_table,
-    worth_of_alpha,
 )
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.sweep import responses
@@ -98,7 +98,7 @@ def _online() -> str:
 
 
 def _learnt() -> str:
-    return worth_of_alpha(read_rows(RESULTS / "online/alpha_worth.csv"), SETTINGS)
+    return alpha_worth_table(read_rows(RESULTS / "online/alpha_worth.csv"), SETTINGS)
 
 
 def _steps() -> str:

@@ -22,7 +22,7 @@ from marl_mm.eval.bench_tables import (
 )
 from marl_mm.eval.offline import goals_table
 from marl_mm.eval.online import SETTINGS
-from marl_mm.eval.online_tables import steps_table, updates_table, worth_of_alpha
+from marl_mm.eval.online_tables import alpha_worth_table, steps_table, updates_table
 from marl_mm.eval.rows import read_rows
 from marl_mm.versions import versions
 
@@ -33,7 +33,11 @@ _FIGURES = ("fig4.png", "fig5.png", "fig6.png", "demonstrations.png", "alpha.png
 
 _TABLES = {
     "curves.csv.gz": ("online", "goals reached by steps", steps_table),
-    "alpha_worth.csv": ("alpha", "learnt alpha against the best held", worth_of_alpha),
+    "alpha_worth.csv": (
+        "alpha",
+        "learnt alpha against the best held",
+        alpha_worth_table,
+    ),
 }
 """Other tables of online learning: what they are made of, and by which target."""
 

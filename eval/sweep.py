@@ -21,7 +21,7 @@ from marl_mm.eval.goals import goal_set
 from marl_mm.eval.intervals import bootstrap_interval, success_interval
 from marl_mm.eval.metrics import Row
 
-LONG, SHORT = 50, 25
+LONG_EPISODE, SHORT_EPISODE = 50, 25
 """Steps that an episode has, and steps of the registered tasks."""
 
 RUNS = {
@@ -32,7 +32,7 @@ RUNS = {
 
 
 @dataclass(frozen=True)
-class Cell:
+class SweepCell:
     """One setting of the sweep: everything its rows depend on."""
 
     task: str
@@ -46,7 +46,7 @@ class Cell:
     seed: int
     """Of the goals."""
 
-    max_steps: int = LONG
+    max_steps: int = LONG_EPISODE
 
     mass: float | None = None
     """Of what is carried [kg]; None: nothing is."""
@@ -67,7 +67,7 @@ class Cell:
         return own
 
 
-def run_cell(cell: Cell) -> list[Row]:
+def run_cell(cell: SweepCell) -> list[Row]:
     """One row per goal and task."""
     config = reach_config(cell.task, cell.overrides)
     plans = goal_set(config, cell.goals, cell.seed)
@@ -76,7 +76,7 @@ def run_cell(cell: Cell) -> list[Row]:
     return [row for episode in episodes for row in _rows(cell, episode)]
 
 
-def _rows(cell: Cell, episode: Episode) -> Iterable[Row]:
+def _rows(cell: SweepCell, episode: Episode) -> Iterable[Row]:
     info, steps = episode.info, len(episode)
     load = {} if cell.mass is None else {"mass": cell.mass}
     for task in RUNS.get(cell.task, (cell.task,)):
@@ -100,7 +100,7 @@ def _rows(cell: Cell, episode: Episode) -> Iterable[Row]:
             "direction": episode.direction,
             "success": int(episode.success),
             "steps": steps,
-            "return": float(reward[:SHORT].sum()),
+            "return": float(reward[:SHORT_EPISODE].sum()),
             "d_mm": float(info["d_mm"].mean()),
             "d_mp": float(info["d_mp"].mean()),
             "base_jerk_rms": float(info["base_jerk_rms"].mean()),
@@ -117,7 +117,9 @@ def summarize_cells(rows: Sequence[Row]) -> list[Row]:
     for key in keys:
         own = [row for row in rows if _key(row) == key]
         task, form, rule, alpha, direction = key
-        successes = [row["steps"] <= SHORT and row["success"] == 1 for row in own]
+        successes = [
+            row["steps"] <= SHORT_EPISODE and row["success"] == 1 for row in own
+        ]
         summaries.append(
             {
                 "task": task,

@@ -100,7 +100,7 @@ class Layout:
         """The state but for the goal."""
         return slice(0, len(self.state) - 3)
 
-    def told(self, states: np.ndarray) -> dict[str, np.ndarray]:
+    def reward_inputs(self, states: np.ndarray) -> dict[str, np.ndarray]:
         """What of states rewards depend on beside the goal; see ``envs.terms.judge``.
 
         Args:

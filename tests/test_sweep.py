@@ -17,7 +17,7 @@ from marl_mm.eval.metrics import Row
 from marl_mm.eval.readme import RESULTS
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.sweep import (
-    Cell,
+    SweepCell,
     responses,
     run_cell,
     summarize_cells,
@@ -25,7 +25,7 @@ from marl_mm.eval.sweep import (
 )
 from marl_mm.eval.sweep_tables import load_table
 
-SMALL = Cell("Reach-v0", "blend", PdConfig(alpha=0.5), 2, 0, 12)
+SMALL = SweepCell("Reach-v0", "blend", PdConfig(alpha=0.5), 2, 0, 12)
 ARGUMENTS = (
     *("--alphas", "3", "--goals", "2", "--worth-goals", "2", "--load-goals", "0"),
     *("--workers", "1"),
@@ -154,9 +154,9 @@ def test_the_command_resumes_to_the_same_bytes(
     printed = json.loads(capsys.readouterr().out)
     assert {one["alpha"] for one in printed["alphas"]} == {0.0, 0.5, 1.0}
 
-    done: list[Cell] = []
+    done: list[SweepCell] = []
 
-    def interrupted(cell: Cell) -> list[Row]:
+    def interrupted(cell: SweepCell) -> list[Row]:
         if len(done) == 2:
             raise KeyboardInterrupt
         done.append(cell)
@@ -167,9 +167,9 @@ def test_the_command_resumes_to_the_same_bytes(
         assert main(["sweep-alpha", "--out", str(cut), *ARGUMENTS]) == 130
     assert not cut.exists()
     assert "--resume" in capsys.readouterr().err
-    ran: list[Cell] = []
+    ran: list[SweepCell] = []
 
-    def counted(cell: Cell) -> list[Row]:
+    def counted(cell: SweepCell) -> list[Row]:
         ran.append(cell)
         return run_cell(cell)
 
@@ -188,7 +188,7 @@ def test_the_command_resumes_to_the_same_bytes(
 @pytest.mark.parametrize("form", ["blend", "rhp"])
 def test_alpha_trades_the_hand_for_the_base(form: str) -> None:
     """Backward, d_mm and steps grow, d_mp and jerk shrink from alpha to alpha."""
-    cell = Cell("Reach-v0", "blend", PdConfig(), 8, 3)
+    cell = SweepCell("Reach-v0", "blend", PdConfig(), 8, 3)
     rows: list[Row] = []
     for alpha in (0.0, 0.4, 0.7, 1.0):
         rows += run_cell(replace(cell, form=form, pd=PdConfig(alpha=alpha)))  # type: ignore[arg-type]

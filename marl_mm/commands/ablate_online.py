@@ -23,12 +23,12 @@ from marl_mm.eval.alpha_study import ALPHAS, alpha_steps, summarize_worth, worth
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.online import (
     SETTINGS,
-    Setting,
+    OnlineSetting,
     evaluation_rows,
     summarize_settings,
 )
 from marl_mm.eval.online_figures import alpha_figure, seed_curves
-from marl_mm.eval.online_tables import online_markdown, worth_of_alpha
+from marl_mm.eval.online_tables import alpha_worth_table, online_markdown
 from marl_mm.eval.rows import as_read, read_rows, to_json, write_csv
 from marl_mm.eval.video import film_both_ways, film_strip
 from marl_mm.files import new_file, refuse_existing
@@ -229,7 +229,7 @@ def _alpha(options: Ablate) -> list[Row]:
     labels = {setting.name: setting.about for setting in SETTINGS}
     alpha_figure(steps, summary, labels, options.results("alpha.png"))
     note_artist(options.results_folder())
-    _print(options, summary, worth_of_alpha(summary, SETTINGS))
+    _print(options, summary, alpha_worth_table(summary, SETTINGS))
     return summary
 
 
@@ -321,7 +321,7 @@ TARGETS = {
 """By name."""
 
 
-def _settings(options: Ablate) -> list[Setting]:
+def _settings(options: Ablate) -> list[OnlineSetting]:
     if options.settings is None:
         return list(SETTINGS)
     return [setting for setting in SETTINGS if setting.name in options.settings]

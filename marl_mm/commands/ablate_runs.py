@@ -32,7 +32,7 @@ from marl_mm.errors import (
     MarlMmError,
     OtherConfigError,
 )
-from marl_mm.eval.online import SETTINGS, Setting
+from marl_mm.eval.online import SETTINGS, OnlineSetting
 from marl_mm.files import only_here
 from marl_mm.layout import HANDLING
 
@@ -192,11 +192,11 @@ def announce(folder: Path, missing: int, wanted: int) -> None:
         )
 
 
-def _run(options: Ablate, setting: Setting, seed: int) -> Path:
+def _run(options: Ablate, setting: OnlineSetting, seed: int) -> Path:
     return options.runs_folder() / setting.name / str(seed)
 
 
-def _finished(options: Ablate, setting: Setting, seed: int) -> bool:
+def _finished(options: Ablate, setting: OnlineSetting, seed: int) -> bool:
     run = _run(options, setting, seed)
     return all((run / name).exists() for name in (EVALUATION, BEST_EVALUATION))
 
@@ -214,7 +214,7 @@ def _train_or_keep(training: TrainDdpg, seed: int, run: Path) -> None:
 
 def _training(
     options: Ablate,
-    setting: Setting,
+    setting: OnlineSetting,
     demonstrations: Path | None,
     finished: bool,
     run: Path,

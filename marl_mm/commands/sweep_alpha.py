@@ -21,10 +21,10 @@ from marl_mm.eval.load_sweep import load_cells, summarize_loads
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import as_read, read_rows, write_csv
 from marl_mm.eval.sweep import (
-    LONG,
+    LONG_EPISODE,
     RUNS,
-    SHORT,
-    Cell,
+    SHORT_EPISODE,
+    SweepCell,
     responses,
     run_cell,
     summarize_cells,
@@ -144,7 +144,7 @@ def check_sweep(out: Path) -> None:
     loads = out / LOAD_EPISODES
     rows, load_rows = read_rows(out / EPISODES), []
     files = ["alpha.csv", "alpha.md", "response.png", "pareto.png"]
-    if any(row["max_steps"] == SHORT for row in rows):
+    if any(row["max_steps"] == SHORT_EPISODE for row in rows):
         files.append("worth.csv")
     if loads.exists():
         load_rows = read_rows(loads)
@@ -157,7 +157,8 @@ def _draw(
 ) -> tuple[dict[str, Any], str]:
     """All tables and figures, from rows; returns the means, and the text."""
     long, short = (
-        [row for row in rows if row["max_steps"] == steps] for steps in (LONG, SHORT)
+        [row for row in rows if row["max_steps"] == steps]
+        for steps in (LONG_EPISODE, SHORT_EPISODE)
     )
     summary, loads = summarize_cells(long), summarize_loads(load_rows)
     answer = responses(summary)
@@ -198,7 +199,7 @@ def _run(options: SweepAlpha) -> tuple[list[Row], list[Row]]:
     if not options.resume:
         shutil.rmtree(folder, ignore_errors=True)
     cells = [*sweep, *worth, *carried]
-    rows: dict[Cell, list[Row]] = {}
+    rows: dict[SweepCell, list[Row]] = {}
     for cell in cells:
         found = _read_cell(folder, cell)
         if found is not None:
@@ -223,10 +224,10 @@ def _run(options: SweepAlpha) -> tuple[list[Row], list[Row]]:
     return [*kept, *smooth], [row for cell in carried for row in rows[cell]]
 
 
-def _cells(options: SweepAlpha) -> list[Cell]:
+def _cells(options: SweepAlpha) -> list[SweepCell]:
     alphas = np.linspace(0, 1, options.alphas).round(6).tolist()
     return [
-        Cell(task, form, PdConfig(alpha=alpha), options.goals, options.seed)
+        SweepCell(task, form, PdConfig(alpha=alpha), options.goals, options.seed)
         for task, served in RUNS.items()
         if set(served) & set(options.tasks)
         for form in options.forms
@@ -234,13 +235,16 @@ def _cells(options: SweepAlpha) -> list[Cell]:
     ]
 
 
-def _worth_cells(options: SweepAlpha) -> list[Cell]:
+def _worth_cells(options: SweepAlpha) -> list[SweepCell]:
     if not options.worth_goals or SMOOTH not in options.tasks:
         return []
     alphas = np.arange(0, 1 + FINE / 2, FINE).round(6).tolist()
     policies = [*(PdConfig(alpha=alpha) for alpha in alphas), *RULES]
     goals, seed = options.worth_goals, options.seed + 1
-    return [Cell("Reach-v0", "blend", pd, goals, seed, SHORT) for pd in policies]
+    return [
+        SweepCell("Reach-v0", "blend", pd, goals, seed, SHORT_EPISODE)
+        for pd in policies
+    ]
 
 
 def _cells_folder(out: Path) -> Path:
@@ -248,21 +252,21 @@ def _cells_folder(out: Path) -> Path:
     return out.with_name(f".{out.name}.cells")
 
 
-def _cell_name(cell: Cell) -> str:
+def _cell_name(cell: SweepCell) -> str:
     pd = cell.pd
     parts = [cell.task, cell.form, pd.alpha_rule, f"{pd.alpha:g}", str(cell.seed)]
     parts += [] if cell.mass is None else [f"{cell.mass:g}-kg"]
     return "-".join(parts) + ".json"
 
 
-def _cell_key(cell: Cell) -> dict[str, Any]:
+def _cell_key(cell: SweepCell) -> dict[str, Any]:
     """All that the rows depend on: settings, config, sources of the controller."""
     config = config_dict(reach_config(cell.task, cell.overrides))
     sources = source_fingerprint()
     return {**cell.to_json(), "config": config, "sources": sources, **versions()}
 
 
-def _read_cell(folder: Path, cell: Cell) -> list[Row] | None:
+def _read_cell(folder: Path, cell: SweepCell) -> list[Row] | None:
     """A finished setting's rows, if they are there and of this very setting."""
     try:
         value = json.loads((folder / _cell_name(cell)).read_text())

@@ -87,7 +87,7 @@ class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
             _gathered(info, "d_mp"),
             _gathered(info, "base_jerk_rms"),
             self.config,
-            *self._told(info),
+            *self._failed_and_held(info),
         )
 
     def compute_terminated(
@@ -95,10 +95,10 @@ class ReachEnv(gymnasium.Env[GoalObservation, np.ndarray]):
     ) -> np.ndarray:
         """Whether a step would have ended the episode with other goals."""
         distance = goal_distance(achieved_goal, desired_goal)
-        failed, held = self._told(info)
+        failed, held = self._failed_and_held(info)
         return np.asarray(reached(distance, self.config, held) | failed)
 
-    def _told(self, info: Infos) -> tuple[np.ndarray, np.ndarray]:
+    def _failed_and_held(self, info: Infos) -> tuple[np.ndarray, np.ndarray]:
         """Whether steps failed, and whether a block was held, where there is one."""
         if self.config.load is None:
             return np.asarray(False), np.asarray(True)
