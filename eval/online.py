@@ -121,9 +121,8 @@ SETTINGS = (
 def curve_rows(runs: Path, setting: str, seed: int) -> list[Row]:
     """A run's learning curve: one row per evaluation."""
     run = runs / setting / str(seed)
-    measured = (
-        "episode",
-        "env_steps",
+    counted = ("episode", "env_steps")
+    measured = (  # backward only where goals are behind, too
         "success/all",
         "success/forward",
         "success/backward",
@@ -145,8 +144,11 @@ def curve_rows(runs: Path, setting: str, seed: int) -> list[Row]:
     head: Row = {"setting": setting, "seed": seed}
     return [
         head
-        | {k.replace("/", "_"): row[k] for k in measured}
-        | {k.replace("/", "_"): row.get(k, math.nan) for k in told_by_ours}
+        | {k: row[k] for k in counted}
+        | {
+            k.replace("/", "_"): row.get(k, math.nan)
+            for k in (*measured, *told_by_ours)
+        }
         for row in rows
     ]
 
