@@ -185,7 +185,7 @@ def _jobs(
     training: Offline,
 ) -> tuple[Job, ...]:
     name, setting = cell
-    short = "-".join(name.split("-")[:2])
+    short = "-".join(name.removeprefix("marl_mm/").split("-")[:2])
     folder = options.runs_folder() / name.replace("/", "-") / setting.name
     if options.executor == "ray":  # whose workers are elsewhere
         folder = folder.absolute()
