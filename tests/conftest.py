@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
@@ -18,6 +19,7 @@ from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 MakeEpisode = Callable[..., Episode]
+OpenWorld = Callable[..., ReachCore]
 Situation = tuple[RobotState, ModelTerms, Reference]
 
 
@@ -60,6 +62,20 @@ def core() -> Iterator[ReachCore]:
     core = ReachCore(ReachConfig())
     yield core
     core.close()
+
+
+@pytest.fixture
+def open_world() -> Iterator[OpenWorld]:
+    """Builds the core of a task, with its load changed; closed after the test."""
+    opened: list[ReachCore] = []
+
+    def build(task: str, **load: Any) -> ReachCore:
+        opened.append(ReachCore(reach_config(task, {"load": load} if load else {})))
+        return opened[-1]
+
+    yield build
+    for core in opened:
+        core.close()
 
 
 @pytest.fixture(scope="session")

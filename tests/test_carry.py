@@ -6,6 +6,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from conftest import OpenWorld
 
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm.algorithms.pretrained import load_pretrained
@@ -26,10 +27,6 @@ STAY = np.zeros(4)
 AHEAD, BEHIND = (1.4, 0.0, 0.7), (-1.0, 0.0, 0.7)
 
 
-def carrying(**load: Any) -> ReachCore:
-    return ReachCore(reach_config("CarryReach-v0", {"load": load}))
-
-
 def test_a_load_is_a_setting_of_any_task() -> None:
     config = reach_config("Reach-v0", {"load": {"mass": [1, 2]}})
     assert config.load is not None and config.load.mass == (1.0, 2.0)
@@ -46,18 +43,18 @@ def begun(core: ReachCore, seed: int = 0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("mass", [0.1, 1.0, 3.0])
-def test_the_joints_torques_tell_the_mass(mass: float) -> None:
-    core = carrying(mass=exactly(mass))
+def test_the_joints_torques_tell_the_mass(mass: float, open_world: OpenWorld) -> None:
+    core = open_world("CarryReach-v0", mass=exactly(mass))
     begun(core)
     core.step(STAY)
     assert core.drive.hand is not None
     assert core.drive.hand.payload.mass == pytest.approx(mass, rel=0.02)
 
 
-def test_a_load_that_nobody_knows_pulls_the_hand_down() -> None:
+def test_a_load_that_nobody_knows_pulls_the_hand_down(open_world: OpenWorld) -> None:
     errors = {}
     for knowledge in ("none", "estimated", "given"):
-        core = carrying(mass=exactly(2.0), knowledge=knowledge)
+        core = open_world("CarryReach-v0", mass=exactly(2.0), knowledge=knowledge)
         begun(core)
         errors[knowledge] = core.step(STAY).info["d_mm"]
     assert errors["none"] > 0.03
@@ -65,8 +62,8 @@ def test_a_load_that_nobody_knows_pulls_the_hand_down() -> None:
 
 
 @pytest.mark.parametrize("grasp", ["friction", "weld"])
-def test_the_block_goes_where_the_hand_goes(grasp: str) -> None:
-    core = carrying(mass=exactly(1.5), grasp=grasp)
+def test_the_block_goes_where_the_hand_goes(grasp: str, open_world: OpenWorld) -> None:
+    core = open_world("CarryReach-v0", mass=exactly(1.5), grasp=grasp)
     state = begun(core)
     policy = load_pretrained()
     while True:
@@ -79,8 +76,8 @@ def test_the_block_goes_where_the_hand_goes(grasp: str) -> None:
     assert step.info["is_success"] and step.info["reason"] == ""
 
 
-def test_a_slippery_block_is_dropped() -> None:
-    core = carrying(mass=exactly(2.5), friction=exactly(0.1))
+def test_a_slippery_block_is_dropped(open_world: OpenWorld) -> None:
+    core = open_world("CarryReach-v0", mass=exactly(2.5), friction=exactly(0.1))
     begun(core)
     step = core.step(STAY)
     assert step.terminated and not step.truncated
@@ -99,14 +96,15 @@ def pressed_down(core: ReachCore) -> Step:
     return step
 
 
-def test_a_block_that_meets_the_base_ends_the_episode() -> None:
-    step = pressed_down(carrying(mass=exactly(0.5)))
+def test_a_block_that_meets_the_base_ends_the_episode(open_world: OpenWorld) -> None:
+    step = pressed_down(open_world("CarryReach-v0", mass=exactly(0.5)))
     assert step.terminated and "base_link" in step.info["reason"]
     assert step.info["reason"].startswith("collision of ")
 
 
 def test_torques_stay_within_their_limits_with_the_heaviest_load(
     monkeypatch: pytest.MonkeyPatch,
+    open_world: OpenWorld,
 ) -> None:
     """At 60 % of its torque the arm needs all of it: before anything is clipped."""
 
@@ -115,7 +113,7 @@ def test_torques_stay_within_their_limits_with_the_heaviest_load(
         return whole._replace(torque=0.6 * whole.torque)
 
     monkeypatch.setattr("marl_mm.envs.drive.robot_limits", weak)
-    core = carrying(mass=exactly(3.0), knowledge="given")
+    core = open_world("CarryReach-v0", mass=exactly(3.0), knowledge="given")
     drive, most = core.drive, np.zeros(7)
 
     def watch(tick: Tick) -> None:
@@ -133,8 +131,8 @@ def test_torques_stay_within_their_limits_with_the_heaviest_load(
     assert 0.99 < share.max() <= 1 + 1e-6
 
 
-def test_an_episode_tells_failure_from_success() -> None:
-    core = carrying(mass=exactly(2.5), friction=exactly(0.1))
+def test_an_episode_tells_failure_from_success(open_world: OpenWorld) -> None:
+    core = open_world("CarryReach-v0", mass=exactly(2.5), friction=exactly(0.1))
     episode = run_episode(core, load_pretrained(), EpisodePlan(0, 7))
     assert episode.terminated[-1] and episode.failed[-1] and not episode.success
 
@@ -150,6 +148,7 @@ def test_pads_press_with_the_grip_s_force(iterations: int) -> None:
     forces = world.handling.pad_forces()
     expected = core.config.simulation.grip_force
     np.testing.assert_allclose(forces, [expected] * 2, rtol=0.05)
+    core.close()
 
 
 @pytest.mark.parametrize(
@@ -160,12 +159,12 @@ def test_pads_press_with_the_grip_s_force(iterations: int) -> None:
     ],
 )
 def test_it_does_not_pay_to_fail(
-    task: str, goal: tuple[float, float, float] | None
+    task: str, goal: tuple[float, float, float] | None, open_world: OpenWorld
 ) -> None:
     """To fail at once costs more than to stand still until the end, which costs more
     than to do what is asked."""
     config = reach_config(task)
-    core = ReachCore(config)
+    core = open_world(task)
     taken = run_episode(core, ScriptedPolicy(ScriptedConfig()), EpisodePlan(0, 3, goal))
     assert taken.success
     core.reset(np.random.default_rng(3), None if goal is None else np.array(goal))
@@ -200,8 +199,8 @@ def test_the_environment_judges_as_the_step_did() -> None:
     env.close()
 
 
-def test_an_empty_hand_has_nothing_to_feel() -> None:
-    core = ReachCore(reach_config())
+def test_an_empty_hand_has_nothing_to_feel(open_world: OpenWorld) -> None:
+    core = open_world("Reach-v0")
     begun(core)
     assert core.drive.hand is None
     assert "reason" not in core.step(STAY).info
@@ -217,7 +216,7 @@ def test_an_empty_hand_has_nothing_to_feel() -> None:
     ],
 )
 def test_loads_that_make_no_sense_are_refused(
-    load: dict[str, Any], complaint: str
+    load: dict[str, Any], complaint: str, open_world: OpenWorld
 ) -> None:
     with pytest.raises(UsageError, match=complaint):
-        carrying(**load)
+        open_world("CarryReach-v0", **load)

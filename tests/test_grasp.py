@@ -6,6 +6,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from conftest import OpenWorld
 
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm.algorithms.policy import load_policy
@@ -20,10 +21,6 @@ from marl_mm.eval import evaluate
 from marl_mm.layout import HANDLING
 
 OPEN, CLOSE = -1.0, 1.0
-
-
-def core(task: str = "Grasp-v0", **load: Any) -> ReachCore:
-    return ReachCore(reach_config(task, {"load": load}))
 
 
 def moved(x: float, y: float, z: float, grip: float) -> np.ndarray:
@@ -44,9 +41,11 @@ def over_the_block(world: ReachCore, seed: int = 0, above: float = 0.09) -> np.n
 
 
 @pytest.mark.parametrize("task", ["Grasp-v0", "GraspReach-v0"])
-def test_the_script_takes_the_block_where_it_is_to_go(task: str) -> None:
+def test_the_script_takes_the_block_where_it_is_to_go(
+    task: str, open_world: OpenWorld
+) -> None:
     policy = ScriptedPolicy(ScriptedConfig())
-    world = ReachCore(reach_config(task))
+    world = open_world(task)
     for seed in range(3):
         episode = run_episode(world, policy, EpisodePlan(seed, seed))
         assert episode.success
@@ -57,8 +56,10 @@ def test_the_script_takes_the_block_where_it_is_to_go(task: str) -> None:
         assert np.linalg.norm(way) < 0.05
 
 
-def test_success_is_a_block_held_off_its_stand_for_a_second() -> None:
-    world = core()
+def test_success_is_a_block_held_off_its_stand_for_a_second(
+    open_world: OpenWorld,
+) -> None:
+    world = open_world("Grasp-v0")
     over_the_block(world, above=0.0)
     closed = world.step(moved(0, 0, 0, CLOSE))
     assert not closed.info["held"] and not closed.terminated
@@ -90,8 +91,8 @@ def test_an_evaluation_counts_why_episodes_failed() -> None:
     assert evaluation.summary["all"]["failures"] == {"missed grasp": 2}
 
 
-def test_closing_on_nothing_is_a_missed_grasp() -> None:
-    world = core()
+def test_closing_on_nothing_is_a_missed_grasp(open_world: OpenWorld) -> None:
+    world = open_world("Grasp-v0")
     over_the_block(world)
     step = world.step(moved(0, 0, 0, CLOSE))
     assert step.terminated and step.info["reason"] == "missed grasp"
@@ -105,16 +106,18 @@ def lifted(world: ReachCore) -> Step:
 
 
 @pytest.mark.parametrize("grasp", ["friction", "weld"])
-def test_opening_in_the_air_drops_the_block(grasp: str) -> None:
-    world = core("GraspReach-v0", grasp=grasp)
+def test_opening_in_the_air_drops_the_block(grasp: str, open_world: OpenWorld) -> None:
+    world = open_world("GraspReach-v0", grasp=grasp)
     assert not lifted(world).terminated
     step = world.step(moved(0, 0, 0, OPEN))
     assert step.terminated and step.info["reason"] == "dropped"
 
 
 @pytest.mark.parametrize("grasp", ["friction", "weld"])
-def test_a_block_that_is_put_back_can_be_taken_again(grasp: str) -> None:
-    world = core("GraspReach-v0", grasp=grasp)
+def test_a_block_that_is_put_back_can_be_taken_again(
+    grasp: str, open_world: OpenWorld
+) -> None:
+    world = open_world("GraspReach-v0", grasp=grasp)
     over_the_block(world, above=0.0)
     assert not world.step(moved(0, 0, 0, CLOSE)).terminated
     assert not world.step(moved(0, 0, 0, OPEN)).terminated
@@ -123,8 +126,10 @@ def test_a_block_that_is_put_back_can_be_taken_again(grasp: str) -> None:
     assert world.step(moved(0, 0, 0, CLOSE)).info["held"]
 
 
-def test_a_block_that_is_pushed_off_its_stand_is_out_of_reach() -> None:
-    world = core(mass=(0.1, 0.1), edge=(0.058, 0.058))
+def test_a_block_that_is_pushed_off_its_stand_is_out_of_reach(
+    open_world: OpenWorld,
+) -> None:
+    world = open_world("Grasp-v0", mass=(0.1, 0.1), edge=(0.058, 0.058))
     over_the_block(world, above=0.02)
     for _ in range(6):
         step = world.step(np.array([0.5, 0.0, 0.0, OPEN, 1.0]))
@@ -133,8 +138,8 @@ def test_a_block_that_is_pushed_off_its_stand_is_out_of_reach() -> None:
     assert step.terminated and step.info["reason"] == "the block is out of reach"
 
 
-def test_a_hand_that_meets_the_stand_collides() -> None:
-    world = core()
+def test_a_hand_that_meets_the_stand_collides(open_world: OpenWorld) -> None:
+    world = open_world("Grasp-v0")
     state = over_the_block(world)
     for _ in range(4):
         way = state[HANDLING.achieved] - state[:3] + np.array([0.05, 0.0, -0.15])
@@ -145,8 +150,8 @@ def test_a_hand_that_meets_the_stand_collides() -> None:
     assert step.terminated and step.info["reason"].startswith("collision of ")
 
 
-def test_the_controller_weighs_what_it_has_taken() -> None:
-    world = core("GraspReach-v0", mass=(2.0, 2.0))
+def test_the_controller_weighs_what_it_has_taken(open_world: OpenWorld) -> None:
+    world = open_world("GraspReach-v0", mass=(2.0, 2.0))
     lifted(world)
     world.step(moved(0, 0, 0, CLOSE))
     assert world.drive.hand is not None
