@@ -1,12 +1,12 @@
 """A load in the hand: held by friction, weighed by the joints, dropped for a reason."""
 
+from collections.abc import Callable
 from itertools import product
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from conftest import OpenWorld
 
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm.algorithms.pretrained import load_pretrained
@@ -21,6 +21,8 @@ from marl_mm.layout import EE, GRIP, HANDLING
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
 from marl_mm.robot.model import ACTUATED
+
+OpenWorld = Callable[..., ReachCore]
 
 STAY = np.zeros(4)
 

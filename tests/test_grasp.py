@@ -1,12 +1,12 @@
 """Taking a block: seen, held by friction, lifted, carried; and how that can fail."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from conftest import OpenWorld
 
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm.algorithms.policy import load_policy
@@ -19,6 +19,8 @@ from marl_mm.envs.rollout import EpisodePlan, run_episode
 from marl_mm.envs.terms import judge
 from marl_mm.eval import evaluate
 from marl_mm.layout import HANDLING
+
+OpenWorld = Callable[..., ReachCore]
 
 OPEN, CLOSE = -1.0, 1.0
 
