@@ -167,6 +167,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "offline": partial(_ablation, "offline", _DIFFERENCE, *COLUMNS.values()),
     "tasks": partial(_ablation, "tasks", _PAPER, _DIFFERENCE),
     "table4": partial(_ablation, "table4", *_NOT_LONG),
+    "table5": partial(_ablation, "table5", *_NOT_LONG),
     "cures": partial(_ablation, "cures", *_NOT_CURED, dataset="good-30k"),
     "offline-updates": _offline_updates,
     "goals": goals_table,
