@@ -116,19 +116,31 @@ def _declared(path: Path, name: str) -> Ablation:
 def _everything(options: AblateOffline) -> None:
     """All ablations of offline learning, and all targets that are drawn."""
     check_positive(workers=options.workers)
-    seeds = Ablate().seeds if options.seeds is None else options.seeds
-    check_seeds(seeds)
+    if options.settings is not None or options.datasets is not None:
+        raise UsageError("--settings and --datasets are for one target, not for all")
+    offline, online = _parts(options)
+    check_seeds(online.seeds)
+    if options.plan:
+        _offline(offline, ABLATIONS)
+        names = [setting.name for setting in SETTINGS]
+        print(f"and online: {told_missing(online, names)}")
+    elif options.check:
+        _check_everything(offline, online, (options.out or COMMITTED) / "alpha")
+    else:
+        _make_everything(offline, online)
+
+
+def _parts(options: AblateOffline) -> tuple[AblateOffline, Ablate]:
+    """Options of offline and of online learning, each in folders of its own."""
 
     def part(folder: Path | None, name: str) -> Path | None:
         return None if folder is None else folder / name
 
-    if options.settings is not None or options.datasets is not None:
-        raise UsageError("--settings and --datasets are for one target, not for all")
     runs, out = options.runs, options.out
     online = Ablate(
         runs=part(runs, "online"),
         out=part(out, "online"),
-        seeds=seeds,
+        seeds=Ablate().seeds if options.seeds is None else options.seeds,
         budget=options.budget,
         # So few episodes are over before other processes have begun.
         workers=1 if options.budget == "smoke" else options.workers,
@@ -137,22 +149,16 @@ def _everything(options: AblateOffline) -> None:
         resume=options.resume,
         quiet=options.json,
     )
-    if not (options.plan or options.check):
-        for target in TARGETS.values():
-            for file in target.files:
-                again = online.overwrite or online.resume
-                refuse_existing(online.results(file), again)
     offline = replace(options, runs=part(runs, "offline"), out=part(out, "offline"))
-    if options.plan:
-        _offline(offline, ABLATIONS)
-        names = [setting.name for setting in SETTINGS]
-        print(f"and online: {told_missing(online, names)}")
-        return
-    if not options.check:
-        check_installed(online)
-    if options.check:
-        _check_everything(offline, online, (out or COMMITTED) / "alpha")
-        return
+    return offline, online
+
+
+def _make_everything(offline: AblateOffline, online: Ablate) -> None:
+    """Train what is missing and draw; failures do not stop the others."""
+    check_installed(online)
+    for target in TARGETS.values():
+        for file in target.files:
+            refuse_existing(online.results(file), online.overwrite or online.resume)
     tables: dict[str, Sequence[Row]] = {}
     try:
         with every_failure(usage=False) as attempt:
@@ -161,7 +167,7 @@ def _everything(options: AblateOffline) -> None:
                 if target.files:
                     attempt(partial(_add_table, tables, online, name))
     finally:
-        if options.json:
+        if offline.json:
             print(to_json(tables))
 
 

@@ -44,57 +44,59 @@ def ablate_offline(
         MarlMmError: With ``--check``, if files are not what is drawn.
     """
     chosen = {name: _chosen(one, options) for name, one in ablations.items()}
-    parts = [n for n in chosen if len(chosen[n].cells) < len(ablations[n].cells)]
-    if parts and options.check:
-        raise UsageError("--check is for whole tables, without --datasets, --settings")
-    stems = {name: f"{name}-part" if name in parts else name for name in chosen}
-    results, store = options.results(), options.store()
-
-    def draw_all(
-        folder: Path, without: Collection[str] = ()
-    ) -> dict[str, tuple[list[Row], str]]:
-        return {
-            name: draw(stems[name], one, store, options.seeds_of(one), folder)
-            for name, one in chosen.items()
-            if name not in without
-        }
-
+    whole = [n for n in chosen if len(chosen[n].cells) == len(ablations[n].cells)]
+    stems = {name: name if name in whole else f"{name}-part" for name in chosen}
     if options.check:
-        with every_failure() as attempt:
-            for name, ablation in chosen.items():
-                seeds = options.seeds_of(ablation)
-                again = partial(draw, name, ablation, store, seeds)
-                files = drawings(name, ablation)
-                attempt(partial(check_drawings, results, files, again))
+        _check(options, chosen, whole)
         return {}
     if not options.plan:
         for name, ablation in chosen.items():
             for file in drawings(stems[name], ablation):
-                refuse_existing(results / file, options.overwrite or options.resume)
+                again = options.overwrite or options.resume
+                refuse_existing(options.results() / file, again)
     wanted = missing_cells(options, chosen.values())
-    left = [job for one in wanted for job in one.jobs if not job.done]
-    if left and options.budget == "full":
+    full = options.budget == "full"
+    left = sum(not job.done for one in wanted for job in one.jobs)
+    if full and left:
         wanted = estimated(wanted)
     if options.plan:
-        print(plan_table(wanted, options.workers, options.budget == "full"), end="")
+        print(plan_table(wanted, options.workers, full), end="")
         return {}
     failed = _make_rows(options, wanted)
-    if not failed:
-        return draw_all(results)
     incomplete = {one.name for one in wanted if failed.keys() & one.runs}
-    drawn = draw_all(
-        results,
-        {
-            name
-            for name, ablation in chosen.items()
-            if any(cell_name(cell) in incomplete for cell in ablation.cells)
-        },
-    )
-    reasons = "; ".join(f"{run}: {why}" for run, why in failed.items())
-    raise FailedRunsError(
-        f"{len(failed)} of {len(left)} runs failed, the same command with --resume "
-        f"tries them again; drawn: {', '.join(drawn) or 'nothing'}; {reasons}"
-    )
+    drawn = {
+        name: _draw(options, stems[name], one)
+        for name, one in chosen.items()
+        if incomplete.isdisjoint(map(cell_name, one.cells))
+    }
+    if failed:
+        reasons = "; ".join(f"{run}: {why}" for run, why in failed.items())
+        raise FailedRunsError(
+            f"{len(failed)} of {left} runs failed, the same command with --resume "
+            f"tries them again; drawn: {', '.join(drawn) or 'nothing'}; {reasons}"
+        )
+    return drawn
+
+
+def _check(
+    options: AblateOffline, chosen: Mapping[str, Ablation], whole: Collection[str]
+) -> None:
+    """Whether what was drawn is what its rows give."""
+    if len(whole) < len(chosen):
+        raise UsageError("--check is for whole tables, without --datasets, --settings")
+    with every_failure() as attempt:
+        for name, ablation in chosen.items():
+            again = partial(_draw, options, name, ablation)
+            files = drawings(name, ablation)
+            attempt(partial(check_drawings, options.results(), files, again))
+
+
+def _draw(
+    options: AblateOffline, stem: str, ablation: Ablation, folder: Path | None = None
+) -> tuple[list[Row], str]:
+    """Draw an ablation into a folder, or where its rows are."""
+    seeds, folder = options.seeds_of(ablation), folder or options.results()
+    return draw(stem, ablation, options.store(), seeds, folder)
 
 
 def _make_rows(
