@@ -21,7 +21,7 @@ class EpisodeArrays:
     """E episodes of n steps in all, one after the other."""
 
     states: np.ndarray
-    """Joint states, each episode's last one included, shape (n + E, 10)."""
+    """Joint states, each episode's last one included, shape (n + E, d)."""
 
     actions: np.ndarray
     """Shape (n, k), float32."""

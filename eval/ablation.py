@@ -143,7 +143,7 @@ class Probe:
         _check_choice("checkpoint", self.checkpoint, ("last", "best"))
         if self.alpha is not None and not 0 <= self.alpha <= 1:
             raise UsageError(f"alpha is {self.alpha}, expected a number in [0, 1]")
-        reach_config(overrides=self.overrides)
+        reach_config(overrides=self.overrides)  # raises
 
 
 LAST = Probe("last", "at the end")

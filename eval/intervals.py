@@ -1,4 +1,4 @@
-"""Means, deviations and intervals of success over few seeds and many goals."""
+"""Means, deviations and intervals, of success first: over few seeds and many goals."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -74,6 +74,33 @@ def _widened(
         over_seeds = mean_interval(of_seeds)
         low, high = min(low, over_seeds[0]), max(high, over_seeds[1])
     return low, high
+
+
+def seed_rates(rows: Sequence[Mapping[str, Any]]) -> list[float]:
+    """Each seed's success rate, in the order of seeds."""
+    seeds = sorted({row["seed"] for row in rows})
+    return [
+        float(np.mean([row["success"] for row in rows if row["seed"] == seed]))
+        for seed in seeds
+    ]
+
+
+def summarize_success(rows: Sequence[Mapping[str, Any]], name: str) -> dict[str, Any]:
+    """Mean over seeds, deviation and interval; interquartile mean and its interval.
+
+    Args:
+        rows: Evaluated episodes of all seeds.
+        name: What the values' names begin with.
+    """
+    rates, scores = seed_rates(rows), success_scores(rows)
+    successes = sum(row["success"] for row in rows)
+    return {
+        name: float(np.mean(rates)),
+        f"{name}_std": deviation(rates),
+        f"{name}_interval": wider_interval(rates, successes, len(rows)),
+        f"{name}_iqm": interquartile_mean(scores),
+        f"{name}_iqm_interval": interquartile_interval(scores),
+    }
 
 
 def success_scores(rows: Sequence[Mapping[str, Any]]) -> np.ndarray:

@@ -8,17 +8,20 @@ import numpy as np
 from marl_mm.eval.ablation import Ablation, Cell, Probe, Reported, Setting
 from marl_mm.eval.ablations import LONG, reported
 from marl_mm.eval.intervals import (
-    deviation,
-    interquartile_interval,
-    interquartile_mean,
     paired_interval,
+    seed_rates,
     success_interval,
-    success_scores,
-    wider_interval,
+    summarize_success,
 )
 from marl_mm.eval.metrics import Row, count_failures, failures_in_words
 from marl_mm.eval.offline_rows import RowStore
-from marl_mm.eval.tables import markdown_table, percent_with_interval, without
+from marl_mm.eval.tables import (
+    markdown_table,
+    percent_with_interval,
+    rate_with_deviation,
+    rate_with_interval,
+    without,
+)
 
 COLUMNS = {"q_policy": "critic's value", "q_slope": "critic's slope"}
 """Headings of what the critics say of the policy's actions, and how much more they
@@ -100,21 +103,14 @@ def _diverged(updates: Mapping[int, int], seeds: Sequence[int]) -> str:
 
 def _summarize(cell: Cell, probe: Probe, rows: Sequence[Row]) -> Row:
     dataset, setting = cell
-    scores = success_scores(rows)
-    rates = [float(rate) for rate in scores.mean(axis=1)]
+    rates = seed_rates(rows)
     summary: Row = {
         "dataset": dataset,
         "setting": setting.name,
         "probe": probe.name,
         "seeds": len(rates),
         "goals": len(rows) // len(rates),
-        "success": float(np.mean(rates)),
-        "success_std": deviation(rates),
-        "success_interval": wider_interval(
-            rates, sum(row["success"] for row in rows), len(rows)
-        ),
-        "success_iqm": interquartile_mean(scores),
-        "success_iqm_interval": interquartile_interval(scores),
+        **summarize_success(rows, "success"),
         "success_seeds": " ".join(f"{100 * rate:.1f}" for rate in rates),
     }
     for key in ("return", "d_mm", "d_mp", "alpha"):
@@ -201,18 +197,6 @@ def _every_seed(row: Row) -> str:
     return f"{rates}; diverged: {row['diverged']}" if row["diverged"] else rates
 
 
-def rate_with_interval(row: Row) -> str:
-    """Mean and deviation over seeds, and the interval."""
-    low, high = (100 * bound for bound in row["success_interval"])
-    return f"{_mean(row)} [{low:.1f}, {high:.1f}]"
-
-
-def _mean(row: Row) -> str:
-    """With the deviation over seeds, if there are several."""
-    deviation = f" +- {100 * row['success_std']:.1f}" if row["seeds"] > 1 else ""
-    return f"{100 * row['success']:.1f}{deviation}"
-
-
 def _told(probe: Probe) -> str:
     return probe.about if probe.alpha is None else f"{probe.about}: goals [%], return"
 
@@ -220,7 +204,7 @@ def _told(probe: Probe) -> str:
 def _short(row: Row, probe: Probe) -> str:
     if probe.alpha is None:
         return rate_with_interval(row)
-    return f"{_mean(row)}, {row['return']:.2f}"
+    return f"{rate_with_deviation(row)}, {row['return']:.2f}"
 
 
 def _beside(theirs: Reported | None, setting: Setting, row: Row) -> list[str]:

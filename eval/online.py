@@ -17,14 +17,7 @@ from marl_mm.algorithms.presets import Preset, preset
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.errors import UsageError
 from marl_mm.eval.ablation import Reported
-from marl_mm.eval.intervals import (
-    deviation,
-    interquartile_interval,
-    interquartile_mean,
-    mean_interval,
-    success_scores,
-    wider_interval,
-)
+from marl_mm.eval.intervals import mean_interval, summarize_success
 from marl_mm.eval.metrics import Row
 
 LEVELS = (0.70, 0.95)
@@ -206,19 +199,7 @@ def summarize_settings(
                 for one in evaluations
                 if (one["setting"], one["checkpoint"]) == (name, checkpoint)
             ]
-            rates = [
-                np.mean([one["success"] for one in goals if one["seed"] == seed])
-                for seed in seeds
-            ]
-            row[f"success_{checkpoint}"] = float(np.mean(rates))
-            row[f"success_{checkpoint}_std"] = deviation(rates)
-            successes = sum(one["success"] for one in goals)
-            row[f"success_{checkpoint}_interval"] = wider_interval(
-                rates, successes, len(goals)
-            )
-            scores = success_scores(goals)
-            row[f"success_{checkpoint}_iqm"] = interquartile_mean(scores)
-            row[f"success_{checkpoint}_iqm_interval"] = interquartile_interval(scores)
+            row |= summarize_success(goals, f"success_{checkpoint}")
             row[f"return_{checkpoint}"] = float(
                 np.mean([one["return"] for one in goals])
             )

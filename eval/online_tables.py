@@ -6,7 +6,12 @@ from typing import Any
 
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.online import LEVELS, SB3, OnlineSetting, success_at
-from marl_mm.eval.tables import markdown_table, percent_with_interval, without
+from marl_mm.eval.tables import (
+    markdown_table,
+    percent_with_interval,
+    rate_with_interval,
+    without,
+)
 
 IQM = "IQM at the end [%]"
 
@@ -39,11 +44,11 @@ def online_table(
                 setting.about,
                 setting.task,
                 str(row["seeds"]),
-                _success(row, "last"),
+                rate_with_interval(row, "success_last"),
                 percent_with_interval(
                     row["success_last_iqm"], row["success_last_iqm_interval"]
                 ),
-                _success(row, "best"),
+                rate_with_interval(row, "success_best"),
                 "" if setting.reported is None else str(setting.reported),
                 f"{row['return_last']:.2f}",
                 *(_count(row, f"to_{100 * level:.0f}") for level in LEVELS),
@@ -163,12 +168,6 @@ def hindsight_in_words(summary: Sequence[Row]) -> str:
         f"With hindsight DDPG comes to 70 % in {ours['to_70'] / plain['to_70']:.2f} of "
         f"the episodes; the intervals {'are disjoint' if disjoint else 'overlap'}.\n"
     )
-
-
-def _success(row: Row, checkpoint: str) -> str:
-    mean, std = (100 * row[f"success_{checkpoint}{end}"] for end in ("", "_std"))
-    low, high = (100 * bound for bound in row[f"success_{checkpoint}_interval"])
-    return f"{mean:.1f} +- {std:.1f} [{low:.1f}, {high:.1f}]"
 
 
 def _count(row: Row, name: str) -> str:

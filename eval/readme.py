@@ -147,7 +147,7 @@ def _entries() -> str:
 _PAPER, _DIFFERENCE = "paper [%]", "difference [points]"
 
 _NOT_LONG = ("d_mm [m]", "d_mp [m]", "alpha", COLUMNS["q_slope"])
-"""Columns that are the same wherever goals are reached."""
+"""Columns of the committed table that the README leaves out."""
 
 _NOT_CURED = ("dataset", _PAPER, _DIFFERENCE, "d_mm [m]", "d_mp [m]", "alpha")
 """Columns that tell nothing of why learning fails."""

@@ -2,7 +2,8 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.markup import escape
@@ -70,6 +71,18 @@ def percent_with_interval(value: float, interval: tuple[float, float]) -> str:
     low, high = (100 * bound for bound in interval)
     told = "" if math.isnan(low) else f" [{low:.1f}, {high:.1f}]"
     return f"{100 * value:.1f}{told}"
+
+
+def rate_with_deviation(row: Mapping[str, Any], name: str = "success") -> str:
+    """A success rate [%] of ``summarize_success``; over several seeds +- so much."""
+    deviation = f" +- {100 * row[f'{name}_std']:.1f}" if row["seeds"] > 1 else ""
+    return f"{100 * row[name]:.1f}{deviation}"
+
+
+def rate_with_interval(row: Mapping[str, Any], name: str = "success") -> str:
+    """The same, with its interval."""
+    low, high = (100 * bound for bound in row[f"{name}_interval"])
+    return f"{rate_with_deviation(row, name)} [{low:.1f}, {high:.1f}]"
 
 
 def latex_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -127,6 +127,10 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         ),
         (["eval", "pd", "--episodes", "0"], "--episodes is 0"),
         (["play", "pd", "--video", "x.avi"], ".mp4 or .gif"),
+        (
+            ["play", "scripted", "--task", "Grasp-v0", "--direction", "backward"],
+            "--direction is not for Grasp-v0, whose goal is at its block",
+        ),
         (["play", "pd", "--strip", "x.gif"], "--strip is for films of episodes"),
         (["play", "arm-reach", "--strip", "x.png"], "--strip is for films of episodes"),
         (["bench", "control", "--steps", "-1"], "--steps is -1"),
