@@ -121,9 +121,9 @@ def load_table(summary: Sequence[Row]) -> str:
         "goals",
         "reached, alpha 0 and 1",
         "least ZMP margin, alpha 0 [m]",
-        "alpha 1 [m]",
+        "least, alpha 1 [m]",
         "mean, alpha 0 [m]",
-        "alpha 1 [m]",
+        "mean, alpha 1 [m]",
         "gained by alpha [mm, 95 % interval]",
     )
     lines = []

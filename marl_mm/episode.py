@@ -10,7 +10,7 @@ INFO = {
     "d_mm": "end-effector to its target at the step's end [m]",
     "d_mp": "base to its plan at the step's end [m]",
     "distance": "end-effector, or block to be taken, to the goal at its end [m]",
-    "is_success": "whether that is within the task's threshold",
+    "is_success": "whether that is within the task's threshold, and a block held",
     "base_jerk_rms": "of the base's commanded acceleration within the step, without "
     "the jump at its beginning [m/s^3]",
     "base_acceleration_rms": "commanded, over the step [m/s^2]",

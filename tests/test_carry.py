@@ -12,7 +12,7 @@ import marl_mm  # noqa: F401  registers the environments
 from marl_mm.algorithms.pretrained import load_pretrained
 from marl_mm.collectors.scripted import ScriptedConfig, ScriptedPolicy
 from marl_mm.envs.config import reach_config
-from marl_mm.envs.core import ReachCore, Step
+from marl_mm.envs.core import ReachCore
 from marl_mm.envs.drive import Tick
 from marl_mm.envs.rollout import EpisodePlan, run_episode
 from marl_mm.envs.terms import judge
@@ -88,20 +88,27 @@ def test_a_slippery_block_is_dropped(open_world: OpenWorld) -> None:
     assert core.drive.hand is not None and core.drive.hand.payload.mass == 0.0
 
 
-def pressed_down(core: ReachCore) -> Step:
-    """The hand goes back and down until something is in its way."""
+@pytest.mark.parametrize(
+    ("overrides", "action", "reason"),
+    [
+        ({}, (-1.0, 0.0, -1.0, 1.0), "base_link and panda_finger1"),
+        ({"grasp": "weld"}, (-1.0, 0.0, -0.3, 1.0), "the block and base_link"),
+        ({}, (0.0, 0.0, -1.0, 0.0), "the block and the ground"),
+    ],
+)
+def test_who_collides_is_told(
+    overrides: dict[str, Any],
+    action: tuple[float, ...],
+    reason: str,
+    open_world: OpenWorld,
+) -> None:
+    core = open_world("CarryReach-v0", mass=exactly(0.5), **overrides)
     begun(core)
     for _ in range(25):
-        step = core.step(np.array([-1.0, 0.0, -1.0, 1.0]))
+        step = core.step(np.array(action))
         if step.terminated:
             break
-    return step
-
-
-def test_a_block_that_meets_the_base_ends_the_episode(open_world: OpenWorld) -> None:
-    step = pressed_down(open_world("CarryReach-v0", mass=exactly(0.5)))
-    assert step.terminated and "base_link" in step.info["reason"]
-    assert step.info["reason"].startswith("collision of ")
+    assert step.terminated and step.info["reason"] == f"collision of {reason}"
 
 
 def test_torques_stay_within_their_limits_with_the_heaviest_load(
@@ -213,6 +220,12 @@ def test_an_empty_hand_has_nothing_to_feel(open_world: OpenWorld) -> None:
     [
         ({"mass": (0.0, 1.0)}, "load.mass is 0.0 to 1.0, expected 0 < low <= high"),
         ({"edge": (0.06, 0.04)}, "load.edge is 0.06 to 0.04"),
+        ({"stand_x": (0.8, 0.6)}, "load.stand_x is 0.8 to 0.6, expected low <= high"),
+        ({"stand_edge": 0.0}, "load.stand_edge is 0.0, expected >= load.edge, 0.06"),
+        (
+            {"on_stand": True, "hold_ticks": 10**5},
+            "load.hold_ticks is 100000, expected at most an episode's 6000",
+        ),
         ({"grasp": "magic"}, "load.grasp is 'magic', expected friction, weld"),
         ({"knowledge": "all"}, "load.knowledge is 'all', expected estimated, given"),
     ],

@@ -140,6 +140,56 @@ def test_a_block_that_is_pushed_off_its_stand_is_out_of_reach(
     assert step.terminated and step.info["reason"] == "the block is out of reach"
 
 
+def test_a_block_stays_within_reach_of_a_base_that_drives_off(
+    open_world: OpenWorld,
+) -> None:
+    world = open_world("GraspReach-v0")
+    world.reset(np.random.default_rng(0))
+    for _ in range(14):
+        step = world.step(np.array([-1.0, 0.0, 0.0, OPEN, 0.0]))
+    assert step.state[HANDLING.state.index("base_x")] < -0.8
+    assert step.info["reason"] == ""
+
+
+@pytest.mark.parametrize(
+    "place", [{"stand_x": (5, 5)}, {"stand_y": (4, 4)}, {"stand_height": (1.4, 1.4)}]
+)
+def test_a_stand_that_nobody_can_reach_is_told_at_once(
+    place: dict[str, Any], open_world: OpenWorld
+) -> None:
+    world = open_world("Grasp-v0", **place)
+    world.reset(np.random.default_rng(0))
+    step = world.step(moved(0, 0, 0, OPEN))
+    assert step.terminated and step.info["reason"] == "the block is out of reach"
+
+
+def test_a_block_beside_its_stand_is_held_and_can_be_dropped(
+    open_world: OpenWorld,
+) -> None:
+    """Also when it is lower than it was on it."""
+    world = open_world("GraspReach-v0", mass=(0.5, 0.5))
+    lifted(world)
+    for way in [(-1, -1, 0)] * 3 + [(0, 0, -1)] * 2:
+        step = world.step(moved(*way, CLOSE))
+        assert step.info["held"]
+    block = HANDLING.state.index("block_z")
+    top = HANDLING.state.index("stand_z")
+    assert step.state[block] < step.state[top]
+    assert world.step(moved(0, 0, 0, OPEN)).info["reason"] == "dropped"
+
+
+def test_a_base_that_meets_the_stand_collides(open_world: OpenWorld) -> None:
+    world = open_world(
+        "Grasp-v0", stand_x=(0.62, 0.62), stand_y=(0.3, 0.3), stand_height=(0.2, 0.2)
+    )
+    world.reset(np.random.default_rng(0))
+    for _ in range(8):
+        step = world.step(moved(1, 0, 0, OPEN))
+        if step.terminated:
+            break
+    assert step.info["reason"] == "collision of base_link and the stand"
+
+
 def test_a_hand_that_meets_the_stand_collides(open_world: OpenWorld) -> None:
     world = open_world("Grasp-v0")
     state = over_the_block(world)
@@ -149,7 +199,8 @@ def test_a_hand_that_meets_the_stand_collides(open_world: OpenWorld) -> None:
         state = step.state
         if step.terminated:
             break
-    assert step.terminated and step.info["reason"].startswith("collision of ")
+    assert step.terminated
+    assert step.info["reason"] == "collision of panda_finger2 and the stand"
 
 
 def test_the_controller_weighs_what_it_has_taken(open_world: OpenWorld) -> None:

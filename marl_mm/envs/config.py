@@ -59,12 +59,13 @@ class LoadConfig:
     reach task's."""
 
     hold_ticks: int = 240
-    """The block counts as held once it has been clear of the stand for so long."""
+    """A block from a stand counts as held once it has been clear of it for so long."""
 
     failure_reward: float = -10.0
-    """Instead of minus the distance, for a drop, a missed grasp or a collision, which
-    end the episode: less than to stand still until the end costs, so that it does not
-    pay."""
+    """Instead of minus the distance, for a drop, a missed grasp, a collision or a block
+    out of reach, which end the episode. In the registered tasks it is less than to
+    stand still until the end costs, so that it does not pay to fail; with more steps,
+    or a load in another task, it is to be lowered."""
 
     def __post_init__(self) -> None:
         for name in ("mass", "edge", "friction", "stand_height"):
@@ -73,6 +74,17 @@ class LoadConfig:
                 raise UsageError(
                     f"load.{name} is {low} to {high}, expected 0 < low <= high"
                 )
+        for name in ("stand_x", "stand_y"):
+            low, high = getattr(self, name)
+            if not -math.inf < low <= high < math.inf:
+                raise UsageError(
+                    f"load.{name} is {low} to {high}, expected low <= high"
+                )
+        if not self.stand_edge >= self.edge[1]:
+            raise UsageError(
+                f"load.stand_edge is {self.stand_edge}, expected >= load.edge, "
+                f"{self.edge[1]}"
+            )
         if self.edge[1] > WIDEST:
             raise UsageError(f"load.edge is up to {self.edge[1]}, expected <= {WIDEST}")
         if self.hold_ticks < 0 or not 0 <= self.lift <= 0.5:
@@ -162,7 +174,7 @@ class ReachConfig:
     """Ticks between looks at stability: ZMP margin, tilt, slip, the model's error."""
 
     load: LoadConfig | None = None
-    """What the hand carries; None: it is empty."""
+    """A block, in the hand or on a stand; None: there is none."""
 
     robot: RobotConfig = field(default_factory=RobotConfig)
 
@@ -185,6 +197,12 @@ class ReachConfig:
                 raise UsageError(f"{name} is {getattr(self, name)}, expected > 0")
         if not 0.0 <= self.initial_alpha <= 1.0:
             raise UsageError(f"initial_alpha is {self.initial_alpha}, expected [0, 1]")
+        ticks = self.max_steps * self.ticks_per_step
+        if self.layout is HANDLING and self.load and self.load.hold_ticks > ticks:
+            raise UsageError(
+                f"load.hold_ticks is {self.load.hold_ticks}, expected at most an "
+                f"episode's {ticks}"
+            )
 
 
 TASKS: dict[str, ReachConfig] = {

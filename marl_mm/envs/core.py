@@ -11,13 +11,20 @@ import numpy as np
 from marl_mm.control.tasks.task import Reference
 from marl_mm.envs.config import ReachConfig
 from marl_mm.envs.drive import Drive, Motion, Watch
-from marl_mm.envs.hand import Hand
+from marl_mm.envs.hand import OUT_OF_REACH, Hand
 from marl_mm.envs.terms import goal_distance, reach_reward, reached
 from marl_mm.errors import InvalidActionError, UsageError
 from marl_mm.layout import ALPHA, DELTA, GRIP, HANDLING
 from marl_mm.robot.model import RobotState
 from marl_mm.sim.config import RATE
 from marl_mm.sim.scene import Block, Scene
+
+FAR = 1.3
+"""Of a base a block can be taken no farther away than this along an axis [m]: the arm's
+foot is 0.22 ahead of the base, and it reaches 0.855 (Franka data sheet)."""
+
+HIGH = 1.4
+"""No higher than this either [m]: the arm's shoulder is at 0.68."""
 
 RENDER_MODES = ("rgb_array",)
 """Pictures; for PyBullet's window there is ``marl-mm play --gui``."""
@@ -194,9 +201,17 @@ class ReachCore:
         )
         if load.on_stand:
             drive.hand.grip(False)
+            if self._is_out_of_reach(scene):
+                drive.hand.fail(OUT_OF_REACH)
             return
         drive.hand.take(self._ee_w)
         self._follow(self._start_w, BasePlan(0.0, 0.0, 0.0), None)
+
+    def _is_out_of_reach(self, scene: Scene) -> bool:
+        """Whether a block is too high, or too far for the base to get near in time."""
+        x, y, z = scene.position_w
+        travel = self.config.action_scale * self.config.max_steps  # of the hand
+        return max(abs(x), abs(y)) > FAR + travel or z > HIGH
 
     def _checked(self, action: np.ndarray) -> np.ndarray:
         try:

@@ -21,12 +21,8 @@ LOOK_EVERY = 8
 CLEAR = 0.01
 """Under a block that is clear of its stand [m]."""
 
-FAR = 1.3
-"""A block farther than this from the base along the ground is out of reach [m]: the
-arm's foot is 0.22 ahead of the base, and it reaches 0.855 (Franka data sheet)."""
-
-HIGH = 1.4
-"""And one that is higher than this [m]: the arm's shoulder is at 0.68."""
+OUT_OF_REACH = "the block is out of reach"
+"""Of the reasons the one that is known to the task, too."""
 
 
 class Hand:
@@ -68,6 +64,10 @@ class Hand:
             self._handling.open_gripper()
         self._closing = close
 
+    def fail(self, reason: str) -> None:
+        """Something goes wrong; what went wrong first counts."""
+        self.failure = self.failure or reason
+
     def take(self, grasp_w: np.ndarray) -> None:
         """The block is between the fingers: hold it from now on.
 
@@ -95,14 +95,14 @@ class Hand:
         self.payload.learn(before, terms, torque, after)
         self._ticks += 1
         if self._ticks % LOOK_EVERY == 0 and not self.failure:
-            self._look(before, terms.position_w)
+            self._look(terms.position_w)
 
-    def _look(self, state: RobotState, grasp_w: np.ndarray) -> None:
+    def _look(self, grasp_w: np.ndarray) -> None:
         touches = self._handling.touches()
         if touches.collision:
-            self._fail(f"collision of {touches.collision}")
+            self.fail(f"collision of {touches.collision}")
         elif touches.ground and self.held:
-            self._fail("collision of the block and the ground")
+            self.fail("collision of the block and the ground")
         block_w, _ = self._handling.block_w()
         if self.held:
             way = block_w - grasp_w - self._offset
@@ -113,20 +113,23 @@ class Hand:
         self.clear_ticks += LOOK_EVERY
         if not (self.held and self._is_clear(block_w, touches)):
             self.clear_ticks = 0
-        if not self.held:
-            self._find(block_w, state)
+        stand = self._scene.stand_size
+        if not self.held and stand is not None and block_w[2] < stand[2]:
+            self.fail(OUT_OF_REACH)
 
     def _is_clear(self, block_w: np.ndarray, touches: Touches) -> bool:
-        """Whether the block is off its stand, and above where it was on it."""
-        stand = self._scene.stand_size
+        """Whether the block touches no stand, and is above it or beside it."""
+        scene, stand = self._scene, self._scene.stand_size
         if stand is None:
             return True
-        under = block_w[2] - self._scene.block.size[2] / 2 - stand[2]
-        return bool(under > CLEAR and not touches.stand)
+        under = block_w[2] - scene.block.size[2] / 2 - stand[2]
+        aside = np.abs(block_w[:2] - scene.position_w[:2]).max()
+        beside = aside > (stand[0] + scene.block.size[0]) / 2
+        return bool((under > CLEAR or beside) and not touches.stand)
 
     def _close_around(self, touches: Touches, grasp_w: np.ndarray) -> None:
         if self._handling.opening() < EMPTY * self._scene.block.size[0]:
-            self._fail("missed grasp")
+            self.fail("missed grasp")
         elif touches.fingers == 2:
             self.take(grasp_w)
 
@@ -138,15 +141,4 @@ class Hand:
         self.payload.release()
         block_w, _ = self._handling.block_w()
         if self._is_clear(block_w, self._handling.touches()):
-            self._fail("dropped")
-
-    def _find(self, block_w: np.ndarray, state: RobotState) -> None:
-        """See whether a block that is not held can still be had."""
-        stand = self._scene.stand_size
-        fallen = stand is not None and block_w[2] < stand[2]
-        far = np.linalg.norm(block_w[:2] - state.q[:2]) > FAR
-        if fallen or far or block_w[2] > HIGH:
-            self._fail("the block is out of reach")
-
-    def _fail(self, reason: str) -> None:
-        self.failure = self.failure or reason
+            self.fail("dropped")

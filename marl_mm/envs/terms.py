@@ -50,7 +50,7 @@ def reach_reward(
         d_mp: Base to its plan [m].
         base_jerk_rms: Within the step [m/s^3].
         config: Weights.
-        failed: Whether the load was dropped, or something collided.
+        failed: Whether a block was dropped, missed or out of reach, or something hit.
         held: As in ``reached``.
     """
     goal = np.where(reached(distance, config, held), config.goal_reward, -distance)
