@@ -9,17 +9,17 @@ Tables and figures are made of these alone. Three files for each cell::
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.differences import as_json, refuse_difference
-from marl_mm.errors import UsageError
+from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.ablation import LAST, Cell, Probe
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.rows import read_rows, write_csv
+from marl_mm.eval.rows import as_read, read_rows, write_csv
 from marl_mm.files import only_here, write_json
 
 _MEASURED = ("steps", "return", "final_distance", "d_mm", "d_mp", "alpha")
@@ -137,11 +137,15 @@ class RowStore:
         ways = known.get("probes", {})
         ways |= {probe.name: probe_way(probe) for probe in probes}
         new = {(row["seed"], row["probe"]) for row in rows}
-        rows += [r for r in self._rows(cell) if (r["seed"], r["probe"]) not in new]
+        kept = [r for r in self._rows(cell) if (r["seed"], r["probe"]) not in new]
+        rows += kept
         rows.sort(key=lambda r: (r["seed"], r["probe"], r["goal"]))
         ways = dict(sorted(ways.items()))  # whoever came first
         curve = [row for seed, run in runs.items() for row in _curve(run, seed)]
-        curve += [row for row in self._curves(cell) if row["seed"] not in runs]
+        curves = self._curves(cell)
+        again = {row["seed"] for row in kept} & set(runs)
+        self._check_same_training(cell, again, as_read(curve), curves)
+        curve += [row for row in curves if row["seed"] not in runs]
         curve.sort(key=lambda row: (row["seed"], row["step"]))
         config = json.loads((next(iter(runs.values())) / "config.json").read_text())
         for key in ("seed", "preset", "device"):
@@ -154,10 +158,23 @@ class RowStore:
             step = read_metrics(run)[-1]["step"]
             if step < config["updates"]:
                 ends[seed] = step
-        write_csv(self._path(cell, ".csv.gz"), rows)
-        write_csv(self._path(cell, ".curve.csv.gz"), curve)
         diverged = {str(seed): ends[seed] for seed in sorted(ends)}
         write_json(path, {"probes": ways, "diverged": diverged, **config})
+        write_csv(self._path(cell, ".curve.csv.gz"), curve)
+        write_csv(self._path(cell, ".csv.gz"), rows)  # last: without, it is missing
+
+    def _check_same_training(
+        self, cell: Cell, seeds: Collection[int], new: list[Row], known: list[Row]
+    ) -> None:
+        """Raise if rows that stay are of a training that learnt something else."""
+        for seed in seeds:
+            curves = [[r for r in rows if r["seed"] == seed] for rows in (new, known)]
+            if curves[1] and repr(curves[0]) != repr(curves[1]):  # nan is not nan
+                raise MarlMmError(
+                    f"{self._path(cell, '.csv.gz')} has other evaluations of seed "
+                    f"{seed}, of a training with another learning curve: name another "
+                    "folder with --out, or delete the cell's three files"
+                )
 
     def evaluations(
         self, cell: Cell, seeds: Sequence[int], probes: Sequence[Probe]

@@ -12,17 +12,23 @@ from collections.abc import Callable, Sequence
 from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
 import pytest
 
+from marl_mm.algorithms.runlog import METRICS
 from marl_mm.cli import main
 from marl_mm.commands import ablate_data
+from marl_mm.commands.ablate_jobs import Job, do_jobs
+from marl_mm.commands.offline_options import offline_options
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import begun
-from marl_mm.errors import UsageError
+from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.eval import offline_rows
 from marl_mm.eval.ablation import (
+    BEST,
     LAST,
     Ablation,
     Probe,
@@ -39,6 +45,8 @@ from marl_mm.eval.offline import (
     goals_for,
     worth_of_alpha,
 )
+from marl_mm.eval.offline_rows import RowStore, probe_file, probe_way
+from marl_mm.eval.online import SETTINGS
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.tables import latex_table
 
@@ -228,6 +236,77 @@ def test_as_many_goals_as_an_interval_needs(rate: float) -> None:
     assert reach(goals) <= 0.05 < reach(goals - 1)
 
 
+# --- Rows --------------------------------------------------------------------
+
+
+def finished(folder: Path, seed: int, q_policy: float = 1.0) -> Path:
+    """A run's folder with what rows are taken from: two goals, one point of a curve."""
+    run = folder / f"{seed}-{q_policy}"
+    run.mkdir()
+    made_of = {"seed": seed, "preset": "tuned", "device": "cpu", "updates": 10}
+    made_of["dataset"] = {"path": "elsewhere", "data_sha256": "0"}
+    (run / "config.json").write_text(json.dumps(made_of))
+    point = {"step": 10, "success/all": 0.5, "return/all": 1.0, "q/policy": q_policy}
+    (run / METRICS).write_text(json.dumps(point) + "\n")
+    measured = ("steps", "return", "final_distance", "d_mm", "d_mp", "alpha")
+    episodes = [
+        {"index": goal, "direction": "forward", "success": True}
+        | dict.fromkeys(measured, 1.0)
+        for goal in range(2)
+    ]
+    for probe in (LAST, BEST):
+        found = {"episodes": episodes, "overrides": {}, "probe": probe_way(probe)}
+        probe_file(run, probe).write_text(json.dumps(found))
+    return run
+
+
+@pytest.mark.parametrize("writes", [0, 1, 2])
+def test_rows_that_were_cut_off_between_files_are_made_again(
+    writes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a cell that had another seed's already."""
+    store, cell, made_of = (
+        RowStore(tmp_path / "rows"),
+        ("good-5k", OURS),
+        dict[str, Any](),
+    )
+    store.keep(cell, {0: finished(tmp_path, 0)}, [LAST])
+    left = writes
+
+    def counted(write: Callable[..., None]) -> Callable[..., None]:
+        def unless_cut_off(*given: Any) -> None:
+            nonlocal left
+            left -= 1
+            if left < 0:
+                raise KeyboardInterrupt
+            write(*given)
+
+        return unless_cut_off
+
+    for name in ("write_json", "write_csv"):
+        write = getattr(offline_rows, name)
+        monkeypatch.setattr(offline_rows, name, counted(write))
+    runs = {1: finished(tmp_path, 1)}
+    with pytest.raises(KeyboardInterrupt):
+        store.keep(cell, runs, [LAST])
+    monkeypatch.undo()
+    assert store.missing(cell, [0, 1], [LAST], made_of) == [1]
+    store.keep(cell, runs, [LAST])
+    assert store.missing(cell, [0, 1], [LAST], made_of) == []
+    assert len(store.evaluations(cell, [0, 1], [LAST])) == 4
+    assert len(store.curves(cell, [0, 1])) == 2
+
+
+def test_evaluations_of_two_trainings_are_not_mixed(tmp_path: Path) -> None:
+    store, cell = RowStore(tmp_path / "rows"), ("good-5k", OURS)
+    one, other = (finished(tmp_path, 0, q_policy) for q_policy in (1.0, 2.0))
+    store.keep(cell, {0: one}, [LAST, BEST])
+    with pytest.raises(MarlMmError, match="of a training with another learning curve"):
+        store.keep(cell, {0: other}, [LAST])
+    store.keep(cell, {0: one}, [LAST])
+    store.keep(cell, {0: other}, [LAST, BEST])  # nothing of the former one stays
+
+
 # --- The runner --------------------------------------------------------------
 
 
@@ -384,6 +463,46 @@ def test_a_killed_worker_does_not_stop_it(
     assert all((tmp_path / "runs/results" / file).exists() for file in FILES)
 
 
+class Done(Job):
+    """A run of which nothing is missing."""
+
+    def has(self, probe: Probe) -> bool:
+        return True
+
+
+class Deadly(Job):
+    """A run that ends the process that takes it up."""
+
+    def has(self, probe: Probe) -> bool:
+        os._exit(1)
+
+
+@pytest.mark.slow
+def test_a_run_that_kills_its_process_takes_no_other_along(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1]))  # for the processes
+    options = offline_options("mabc", dataset="good-5k")
+    jobs = [
+        kind(str(number), 0, tmp_path / str(number), "good-5k", options, [LAST])
+        for number, kind in enumerate((Done, Deadly, Done, Done))
+    ]
+    done: list[Job] = []
+    failed = do_jobs(jobs, 2, "local", done.append)
+    assert failed.keys() == {tmp_path / "1"}
+    assert "a worker process died" in failed[tmp_path / "1"]
+    assert sorted(job.label for job in done) == ["0", "2", "3"]
+
+
+def test_a_run_whose_rows_cannot_be_kept_counts_as_failed(tmp_path: Path) -> None:
+    def refuse(job: Job) -> None:
+        raise MarlMmError("other rows")
+
+    options = offline_options("mabc", dataset="good-5k")
+    job = Done("0", 0, tmp_path, "good-5k", options, [LAST])
+    assert do_jobs([job], 1, "local", refuse) == {tmp_path: "other rows"}
+
+
 @pytest.mark.slow
 def test_a_plan_says_what_is_missing_and_trains_nothing(
     own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -406,7 +525,8 @@ def test_a_plan_of_everything_trains_nothing_either(
     *_, total, online = capsys.readouterr().out.splitlines()
     cells = {cell_name(cell) for one in ABLATIONS.values() for cell in one.cells}
     assert f"| {len(cells)} of {len(cells)} |" in total
-    assert online == "and online: 18 of 18 online runs"
+    runs = f"{len(SETTINGS)} of {len(SETTINGS)}"
+    assert online == f"and online: {runs} online runs"
     assert not list(tmp_path.iterdir())
 
 

@@ -69,20 +69,27 @@ def _offline(options: AblateOffline, ablations: Mapping[str, Ablation]) -> None:
     check_positive(workers=options.workers)
     if options.seeds is not None:
         check_seeds(options.seeds)
-    tables = _tables(options, ablations)
-    if tables and options.json:
-        print(to_json(tables))
+    tables: dict[str, Sequence[Row]] = {}
+    try:
+        _add_tables(tables, options, ablations)
+    finally:
+        if tables and options.json:
+            print(to_json(tables))
 
 
-def _tables(
-    options: AblateOffline, ablations: Mapping[str, Ablation]
-) -> dict[str, Sequence[Row]]:
-    """Draw ablations; rows of their tables, which are printed unless as JSON."""
-    drawn = ablate_offline(options, ablations)
-    if not options.json:
-        for name, (_, text) in drawn.items():
+def _add_tables(
+    tables: dict[str, Sequence[Row]],
+    options: AblateOffline,
+    ablations: Mapping[str, Ablation],
+) -> None:
+    """Draw ablations, and take the rows of their tables; print these unless as JSON."""
+
+    def show(name: str, rows: list[Row], text: str) -> None:
+        tables[name] = rows
+        if not options.json:
             print(f"{ablations[name].about}\n\n{text}")
-    return {name: rows for name, (rows, _) in drawn.items()}
+
+    ablate_offline(options, ablations, show)
 
 
 def _declared(path: Path, name: str) -> Ablation:
@@ -162,7 +169,7 @@ def _make_everything(offline: AblateOffline, online: Ablate) -> None:
     tables: dict[str, Sequence[Row]] = {}
     try:
         with every_failure(usage=False) as attempt:
-            attempt(lambda: tables.update(_tables(offline, ABLATIONS)))
+            attempt(partial(_add_tables, tables, offline, ABLATIONS))
             for name, target in TARGETS.items():
                 if target.files:
                     attempt(partial(_add_table, tables, online, name))

@@ -24,7 +24,7 @@ from marl_mm.progress import Advance, Bar, distant_bars, show_distant_bars, sile
 from marl_mm.workers import Executor, open_pool
 
 _DEATHS = 3
-"""Deaths of worker processes with which a run that was under way counts as failed."""
+"""Deaths of processes that did nothing but a run with which that counts as failed."""
 
 _ALL = "all runs"
 """Label of the bar of the whole plan."""
@@ -70,11 +70,15 @@ def do_jobs(
 ) -> dict[Path, Complaint]:
     """Do jobs, whatever becomes of some of them.
 
+    When a process dies, the runs that may have been under way are then done one at a
+    time, so that it shows which of them kills processes.
+
     Args:
         jobs: What is to be done.
         workers: Processes.
         executor: Of which machines; these share one file system.
-        done: Called in this process after each that succeeded.
+        done: Called in this process after each that succeeded; a ``MarlMmError`` makes
+            it one that failed.
 
     Returns:
         Runs that failed, and why.
@@ -88,29 +92,33 @@ def do_jobs(
     context = get_context("forkserver")
     messages, stop = context.Queue(), context.Event()
     deaths = dict.fromkeys(left, 0)
+    suspects: list[Path] = []
     with show_distant_bars(messages, vanish=True):
         messages.put((_ALL, len(left), 0, ""))
         while left:
             shared = (messages, stop) if executor == "local" else (None, None)
-            pool = open_pool(executor, min(workers, len(left)), _begin, shared)
+            under_way = suspects[:1] or list(left)
+            # Of two processes that have one run only one begins; 1 would be this one.
+            processes = min(workers, max(len(under_way), 2))
+            pool = open_pool(executor, processes, _begin, shared)
             try:
-                for run, complaint in pool.completed(_do, list(left.values())):
-                    job = left.pop(run)
+                asked = [left[run] for run in under_way]
+                for run, complaint in pool.completed(_do, asked):
+                    complaint = complaint or _settled(left[run], done)
+                    del left[run]
                     if complaint:
                         failed[run] = complaint
-                    else:
-                        done(job)
                     rest = sum(job.seconds for job in left.values())
                     note = _remaining(monotonic() - begun, rest, total)
                     messages.put((_ALL, 0, 1, note))
             except WorkerDiedError as error:
-                for run in list(left)[: 2 * workers]:  # one of these was under way
-                    deaths[run] += 1
-                    job = left.pop(run)
-                    if deaths[run] < _DEATHS:
-                        left[run] = job  # at the end, when others are done
-                    else:
-                        failed[run] = str(error)
+                if suspects:
+                    deaths[suspects[0]] += 1
+                    if deaths[suspects[0]] == _DEATHS:
+                        failed[suspects[0]] = str(error)
+                        del left[suspects[0]]
+                else:  # no more are handed out at once
+                    suspects = [run for run in under_way if run in left][: 2 * workers]
                 told = f"{error}; going on with {len(left)} runs"
                 print(told, file=sys.stderr)
             except BaseException:
@@ -118,7 +126,17 @@ def do_jobs(
                 raise
             finally:
                 pool.close()
+            suspects = [run for run in suspects if run in left]
     return failed
+
+
+def _settled(job: Job, done: Callable[[Job], None]) -> Complaint:
+    """What stands in the way of a run's rows, if anything does."""
+    try:
+        done(job)
+    except MarlMmError as error:
+        return str(error)
+    return ""
 
 
 def _remaining(spent: float, rest: float, total: float) -> str:

@@ -1,7 +1,7 @@
 """Ablations of offline learning: what is missing is trained, and then drawn."""
 
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -26,16 +26,16 @@ from marl_mm.files import refuse_existing
 
 
 def ablate_offline(
-    options: AblateOffline, ablations: Mapping[str, Ablation]
-) -> dict[str, tuple[list[Row], str]]:
+    options: AblateOffline,
+    ablations: Mapping[str, Ablation],
+    show: Callable[[str, list[Row], str], None],
+) -> None:
     """Make what is missing of some ablations, and draw them.
 
     Args:
         options: What was asked for.
         ablations: By name.
-
-    Returns:
-        Rows and text of each one's table; nothing with ``--plan`` or ``--check``.
+        show: Called with name, rows and text of every table that is drawn.
 
     Raises:
         UsageError: If a dataset or a setting is not the ablation's, or not there.
@@ -48,7 +48,7 @@ def ablate_offline(
     stems = {name: name if name in whole else f"{name}-part" for name in chosen}
     if options.check:
         _check(options, chosen, whole)
-        return {}
+        return
     if not options.plan:
         for name, ablation in chosen.items():
             for file in drawings(stems[name], ablation):
@@ -61,21 +61,20 @@ def ablate_offline(
         wanted = estimated(wanted)
     if options.plan:
         print(plan_table(wanted, options.workers, full), end="")
-        return {}
+        return
     failed = _make_rows(options, wanted)
     incomplete = {one.name for one in wanted if failed.keys() & one.runs}
-    drawn = {
-        name: _draw(options, stems[name], one)
-        for name, one in chosen.items()
-        if incomplete.isdisjoint(map(cell_name, one.cells))
-    }
+    drawn = []
+    for name, one in chosen.items():
+        if incomplete.isdisjoint(map(cell_name, one.cells)):
+            show(name, *_draw(options, stems[name], one))
+            drawn.append(name)
     if failed:
         reasons = "; ".join(f"{run}: {why}" for run, why in failed.items())
         raise FailedRunsError(
             f"{len(failed)} of {left} runs failed, the same command with --resume "
             f"tries them again; drawn: {', '.join(drawn) or 'nothing'}; {reasons}"
         )
-    return drawn
 
 
 def _check(
