@@ -67,17 +67,20 @@ PAPER = {
 }
 """By dataset, algorithm and batch size.
 
-After 180,000 updates and over three seeds; the deviations are of the usual kind, with
-one seed less in the denominator. Fig. 8 has episodes of 50 steps. Where Table 5 says
-60,000 steps, the text says 30,000.
+After 180,000 updates, as far as it says: in Table 4, of the mixes, and with Fig. 10,
+the only place that says over three seeds, too. The deviations are of the usual kind,
+with one seed less in the denominator. Fig. 8 has episodes of 50 steps. Where Table 5
+says 60,000 steps, the text says 30,000.
 """
 
 NOTE = """\
 Goals reached: mean and standard deviation over seeds, and the wider of two 95 %
-intervals: Student's over seeds, Wilson's over all goals. IQM: interquartile mean over
+intervals: Student's over seeds, Wilson's over goals, which are the same for all seeds.
+Return: with Student's interval over seeds, on these goals. IQM: interquartile mean over
 seeds and directions, with its 95 % stratified bootstrap interval, which is too narrow
-for so few seeds. Paper: after 180,000 updates, on data and a task of its own, which
-leaves more open than ours, so that order and protocol compare, and not numbers."""
+for so few seeds. Paper: after 180,000 updates (of Table 5 and MATD3+BC it does not say
+how many), on data and a task of its own, which leaves more open than ours, so that
+order and protocol compare, and not numbers."""
 """Below every table."""
 
 

@@ -1,10 +1,11 @@
 """Means, deviations and intervals, of success first: over few seeds and many goals."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest, trim_mean
+from scipy.stats import binomtest, trim_mean, ttest_ind
 from scipy.stats import t as student
 
 CONFIDENCE = 0.95
@@ -44,25 +45,39 @@ def mean_interval(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
     return float(np.mean(values) - width), float(np.mean(values) + width)
 
 
-def wider_interval(
-    rates: Sequence[float], successes: int, goals: int
+def difference_interval(
+    ours: Sequence[float], theirs: Sequence[float]
 ) -> tuple[float, float]:
+    """Welch's 95 % interval of the difference of two means of few values."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of one that does not vary
+        test = ttest_ind(ours, theirs, equal_var=False)
+    interval = test.confidence_interval(CONFIDENCE)
+    return float(interval.low), float(interval.high)
+
+
+def wider_interval(rates: Sequence[float], goals: int) -> tuple[float, float]:
     """The wider to each side of Student's interval over seeds and Wilson's over goals.
 
     Seeds alone know nothing of goals where all of them reach the same share, and goals
     alone nothing of how much seeds differ.
+
+    Args:
+        rates: Of success, by seed.
+        goals: How many; all seeds go to the same, which are no more for that.
     """
-    low, high = _widened(success_interval(successes, goals), rates)
+    over_goals = success_interval(round(float(np.mean(rates)) * goals), goals)
+    low, high = _widened(over_goals, rates)
     return max(low, 0.0), min(high, 1.0)
 
 
-def paired_interval(differences: np.ndarray) -> tuple[float, float]:
-    """Likewise of a mean of differences: Student's, and the bootstrap over all of them.
+def interval_of_mean(values: np.ndarray) -> tuple[float, float]:
+    """Likewise of anything: Student's, and the bootstrap over goals of seeds' means.
 
     Args:
-        differences: Shape (seeds, goals).
+        values: Shape (seeds, goals).
     """
-    return _widened(bootstrap_interval(differences.ravel()), differences.mean(axis=1))
+    return _widened(bootstrap_interval(values.mean(axis=0)), values.mean(axis=1))
 
 
 def _widened(
@@ -93,11 +108,11 @@ def summarize_success(rows: Sequence[Mapping[str, Any]], name: str) -> dict[str,
         name: What the values' names begin with.
     """
     rates, scores = seed_rates(rows), success_scores(rows)
-    successes = sum(row["success"] for row in rows)
+    goals = len({row["goal"] for row in rows})
     return {
         name: float(np.mean(rates)),
         f"{name}_std": deviation(rates),
-        f"{name}_interval": wider_interval(rates, successes, len(rows)),
+        f"{name}_interval": wider_interval(rates, goals),
         f"{name}_iqm": interquartile_mean(scores),
         f"{name}_iqm_interval": interquartile_interval(scores),
     }

@@ -1,14 +1,23 @@
 """What ablations of offline learning show: rows summarised, and as tables."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import ceil
 
 import numpy as np
 
-from marl_mm.eval.ablation import Ablation, Cell, Probe, Reported, Setting
+from marl_mm.eval.ablation import (
+    Ablation,
+    Cell,
+    Probe,
+    Reported,
+    Setting,
+    cell_name,
+)
 from marl_mm.eval.ablations import LONG, reported
 from marl_mm.eval.intervals import (
-    paired_interval,
+    difference_interval,
+    interval_of_mean,
+    mean_interval,
     seed_rates,
     success_interval,
     summarize_success,
@@ -23,9 +32,15 @@ from marl_mm.eval.tables import (
     without,
 )
 
-COLUMNS = {"q_policy": "critic's value", "q_slope": "critic's slope"}
+COLUMNS = {
+    "q_policy": "critic's value, every seed",
+    "q_slope": "critic's slope, every seed",
+}
 """Headings of what the critics say of the policy's actions, and how much more they
 value going to the goal than away from it; no return can pass 10."""
+
+RETURN = "return [95 %]"
+"""Heading of a mean over seeds and goals, with Student's interval over seeds."""
 
 OVER_HELD = "return over the best alpha held [95 %]"
 """Heading of what the learnt alpha is worth."""
@@ -50,7 +65,7 @@ def summarize_ablation(
         curves = store.curves(cell, seeds)
         of_runs: Row = {"diverged": _diverged(store.diverged(cell), seeds)}
         for key in COLUMNS:
-            of_runs[key] = _at_the_end(curves, key)
+            of_runs |= _at_the_end(curves, key)
         by_probe = {
             probe.name: [row for row in rows if row["probe"] == probe.name]
             for probe in ablation.probes
@@ -67,33 +82,72 @@ def summarize_ablation(
 def worth_of_alpha(learnt: Sequence[Row], held: Mapping[float, Sequence[Row]]) -> Row:
     """Return with the learnt alpha less that with the best one held.
 
-    Paired by seed and goal; the interval is that of ``paired_interval``.
+    Paired by seed and goal; the interval is that of ``interval_of_mean``.
 
     Args:
         learnt: Evaluated episodes.
         held: The same seeds and goals, by the alpha held.
     """
-
-    def returns(rows: Sequence[Row]) -> np.ndarray:
-        """Shape (seeds, goals)."""
-        ordered = sorted(rows, key=lambda row: (row["seed"], row["goal"]))
-        seeds = len({row["seed"] for row in rows})
-        return np.array([row["return"] for row in ordered]).reshape(seeds, -1)
-
-    best = max(held, key=lambda alpha: float(returns(held[alpha]).mean()))
-    difference = returns(learnt) - returns(held[best])
+    best = max(held, key=lambda alpha: float(_returns(held[alpha]).mean()))
+    difference = _returns(learnt) - _returns(held[best])
     return {
         "best_held": best,
         "over_held": float(difference.mean()),
-        "over_held_interval": paired_interval(difference),
+        "over_held_interval": interval_of_mean(difference),
     }
 
 
-def _at_the_end(curves: Sequence[Row], key: str) -> float:
-    """What the critics say, mean over seeds; nan where there are none."""
+def _returns(rows: Sequence[Row]) -> np.ndarray:
+    """Of evaluated episodes, shape (seeds, goals)."""
+    ordered = sorted(rows, key=lambda row: (row["seed"], row["goal"]))
+    seeds = len({row["seed"] for row in rows})
+    return np.array([row["return"] for row in ordered]).reshape(seeds, -1)
+
+
+def _at_the_end(curves: Sequence[Row], key: str) -> Row:
+    """What the critics say, mean over seeds and every seed's; nan where there are none.
+
+    The mean is that of the finite ones.
+    """
     last = {row["seed"]: float(row[key]) for row in curves}
     known = [value for value in last.values() if np.isfinite(value)]
-    return float(np.mean(known)) if known else np.nan
+    every = "" if np.isnan(list(last.values())).all() else _listed(last.values())
+    return {key: float(np.mean(known)) if known else np.nan, f"{key}_seeds": every}
+
+
+def differences(
+    ablation: Ablation, store: RowStore, baseline: str
+) -> dict[tuple[str, str], Row]:
+    """By how much cells are better than a setting on the same dataset.
+
+    Args:
+        ablation: Of whose cells, at the first probe.
+        store: Has the rows.
+        baseline: Name of that setting.
+
+    Returns:
+        By names of dataset and setting ``success`` and ``return``, means over seeds
+        less the baseline's, each with its ``_interval``, Welch's.
+    """
+    seeds, found = range(ablation.seeds), {}
+    means: dict[tuple[str, str], dict[str, Sequence[float]]] = {}
+    for cell in ablation.cells:
+        rows = store.evaluations(cell, seeds, ablation.probes[:1])
+        of_returns = _returns(rows).mean(axis=1).tolist()
+        means[cell_name(cell)] = {"success": seed_rates(rows), "return": of_returns}
+    for (dataset, setting), ours in means.items():
+        if setting == baseline:
+            continue
+        row: Row = {}
+        for key, theirs in means[dataset, baseline].items():
+            row[key] = float(np.mean(ours[key]) - np.mean(theirs))
+            row[f"{key}_interval"] = difference_interval(ours[key], theirs)
+        found[dataset, setting] = row
+    return found
+
+
+def _listed(values: Iterable[float]) -> str:
+    return " ".join(f"{value:.3g}".replace("e+0", "e").strip() for value in values)
 
 
 def _diverged(updates: Mapping[int, int], seeds: Sequence[int]) -> str:
@@ -113,6 +167,9 @@ def _summarize(cell: Cell, probe: Probe, rows: Sequence[Row]) -> Row:
         **summarize_success(rows, "success"),
         "success_seeds": " ".join(f"{100 * rate:.1f}" for rate in rates),
     }
+    means = _returns(rows).mean(axis=1)
+    known = len(means) > 1
+    summary["return_interval"] = mean_interval(means) if known else (np.nan, np.nan)
     for key in ("return", "d_mm", "d_mp", "alpha"):
         summary[key] = float(np.mean([row[key] for row in rows]))
     failures = count_failures(rows)
@@ -156,7 +213,7 @@ def ablation_lines(
     header = ["dataset", "setting", f"goals reached [%], {first.about}", "every seed"]
     header += ["IQM [%]", *(_told(probe) for probe in others)]
     header += ["paper [%]", "difference [points]"]
-    header += ["return", "d_mm [m]", "d_mp [m]", "alpha", *COLUMNS.values()]
+    header += [RETURN, "d_mm [m]", "d_mp [m]", "alpha", *COLUMNS.values()]
     held = any(probe.alpha is not None for probe in others)
     header += [OVER_HELD] * held
     can_fail = any("failed" in row for row in summary)
@@ -172,8 +229,9 @@ def ablation_lines(
         ]
         theirs = ablation.reported.get((dataset, setting.name))
         line += _beside(theirs or reported((dataset, setting)), setting, row)
-        line += [f"{row['return']:.2f}", f"{row['d_mm']:.3f}", f"{row['d_mp']:.3f}"]
-        line += [f"{row['alpha']:.2f}", *(_number(row[key]) for key in COLUMNS)]
+        line += [_return(row)]
+        line += [f"{row['d_mm']:.3f}", f"{row['d_mp']:.3f}", f"{row['alpha']:.2f}"]
+        line += [_in_a_row(row[f"{key}_seeds"]) for key in COLUMNS]
         line += [_over_held(row)] if held else []
         line += [row.get("failed", "")] if can_fail else []
         lines.append(line)
@@ -186,14 +244,19 @@ def _over_held(row: Row) -> str:
     return f"{told} over {row['best_held']:g}"
 
 
-def _number(value: float) -> str:
-    if np.isnan(value):
-        return ""
-    return f"{value:.2f}" if abs(value) < 1e4 else f"{value:.2e}"
+def _return(row: Row) -> str:
+    low, high = row["return_interval"]
+    interval = "" if np.isnan(low) else f" [{low:.2f}, {high:.2f}]"
+    return f"{row['return']:.2f}{interval}"
+
+
+def _in_a_row(values: str | float) -> str:
+    """Numbers apart by commas; a single one may have been read as such."""
+    return str(values).replace(" ", ", ")
 
 
 def _every_seed(row: Row) -> str:
-    rates = str(row["success_seeds"]).replace(" ", ", ")
+    rates = _in_a_row(row["success_seeds"])
     return f"{rates}; diverged: {row['diverged']}" if row["diverged"] else rates
 
 
@@ -214,6 +277,23 @@ def _beside(theirs: Reported | None, setting: Setting, row: Row) -> list[str]:
     if theirs.success is None or setting.config.updates != LONG:
         return [str(theirs), ""]
     return [str(theirs), f"{100 * row['success'] - theirs.success:+.1f}"]
+
+
+def differences_table(ablation: Ablation, rows: Mapping[tuple[str, str], Row]) -> str:
+    """What ``differences`` found, a line per cell, as Markdown."""
+    about = {setting.name: setting.about for _, setting in ablation.cells}
+
+    def told(row: Row, key: str, scale: float, digits: int) -> str:
+        values = (scale * value for value in (row[key], *row[f"{key}_interval"]))
+        mean, low, high = (f"{value:+.{digits}f}" for value in values)
+        return f"{mean} [{low}, {high}]"
+
+    lines = [
+        [dataset, about[name], told(row, "success", 100, 1), told(row, "return", 1, 2)]
+        for (dataset, name), row in rows.items()
+    ]
+    header = ["dataset", "setting", "goals reached [points, 95 %]", RETURN]
+    return markdown_table(header, lines)
 
 
 def goals_table(half_width: float = 0.05) -> str:

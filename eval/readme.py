@@ -19,7 +19,14 @@ from marl_mm.eval.bench_tables import (
     data_table,
     offline_speed_table,
 )
-from marl_mm.eval.offline import COLUMNS, ablation_table, goals_table
+from marl_mm.eval.offline import (
+    COLUMNS,
+    ablation_table,
+    differences,
+    differences_table,
+    goals_table,
+)
+from marl_mm.eval.offline_rows import RowStore
 from marl_mm.eval.online import SETTINGS
 from marl_mm.eval.online_tables import (
     IQM,
@@ -119,6 +126,14 @@ def _ablation(name: str, *leave_out: str, dataset: str = "") -> str:
     return ablation_table(shown, summary, ("IQM [%]", *leave_out))
 
 
+def _over_imitation(name: str) -> str:
+    """How the others compare with MABC."""
+    store = RowStore(RESULTS / "offline/rows")
+    return differences_table(
+        ABLATIONS[name], differences(ABLATIONS[name], store, "mabc")
+    )
+
+
 def _offline_updates() -> str:
     return offline_speed_table(json.loads((RESULTS / "offline/bench.json").read_text()))
 
@@ -166,6 +181,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "updates": _updates,
     "offline": partial(_ablation, "offline", _DIFFERENCE, *COLUMNS.values()),
     "tasks": partial(_ablation, "tasks", _PAPER, _DIFFERENCE),
+    "tasks-over-mabc": partial(_over_imitation, "tasks"),
     "table4": partial(_ablation, "table4", *_NOT_LONG),
     "table5": partial(_ablation, "table5", *_NOT_LONG),
     "cures": partial(_ablation, "cures", *_NOT_CURED, dataset="good-30k"),

@@ -5,10 +5,11 @@ import pytest
 
 from marl_mm.eval.intervals import (
     bootstrap_interval,
+    difference_interval,
     interquartile_interval,
     interquartile_mean,
+    interval_of_mean,
     mean_interval,
-    paired_interval,
     success_interval,
     success_scores,
     wider_interval,
@@ -39,21 +40,22 @@ def test_the_interval_of_three_by_hand() -> None:
 
 
 def test_seeds_that_agree_leave_the_doubt_about_goals() -> None:
-    assert wider_interval([0.5, 0.5], 10, 20) == success_interval(10, 20)
-    assert wider_interval([0.5], 5, 10) == success_interval(5, 10)
+    """Which are no more for being gone to with several seeds."""
+    for rates in ([0.5], [0.5, 0.5], [0.5, 0.5, 0.5]):
+        assert wider_interval(rates, 20) == success_interval(10, 20)
 
 
 def test_seeds_that_differ_widen_the_interval_as_far_as_a_rate_can_go() -> None:
-    low, high = wider_interval([0.4, 0.5, 0.6], 1500, 3000)
+    low, high = wider_interval([0.4, 0.5, 0.6], 1000)
     assert (low, high) == pytest.approx((0.5 - 0.2484, 0.5 + 0.2484), abs=1e-3)
-    assert wider_interval([0.0, 1.0], 100, 200) == (0.0, 1.0)
+    assert wider_interval([0.0, 1.0], 100) == (0.0, 1.0)
 
 
-def test_differences_that_seeds_agree_on_are_known_better() -> None:
+def test_seeds_that_agree_on_every_goal_tell_nothing_more_of_goals() -> None:
     goals = np.linspace(-1, 1, 100)
-    agreed = paired_interval(np.stack([goals, goals]))
-    assert agreed == bootstrap_interval(np.tile(goals, 2))
-    low, high = paired_interval(np.stack([goals - 1, goals, goals + 1]))
+    for seeds in (1, 2, 3):
+        assert interval_of_mean(np.stack([goals] * seeds)) == bootstrap_interval(goals)
+    low, high = interval_of_mean(np.stack([goals - 1, goals, goals + 1]))
     assert (low, high) == pytest.approx((-2.484, 2.484), abs=1e-3)
 
 
@@ -87,3 +89,9 @@ def test_the_interval_of_the_interquartile_mean_draws_columns_apart() -> None:
     # Two runs that trade one direction for the other: each may be drawn twice.
     assert interquartile_interval(np.array([[0.0, 1.0], [1.0, 0.0]])) == (0.0, 1.0)
     assert np.isnan(interquartile_interval(np.array([[0.5, 0.5]]))).all()
+
+
+def test_the_interval_of_a_difference_by_hand() -> None:
+    """Two threes of the same spread: t(4, 0.975) = 2.776; its error is sqrt(2 / 3)."""
+    low, high = difference_interval([3, 4, 5], [1, 2, 3])
+    assert (low, high) == pytest.approx((2 - 2.267, 2 + 2.267), abs=1e-3)
