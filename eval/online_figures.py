@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from marl_mm.eval.figures import COLORS, save, save_both
+from marl_mm.eval.figures import COLORS, save_both
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.online import on_a_grid
 
@@ -58,11 +58,11 @@ def seed_curves(
 
 
 def alpha_figure(
-    steps: Sequence[Row], worth: Sequence[Row], labels: Mapping[str, str], path: Path
+    steps: Sequence[Row], worth: Sequence[Row], labels: Mapping[str, str], stem: Path
 ) -> None:
     """Above: alpha over time by direction. Below: the return with alpha held.
 
-    A column per setting, a line per seed.
+    A column per setting, a line per seed; as PNG and SVG.
     """
     settings = list(dict.fromkeys(row["setting"] for row in steps))
     figure = Figure(figsize=(4.4 * len(settings), 6.0), layout="constrained")
@@ -97,4 +97,4 @@ def alpha_figure(
     axes[0][0].set_ylabel("learnt alpha (1 = stable base)")
     axes[0][0].legend(frameon=False)
     axes[1][0].legend(frameon=False)
-    save(figure, path)
+    save_both(figure, stem)

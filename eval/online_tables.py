@@ -34,9 +34,16 @@ def online_table(
     settings: Sequence[OnlineSetting],
     leave_out: Sequence[str] = (),
 ) -> str:
-    """One row per setting, as Markdown, without some columns."""
+    """One row per setting, as Markdown, without some columns; see ``online_lines``."""
+    return markdown_table(*without(*online_lines(summary, settings), leave_out))
+
+
+def online_lines(
+    summary: Sequence[Row], settings: Sequence[OnlineSetting]
+) -> tuple[Sequence[str], list[Sequence[str]]]:
+    """Header and lines of the table."""
     by_name = {setting.name: setting for setting in settings}
-    lines = []
+    lines: list[Sequence[str]] = []
     for row in summary:
         setting = by_name[row["setting"]]
         lines.append(
@@ -55,7 +62,7 @@ def online_table(
                 str(row["episodes"]),
             )
         )
-    return markdown_table(*without(ONLINE_HEADER, lines, leave_out))
+    return ONLINE_HEADER, lines
 
 
 def alpha_worth_table(summary: Sequence[Row], settings: Sequence[OnlineSetting]) -> str:
@@ -137,7 +144,7 @@ def online_markdown(
 
 Made by `marl-mm ablate online`. Success: mean and standard deviation over seeds of the
 share of goals reached, the same for all, and the wider of two 95 % intervals: Student's
-over seeds, Wilson's over all goals. IQM: interquartile mean over seeds and directions,
+over seeds, Wilson's over goals. IQM: interquartile mean over seeds and directions,
 with its 95 % stratified bootstrap interval, which is too narrow for so few seeds.
 Paper: of its learning curves, on a task of its own. Episodes: until an evaluation on
 other goals first had the rate, mean over seeds, its 95 % interval and every seed's

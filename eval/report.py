@@ -103,7 +103,7 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
         title="marl_mm: results",
         about="Tables and figures, what they were made of, and the commands that make "
         "them. Success rates: mean and standard deviation over seeds, and the wider of "
-        "two 95 % intervals, Student's over seeds and Wilson's over all goals.",
+        "two 95 % intervals, Student's over seeds and Wilson's over goals.",
         sections=[*sections, made],
     )
 
@@ -120,7 +120,10 @@ def _offline(folder: Path) -> Iterator[Section]:
         title, text = _page(pages[name])
         figure = folder / f"{name}.svg"
         media = [_media(figure)] if figure.exists() else []
+        whole = name.removesuffix("-part")  # of some --datasets or --settings
         target = name if name in ABLATIONS else "FILE.py:NAME"
+        if whole in ABLATIONS and whole != name:
+            target = f"{whole} --datasets ... --settings ..."
         command = f"marl-mm ablate {target} --out {folder} --overwrite"
         yield Section(name, title, command, text, media)
     if pages:
@@ -136,10 +139,11 @@ def _offline(folder: Path) -> Iterator[Section]:
 
 
 def _online(folder: Path) -> Iterator[Section]:
+    for page in (folder / "online.md", folder / "online-part.md"):
+        if page.exists():
+            title, text = _page(page)
+            yield Section(page.stem, title, _redrawn("online", folder), text)
     page = folder / "online.md"
-    if page.exists():
-        title, text = _page(page)
-        yield Section("online", title, _redrawn("online", folder), text)
     for name, (target, about, table) in _TABLES.items():
         if (folder / name).exists():
             text = _html(table(read_rows(folder / name), SETTINGS))

@@ -36,7 +36,7 @@ from marl_mm.eval.ablation import (
     Setting,
     cell_name,
 )
-from marl_mm.eval.ablations import ABLATIONS, PAPER, reported
+from marl_mm.eval.ablations import ABLATIONS, BLOCKS, PAPER, reported
 from marl_mm.eval.intervals import (
     success_interval,
 )
@@ -533,14 +533,36 @@ def test_a_plan_of_everything_trains_nothing_either(
 def test_a_plan_says_what_is_collected_first(
     datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    runs = tmp_path / "runs"
     for name, command in (
         ("offline", "collect paper"),
         ("tasks", "collect pretrained --task SmoothReach-v0 --steps 30000"),
     ):
-        assert main(["ablate", name, "--plan", "--runs", str(tmp_path)]) == 0
+        asked = ["ablate", name, "--plan", "--runs", str(runs), "--seeds", "0"]
+        assert main([*asked, "--settings", "mabc"]) == 0
         told = capsys.readouterr()
         assert f"it is collected first, with marl-mm {command}" in told.err
-        assert "| 0 of 0 |" in told.out
+        *_, total = told.out.splitlines()
+        cells = len([c for c in ABLATIONS[name].cells if c[1].name == "mabc"])
+        assert f"| {cells} of {cells} |" in total and float(total.split("|")[-2]) > 0
+    assert not runs.exists()
+
+
+@pytest.mark.slow
+def test_a_small_budget_learns_from_the_task_s_own_data(
+    datasets_home: Path, tmp_path: Path
+) -> None:
+    """Once collected, for whatever needs it."""
+    asked = ["ablate", "blocks", "--budget", "smoke", "--seeds", "0"]
+    asked += ["--runs", str(tmp_path / "runs"), "--settings", "mabc", "--workers", "2"]
+    assert main(asked) == 0
+    results = tmp_path / "runs/results"
+    for row in read_rows(results / "blocks-part.csv"):
+        name = row["dataset"].replace("/", "-")
+        made_of = json.loads((results / f"rows/{name}/mabc.json").read_text())
+        assert made_of["task"] == BLOCKS[row["dataset"]]
+    assert "failed" in (results / "blocks-part.md").read_text()
+    assert not list(tmp_path.glob("datasets/*"))  # its home
 
 
 @pytest.mark.slow

@@ -3,12 +3,43 @@
 import shlex
 import sys
 from contextlib import redirect_stdout
+from pathlib import Path
 
 from marl_mm.commands import collect
 from marl_mm.datasets.dataset import Dataset, load_dataset
-from marl_mm.datasets.location import locate
+from marl_mm.datasets.location import SHIPPED, locate
 from marl_mm.errors import UnknownDatasetError
-from marl_mm.eval.ablations import made_by
+from marl_mm.eval.ablations import BLOCKS, OTHER_TASKS, made_by
+from marl_mm.files import only_here
+
+_FEW = 30
+"""Steps of what stands for a large dataset."""
+
+
+def small_dataset(name: str, folder: Path, workers: int, make: bool) -> Dataset:
+    """What stands for a dataset where little is to be trained: a few steps of its task.
+
+    For one of ``Reach-v0`` it is the one that ships.
+
+    Args:
+        name: As in a cell.
+        folder: Where those of other tasks are.
+        workers: Processes that collect.
+        make: Whether what is missing is; without, the one that ships stands for it.
+    """
+    if name not in (*OTHER_TASKS, *BLOCKS):
+        return load_dataset(SHIPPED)
+    path = (folder / name.replace("/", "-")).resolve()
+    if not make and not path.exists():
+        return load_dataset(SHIPPED)
+    words = [*shlex.split(made_by(name))[2:], "--workers", str(workers)]
+    words += ["--steps", str(_FEW), "--dataset", str(path)]  # the last ones count
+    with only_here(path.parent, wait=True):
+        if not (
+            path.exists() and load_dataset(str(path)).metadata["marl_mm"]["complete"]
+        ):
+            _collect(words, str(path))
+    return load_dataset(str(path))
 
 
 def dataset_named(name: str, workers: int, make: bool) -> Dataset:
@@ -43,10 +74,14 @@ def dataset_named(name: str, workers: int, make: bool) -> Dataset:
         if whole or not (command and make):
             return dataset
         print(f"{name} is not whole: going on with {command}", file=sys.stderr)
+    _collect([*words, "--workers", str(workers)], name)
+    return load_dataset(name)
+
+
+def _collect(words: list[str], name: str) -> None:
+    """Begin a collection, or go on with it."""
     location = locate(name)
-    words += ["--workers", str(workers)]
     if location.folder.exists() or location.working.exists():
-        words.append("--resume")
+        words = [*words, "--resume"]
     with redirect_stdout(sys.stderr):  # stdout is for tables
         collect.main(words)
-    return load_dataset(name)

@@ -28,8 +28,13 @@ from marl_mm.eval.online import (
     summarize_settings,
 )
 from marl_mm.eval.online_figures import alpha_figure, seed_curves
-from marl_mm.eval.online_tables import alpha_worth_table, online_markdown
+from marl_mm.eval.online_tables import (
+    alpha_worth_table,
+    online_lines,
+    online_markdown,
+)
 from marl_mm.eval.rows import as_read, read_rows, to_json, write_csv
+from marl_mm.eval.tables import latex_table
 from marl_mm.eval.video import film_both_ways, film_strip
 from marl_mm.files import new_file, refuse_existing
 from marl_mm.policy import Policy
@@ -145,8 +150,8 @@ def _runs(options: Ablate) -> None:
 def _online(options: Ablate) -> list[Row]:
     settings = _settings(options)
     stem = "online" if len(settings) == len(SETTINGS) else "online-part"
-    table, page = f"{stem}.csv", f"{stem}.md"
-    _refuse(options, table, page)
+    table, page, latex = f"{stem}.csv", f"{stem}.md", f"{stem}.tex"
+    _refuse(options, table, page, latex)
     names = [setting.name for setting in settings]
     curves = curves_of(options, names)
     evaluations = rows_of(options, EVALUATIONS, names, evaluation_rows)
@@ -155,8 +160,10 @@ def _online(options: Ablate) -> list[Row]:
     keep_rows(options.results(CURVES), curves)
     keep_rows(options.results(EVALUATIONS), evaluations)
     write_csv(options.results(table), summary)
-    with new_file(options.results(page)) as temporary:
-        temporary.write_text(text)
+    in_latex = latex_table(*online_lines(summary, settings))
+    for name, contents in ((page, text), (latex, in_latex)):
+        with new_file(options.results(name)) as temporary:
+            temporary.write_text(contents)
     _print(options, summary, text)
     return summary
 
@@ -217,7 +224,7 @@ def _fig6(options: Ablate) -> None:
 
 
 def _alpha(options: Ablate) -> list[Row]:
-    _refuse(options, "alpha.png", GOALS, STEPS, "alpha_worth.csv")
+    _refuse(options, "alpha.png", "alpha.svg", GOALS, STEPS, "alpha_worth.csv")
     if options.rows is None:
         rows, steps = map(as_read, _held(options))
     else:
@@ -227,7 +234,7 @@ def _alpha(options: Ablate) -> list[Row]:
     write_csv(options.results(STEPS), steps)
     write_csv(options.results("alpha_worth.csv"), summary)
     labels = {setting.name: setting.about for setting in SETTINGS}
-    alpha_figure(steps, summary, labels, options.results("alpha.png"))
+    alpha_figure(steps, summary, labels, options.results("alpha"))
     note_artist(options.results_folder())
     _print(options, summary, alpha_worth_table(summary, SETTINGS))
     return summary
@@ -280,7 +287,7 @@ TARGETS = {
     "online": Target(
         "Table: success, and episodes to 70 and 95 %, per setting.",
         _online,
-        ("online.csv", "online.md"),
+        ("online.csv", "online.md", "online.tex"),
     ),
     "fig4": Target(
         "Fig. 4: return over episodes, with and without hindsight.",
@@ -309,7 +316,7 @@ TARGETS = {
     "alpha": Target(
         "What alpha the trained agents choose, and what it is worth.",
         _alpha,
-        ("alpha.png", "alpha_worth.csv"),
+        ("alpha.png", "alpha.svg", "alpha_worth.csv"),
         CHOOSING,
     ),
     "pretrained": Target(
@@ -322,9 +329,8 @@ TARGETS = {
 
 
 def _settings(options: Ablate) -> list[OnlineSetting]:
-    if options.settings is None:
-        return list(SETTINGS)
-    return [setting for setting in SETTINGS if setting.name in options.settings]
+    asked = options.settings
+    return [one for one in SETTINGS if asked is None or one.name in asked]
 
 
 def _print(options: Ablate, summary: Sequence[Row], text: str) -> None:

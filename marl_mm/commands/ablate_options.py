@@ -42,12 +42,12 @@ class AblateOffline:
     are called NAME-part."""
 
     budget: Budget = "full"
-    """"smoke": hardly any training, on the dataset that ships, to see that everything
-    works."""
+    """"smoke": hardly any training, on the dataset that ships or a few steps of another
+    task, to see that everything works."""
 
     plan: bool = False
-    """Only print which runs are missing, and about how long they will take; without
-    those whose datasets are missing, which are told."""
+    """Only print which runs are missing, and about how long they will take; datasets
+    that are missing, too, are told, and not counted."""
 
     check: bool = False
     """Only say whether files in OUT are what is drawn from its rows, to the byte."""

@@ -175,7 +175,8 @@ def told_missing(options: Ablate, names: Sequence[str]) -> str:
     """How many runs of these settings are missing, in words."""
     wanted = [setting for setting in SETTINGS if setting.name in names]
     cells = [(setting, seed) for setting in wanted for seed in options.seeds]
-    missing = sum(not _finished(options, *cell) for cell in cells)
+    trains = options.rows is None
+    missing = sum(trains and not _finished(options, *cell) for cell in cells)
     told = f"{missing} of {len(cells)} online runs"
     if options.budget == "smoke":
         return told
