@@ -61,11 +61,18 @@ def test_commands_and_code_run_as_written(
 
 
 def test_rates_in_sentences_stand_in_the_committed_tables() -> None:
-    sentences = [line for line in README.splitlines() if not line.startswith("|")]
-    rates = re.findall(r"\d+\.\d \+- \d+\.\d", " ".join(sentences))
+    """Each with its deviation, its interval, or both, as whole numbers of one cell."""
+    number = r"(?<![\d.])(\d+\.\d+)"
+    text = " ".join(line for line in README.splitlines() if not line.startswith("|"))
+    told = re.findall(rf"{number} \+- {number}", text)
+    intervals = re.findall(rf"{number}(?: \+- [\d.]+)? % \[{number}, {number}\]", text)
     tables = [path.read_text() for path in (ROOT / "eval/results").rglob("*.md")]
-    assert len(rates) >= 5
-    assert [rate for rate in rates if not any(rate in one for one in tables)] == []
+    cells = re.findall(
+        rf"{number} \+- {number}(?: \[{number}, {number}\])?", "\n".join(tables)
+    )
+    assert len(told) >= 5 and len(intervals) >= 8
+    assert set(told) <= {(mean, deviation) for mean, deviation, *_ in cells}
+    assert set(intervals) <= {(mean, low, high) for mean, _, low, high in cells}
 
 
 @pytest.mark.slow
