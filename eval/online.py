@@ -27,6 +27,10 @@ CHECKPOINTS = {"last": "eval.json", "best": "eval_best.json"}
 """Evaluations of a run, by checkpoint."""
 
 
+MADE_OF = "made_of.json"
+"""What the runs of each setting were made of, beside their rows; not of all committed
+ones it is known."""
+
 SB3 = "sb3-ddpg-her"
 """The setting that is Stable-Baselines3's."""
 

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from marl_mm.envs.config import TASKS
-from marl_mm.eval.ablations import ABLATIONS
+from marl_mm.eval.ablations import ABLATIONS, BLOCKS
 from marl_mm.eval.bench_tables import (
     abuse_table,
     bench_table,
@@ -39,7 +39,7 @@ from marl_mm.eval.online_tables import (
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.sweep import responses
 from marl_mm.eval.sweep_tables import alpha_table, response_table, worth_table
-from marl_mm.eval.tables import markdown_table
+from marl_mm.eval.tables import markdown_table, rate_with_interval
 from marl_mm.files import new_file
 from marl_mm.layout import HANDLING, REACH
 
@@ -134,6 +134,20 @@ def _over_imitation(name: str) -> str:
     )
 
 
+def _script() -> str:
+    """The script on the goals that those who learn from it are evaluated on."""
+    lines = []
+    for task in BLOCKS.values():
+        found = json.loads((RESULTS / f"script/{task}.json").read_text())
+        every = found["summary"]["all"]
+        row = {"success": found["success_rate"], "success_interval": found["interval"]}
+        reached = rate_with_interval({**row, "seeds": 1})
+        numbers = f"{every['steps_to_success']:.1f}", f"{every['return']:.2f}"
+        lines.append((task, str(every["episodes"]), reached, *numbers))
+    header = ("task", "goals", "reached by the script [%]", "steps", "return")
+    return markdown_table(header, lines)
+
+
 def _offline_updates() -> str:
     return offline_speed_table(json.loads((RESULTS / "offline/bench.json").read_text()))
 
@@ -185,6 +199,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "table4": partial(_ablation, "table4", *_NOT_LONG),
     "table5": partial(_ablation, "table5", *_NOT_LONG),
     "cures": partial(_ablation, "cures", *_NOT_CURED, dataset="good-30k"),
+    "script": _script,
     "offline-updates": _offline_updates,
     "goals": goals_table,
 }

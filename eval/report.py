@@ -21,7 +21,7 @@ from marl_mm.eval.bench_tables import (
     offline_speed_table,
 )
 from marl_mm.eval.offline import goals_table
-from marl_mm.eval.online import SETTINGS
+from marl_mm.eval.online import MADE_OF, SETTINGS, OnlineSetting
 from marl_mm.eval.online_tables import alpha_worth_table, steps_table, updates_table
 from marl_mm.eval.rows import read_rows
 from marl_mm.versions import versions
@@ -156,20 +156,25 @@ def _online(folder: Path) -> Iterator[Section]:
             title, command = f"Online: {target}", _redrawn(target, folder)
             yield Section(f"online-{name}", title, command, media=media)
     if page.exists():
+        path = folder / MADE_OF
+        made_of = json.loads(path.read_text()) if path.exists() else {}
         details = [
-            (f"{setting.name}, {setting.task}", _config(asdict(setting.config)))
-            for setting in SETTINGS
+            (f"{name}, {config['task']}", json.dumps(config, indent=2))
+            for name, config in made_of.items()
         ]
+        details += [_declared(one) for one in SETTINGS if one.name not in made_of]
         yield Section("online-configs", "Configs of online runs", details=details)
+
+
+def _declared(setting: OnlineSetting) -> tuple[str, str]:
+    """What a setting is to be made of, where it was not kept what its runs were."""
+    name = f"{setting.name}, {setting.task}, as declared"
+    return name, json.dumps(asdict(setting.config), indent=2)
 
 
 def _redrawn(target: str, folder: Path) -> str:
     """What draws something of online learning again, from its rows."""
     return f"marl-mm ablate {target} --rows {folder} --out {folder} --overwrite"
-
-
-def _config(config: dict[str, Any]) -> str:
-    return json.dumps(config, indent=2)
 
 
 def _alpha(folder: Path) -> Iterator[Section]:

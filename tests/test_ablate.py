@@ -11,7 +11,7 @@ from marl_mm.commands import ablate_runs
 from marl_mm.commands.ablate_online import TARGETS
 from marl_mm.commands.train_online import TrainDdpg, train_online_run
 from marl_mm.errors import CheckpointError, DivergedError
-from marl_mm.eval.online import SETTINGS
+from marl_mm.eval.online import MADE_OF, SETTINGS
 from marl_mm.eval.rows import read_rows
 
 RESULTS = Path(__file__).resolve().parents[1] / "eval/results/online"
@@ -38,6 +38,14 @@ def test_every_target_from_raw_runs(
     assert [row["setting"] for row in summary] == compared
     evaluations = read_rows(tmp_path / "evaluations.csv.gz")
     assert len(evaluations) == 5 * 2 * 2  # settings, checkpoints, goals
+    made_of = json.loads((tmp_path / MADE_OF).read_text())
+    assert {name: config["max_steps"] for name, config in made_of.items()} == (
+        dict.fromkeys(compared, 4)
+    )
+    made_of["ddpg"]["max_steps"] = 25  # rows of a run that was no smoke
+    (tmp_path / MADE_OF).write_text(json.dumps(made_of))
+    assert ablate(runs, tmp_path, "online", "--settings", "ddpg", "--overwrite") == 2
+    assert "made with max_steps = 25 (now 4): name another" in capsys.readouterr().err
     again = ["--settings", "ddpg-her", "--overwrite"]
     assert ablate(runs, tmp_path, "online", *again, "--rows", str(tmp_path)) == 0
     assert read_rows(tmp_path / "evaluations.csv.gz") == evaluations

@@ -13,6 +13,7 @@ from marl_mm.commands.ablate_rows import (
     CURVES,
     best_run,
     curves_of,
+    keep_made_of,
     keep_rows,
     rows_of,
 )
@@ -157,6 +158,7 @@ def _online(options: Ablate) -> list[Row]:
     evaluations = rows_of(options, EVALUATIONS, names, evaluation_rows)
     summary = summarize_settings(curves, evaluations, names)
     text = online_markdown(summary, settings, curves)
+    keep_made_of(options, names)
     keep_rows(options.results(CURVES), curves)
     keep_rows(options.results(EVALUATIONS), evaluations)
     write_csv(options.results(table), summary)

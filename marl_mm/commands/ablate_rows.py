@@ -1,13 +1,17 @@
 """Rows of online runs: from their folders, or from files."""
 
+import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from marl_mm.commands.ablate_runs import Ablate, train_missing
-from marl_mm.errors import UsageError
+from marl_mm.commands.runs import read_config
+from marl_mm.differences import refuse_difference
+from marl_mm.errors import OtherConfigError, UsageError
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.online import SETTINGS, curve_rows
+from marl_mm.eval.online import MADE_OF, SETTINGS, curve_rows
 from marl_mm.eval.rows import as_read, read_rows, write_csv
+from marl_mm.files import write_json
 
 CURVES = "curves.csv.gz"
 
@@ -51,6 +55,31 @@ def rows_of(
     if missing:
         raise UsageError(f"{path} has no rows of {', '.join(missing)}")
     return rows
+
+
+def keep_made_of(options: Ablate, names: Sequence[str]) -> None:
+    """Add what runs were made of; nothing to be known without their folders.
+
+    Raises:
+        OtherConfigError: If there are rows of runs that were made of something else.
+    """
+    if options.rows is not None:
+        return
+    path = options.results(MADE_OF)
+    known = json.loads(path.read_text()) if path.exists() else {}
+    for name in names:
+        config = read_config(options.runs_folder() / name / str(options.seeds[0]))
+        del config["seed"]
+        packages = config.pop("packages")
+        if config.get("dataset"):
+            del config["dataset"]["path"]
+        try:
+            refuse_difference(options.results(CURVES), known.get(name, config), config)
+        except OtherConfigError as error:
+            advice = "name another folder with --out"
+            raise OtherConfigError(error.difference, advice) from error
+        known[name] = {**config, "packages": packages}
+    write_json(path, known)
 
 
 def keep_rows(path: Path, rows: Sequence[Row]) -> None:
