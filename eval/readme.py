@@ -138,7 +138,7 @@ def _script() -> str:
     """The script on the goals that those who learn from it are evaluated on."""
     lines = []
     for task in BLOCKS.values():
-        found = json.loads((RESULTS / f"script/{task}.json").read_text())
+        (found,) = json.loads((RESULTS / f"script/{task}.json").read_text())
         every = found["summary"]["all"]
         row = {"success": found["success_rate"], "success_interval": found["interval"]}
         reached = rate_with_interval({**row, "seeds": 1})

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Callable
+from xml.etree import ElementTree
 
 import gymnasium
 import numpy as np
@@ -25,6 +26,8 @@ from marl_mm.envs.rollout import EpisodePlan, run_episode
 from marl_mm.episode import INFO
 from marl_mm.errors import InvalidActionError, UsageError
 from marl_mm.layout import HANDLING
+from marl_mm.robot.description import RobotConfig, urdf_xml
+from marl_mm.robot.names import ARM_LINKS, FINGER_LINKS, HAND_LINK
 
 OpenWorld = Callable[..., ReachCore]
 
@@ -146,10 +149,7 @@ def test_same_seed_same_bytes_twice_in_a_process_and_in_another(
 
 
 def test_an_empty_world_is_as_it_was_before_there_were_blocks() -> None:
-    """The dataset that ships is older: to the last bit on processors that round alike.
-
-    Nothing of a block is there to take time, either.
-    """
+    """The dataset that ships is older; to the last bit where processors round alike."""
     dataset = load_dataset(SHIPPED)
     core = ReachCore(reach_config("Reach-v0"))
     for number in (0, 1, 50):
@@ -158,8 +158,27 @@ def test_an_empty_world_is_as_it_was_before_there_were_blocks() -> None:
         again = run_episode(core, ReplayPolicy(episode), plan)
         np.testing.assert_allclose(again.states, episode.states, rtol=0, atol=1e-9)
         np.testing.assert_allclose(again.rewards, episode.rewards, rtol=0, atol=1e-9)
-    assert core.drive.hand is None
     core.close()
+
+
+def test_an_empty_world_has_nothing_of_a_block_to_spend_time_on(
+    open_world: OpenWorld,
+) -> None:
+    """No hand that looks, and no solid arm that could touch anything."""
+    core = open_world("Reach-v0")
+    core.reset(np.random.default_rng(0))
+    assert core.drive.hand is None
+    arm = {*ARM_LINKS, HAND_LINK, *FINGER_LINKS}
+    solid = {
+        with_block: {
+            link.get("name")
+            for link in ElementTree.fromstring(urdf_xml(RobotConfig(), with_block))
+            if link.find("collision") is not None
+        }
+        for with_block in (False, True)
+    }
+    assert not solid[False] & arm
+    assert solid[True] >= arm - {ARM_LINKS[0]}  # which is within the base
 
 
 @pytest.mark.parametrize("task", [task for task, one in TASKS.items() if one.load])
