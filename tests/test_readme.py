@@ -1,5 +1,6 @@
 """What the README tells people to type works."""
 
+import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +12,7 @@ from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.episode import Episode
+from marl_mm.eval.ablations import BLOCKS
 from marl_mm.eval.readme import TABLES, filled
 from marl_mm.eval.rows import read_rows, write_csv
 from marl_mm.layout import MODE
@@ -135,3 +137,12 @@ def test_a_table_is_read_back_as_it_was_written(tmp_path: Path) -> None:
     rows = [{"name": "a", "goals": 3, "share": 0.25, "interval": [0.1, 0.5]}]
     write_csv(tmp_path / "rows.csv", rows)
     assert read_rows(tmp_path / "rows.csv") == rows
+
+
+def test_the_script_does_what_others_are_to_learn_from_it() -> None:
+    """On every task with a block, and on as many goals as these are evaluated on."""
+    for task in BLOCKS.values():
+        (found,) = json.loads((ROOT / f"eval/results/script/{task}.json").read_text())
+        assert found["task"] == task and found["overrides"] == {}
+        assert len({row["index"] for row in found["episodes"]}) == 200
+        assert sum(row["success"] for row in found["episodes"]) >= 190
