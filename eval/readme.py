@@ -195,6 +195,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "updates": _updates,
     "offline": partial(_ablation, "offline", _DIFFERENCE, *COLUMNS.values()),
     "tasks": partial(_ablation, "tasks", _PAPER, _DIFFERENCE),
+    "blocks": partial(_ablation, "blocks", _PAPER, _DIFFERENCE, "alpha"),
     "tasks-over-mabc": partial(_over_imitation, "tasks"),
     "table4": partial(_ablation, "table4", *_NOT_LONG),
     "table5": partial(_ablation, "table5", *_NOT_LONG),
