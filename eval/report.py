@@ -13,7 +13,7 @@ from markdown_it import MarkdownIt
 from markupsafe import Markup
 
 from marl_mm.errors import UsageError
-from marl_mm.eval.ablations import ABLATIONS, made_by
+from marl_mm.eval.ablations import ABLATIONS, BLOCKS, made_by
 from marl_mm.eval.bench_tables import (
     abuse_table,
     bench_table,
@@ -187,11 +187,12 @@ def _alpha(folder: Path) -> Iterator[Section]:
 
 
 def _cards(folder: Path) -> Iterator[Section]:
+    ids = {name.replace("/", "-"): name for name in BLOCKS}
     for path in sorted(folder.glob("*.md")):
         title, text = _page(path, pictures=False)
         figure = path.with_suffix(".png")
         media = [_media(figure)] if figure.exists() else []
-        command = made_by(path.stem)
+        command = made_by(ids.get(path.stem, path.stem))
         yield Section(f"card-{path.stem}", f"Dataset {title}", command, text, media)
 
 

@@ -275,12 +275,13 @@ def goals(setting: str, seed: int, successes: list[int]) -> list[Row]:
             "setting": setting,
             "seed": seed,
             "checkpoint": checkpoint,
+            "goal": goal,
             "direction": "forward",
             "success": success,
             "return": 2.0 * success,
         }
         for checkpoint in ("last", "best")
-        for success in successes
+        for goal, success in enumerate(successes)
     ]
 
 

@@ -16,7 +16,7 @@ _FEW = 30
 """Steps of what stands for a large dataset."""
 
 
-def small_dataset(name: str, folder: Path, workers: int, make: bool) -> Dataset:
+def small_dataset(name: str, folder: Path, make: bool) -> Dataset:
     """What stands for a dataset where little is to be trained: a few steps of its task.
 
     For one of ``Reach-v0`` it is the one that ships.
@@ -24,7 +24,6 @@ def small_dataset(name: str, folder: Path, workers: int, make: bool) -> Dataset:
     Args:
         name: As in a cell.
         folder: Where those of other tasks are.
-        workers: Processes that collect.
         make: Whether what is missing is; without, the one that ships stands for it.
     """
     if name not in (*OTHER_TASKS, *BLOCKS):
@@ -32,7 +31,8 @@ def small_dataset(name: str, folder: Path, workers: int, make: bool) -> Dataset:
     path = (folder / name.replace("/", "-")).resolve()
     if not make and not path.exists():
         return load_dataset(SHIPPED)
-    words = [*shlex.split(made_by(name))[2:], "--workers", str(workers)]
+    # So few episodes are over before other processes have begun.
+    words = [*shlex.split(made_by(name))[2:], "--workers", "1"]
     words += ["--steps", str(_FEW), "--dataset", str(path)]  # the last ones count
     with only_here(path.parent, wait=True):
         if not (

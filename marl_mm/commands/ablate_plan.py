@@ -179,7 +179,7 @@ def _made_of(algorithm: str, training: Offline) -> dict[str, Any]:
 def _dataset(options: AblateOffline, name: str) -> Dataset:
     if options.budget == "smoke":
         data = options.runs_folder() / "datasets"
-        return small_dataset(name, data, options.workers, make=not options.plan)
+        return small_dataset(name, data, make=not options.plan)
     return dataset_named(name, options.workers, make=not options.plan)
 
 
