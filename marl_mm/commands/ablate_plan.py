@@ -42,7 +42,7 @@ _STEPS = 12
 _TIMED = 30
 """Updates that are timed, after as many that are not."""
 
-_SMALL = {"updates": 120, "goals": 2, "max_steps": 4}
+_SMALL = {"updates": 120, "goals": 2, "max_steps": 2}
 """With the smoke budget."""
 
 
