@@ -72,6 +72,9 @@ def _departure(name: str, about: str, **changes: Any) -> OnlineSetting:
     return OnlineSetting(f"ddpg-her-{name}", f"DDPG + HER, {about}", changes=changes)
 
 
+_OF_GRASP = 1_000
+"""Episodes of runs on Grasp-v0, whatever the preset has."""
+
 _PLAIN = Reported("Sec. 5.4.1", words="under 40")
 _HINDSIGHT = Reported("Sec. 5.4.1", words="70 by about episode 90")
 
@@ -97,6 +100,19 @@ SETTINGS = (
     OnlineSetting("ddpg-her-smooth", "DDPG + HER", task="SmoothReach-v0"),
     OnlineSetting(
         "maddpg-her-smooth", "MADDPG + HER", "maddpg-her", task="SmoothReach-v0"
+    ),
+    OnlineSetting(
+        "ddpg-her-grasp",
+        "DDPG + HER",
+        task="Grasp-v0",
+        changes={"episodes": _OF_GRASP},
+    ),
+    OnlineSetting(
+        "ddpg-her-grasp-demonstrations",
+        "DDPG + HER, demonstrations",
+        task="Grasp-v0",
+        demonstrations=True,
+        changes={"episodes": _OF_GRASP},
     ),
     OnlineSetting(
         "maddpg-her-others",

@@ -39,8 +39,10 @@ def seed_curves(
     """
     figure = Figure(figsize=(1.2 + 5.2 * len(panels), 4.0), layout="constrained")
     axes: Any = figure.subplots(1, len(panels), sharey=True, squeeze=False)
+    known: dict[str, str] = {}  # what has a name has one color in all panels
     for axis, (title, labels) in zip(axes[0], panels.items(), strict=True):
         for (setting, label), color in zip(labels.items(), PAPER_COLORS, strict=False):
+            color = known.setdefault(label, color)
             times, values = on_a_grid(curves, setting, key)
             mean = scale * values.mean(axis=0)
             std = scale * values.std(axis=0, ddof=min(1, len(values) - 1))

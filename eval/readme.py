@@ -93,6 +93,8 @@ _ONLINE = (
     "ddpg-her-demonstrations",
     "ddpg-her-smooth",
     "maddpg-her-smooth",
+    "ddpg-her-grasp",
+    "ddpg-her-grasp-demonstrations",
     "sb3-ddpg-her",
 )
 """Rows of the README's table; all are in the committed one."""

@@ -51,7 +51,8 @@ DEMONSTRATED = {
     "Reach-v0": (
         *("ddpg", "ddpg-her"),
         *("ddpg-demonstrations", "ddpg-her-demonstrations"),
-    )
+    ),
+    "Grasp-v0": ("ddpg-her-grasp", "ddpg-her-grasp-demonstrations"),
 }
 """Settings with a dataset beside, and without, by panel."""
 
