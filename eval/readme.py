@@ -38,7 +38,12 @@ from marl_mm.eval.online_tables import (
 )
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.sweep import responses
-from marl_mm.eval.sweep_tables import alpha_table, response_table, worth_table
+from marl_mm.eval.sweep_tables import (
+    alpha_table,
+    load_table,
+    response_table,
+    worth_table,
+)
 from marl_mm.eval.tables import markdown_table, rate_with_interval
 from marl_mm.files import new_file
 from marl_mm.layout import HANDLING, REACH
@@ -67,6 +72,10 @@ def _responses() -> str:
 
 def _worth() -> str:
     return worth_table(read_rows(RESULTS / "alpha/worth.csv"))
+
+
+def _loads() -> str:
+    return load_table(read_rows(RESULTS / "alpha/loads.csv"))
 
 
 def _bench() -> str:
@@ -188,6 +197,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "alpha": _alpha,
     "responses": _responses,
     "worth": _worth,
+    "loads": _loads,
     "bench": _bench,
     "abuse": _abuse,
     "data": _data,

@@ -174,8 +174,9 @@ def sweep_markdown(
         parts += [
             "## What alpha is worth with a load\n",
             "The same goals with each mass on CarryReach-v0. The margin is the zero-"
-            "moment point's to the edge of the support, the least of an episode; what "
-            "alpha gains is paired by goal.\n",
+            "moment point's to the edge of the support, the least of an episode, of "
+            "the masses that the controller knows: it weighs the load. What alpha "
+            "gains is paired by goal.\n",
             load_table(loads),
         ]
     for task, form in sorted({(row["task"], row["form"]) for row in summaries}):

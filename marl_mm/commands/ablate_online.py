@@ -48,10 +48,7 @@ COMPARED = {
 """Settings in Figs 4 and 5, by panel."""
 
 DEMONSTRATED = {
-    "Reach-v0": (
-        *("ddpg", "ddpg-her"),
-        *("ddpg-demonstrations", "ddpg-her-demonstrations"),
-    ),
+    "Reach-v0": ("ddpg", "ddpg-her", "ddpg-demonstrations", "ddpg-her-demonstrations"),
     "Grasp-v0": ("ddpg-her-grasp", "ddpg-her-grasp-demonstrations"),
 }
 """Settings with a dataset beside, and without, by panel."""

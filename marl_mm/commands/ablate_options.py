@@ -46,8 +46,8 @@ class AblateOffline:
     task, to see that everything works."""
 
     plan: bool = False
-    """Only print which runs are missing, and about how long they will take; datasets
-    that are missing, too, are told, and not counted."""
+    """Only print which runs are missing, and about how long they will take. Datasets
+    that are missing, too, are told; to collect them is not counted."""
 
     check: bool = False
     """Only say whether files in OUT are what is drawn from its rows, to the byte."""

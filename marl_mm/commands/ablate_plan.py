@@ -94,11 +94,11 @@ def missing_cells(
                 datasets[name] = _dataset(options, name)
             except UnknownDatasetError as error:
                 unknown[name] = str(error)
-        if name in unknown and options.plan:
-            stand_in = load_dataset(SHIPPED)
-            jobs = _jobs(options, seeds, cell, probes, stand_in, training)
-            wanted.append(Wanted(cell, probes, jobs))
         if name in unknown:
+            if options.plan:
+                stand_in = load_dataset(SHIPPED)
+                jobs = _jobs(options, seeds, cell, probes, stand_in, training)
+                wanted.append(Wanted(cell, probes, jobs))
             continue
         with _advising("name another folder with --out"):
             store.check_dataset(cell, datasets[name].identity())
