@@ -190,7 +190,7 @@ def load_response(summaries: Sequence[Row], path: Path) -> None:
             )
         axis.set_title(label, fontsize=9)
         axis.set_xlabel("alpha")
-    axes[0].legend(frameon=False, fontsize=8)
+    axes[-1].legend(frameon=False, fontsize=8)
     save(figure, path)
 
 

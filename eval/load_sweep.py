@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.eval.intervals import bootstrap_interval
@@ -32,32 +33,43 @@ def load_cells(goals: int, seed: int) -> list[SweepCell]:
 
 
 def summarize_loads(rows: Sequence[Row]) -> list[Row]:
-    """One row per mass and alpha, with the margin's gain over alpha 0, goal by goal."""
+    """One row per mass and alpha, with the margin's gain over alpha 0.
+
+    Gains are paired by goal, and so is how much larger they are than with the least
+    mass.
+    """
+    masses = sorted({row["mass"] for row in rows})
+    alphas = sorted({row["alpha"] for row in rows})
+    own = {
+        (mass, alpha): sorted(
+            (row for row in rows if (row["mass"], row["alpha"]) == (mass, alpha)),
+            key=lambda row: row["goal"],
+        )
+        for mass in masses
+        for alpha in alphas
+    }
+    margins = {cell: _column(of_cell, "zmp_margin") for cell, of_cell in own.items()}
+    gains = {cell: margins[cell] - margins[cell[0], alphas[0]] for cell in own}
     summary = []
-    for mass in sorted({row["mass"] for row in rows}):
-        margins = {}
-        for alpha in sorted({row["alpha"] for row in rows}):
-            own = sorted(
-                (row for row in rows if (row["mass"], row["alpha"]) == (mass, alpha)),
-                key=lambda row: row["goal"],
-            )
-            margin = margins[alpha] = np.array([row["zmp_margin"] for row in own])
-            gain = margin - margins[min(margins)]
-            summary.append(
-                {
-                    "mass": mass,
-                    "alpha": alpha,
-                    "goals": len(own),
-                    "success": float(np.mean([row["success"] for row in own])),
-                    "steps": float(np.mean([row["steps"] for row in own])),
-                    "d_mm": float(np.mean([row["d_mm"] for row in own])),
-                    "base_jerk_rms": float(
-                        np.mean([row["base_jerk_rms"] for row in own])
-                    ),
-                    "zmp_margin": float(margin.mean()),
-                    "zmp_margin_least": float(margin.min()),
-                    "gain": float(gain.mean()),
-                    "gain_interval": bootstrap_interval(gain),
-                }
-            )
+    for mass, alpha in own:
+        cell = mass, alpha
+        more = gains[cell] - gains[masses[0], alpha]
+        means = ("success", "steps", "d_mm", "base_jerk_rms", "zmp_margin")
+        summary.append(
+            {
+                "mass": mass,
+                "alpha": alpha,
+                "goals": len(own[cell]),
+                **{name: float(_column(own[cell], name).mean()) for name in means},
+                "zmp_margin_least": float(margins[cell].min()),
+                "gain": float(gains[cell].mean()),
+                "gain_interval": bootstrap_interval(gains[cell]),
+                "more": float(more.mean()),
+                "more_interval": bootstrap_interval(more),
+            }
+        )
     return summary
+
+
+def _column(rows: Sequence[Row], name: str) -> NDArray[np.float64]:
+    return np.array([float(row[name]) for row in rows])

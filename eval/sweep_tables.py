@@ -124,13 +124,13 @@ def load_table(summary: Sequence[Row]) -> str:
         "least, alpha 1 [m]",
         "mean, alpha 0 [m]",
         "mean, alpha 1 [m]",
-        "gained by alpha [mm, 95 % interval]",
+        "gained by alpha 1 [mm, 95 % interval]",
+        "more than with the least load",
     )
     lines = []
     for mass in sorted({row["mass"] for row in summary}):
         own = [row for row in summary if row["mass"] == mass]
         ends = own[0], own[-1]
-        low, high = (1000 * bound for bound in ends[1]["gain_interval"])
         lines.append(
             (
                 f"{mass:g}",
@@ -138,10 +138,16 @@ def load_table(summary: Sequence[Row]) -> str:
                 ", ".join(f"{100 * row['success']:.0f}" for row in ends) + " %",
                 *(f"{row['zmp_margin_least']:.3f}" for row in ends),
                 *(f"{row['zmp_margin']:.3f}" for row in ends),
-                f"{1000 * ends[1]['gain']:.1f} [{low:.1f}, {high:.1f}]",
+                _in_mm(ends[1], "gain"),
+                _in_mm(ends[1], "more"),
             )
         )
     return markdown_table(header, lines)
+
+
+def _in_mm(row: Row, name: str) -> str:
+    value, *ends = (1000 * x for x in (row[name], *row[f"{name}_interval"]))
+    return "{:.1f} [{:.1f}, {:.1f}]".format(value, *ends)
 
 
 def sweep_markdown(

@@ -115,16 +115,26 @@ def test_what_is_committed_is_drawn_from_its_rows(
 
 def test_what_alpha_gains_is_paired_by_goal() -> None:
     rows = [
-        row(alpha, "forward", goal, mass=1.0, zmp_margin=0.1 * goal + gain * alpha)
-        for alpha, gain in ((0.0, 0.0), (1.0, 0.02))
+        row(
+            alpha,
+            "forward",
+            goal,
+            mass=mass,
+            zmp_margin=0.1 * goal + 0.02 * mass * alpha,
+        )
+        for mass in (1.0, 3.0)
+        for alpha in (0.0, 1.0)
         for goal in range(4)
     ]
-    first, last = summarize_loads(rows)
+    first, light, _, heavy = summarize_loads(rows)
     assert (first["gain"], first["goals"]) == (0.0, 4)
-    assert last["gain"] == pytest.approx(0.02)
-    assert last["gain_interval"] == pytest.approx((0.02, 0.02))
-    assert last["zmp_margin_least"] == pytest.approx(0.02)
-    assert "| 20.0 [20.0, 20.0] |" in load_table([first, last])
+    assert light["gain"] == pytest.approx(0.02)
+    assert light["gain_interval"] == pytest.approx((0.02, 0.02))
+    assert light["zmp_margin_least"] == pytest.approx(0.02)
+    assert heavy["more_interval"] == pytest.approx((0.04, 0.04))
+    table = load_table(summarize_loads(rows))
+    assert "| 20.0 [20.0, 20.0] | 0.0 [0.0, 0.0] |" in table
+    assert "| 60.0 [60.0, 60.0] | 40.0 [40.0, 40.0] |" in table
 
 
 def test_worth_is_paired_by_goal() -> None:
