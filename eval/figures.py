@@ -168,12 +168,12 @@ def alpha_pareto(summaries: Sequence[Row], path: Path) -> None:
 
 
 def load_response(summaries: Sequence[Row], path: Path) -> None:
-    """ZMP margin and the base's jerk over alpha, a line per mass of the load."""
+    """ZMP margins and the base's jerk over alpha, a line per mass of the load."""
     figure = Figure(figsize=(8, 3.4), layout="constrained")
     axes: Any = figure.subplots(1, 3)
     columns = (
-        ("zmp_margin", "ZMP margin [m], mean"),
-        ("zmp_margin_least", "ZMP margin [m], least"),
+        ("zmp_margin", "ZMP to any edge [m]"),
+        ("zmp_fore_aft", "ZMP to the front or rear edge [m]"),
         ("base_jerk_rms", "base jerk [m/s^3]"),
     )
     masses = sorted({row["mass"] for row in summaries})

@@ -11,7 +11,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from marl_mm.envs.config import TASKS
+from marl_mm.envs.config import TASKS, LoadConfig
 from marl_mm.eval.ablations import ABLATIONS, BLOCKS
 from marl_mm.eval.bench_tables import (
     abuse_table,
@@ -184,6 +184,26 @@ def _entries() -> str:
     )
 
 
+def _drawn() -> str:
+    """What is drawn of blocks and stands, and what a failure brings, as Markdown."""
+    loads = {task: one.load for task, one in TASKS.items() if one.load}
+    load = LoadConfig()
+    lines = [
+        (what, *(f"{scale * end:g}" for end in interval))
+        for what, interval, scale in (
+            ("mass [kg]", load.mass, 1),
+            ("edge [mm]", load.edge, 1000),
+            ("friction against the pads", load.friction, 1),
+            ("stand's place, x [m]", load.stand_x, 1),
+            ("stand's place, y [m]", load.stand_y, 1),
+            ("stand's height [m]", load.stand_height, 1),
+        )
+    ]
+    costs = ", ".join(f"{one.failure_reward:g} in `{t}`" for t, one in loads.items())
+    table = markdown_table(("drawn for each episode", "from", "to"), lines)
+    return f"{table}\nReward of a failure, which ends the episode: {costs}.\n"
+
+
 _PAPER, _DIFFERENCE = "paper [%]", "difference [points]"
 
 _NOT_LONG = ("d_mm [m]", "d_mp [m]", "alpha", COLUMNS["q_slope"])
@@ -194,6 +214,7 @@ _NOT_CURED = ("dataset", _PAPER, _DIFFERENCE, "d_mm [m]", "d_mp [m]", "alpha")
 
 TABLES: dict[str, Callable[[], str]] = {
     "entries": _entries,
+    "drawn": _drawn,
     "alpha": _alpha,
     "responses": _responses,
     "worth": _worth,

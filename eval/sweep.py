@@ -73,10 +73,11 @@ def run_cell(cell: SweepCell) -> list[Row]:
     plans = goal_set(config, cell.goals, cell.seed)
     policy = PdPolicy(cell.pd)
     episodes = run_episodes(config, policy, plans)
-    return [row for episode in episodes for row in _rows(cell, episode)]
+    return [row for episode in episodes for row in episode_rows(cell, episode)]
 
 
-def _rows(cell: SweepCell, episode: Episode) -> Iterable[Row]:
+def episode_rows(cell: SweepCell, episode: Episode) -> Iterable[Row]:
+    """An episode's row for each task that it serves."""
     info, steps = episode.info, len(episode)
     load = {} if cell.mass is None else {"mass": cell.mass}
     for task in RUNS.get(cell.task, (cell.task,)):

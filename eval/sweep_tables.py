@@ -115,33 +115,36 @@ def worth_table(worth: Sequence[Row]) -> str:
 
 
 def load_table(summary: Sequence[Row]) -> str:
-    """A mass a row, as Markdown: margins at both ends of alpha, and the gain."""
+    """A mass a row, as Markdown: margins at both ends of alpha, and gains."""
     header = (
         "load [kg]",
         "goals",
-        "reached, alpha 0 and 1",
-        "least ZMP margin, alpha 0 [m]",
-        "least, alpha 1 [m]",
-        "mean, alpha 0 [m]",
-        "mean, alpha 1 [m]",
-        "gained by alpha 1 [mm, 95 % interval]",
+        "reached, alpha 0, 1",
+        "to any edge, alpha 0, 1 [mm]",
+        "gained [95 % interval]",
         "more than with the least load",
+        "to the front or rear edge, alpha 0, 1 [mm]",
+        "gained [95 % interval]",
+        "more than with the least load",
+        "swing, alpha 0, 1 [mm]",
     )
     lines = []
     for mass in sorted({row["mass"] for row in summary}):
         own = [row for row in summary if row["mass"] == mass]
         ends = own[0], own[-1]
-        lines.append(
-            (
-                f"{mass:g}",
-                str(ends[0]["goals"]),
-                ", ".join(f"{100 * row['success']:.0f}" for row in ends) + " %",
-                *(f"{row['zmp_margin_least']:.3f}" for row in ends),
-                *(f"{row['zmp_margin']:.3f}" for row in ends),
-                _in_mm(ends[1], "gain"),
-                _in_mm(ends[1], "more"),
-            )
-        )
+        line = [
+            f"{mass:g}",
+            str(ends[0]["goals"]),
+            _pair("{:.0f}", (100 * row["success"] for row in ends)) + " %",
+        ]
+        for name in ("zmp_margin", "zmp_fore_aft"):
+            line += [
+                _pair("{:.0f}", (1000 * row[name] for row in ends)),
+                _in_mm(ends[1], f"{name}_gain"),
+                _in_mm(ends[1], f"{name}_more"),
+            ]
+        line.append(_pair("{:.0f}", (1000 * row["zmp_span"] for row in ends)))
+        lines.append(tuple(line))
     return markdown_table(header, lines)
 
 
@@ -179,10 +182,10 @@ def sweep_markdown(
     if loads:
         parts += [
             "## What alpha is worth with a load\n",
-            "The same goals with each mass on CarryReach-v0. The margin is the zero-"
-            "moment point's to the edge of the support, the least of an episode, of "
-            "the masses that the controller knows: it weighs the load. What alpha "
-            "gains is paired by goal.\n",
+            "The same goals with each mass on CarryReach-v0. Distances of the zero-"
+            "moment point to the edges of the support, the least of an episode, mean "
+            "over goals; swing: how far it moves along the base. What alpha 1 gains "
+            "over alpha 0 is paired by goal.\n",
             load_table(loads),
         ]
     for task, form in sorted({(row["task"], row["form"]) for row in summaries}):

@@ -14,8 +14,7 @@ INFO = {
     "base_jerk_rms": "of the base's commanded acceleration within the step, without "
     "the jump at its beginning [m/s^3]",
     "base_acceleration_rms": "commanded, over the step [m/s^2]",
-    "zmp_margin": "least distance of the zero-moment point to the support's edge [m], "
-    "of the masses that the controller knows",
+    "zmp_margin": "least distance of the zero-moment point to the support's edge [m]",
     "tilt": "largest angle of the base's vertical axis to the world's [rad]",
     "base_pitch": "largest pitch, which the controller's planar model lacks [rad]",
     "wheel_slip": "largest speed of a drive wheel's rim over the ground [m/s]",

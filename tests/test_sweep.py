@@ -12,7 +12,7 @@ from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands import sweep_alpha
 from marl_mm.control.config import FORMS
 from marl_mm.control.priorities import stability_share
-from marl_mm.eval.load_sweep import load_cells, summarize_loads
+from marl_mm.eval.load_sweep import load_cells, run_load_cell, summarize_loads
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.readme import RESULTS
 from marl_mm.eval.rows import read_rows
@@ -99,11 +99,13 @@ def test_loads_are_carried_by_all_alphas_to_the_same_goals() -> None:
     cells = load_cells(2, 0)
     assert len({(cell.mass, cell.pd.alpha) for cell in cells}) == len(cells)
     light, heavy = cells[0], cells[-1]
-    rows = [*run_cell(light), *run_cell(replace(heavy, pd=light.pd))]
+    rows = [*run_load_cell(light), *run_load_cell(replace(heavy, pd=light.pd))]
     assert [one["mass"] for one in rows] == [light.mass] * 2 + [heavy.mass] * 2
     assert all(one["success"] for one in rows)
-    margins = [one["zmp_margin"] for one in rows]
-    assert max(margins[2:]) < max(margins[:2])  # what a mass takes off it
+    for name in ("zmp_margin", "zmp_fore_aft"):  # what a mass takes off it
+        margins = [one[name] for one in rows]
+        assert max(margins[2:]) < max(margins[:2])
+    assert all(one["zmp_margin"] <= one["zmp_fore_aft"] for one in rows)
 
 
 def test_what_is_committed_is_drawn_from_its_rows(
@@ -121,20 +123,23 @@ def test_what_alpha_gains_is_paired_by_goal() -> None:
             goal,
             mass=mass,
             zmp_margin=0.1 * goal + 0.02 * mass * alpha,
+            zmp_fore_aft=0.1,
+            zmp_span=0.1 - 0.05 * alpha,
         )
         for mass in (1.0, 3.0)
         for alpha in (0.0, 1.0)
         for goal in range(4)
     ]
     first, light, _, heavy = summarize_loads(rows)
-    assert (first["gain"], first["goals"]) == (0.0, 4)
-    assert light["gain"] == pytest.approx(0.02)
-    assert light["gain_interval"] == pytest.approx((0.02, 0.02))
+    assert (first["zmp_margin_gain"], first["goals"]) == (0.0, 4)
+    assert light["zmp_margin_gain"] == pytest.approx(0.02)
+    assert light["zmp_margin_gain_interval"] == pytest.approx((0.02, 0.02))
     assert light["zmp_margin_least"] == pytest.approx(0.02)
-    assert heavy["more_interval"] == pytest.approx((0.04, 0.04))
+    assert heavy["zmp_margin_more_interval"] == pytest.approx((0.04, 0.04))
     table = load_table(summarize_loads(rows))
-    assert "| 20.0 [20.0, 20.0] | 0.0 [0.0, 0.0] |" in table
-    assert "| 60.0 [60.0, 60.0] | 40.0 [40.0, 40.0] |" in table
+    assert "| 150, 170 | 20.0 [20.0, 20.0] | 0.0 [0.0, 0.0] |" in table
+    assert "| 150, 210 | 60.0 [60.0, 60.0] | 40.0 [40.0, 40.0] |" in table
+    assert "| 100, 50 |" in table
 
 
 def test_worth_is_paired_by_goal() -> None:

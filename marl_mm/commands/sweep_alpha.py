@@ -17,7 +17,7 @@ from marl_mm.control.config import FORMS, Form
 from marl_mm.envs.config import config_dict, reach_config
 from marl_mm.errors import UsageError
 from marl_mm.eval.figures import alpha_pareto, alpha_response, load_response
-from marl_mm.eval.load_sweep import load_cells, summarize_loads
+from marl_mm.eval.load_sweep import load_cells, run_load_cell, summarize_loads
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import as_read, read_rows, write_csv
 from marl_mm.eval.sweep import (
@@ -208,7 +208,7 @@ def _run(options: SweepAlpha) -> tuple[list[Row], list[Row]]:
     with progress_bar("sweep-alpha", len(cells)) as advance:
         advance(len(rows), "")
         try:
-            results = ordered_map(run_cell, missing, options.workers, ahead=1)
+            results = ordered_map(_run_cell, missing, options.workers, ahead=1)
             for cell, found in zip(missing, results, strict=True):
                 rows[cell] = found
                 value = {"cell": _cell_key(cell), "rows": found}
@@ -222,6 +222,10 @@ def _run(options: SweepAlpha) -> tuple[list[Row], list[Row]]:
     kept = [row for cell in sweep for row in rows[cell] if row["task"] in options.tasks]
     smooth = [row for cell in worth for row in rows[cell] if row["task"] == SMOOTH]
     return [*kept, *smooth], [row for cell in carried for row in rows[cell]]
+
+
+def _run_cell(cell: SweepCell) -> list[Row]:
+    return run_cell(cell) if cell.mass is None else run_load_cell(cell)
 
 
 def _cells(options: SweepAlpha) -> list[SweepCell]:

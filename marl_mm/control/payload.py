@@ -5,6 +5,8 @@ moves the load. Along y = J' (a + g), the torques per kilogram in the hand, the 
 mass goes towards what explains the rest best, as a momentum observer would have it.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Literal
 
 import numpy as np
@@ -45,15 +47,24 @@ class Payload:
         """Something is in the hand from now on.
 
         Args:
-            mass: What it weighs [kg], for who is given it.
+            mass: What it weighs [kg].
             size: Of the cuboid whose inertia it has [m].
         """
-        self._held, self._size = True, size
+        self._held, self._size, self._true = True, size, mass
         self._set(mass if self._knowledge == "given" else 0.0)
+
+    @contextmanager
+    def revealed(self) -> Iterator[None]:
+        """Have the load in the model as it is, for those who judge the controller."""
+        self._model.carry(self._true, self._size)
+        try:
+            yield
+        finally:
+            self._model.carry(self._mass, self._size)
 
     def release(self) -> None:
         """The hand is empty."""
-        self._held, self._size = False, (0.05, 0.05, 0.05)
+        self._held, self._size, self._true = False, (0.05, 0.05, 0.05), 0.0
         self._set(0.0)
 
     def learn(

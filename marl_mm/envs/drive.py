@@ -164,6 +164,20 @@ class Drive:
             safe,
         )
 
+    def zmp_b(self, state: RobotState, command: Command) -> np.ndarray:
+        """Zero-moment point on the ground in the base frame, shape (2,) [m].
+
+        With the load as it is, whatever the controller knows of it.
+
+        Args:
+            state: Where the robot is.
+            command: What it is told there.
+        """
+        if self.hand is None:
+            return self.model.zmp_b(state, command.acceleration)
+        with self.hand.payload.revealed():
+            return self.model.zmp_b(state, command.acceleration)
+
     def close(self) -> None:
         """Disconnect from the simulator."""
         self.world.close()
@@ -177,7 +191,7 @@ class Drive:
         error = sqrt((x - ee_x) ** 2 + (y - ee_y) ** 2 + (z - ee_z) ** 2)
         roll, pitch = self.world.attitude()
         slip = wheel_slip(state, self.world.wheel_rates())
-        margin = support_margin(self.model.zmp_b(state, command.acceleration))
+        margin = support_margin(self.zmp_b(state, command))
         return margin, hypot(roll, pitch), pitch, slip, error
 
 

@@ -90,7 +90,7 @@ class BulletWorld:
                 client, self._robot, links, self._ground, config, scene, self._visual
             )
         if goal_w is not None and self._visual:
-            self._draw_goal(goal_w)
+            self._draw_goal(goal_w, 0.03 if scene is None else 0.015)  # not to hide it
 
     def read(self) -> RobotState:
         """The robot's planar state, from the simulator's free-floating base.
@@ -173,6 +173,11 @@ class BulletWorld:
         if self._handling is not None:
             self._handling.tick()
         pybullet.stepSimulation(physicsClientId=self._client)
+
+    @property
+    def client(self) -> int:
+        """PyBullet's id of this world, to ask it other things."""
+        return self._client
 
     @property
     def handling(self) -> Handling:
@@ -321,10 +326,10 @@ class BulletWorld:
             physicsClientId=client,
         )
 
-    def _draw_goal(self, goal_w: np.ndarray) -> None:
+    def _draw_goal(self, goal_w: np.ndarray, radius: float) -> None:
         shape = pybullet.createVisualShape(
             pybullet.GEOM_SPHERE,
-            radius=0.03,
+            radius=radius,
             rgbaColor=[0.90, 0.25, 0.15, 1],
             physicsClientId=self._client,
         )

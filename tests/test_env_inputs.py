@@ -1,0 +1,69 @@
+"""What environments refuse, and what they show."""
+
+import numpy as np
+import pytest
+
+from marl_mm.envs import parallel_env
+from marl_mm.envs.config import TASKS
+from marl_mm.envs.core import ReachCore
+from marl_mm.envs.reach import ReachEnv
+from marl_mm.errors import InvalidActionError, UsageError
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (np.zeros(3), r"shape \(3,\), expected \(4,\)"),
+        (np.array([0, np.nan, 0, 0.5]), "finite"),
+        (np.array([0, np.inf, 0, 0.5]), "finite"),
+        (np.array(["a", "b", "c", "d"]), "expected numbers"),
+    ],
+)
+def test_bad_actions_are_refused(
+    core: ReachCore, action: np.ndarray, message: str
+) -> None:
+    core.reset(np.random.default_rng(0))
+    with pytest.raises(InvalidActionError, match=message):
+        core.step(action)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_bad_agent_actions_are_refused(task: str) -> None:
+    env = parallel_env(task, overrides={"ticks_per_step": 24})
+    env.reset(seed=0)
+    right = np.zeros(env.action_space("end_effector").shape)
+    with pytest.raises(InvalidActionError, match="no action for agent 'balance'"):
+        env.step({"end_effector": right})
+    with pytest.raises(InvalidActionError, match=r"'balance' has shape \(2,\)"):
+        env.step({"end_effector": right, "balance": np.zeros(2)})
+    with pytest.raises(InvalidActionError, match=r"'end_effector' has shape \(2,\)"):
+        env.step({"end_effector": np.zeros(2), "balance": np.zeros(1)})
+    env.close()
+
+
+def test_step_before_reset_and_bad_goals_are_refused(core: ReachCore) -> None:
+    with pytest.raises(UsageError, match="before reset"):
+        core.step(np.zeros(4))
+    with pytest.raises(UsageError, match="three finite numbers"):
+        core.reset(np.random.default_rng(0), np.array([1.0, np.nan, 0.5]))
+
+
+def test_bad_render_modes_and_early_states_are_refused() -> None:
+    for make in (ReachEnv, parallel_env):
+        with pytest.raises(UsageError, match="expected rgb_array or None"):
+            make(render_mode="ascii")
+    env = parallel_env("Reach-v0")
+    with pytest.raises(UsageError, match="before reset"):
+        env.state()
+    env.close()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_render_shows_the_robot(task: str) -> None:
+    env = ReachEnv(task, render_mode="rgb_array")
+    env.reset(seed=0)
+    image = env.render()
+    assert image is not None
+    assert image.shape == (320, 480, 3)
+    assert image.std() > 10  # not an empty picture
+    env.close()
