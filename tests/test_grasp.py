@@ -12,8 +12,9 @@ import marl_mm  # noqa: F401  registers the environments
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.cli import main
 from marl_mm.collectors.scripted import ScriptedConfig, ScriptedPolicy
+from marl_mm.datasets.dataset import load_dataset
 from marl_mm.envs import parallel_env
-from marl_mm.envs.config import reach_config
+from marl_mm.envs.config import TASKS, reach_config
 from marl_mm.envs.core import ReachCore, Step
 from marl_mm.envs.rollout import EpisodePlan, run_episode
 from marl_mm.envs.terms import judge
@@ -23,6 +24,9 @@ from marl_mm.layout import HANDLING
 OpenWorld = Callable[..., ReachCore]
 
 OPEN, CLOSE = -1.0, 1.0
+
+LOADED = [task for task, config in TASKS.items() if config.load]
+HANDLED = [task for task in LOADED if TASKS[task].layout is HANDLING]
 
 
 def moved(x: float, y: float, z: float, grip: float) -> np.ndarray:
@@ -42,7 +46,7 @@ def over_the_block(world: ReachCore, seed: int = 0, above: float = 0.09) -> np.n
     return state
 
 
-@pytest.mark.parametrize("task", ["Grasp-v0", "GraspReach-v0"])
+@pytest.mark.parametrize("task", HANDLED)
 def test_the_script_takes_the_block_where_it_is_to_go(
     task: str, open_world: OpenWorld
 ) -> None:
@@ -266,6 +270,23 @@ def test_infos_are_judged_one_by_one_and_together() -> None:
     with pytest.raises(KeyError):  # what is not told is not taken for no
         env.compute_reward(at[0], at[0], base)
     env.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", LOADED)
+def test_the_scripts_data_depend_on_their_seed_alone(
+    task: str, datasets_home: Path
+) -> None:
+    """Not on the number of workers; and they can be replayed, to the last bit."""
+    prints = set()
+    for workers, seed in (("1", "0"), ("2", "0"), ("1", "1")):
+        name = f"marl_mm/{task[:-3].lower()}/with-{workers}-of-{seed}-v0"
+        words = ["collect", "scripted", "--task", task, "--steps", "20"]
+        words += ["--dataset", name, "--workers", workers, "--seed", seed]
+        assert main(words) == 0
+        prints.add(load_dataset(name).fingerprint)
+    assert len(prints) == 2
+    assert main(["datasets", "verify", name, "--replay"]) == 0
 
 
 @pytest.mark.slow

@@ -49,7 +49,7 @@ def origin(batch: Batch, row: int, episodes: list[Episode]) -> tuple[Episode, in
     raise AssertionError("a transition of no episode")
 
 
-@pytest.mark.parametrize("task", ["CarryReach-v0", "Grasp-v0", "GraspReach-v0"])
+@pytest.mark.parametrize("task", [task for task, one in TASKS.items() if one.load])
 def test_what_failed_has_failed_whatever_the_goal(
     make_episode: MakeEpisode, task: str
 ) -> None:

@@ -177,7 +177,8 @@ class BulletWorld:
     @property
     def client(self) -> int:
         """PyBullet's id of this world, to ask it other things."""
-        return self._client
+        client: int = self._client
+        return client
 
     @property
     def handling(self) -> Handling:
