@@ -10,7 +10,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from shutil import rmtree
 from time import perf_counter
-from typing import Any
+from typing import Any, get_args
 
 import minari
 import numpy as np
@@ -18,6 +18,7 @@ from minari.data_collector import EpisodeBuffer
 
 from marl_mm.collectors.collect import collect, make_collector
 from marl_mm.collectors.random import RandomConfig
+from marl_mm.collectors.scripted import ScriptedConfig, ScriptedPolicy
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of, joined
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.hdf5 import FILE
@@ -26,12 +27,13 @@ from marl_mm.datasets.location import Location
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.envs.config import reach_config
 from marl_mm.envs.core import ReachCore
-from marl_mm.envs.rollout import Rollouts, episode_seed
+from marl_mm.envs.rollout import EpisodePlan, Rollouts, episode_seed, run_episode
 from marl_mm.episode import Episode
 from marl_mm.layout import ACTION_HIGH, ACTION_LOW, EE, GOAL, OBSERVATION, REACH
 from marl_mm.progress import Advance, silent
+from marl_mm.sim.scene import Grasp
 
-TASK = "Reach-v0"
+TASK, HANDLED = "Reach-v0", "GraspReach-v0"
 _TURNS = 3
 
 
@@ -95,6 +97,41 @@ def bench_collection(
         ratios = np.array(rates[name]) / np.array(rates["bare"])
         result[f"{name}_over_bare"] = float(np.median(ratios))
     return result, collected
+
+
+def bench_grasps(episodes: int, seed: int, advance: Advance = silent) -> dict[str, Any]:
+    """Steps per second of the script taking and carrying a block, by how it is held.
+
+    Args:
+        episodes: Per turn and kind of grasp.
+        seed: Of the episodes.
+        advance: Told the episodes.
+    """
+    script = ScriptedPolicy(ScriptedConfig())
+    cores = {
+        grasp: ReachCore(reach_config(HANDLED, {"load": {"grasp": grasp}}))
+        for grasp in get_args(Grasp)
+    }
+    rates: dict[str, list[float]] = {grasp: [] for grasp in cores}
+    try:
+        for turn in range(-1, _TURNS):  # the first one compiles
+            for grasp, core in cores.items():
+                begin, steps = perf_counter(), 0
+                for number in range(episodes if turn >= 0 else 1):
+                    plan = EpisodePlan(number, episode_seed(seed, number, "collect"))
+                    steps += len(run_episode(core, script, plan))
+                    advance(1, grasp)
+                if turn >= 0:
+                    rates[grasp].append(steps / (perf_counter() - begin))
+    finally:
+        for core in cores.values():
+            core.close()
+    ratios = np.array(rates["weld"]) / np.array(rates["friction"])
+    return {
+        "task": HANDLED,
+        "steps_per_second": {name: float(np.median(r)) for name, r in rates.items()},
+        "weld_over_friction": float(np.median(ratios)),
+    }
 
 
 def _bare(core: ReachCore, episodes: int, seed: int) -> None:

@@ -98,6 +98,7 @@ def offline_speed_table(result: Mapping[str, Any]) -> str:
 def data_table(result: Mapping[str, Any]) -> str:
     """What collecting, loading and storing cost, beside others, as Markdown."""
     rates, storage = result["steps_per_second"], result["storage"]
+    grasps = result["grasps"]
     lines = [
         ("steps per second of the bare environment", f"{rates['bare']:.0f}", ""),
         *(
@@ -108,6 +109,11 @@ def data_table(result: Mapping[str, Any]) -> str:
             )
             for name in rates
             if name != "bare"
+        ),
+        (
+            f"steps per second of the script, {grasps['task']}",
+            f"{grasps['steps_per_second']['friction']:.0f}",
+            f"welded {grasps['weld_over_friction']:.2f} times as many",
         ),
         (
             f"loading {storage['steps']} steps of {storage['episodes']} episodes [s]",

@@ -97,11 +97,13 @@ class BenchTrain:
 class BenchData:
     """Count collected steps per second, and time loading; sizes on disk.
 
-    Beside them: the bare environment, and Minari's own reader and writer.
+    Beside them: the bare environment, blocks welded to the hand in place of held by
+    friction, and Minari's own reader and writer.
     """
 
     episodes: int = 8
-    """Of 25 random steps, per turn and number of workers; four turns."""
+    """Of 25 random steps, per turn and number of workers; and of the script's, per kind
+    of grasp."""
 
     workers: tuple[int, ...] = (1, 2)
     """Numbers of processes to compare."""
@@ -205,7 +207,7 @@ def _train(options: BenchTrain) -> dict[str, Any]:
 
 
 def _data(options: BenchData) -> dict[str, Any]:
-    from marl_mm.eval.bench_data import bench_collection, bench_storage
+    from marl_mm.eval.bench_data import bench_collection, bench_grasps, bench_storage
 
     check_positive(episodes=options.episodes, load_steps=options.load_steps)
     if not options.workers:
@@ -222,6 +224,8 @@ def _data(options: BenchData) -> dict[str, Any]:
                 folder / "journal",
                 advance,
             )
+        with progress_bar("bench grasps", 6 * options.episodes + 2) as advance:
+            result["grasps"] = bench_grasps(options.episodes, options.seed, advance)
         with progress_bar("bench storage", 4) as advance:
             result["storage"] = bench_storage(
                 episodes, options.load_steps, folder, advance

@@ -90,7 +90,7 @@ class BulletWorld:
                 client, self._robot, links, self._ground, config, scene, self._visual
             )
         if goal_w is not None and self._visual:
-            self._draw_goal(goal_w, 0.03 if scene is None else 0.015)  # not to hide it
+            self._draw_goal(goal_w, 0.03 if scene is None else 0.02)  # not to hide it
 
     def read(self) -> RobotState:
         """The robot's planar state, from the simulator's free-floating base.
