@@ -23,6 +23,7 @@ from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import evaluate
 from marl_mm.files import refuse_existing, write_json
 from marl_mm.progress import progress_bar
+from marl_mm.versions import versions
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,8 @@ def main(arguments: Sequence[str]) -> None:
         replace(evaluation, policy=name)
         for name, evaluation in zip(options.policies, evaluations, strict=True)
     ]
-    values = [evaluation.to_json() for evaluation in evaluations]
+    made_with = {"packages": versions()}
+    values = [evaluation.to_json() | made_with for evaluation in evaluations]
     if options.out is not None:
         write_json(options.out, values)
     if options.json:
