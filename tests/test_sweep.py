@@ -164,6 +164,7 @@ def test_the_command_resumes_to_the_same_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Interrupted after two settings, it keeps them, and ends in the same files."""
+    monkeypatch.setattr(sweep_alpha, "FINE", 0.5)
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     assert main(["sweep-alpha", "--out", str(whole), *ARGUMENTS, "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
