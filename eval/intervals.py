@@ -5,8 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest, trim_mean, ttest_ind
-from scipy.stats import t as student
+import scipy  # its stats take half a second, and come when they are used
 
 CONFIDENCE = 0.95
 
@@ -16,7 +15,7 @@ _RESAMPLES = 2_000
 
 def success_interval(successes: int, episodes: int) -> tuple[float, float]:
     """Wilson's 95 % interval of a success rate."""
-    test = binomtest(successes, episodes)
+    test = scipy.stats.binomtest(successes, episodes)
     interval = test.proportion_ci(CONFIDENCE, method="wilson")
     return float(interval.low), float(interval.high)
 
@@ -41,7 +40,7 @@ def deviation(rates: Sequence[float]) -> float:
 def mean_interval(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
     """Student's 95 % interval of a mean of few values."""
     spread = np.std(values, ddof=1) / np.sqrt(len(values))
-    width = student.ppf((1 + CONFIDENCE) / 2, len(values) - 1) * spread
+    width = scipy.stats.t.ppf((1 + CONFIDENCE) / 2, len(values) - 1) * spread
     return float(np.mean(values) - width), float(np.mean(values) + width)
 
 
@@ -51,7 +50,7 @@ def difference_interval(
     """Welch's 95 % interval of the difference of two means of few values."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of one that does not vary
-        test = ttest_ind(ours, theirs, equal_var=False)
+        test = scipy.stats.ttest_ind(ours, theirs, equal_var=False)
     interval = test.confidence_interval(CONFIDENCE)
     return float(interval.low), float(interval.high)
 
@@ -148,7 +147,7 @@ def interquartile_mean(scores: np.ndarray) -> float:
 
     Of what is no whole number less is left out: of six scores one at each end.
     """
-    return float(trim_mean(scores, 0.25, axis=None))
+    return float(scipy.stats.trim_mean(scores, 0.25, axis=None))
 
 
 def interquartile_interval(scores: np.ndarray) -> tuple[float, float]:
@@ -165,7 +164,7 @@ def interquartile_interval(scores: np.ndarray) -> tuple[float, float]:
     rng = np.random.default_rng(0)
     picks = rng.integers(len(scores), size=(_RESAMPLES, *scores.shape))
     drawn = np.take_along_axis(scores[None], picks, axis=1)
-    means = trim_mean(drawn.reshape(_RESAMPLES, -1), 0.25, axis=1)
+    means = scipy.stats.trim_mean(drawn.reshape(_RESAMPLES, -1), 0.25, axis=1)
     tail = (1 - CONFIDENCE) / 2
     low, high = np.quantile(means, [tail, 1 - tail])
     return float(low), float(high)

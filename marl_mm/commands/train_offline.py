@@ -34,7 +34,6 @@ from marl_mm.envs.config import reach_config
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import DivergedError, WorkerDiedError
 from marl_mm.eval.evaluate import Evaluation, evaluate_with
-from marl_mm.eval.figures import learning_curve
 from marl_mm.files import only_here
 from marl_mm.progress import Bar, distant_bars, progress_bars, show_distant_bars
 from marl_mm.workers import Workers
@@ -214,6 +213,8 @@ def evaluate_offline_run(
     dataset: Dataset, options: Offline, run: Path, bar: Bar, label: str
 ) -> Evaluation:
     """Draw a trained run's learning curve; evaluate its last policy."""
+    from marl_mm.eval.figures import learning_curve  # matplotlib takes half a second
+
     learning_curve(read_metrics(run), run / CURVE)
     task, overrides = task_of(dataset, options), options.overrides
     return evaluate_run(run, options, task, FILE, EVALUATION, bar, label, overrides)

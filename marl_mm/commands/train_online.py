@@ -37,7 +37,6 @@ from marl_mm.envs.terms import judge
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate_with
-from marl_mm.eval.figures import online_curve
 from marl_mm.files import only_here
 from marl_mm.progress import progress_bar, progress_bars
 from marl_mm.versions import versions
@@ -167,6 +166,8 @@ def train_online_run(
 
 def evaluate_online_run(options: TrainDdpg, run: Path) -> tuple[Evaluation, Evaluation]:
     """Draw a trained run's learning curve; evaluate its last and its best policy."""
+    from marl_mm.eval.figures import online_curve  # matplotlib takes half a second
+
     online_curve(read_metrics(run), run / CURVE)
     with progress_bars() as bar:
         last, best = (
