@@ -366,15 +366,22 @@ def test_runs_are_evaluated_on_their_own_task(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_play_writes_a_film(tmp_path: Path, capsys: Output) -> None:
+def test_play_writes_a_film_or_a_strip_or_both(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Output
+) -> None:
+    monkeypatch.chdir(tmp_path)
     film = tmp_path / "film.mp4"
     options = ["--fps", "2", "--camera.width", "96", "--camera.height", "64"]
     strip = film.with_suffix(".png")
-    options += ["--strip", str(strip)]
-    assert run("play", "pd", "--video", str(film), "--max-steps", "2", *options) == 0
+    options += ["--strip", str(strip), "--max-steps", "2"]
+    assert run("play", "pd", *options) == 0
     assert strip.read_bytes().startswith(b"\x89PNG")
+    assert list(tmp_path.iterdir()) == [strip]
+    told = f"{strip}: pd did not reach the goal in 2 steps"
+    assert told in capsys.readouterr().out
+    assert run("play", "pd", *options, "--video", str(film), "--overwrite") == 0
     assert film.stat().st_size > 1000
-    assert "did not reach the goal in 2 steps" in capsys.readouterr().out
+    assert f"{film}, {told}" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -47,11 +47,12 @@ class Play:
     robot alone: "arm-reach" (the base stands) or "base-turn" (the arm rests). These two
     take no goal and no task, and hold the arm's posture tightly."""
 
-    video: Path = Path("episode.mp4")
-    """Where to write the film: .mp4 or .gif."""
+    video: Path | None = None
+    """Where to write the film, .mp4 or .gif; default episode.mp4, or none with
+    --strip."""
 
     strip: Path | None = None
-    """Also write six pictures of the episode, side by side, to this PNG."""
+    """Where to write six pictures of the episode, side by side: a PNG."""
 
     direction: Literal["forward", "backward"] | None = None
     """On which side of the robot the goal is; default backward. In Grasp-v0 it is where
@@ -76,7 +77,7 @@ class Play:
     """Open PyBullet's window instead of writing a film; needs a screen."""
 
     overwrite: bool = False
-    """Replace the film if it exists."""
+    """Replace what exists."""
 
     json: bool = False
     """Print the episode's row as JSON."""
@@ -97,6 +98,19 @@ class Play:
     seconds: float = 4.0
     """How long "arm-reach" and "base-turn" take [s]."""
 
+    @property
+    def film(self) -> Path | None:
+        """The file of the film, if one is to be written."""
+        if self.gui or (self.video is None and self.strip is not None):
+            return None
+        return self.video or Path("episode.mp4")
+
+    @property
+    def where(self) -> str:
+        """What is written, before what is told of it."""
+        files = ", ".join(str(file) for file in (self.film, self.strip) if file)
+        return files and f"{files}: "
+
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm play``."""
@@ -107,9 +121,9 @@ def main(arguments: Sequence[str]) -> None:
         check_positive(max_steps=options.max_steps)
         overrides["max_steps"] = options.max_steps
     check_seed(options.seed)
-    if not options.gui:
-        check_format(options.video)
-        refuse_existing(options.video, options.overwrite)
+    if options.film is not None:
+        check_format(options.film)
+        refuse_existing(options.film, options.overwrite)
     if options.strip is not None:
         if options.gui or options.policy in DEMOS or options.strip.suffix != ".png":
             raise UsageError("--strip is for films of episodes, and ends in .png")
@@ -134,8 +148,8 @@ def main(arguments: Sequence[str]) -> None:
             options.gui,
             advance,
         )
-    if not options.gui:
-        write_video(options.video, frames, options.fps)
+    if options.film is not None:
+        write_video(options.film, frames, options.fps)
     if options.strip is not None:
         label = f"{task}: {len(episode)} steps"
         pictures = pictures_of(frames, options.fps, 6)
@@ -144,8 +158,7 @@ def main(arguments: Sequence[str]) -> None:
         print(json.dumps(episode_row(episode), indent=2))
         return
     ending = "reached the goal" if episode.success else "did not reach the goal"
-    where = "" if options.gui else f"{options.video}: "
-    print(f"{where}{policy.name} {ending} in {len(episode)} steps")
+    print(f"{options.where}{policy.name} {ending} in {len(episode)} steps")
 
 
 def _play_demo(options: Play) -> None:
@@ -170,13 +183,12 @@ def _play_demo(options: Play) -> None:
         film.add()
     finally:
         drive.close()
-    if not options.gui:
-        write_video(options.video, film.frames, options.fps)
+    if options.film is not None:
+        write_video(options.film, film.frames, options.fps)
     if options.json:
         print(json.dumps(drift._asdict(), indent=2))
         return
-    where = "" if options.gui else f"{options.video}: "
-    print(where + _told(drift))
+    print(options.where + _told(drift))
 
 
 def _told(drift: Drift) -> str:
