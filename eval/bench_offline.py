@@ -4,7 +4,6 @@ All learn from the dataset that ships, with batches of 256 and two layers of 256
 take turns, so that a noisy machine is as noisy for each.
 """
 
-import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -31,6 +30,7 @@ from marl_mm.envs.terms import judge
 from marl_mm.errors import MarlMmError
 from marl_mm.eval.td3_bc_reference import PlainTd3Bc
 from marl_mm.progress import Advance, silent
+from marl_mm.workers import available_cores
 
 AUTHORS = "td3-bc, its authors' restated"
 AUTHORS_AUTO = f"{AUTHORS}, --precision auto"
@@ -110,7 +110,7 @@ def bench_seeds(
     one, several = min(walls[1]), min(walls[seeds])
     return {
         "seeds": seeds,
-        "cores": len(os.sched_getaffinity(0)),
+        "cores": available_cores(),
         "one_s": one,
         "several_s": several,
         "throughput_over_one": seeds * one / several,

@@ -22,6 +22,22 @@ R = TypeVar("R")
 Executor = Literal["local", "ray"]
 
 
+def available_cores() -> int:
+    """Cores that this process may use, or as many as ``PYTHON_CPU_COUNT`` says.
+
+    Python 3.13 has it as ``os.process_cpu_count``.
+
+    Raises:
+        UsageError: If the variable is no number.
+    """
+    said = os.environ.get("PYTHON_CPU_COUNT", "default")
+    if said == "default":
+        return len(os.sched_getaffinity(0))
+    if not said.isdecimal() or int(said) < 1:
+        raise UsageError(f"PYTHON_CPU_COUNT is {said!r}, expected a number of cores")
+    return int(said)
+
+
 class Pool(Protocol):
     """Processes, here or elsewhere."""
 

@@ -1,5 +1,6 @@
 """What several test files share: the robot, random states, small datasets."""
 
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,9 @@ from marl_mm.layout import REACH, Layout
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
+
+os.environ.setdefault("PYTHON_CPU_COUNT", "1")
+"""Tests run beside each other: those of several processes say how many."""
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 MakeEpisode = Callable[..., Episode]

@@ -13,8 +13,22 @@ from pathlib import Path
 
 import pytest
 
+from marl_mm.cli import main
 from marl_mm.errors import WorkerDiedError
-from marl_mm.workers import Workers, apart
+from marl_mm.workers import Workers, apart, available_cores
+
+
+def test_cores_are_those_it_may_use_or_as_many_as_it_is_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("PYTHON_CPU_COUNT", raising=False)
+    assert available_cores() == len(os.sched_getaffinity(0))
+    monkeypatch.setenv("PYTHON_CPU_COUNT", "7")
+    assert available_cores() == 7
+    monkeypatch.setenv("PYTHON_CPU_COUNT", "many")
+    assert main(["eval", "random"]) == 2
+    told = capsys.readouterr().err
+    assert told == "marl-mm: PYTHON_CPU_COUNT is 'many', expected a number of cores\n"
 
 
 def test_apart_gives_results_and_errors() -> None:

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Literal
 
 from marl_mm.algorithms.speed import Precision
-from marl_mm.commands.options import COMMITTED, available_cores
+from marl_mm.commands.options import COMMITTED
 from marl_mm.eval.ablation import Ablation
 from marl_mm.eval.offline_rows import RowStore
-from marl_mm.workers import Executor
+from marl_mm.workers import Executor, available_cores
 
 Budget = Literal["full", "smoke"]
 

@@ -14,7 +14,7 @@ from marl_mm.algorithms.online import Schedule
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.collectors.scripted import ScriptedConfig
 from marl_mm.commands.collect_dataset import CollectOptions, collect_dataset
-from marl_mm.commands.options import COMMITTED, available_cores
+from marl_mm.commands.options import COMMITTED
 from marl_mm.commands.runs import BEST_EVALUATION, EVALUATION
 from marl_mm.commands.train_online import (
     TrainDdpg,
@@ -35,6 +35,7 @@ from marl_mm.errors import (
 from marl_mm.eval.online import SETTINGS, OnlineSetting
 from marl_mm.files import only_here
 from marl_mm.layout import HANDLING
+from marl_mm.workers import available_cores
 
 ANOTHER_FOLDER = "name another folder with --runs, or delete this one"
 """What to do about a run that was made with something else."""

@@ -24,7 +24,6 @@ from marl_mm.commands.collect_resume import (
 )
 from marl_mm.commands.options import (
     REGISTERED,
-    available_cores,
     check_positive,
     check_seed,
 )
@@ -46,7 +45,7 @@ from marl_mm.errors import (
 from marl_mm.files import only_here, refuse_existing
 from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.progress import progress_bar
-from marl_mm.workers import Executor
+from marl_mm.workers import Executor, available_cores
 
 _STEPS = 10_000
 

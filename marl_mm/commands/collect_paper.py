@@ -13,14 +13,14 @@ from marl_mm.commands.collect_dataset import (
     collect_dataset,
 )
 from marl_mm.commands.collect_resume import begun_with
-from marl_mm.commands.options import available_cores, check_seed
+from marl_mm.commands.options import check_seed
 from marl_mm.datasets.card import card_text, keep_card
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import Location, locate
 from marl_mm.datasets.recipe import Part, mix, write_mix
 from marl_mm.datasets.storage import read_metadata
 from marl_mm.errors import DatasetError, UsageError
-from marl_mm.workers import Executor
+from marl_mm.workers import Executor, available_cores
 
 COLLECTED: dict[str, tuple[PolicyConfig, int]] = {
     "good-30k": (PretrainedConfig(), 30_000),

@@ -4,7 +4,7 @@ import json
 import shutil
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,6 @@ from marl_mm.commands.datasets_make import (
     make_split,
 )
 from marl_mm.commands.options import (
-    available_cores,
     check_positive,
     read_dataset,
     warn_if_stopped,
@@ -48,6 +47,7 @@ from marl_mm.datasets.verify import verify
 from marl_mm.errors import DatasetError, MarlMmError, UnknownDatasetError, UsageError
 from marl_mm.files import only_here
 from marl_mm.progress import progress_bar
+from marl_mm.workers import available_cores
 
 _BEGUN = "being collected, or stopped: go on with marl-mm collect ... --resume"
 
@@ -84,7 +84,7 @@ class Verify:
     replay: bool = False
     """Also run every episode again and compare all bits."""
 
-    workers: int = available_cores()
+    workers: int = field(default_factory=available_cores)
     """Processes that replay."""
 
     json: bool = False

@@ -11,7 +11,6 @@ import tyro
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands.options import (
     REGISTERED,
-    available_cores,
     check_positive,
     check_seed,
     named_policy,
@@ -24,6 +23,7 @@ from marl_mm.eval.evaluate import evaluate
 from marl_mm.files import refuse_existing, write_json
 from marl_mm.progress import progress_bar
 from marl_mm.versions import versions
+from marl_mm.workers import available_cores
 
 
 @dataclass(frozen=True)

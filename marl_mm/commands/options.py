@@ -1,7 +1,6 @@
 """What several commands share: defaults, and policies by name."""
 
 import json
-import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -30,11 +29,6 @@ REGISTERED = " or ".join((", ".join(list(TASKS)[:-1]), list(TASKS)[-1]))
 
 NAMED = ("pretrained", "pd", "random", "scripted")
 """Policies that need no run folder."""
-
-
-def available_cores() -> int:
-    """Cores this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 def named_policy(name: str, pd: PdConfig, others: tuple[str, ...] = ()) -> Policy:

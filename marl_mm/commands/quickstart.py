@@ -19,7 +19,6 @@ from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.commands.collect_dataset import CollectOptions, collect_dataset
 from marl_mm.commands.offline_options import TrainMabc
 from marl_mm.commands.options import (
-    available_cores,
     check_positive,
     check_seed,
     print_evaluations,
@@ -39,6 +38,7 @@ from marl_mm.eval.video import film_both_ways, film_strip, write_video
 from marl_mm.files import new_file, refuse_existing, write_json
 from marl_mm.policy import Policy
 from marl_mm.progress import progress_bar
+from marl_mm.workers import available_cores
 
 EXPERT = PdConfig(alpha_rule="room")
 """The PD agent whose episodes are collected: alpha falls as the hand runs out of room,

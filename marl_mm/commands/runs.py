@@ -11,7 +11,6 @@ from marl_mm.algorithms.export import SUFFIXES
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.runlog import METRICS
 from marl_mm.commands.options import (
-    available_cores,
     check_positive,
     check_seed,
     check_seeds,
@@ -22,6 +21,7 @@ from marl_mm.errors import CheckpointError, OutputExistsError, UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate
 from marl_mm.files import refuse_existing, write_json
 from marl_mm.progress import Bar
+from marl_mm.workers import available_cores
 
 T = TypeVar("T")
 
