@@ -213,6 +213,9 @@ _NOT_LONG = ("d_mm [m]", "d_mp [m]", "alpha", COLUMNS["q_slope"])
 _NOT_NEAR = ("every seed", RETURN, "d_mm [m]", "d_mp [m]", "alpha", *COLUMNS.values())
 """Columns that do not depend on the distance within which a goal is reached."""
 
+_NOT_HELD = ("every seed", "d_mm [m]", "d_mp [m]", _PAPER, _DIFFERENCE)
+"""Columns that do not tell what the second agent is worth."""
+
 _NOT_CURED = ("dataset", _PAPER, _DIFFERENCE, "d_mm [m]", "d_mp [m]", "alpha")
 """Columns that tell nothing of why learning fails."""
 
@@ -235,6 +238,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "blocks": partial(_ablation, "blocks", _PAPER, _DIFFERENCE, "alpha"),
     "tasks-over-mabc": partial(_over_imitation, "tasks"),
     "within": partial(_ablation, "within", *_NOT_NEAR, _PAPER, _DIFFERENCE),
+    "held": partial(_ablation, "held", *_NOT_HELD, *COLUMNS.values()),
     "table4": partial(_ablation, "table4", *_NOT_LONG),
     "table5": partial(_ablation, "table5", *_NOT_LONG),
     "cures": partial(_ablation, "cures", *_NOT_CURED, dataset="good-30k"),
