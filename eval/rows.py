@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from marl_mm.errors import UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.files import new_file
 
@@ -62,7 +63,13 @@ def _or_null(value: Any) -> Any:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Rows of a CSV file of ours, compressed or not, with numbers and pairs."""
+    """Rows of a CSV file of ours, compressed or not, with numbers and pairs.
+
+    Raises:
+        UsageError: If there is no such file.
+    """
+    if not path.exists():
+        raise UsageError(f"there is no {path} to draw from")
     opened = (
         gzip.open(path, "rt", newline="")
         if path.suffix == ".gz"

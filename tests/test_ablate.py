@@ -162,7 +162,8 @@ def test_what_is_committed_is_drawn_from_its_rows(
 def test_rows_that_are_not_there_are_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["ablate", "fig5", "--out", str(tmp_path), "--check"]) == 2
-    assert "curves.csv.gz to draw from" in capsys.readouterr().err
+    for target, file in (("fig5", "curves.csv.gz"), ("alpha", "alpha_goals.csv.gz")):
+        assert main(["ablate", target, "--out", str(tmp_path), "--check"]) == 2
+        assert f"{file} to draw from" in capsys.readouterr().err
     assert main(["ablate", "runs", "--check"]) == 2
     assert "--check is not for runs" in capsys.readouterr().err

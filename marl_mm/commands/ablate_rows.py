@@ -41,8 +41,6 @@ def rows_of(
         cells = [(name, seed) for name in names for seed in options.seeds]
         return as_read([row for cell in cells for row in of_run(runs, *cell)])
     path = options.rows / file
-    if not path.exists():
-        raise UsageError(f"there is no {path} to draw from")
     found = [row for row in read_rows(path) if row["setting"] in names]
     rows = [row for row in found if row["seed"] in options.seeds]
     there = {(row["setting"], row["seed"]) for row in rows}

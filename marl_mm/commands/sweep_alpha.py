@@ -139,8 +139,6 @@ def check_sweep(out: Path) -> None:
         UsageError: If there are no rows.
         MarlMmError: If a file is another.
     """
-    if not (out / EPISODES).exists():
-        raise UsageError(f"there is no {out / EPISODES} to draw from")
     loads = out / LOAD_EPISODES
     rows, load_rows = read_rows(out / EPISODES), []
     files = ["alpha.csv", "alpha.md", "response.png", "pareto.png"]
