@@ -517,16 +517,26 @@ def test_a_plan_says_what_is_missing_and_trains_nothing(
 
 
 @pytest.mark.slow
-def test_a_plan_of_everything_trains_nothing_either(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("target", "ablations", "settings"),
+    [
+        ("all", tuple(ABLATIONS), len(SETTINGS)),
+        ("paper", ("table4", "table5", "fig7", "fig8", "fig9", "fig10"), 5),
+    ],
+)
+def test_a_plan_of_several_targets_trains_nothing_either(
+    target: str,
+    ablations: tuple[str, ...],
+    settings: int,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    asked = ["ablate", "all", "--plan", "--budget", "smoke", "--runs", str(tmp_path)]
+    asked = ["ablate", target, "--plan", "--budget", "smoke", "--runs", str(tmp_path)]
     assert main([*asked, "--seeds", "0"]) == 0
     *_, total, online = capsys.readouterr().out.splitlines()
-    cells = {cell_name(cell) for one in ABLATIONS.values() for cell in one.cells}
+    cells = {cell_name(cell) for one in ablations for cell in ABLATIONS[one].cells}
     assert f"| {len(cells)} of {len(cells)} |" in total
-    runs = f"{len(SETTINGS)} of {len(SETTINGS)}"
-    assert online == f"and online: {runs} online runs"
+    assert online == f"and online: {settings} of {settings} online runs"
     assert not list(tmp_path.iterdir())
 
 

@@ -14,7 +14,12 @@ from pathlib import Path
 from marl_mm.commands.ablate_check import every_failure
 from marl_mm.commands.ablate_draw import drawings
 from marl_mm.commands.ablate_offline import ablate_offline
-from marl_mm.commands.ablate_online import TARGETS, ablate_online, check_settings
+from marl_mm.commands.ablate_online import (
+    TARGETS,
+    Target,
+    ablate_online,
+    check_settings,
+)
 from marl_mm.commands.ablate_options import RESULTS, AblateOffline
 from marl_mm.commands.ablate_runs import Ablate, check_installed, told_missing
 from marl_mm.commands.options import COMMITTED, check_positive, check_seeds
@@ -29,6 +34,14 @@ from marl_mm.eval.rows import to_json
 from marl_mm.files import refuse_existing
 
 _ALL = "all"
+
+_DRAWN = {name: target for name, target in TARGETS.items() if target.files}
+
+_SEVERAL = {
+    "paper": ("table4", "table5", *(f"fig{number}" for number in range(4, 11))),
+    _ALL: (*ABLATIONS, *_DRAWN),
+}
+"""Targets that are several targets."""
 
 _OF_FILE = ".py:"
 
@@ -45,6 +58,10 @@ def main(arguments: Sequence[str]) -> None:
         {
             **{n: Subcommand(Ablate(), one.about) for n, one in TARGETS.items()},
             **{n: Subcommand(AblateOffline(), a.about) for n, a in ABLATIONS.items()},
+            "paper": Subcommand(
+                AblateOffline(),
+                "The paper's own: Tables 4 and 5 and Figs. 4 to 10, in one night.",
+            ),
             _ALL: Subcommand(AblateOffline(), "Every table and figure."),
         },
         "marl-mm ablate",
@@ -52,8 +69,8 @@ def main(arguments: Sequence[str]) -> None:
         "ablation of your own, an object NAME of class marl_mm.eval.Ablation.",
         arguments,
     )
-    if target == _ALL:
-        _everything(options)
+    if target in _SEVERAL:
+        _several(options, target)
         return
     if isinstance(options, AblateOffline):
         _offline(options, {target: ABLATIONS[target]})
@@ -120,21 +137,28 @@ def _declared(path: Path, name: str) -> Ablation:
     return ablation
 
 
-def _everything(options: AblateOffline) -> None:
-    """All ablations of offline learning, and all targets that are drawn."""
+def _several(options: AblateOffline, name: str) -> None:
+    """Several ablations of offline learning, and several of online learning."""
     check_positive(workers=options.workers)
     if options.settings is not None or options.datasets is not None:
-        raise UsageError("--settings and --datasets are for one target, not for all")
+        raise UsageError(
+            f"--settings and --datasets are for one target, not for {name}"
+        )
     offline, online = _parts(options)
     check_seeds(online.seeds)
+    ablations = {n: one for n, one in ABLATIONS.items() if n in _SEVERAL[name]}
+    targets = {n: one for n, one in _DRAWN.items() if n in _SEVERAL[name]}
+    known = [setting.name for setting in SETTINGS]
+    settings = {n for one in targets.values() for n in one.settings or known}
     if options.plan:
-        _offline(offline, ABLATIONS)
-        names = [setting.name for setting in SETTINGS]
-        print(f"and online: {told_missing(online, names)}")
+        _offline(offline, ablations)
+        print(f"and online: {told_missing(online, settings)}")
     elif options.check:
-        _check_everything(offline, online, (options.out or COMMITTED) / "alpha")
+        sweep = (options.out or COMMITTED) / "alpha" if name == _ALL else None
+        _check_several(offline, online, ablations, targets, sweep)
     else:
-        _make_everything(offline, online)
+        check_installed(online, settings)
+        _make_several(offline, online, ablations, targets)
 
 
 def _parts(options: AblateOffline) -> tuple[AblateOffline, Ablate]:
@@ -160,19 +184,22 @@ def _parts(options: AblateOffline) -> tuple[AblateOffline, Ablate]:
     return offline, online
 
 
-def _make_everything(offline: AblateOffline, online: Ablate) -> None:
+def _make_several(
+    offline: AblateOffline,
+    online: Ablate,
+    ablations: Mapping[str, Ablation],
+    targets: Mapping[str, Target],
+) -> None:
     """Train what is missing and draw; failures do not stop the others."""
-    check_installed(online)
-    for target in TARGETS.values():
+    for target in targets.values():
         for file in target.files:
             refuse_existing(online.results(file), online.overwrite or online.resume)
     tables: dict[str, Sequence[Row]] = {}
     try:
         with every_failure(usage=False) as attempt:
-            attempt(partial(_add_tables, tables, offline, ABLATIONS))
-            for name, target in TARGETS.items():
-                if target.files:
-                    attempt(partial(_add_table, tables, online, name))
+            attempt(partial(_add_tables, tables, offline, ablations))
+            for name in targets:
+                attempt(partial(_add_table, tables, online, name))
     finally:
         if offline.json:
             print(to_json(tables))
@@ -185,17 +212,22 @@ def _add_table(tables: dict[str, Sequence[Row]], options: Ablate, name: str) -> 
         tables[name] = rows
 
 
-def _check_everything(offline: AblateOffline, online: Ablate, sweep: Path) -> None:
+def _check_several(
+    offline: AblateOffline,
+    online: Ablate,
+    ablations: Mapping[str, Ablation],
+    targets: Mapping[str, Target],
+    sweep: Path | None,
+) -> None:
     """Check what there are results of, and tell what there are none of."""
     with every_failure() as attempt:
-        if (sweep / EPISODES).exists():
+        if sweep is not None and (sweep / EPISODES).exists():
             attempt(partial(check_sweep, sweep))
-        for name, ablation in ABLATIONS.items():
+        for name, ablation in ablations.items():
             files = drawings(name, ablation)
             if any((offline.results() / file).exists() for file in files):
                 attempt(partial(_offline, offline, {name: ablation}))
             else:
                 print(f"{offline.results() / name}: no results yet")
-        for name, target in TARGETS.items():
-            if target.files:
-                attempt(partial(ablate_online, online, name))
+        for name in targets:
+            attempt(partial(ablate_online, online, name))

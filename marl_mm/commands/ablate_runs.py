@@ -1,7 +1,7 @@
 """The runs that figures and tables are made of: what is missing of them is trained."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -161,18 +161,19 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
         )
 
 
-def check_installed(options: Ablate) -> None:
+def check_installed(options: Ablate, names: Collection[str]) -> None:
     """Raise, before a night of other runs, if one needs what is not installed.
 
     Raises:
         UsageError: Naming it.
     """
-    sb3 = [setting for setting in SETTINGS if setting.library == "sb3"]
+    wanted = [setting for setting in SETTINGS if setting.name in names]
+    sb3 = [setting for setting in wanted if setting.library == "sb3"]
     if not all(_finished(options, s, n) for s in sb3 for n in options.seeds):
         check_sb3()
 
 
-def told_missing(options: Ablate, names: Sequence[str]) -> str:
+def told_missing(options: Ablate, names: Collection[str]) -> str:
     """How many runs of these settings are missing, in words."""
     wanted = [setting for setting in SETTINGS if setting.name in names]
     cells = [(setting, seed) for setting in wanted for seed in options.seeds]
