@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from marl_mm.algorithms.networks import ActionScale, Actor, Normalizer
-from marl_mm.layout import JOINT_NAME, REACH, AgentLayout, Layout
+from marl_mm.layout import JOINT_NAME, AgentLayout, Layout, in_order
 
 
 class AgentActor:
@@ -23,6 +23,7 @@ class AgentActor:
         self.layout = layout
         self.actor = actor
         self._entries = torch.tensor(layout.observation)
+        self._sees_all = layout.observation == tuple(range(len(layout.observation)))
         self.scale = ActionScale(torch.tensor(layout.low), torch.tensor(layout.high))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -31,7 +32,7 @@ class AgentActor:
 
     def own(self, state: torch.Tensor) -> torch.Tensor:
         """What the agent sees of joint states, shapes (..., n) to (..., d)."""
-        if len(self._entries) == state.shape[-1]:
+        if self._sees_all and len(self._entries) == state.shape[-1]:
             return state
         return state.index_select(-1, self._entries)
 
@@ -53,14 +54,13 @@ def blank_actor(agent: AgentLayout, hidden: Sequence[int]) -> AgentActor:
     return AgentActor(agent, Actor(normalizer, len(agent.action), hidden))
 
 
-def actors_from(
-    states: Mapping[str, Any], hidden: Sequence[int], layout: Layout = REACH
-) -> dict[str, AgentActor]:
+def actors_from(states: Mapping[str, Any], layout: Layout) -> dict[str, AgentActor]:
     """Trained actors from their networks' states, of one joint agent or of several."""
     agents = {}
     for agent in (layout.joint,) if JOINT_NAME in states else layout.agents:
-        agents[agent.name] = blank_actor(agent, hidden)
-        agents[agent.name].actor.load_state_dict(states[agent.name])
+        state = states[agent.name]
+        agents[agent.name] = blank_actor(agent, _hidden(state))
+        agents[agent.name].actor.load_state_dict(state)
         agents[agent.name].actor.eval()
     return agents
 
@@ -68,4 +68,12 @@ def actors_from(
 def joint_action(agents: Mapping[str, AgentActor], state: torch.Tensor) -> torch.Tensor:
     """All actors' actions at joint states, shapes (m, n) to (m, k), in [-1, 1]."""
     parts = [agent.actor(agent.own(state)) for agent in agents.values()]
-    return torch.cat(parts, dim=-1)
+    joined = torch.cat(parts, dim=-1)
+    order = in_order(agent.layout for agent in agents.values())
+    return joined if order is None else joined[..., order]
+
+
+def _hidden(state: Mapping[str, torch.Tensor]) -> list[int]:
+    """Units of an actor's hidden layers, by its weights."""
+    weights = [v for k, v in state.items() if k.startswith("layers.") and v.dim() == 2]
+    return [weight.shape[0] for weight in weights[:-1]]

@@ -37,8 +37,8 @@ class OfflineAlgorithm(Protocol):
     step: int
     """Updates made."""
 
-    sound: dict[str, float]
-    """Largest absolute values of what it measures that can be right, by name."""
+    bounds: dict[str, float]
+    """Divergence bounds: a logged metric beyond its value here stops the run."""
 
     @property
     def config(self) -> Any:

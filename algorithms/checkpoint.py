@@ -8,9 +8,10 @@ import torch
 
 from marl_mm.algorithms.actors import AgentActor, actors_from
 from marl_mm.algorithms.algorithm import OfflineAlgorithm, Resumable
-from marl_mm.errors import CheckpointError, UsageError
+from marl_mm.errors import CheckpointError, LayoutError, UsageError
 from marl_mm.files import new_file
-from marl_mm.layout import LAYOUTS, Layout
+from marl_mm.layout import Layout
+from marl_mm.version1 import checkpoint_layout
 
 FILE = "checkpoint.pt"
 """The last state of a run."""
@@ -18,20 +19,10 @@ FILE = "checkpoint.pt"
 BEST = "best.pt"
 """The best policy of a run, by its learning curve."""
 
-KNOWN = ("mabc", "td3-bc", "matd3-bc", "ddpg", "ddpg-her", "maddpg", "maddpg-her")
-"""Algorithms whose checkpoints this version can load."""
+_FORMAT = "marl_mm checkpoint 2"
 
-_FORMAT = "marl_mm checkpoint 1"
-
-
-def agents_layout(layout: Layout) -> dict[str, Any]:
-    """Agents in order with their entries, and the action space's bounds."""
-    agents = layout.agents
-    return {
-        "agents": [[a.name, list(a.observation), list(a.action)] for a in agents],
-        "action_low": list(layout.low),
-        "action_high": list(layout.high),
-    }
+_FORMATS = ("marl_mm checkpoint 1", _FORMAT)
+"""Formats that can be read; the first one's layouts are those of version 1."""
 
 
 def save_checkpoint(path: Path, algorithm: Resumable) -> None:
@@ -64,7 +55,7 @@ def _save(
         "format": _FORMAT,
         "algorithm": algorithm.name,
         "config": asdict(algorithm.config),
-        "layout": agents_layout(algorithm.layout),
+        "layout": algorithm.layout.to_json(),
         "state": state,
     }
     # Into an open file: given a name, torch would write it into the bytes.
@@ -77,7 +68,7 @@ def read_checkpoint(path: Path, algorithm: str | None = None) -> dict[str, Any]:
 
     Args:
         path: File or run folder.
-        algorithm: The algorithm it must be of; None accepts any known one.
+        algorithm: The algorithm it must be of; None accepts any.
 
     Raises:
         UsageError: If there is no such file.
@@ -98,39 +89,35 @@ def read_checkpoint(path: Path, algorithm: str | None = None) -> dict[str, Any]:
         raise CheckpointError(
             f"{file} is damaged ({reason:.80}){_way_out(file)}"
         ) from error
-    if not isinstance(checkpoint, dict) or checkpoint.get("format") != _FORMAT:
+    if not isinstance(checkpoint, dict) or checkpoint.get("format") not in _FORMATS:
         raise CheckpointError(f"{file} is not a {_FORMAT!r} file")
     missing = {"algorithm", "config", "layout", "state"} - checkpoint.keys()
     if missing:
         raise CheckpointError(f"{file} lacks {', '.join(sorted(missing))}")
-    expected = (algorithm,) if algorithm else KNOWN
-    if checkpoint["algorithm"] not in expected:
+    if algorithm is not None and checkpoint["algorithm"] != algorithm:
         raise CheckpointError(
             f"{file} holds a checkpoint of algorithm {checkpoint['algorithm']!r}, "
-            f"expected {' or '.join(map(repr, expected))}"
+            f"expected {algorithm!r}"
         )
-    if checkpoint["layout"] not in map(agents_layout, LAYOUTS):
-        raise CheckpointError(
-            f"{file} was made for another agent layout: {checkpoint['layout']}"
+    try:
+        first = checkpoint["format"] == _FORMATS[0]
+        layout = (checkpoint_layout if first else Layout.from_json)(
+            checkpoint["layout"]
         )
-    return checkpoint
-
-
-def _layout(checkpoint: dict[str, Any]) -> Layout:
-    (found,) = (one for one in LAYOUTS if agents_layout(one) == checkpoint["layout"])
-    return found
+    except LayoutError as error:
+        raise CheckpointError(f"{file}: {error}") from error
+    return checkpoint | {"layout": layout}
 
 
 def restored_agents(checkpoint: dict[str, Any], path: Path) -> dict[str, AgentActor]:
     """The actors of a checkpoint.
 
     Raises:
-        CheckpointError: If its networks do not fit its config.
+        CheckpointError: If its networks do not fit its layout.
     """
     try:
-        actors, hidden = checkpoint["state"]["actors"], checkpoint["config"]["hidden"]
-        return actors_from(actors, hidden, _layout(checkpoint))
-    except (KeyError, TypeError, RuntimeError) as error:
+        return actors_from(checkpoint["state"]["actors"], checkpoint["layout"])
+    except (KeyError, TypeError, AttributeError, RuntimeError) as error:
         reason = str(error).splitlines()[0]
         raise CheckpointError(f"{path} is damaged ({reason:.80})") from error
 

@@ -10,6 +10,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -29,18 +30,18 @@ from marl_mm.algorithms.networks import (
     saturation,
 )
 from marl_mm.algorithms.policy import LearnedPolicy
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm
 from marl_mm.algorithms.replay import (
     DRAWN_TOGETHER,
     Batch,
     Judge,
     Replay,
     concatenated,
-    highest_reward,
 )
 from marl_mm.algorithms.statistics import RunningStatistics
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
-from marl_mm.layout import ALPHA, REACH, AgentLayout, Layout
+from marl_mm.layout import AgentLayout, Layout
 
 # --- Config ------------------------------------------------------------------
 
@@ -164,14 +165,14 @@ class Ddpg:
         config: DdpgConfig,
         judge: Judge,
         seed: int,
-        demonstrations: Sequence[Episode] = (),
-        layout: Layout = REACH,
+        demonstrations: Sequence[Episode],
+        layout: Layout,
     ) -> None:
         self.config, self.layout = config, layout
         self.name = self.base_name + "-her" * (config.hindsight > 0)
         self.episodes = self.env_steps = self.updates = 0
         self.replay = Replay(config.capacity, config.hindsight, judge, layout)
-        self._highest = highest_reward(judge)
+        self._highest = judge.highest_return if config.clip_targets else None
         self._demonstrations = Demonstrations(
             demonstrations, config.demonstration_successes, config.hindsight, judge
         )
@@ -217,7 +218,9 @@ class Ddpg:
         """Who runs the next episodes: at random until ``warm``, then with noise."""
         config = self.config
         share = config.random_share if self.warm else 1.0
-        return Explorer(LearnedPolicy(self.name, self.agents), config.noise, share)
+        return Explorer(
+            LearnedPolicy(self.name, self.agents, self.layout), config.noise, share
+        )
 
     def observe(self, episode: Episode) -> None:
         """Take an episode into replay and input statistics."""
@@ -247,7 +250,7 @@ class Ddpg:
             next_value = self._target_critic(next_state, next_action)
             alive = 1 - batch.terminated
             target = batch.reward + self.config.discount * alive * next_value
-            if self.config.clip_targets:
+            if self._highest is not None:
                 target = target.clamp_max(self._highest)
 
         critic_loss = functional.mse_loss(self.critic(state, batch.action), target)
@@ -302,11 +305,15 @@ class Ddpg:
         batch = self.replay.sample(DIAGNOSED, rng)
         action = joint_action(self.agents, batch.observation)
         taken = self.critic(batch.observation, batch.action)
+        alpha = {}
+        if "alpha" in self.layout.action_names:
+            place = self.layout.action_names.index("alpha")
+            alpha = {"action/alpha": ((action[:, place] + 1) / 2).mean().item()}
         return {
             "q/data": taken.mean().item(),
             "q/policy": self.critic(batch.observation, action).mean().item(),
             "action/saturation": saturation(action).item(),
-            "action/alpha": ((action[:, ALPHA] + 1) / 2).mean().item(),
+            **alpha,
         }
 
     # --- State ---------------------------------------------------------------
@@ -345,3 +352,57 @@ class Ddpg:
         self._statistics.load_state(state["statistics"])
         self.replay.load_state(state["replay"])
         self._rng.bit_generator.state = json.loads(state["rng"])
+
+
+TABLE_2: dict[str, Any] = {
+    "updates_per_episode": 25,  # one per step of a whole episode (Algorithm 1)
+    "episodes_per_cycle": 1,
+    "warm_up": 5_000,  # Table 2
+    "capacity": 5_000,  # Table 2
+    "noise": 0.1,  # Table 2
+    "random_share": 0.0,
+    "action_penalty": 0.0,
+    "clip_targets": False,
+    "layer_norm": False,
+}
+"""Table 2, and the plain choice where it is silent."""
+
+
+def check_hindsight(algorithm: str, config: DdpgConfig) -> None:
+    """Raise if hyper-parameters are those of the algorithm with, or without, hindsight.
+
+    Raises:
+        UsageError: Naming that one.
+    """
+    if (config.hindsight > 0) != algorithm.endswith("-her"):
+        other = algorithm.removesuffix("-her") + "-her" * (config.hindsight > 0)
+        raise UsageError(
+            f"--hindsight is {config.hindsight} with {algorithm}: use {other}"
+        )
+
+
+ALGORITHMS.add(
+    "ddpg",
+    Algorithm(
+        about="DDPG: one agent that sees and sets everything (paper, Algorithm 1).",
+        source="paper, Algorithm 1; Lillicrap 2016",
+        learner=Ddpg,
+        presets={
+            TUNED: DdpgConfig(hindsight=0),
+            PAPER: DdpgConfig(**TABLE_2, hindsight=0),
+        },
+        online=True,
+        check=partial(check_hindsight, "ddpg"),
+    ),
+)
+ALGORITHMS.add(
+    "ddpg-her",
+    Algorithm(
+        about="DDPG that replays most steps with goals reached later (HER).",
+        source="Andrychowicz 2017",
+        learner=Ddpg,
+        presets={TUNED: DdpgConfig(), PAPER: DdpgConfig(**TABLE_2)},
+        online=True,
+        check=partial(check_hindsight, "ddpg-her"),
+    ),
+)

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from marl_mm.algorithms.policy import LearnedPolicy
+from marl_mm.layout import Layout
 
 
 class Explorer:
@@ -34,10 +35,10 @@ class Explorer:
         settings = {"noise": self._noise, "random_share": self._random_share}
         return {**settings, **self._policy.describe()}
 
-    def begin(self, rng: np.random.Generator) -> None:
+    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
         """Take the episode's stream of random numbers."""
         self._rng = rng
-        self._policy.begin(rng)
+        self._policy.begin(rng, layout)
 
     def act(self, state: np.ndarray) -> np.ndarray:
         """Joint action, shape (k,), float32."""

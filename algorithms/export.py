@@ -22,6 +22,7 @@ from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.errors import ExportError, UsageError
 from marl_mm.files import new_file
+from marl_mm.layout import in_order
 
 Format = Literal["torchscript", "onnx"]
 
@@ -95,12 +96,17 @@ class _Exported(nn.Module):
         self._actors = nn.ModuleList(one.actor for one in self._agents)
         self.requires_grad_(False)
         layout = self._layout = policy.layout
-        entries = [i for one in self._agents for i in one.layout.action]
+        own_layouts = [one.layout for one in self._agents]
+        entries = [i for one in own_layouts for i in one.action]
+        self._order = None if self._alone else in_order(own_layouts)
+        if self._order is not None:
+            entries = [entries[i] for i in self._order]
         own = self._agents[0].layout.observation
         seen = own if self._alone else range(len(layout.state))
         self.metadata: dict[str, Any] = {
-            "observation": [layout.state[i] for i in seen],
-            "action": [layout.action[i] for i in entries],
+            "layout": layout.to_json(),
+            "observation": [layout.state_names[i] for i in seen],
+            "action": [layout.action_names[i] for i in entries],
             "action_low": [layout.low[i] for i in entries],
             "action_high": [layout.high[i] for i in entries],
         }
@@ -110,7 +116,8 @@ class _Exported(nn.Module):
             one.scale.denormalize(one.actor(self._own(one, observation)))
             for one in self._agents
         ]
-        return torch.cat(parts, dim=-1)
+        joined = torch.cat(parts, dim=-1)
+        return joined if self._order is None else joined[..., self._order]
 
     def _own(self, agent: AgentActor, observation: torch.Tensor) -> torch.Tensor:
         return observation if self._alone else agent.own(observation)
@@ -133,7 +140,8 @@ class _Exported(nn.Module):
         rows = []
         for row in observations:
             own = [one.act(self._own(one, row).numpy()) for one in self._agents]
-            rows.append(np.concatenate(own))
+            joined = np.concatenate(own)
+            rows.append(joined if self._order is None else joined[self._order])
         return np.array(rows)
 
 

@@ -14,6 +14,7 @@ from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.networks import DIAGNOSED, Normalizer
 from marl_mm.algorithms.offline_batches import OfflineBatches
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm
 from marl_mm.algorithms.replay import Judge
 from marl_mm.algorithms.seeded import SeededActors, imitation_errors
 from marl_mm.algorithms.speed import Precision
@@ -80,7 +81,7 @@ class Mabc:
         self.config, self.seeds, self.step = config, tuple(seeds), 0
         self.layout = arrays.layout
         self.layouts = self.layout.agents
-        self.sound: dict[str, float] = {}
+        self.bounds: dict[str, float] = {}
         shares = config.future, 0.0
         self._batches = OfflineBatches(
             arrays, config.batch_size, shares, judge, seeds, device
@@ -118,7 +119,7 @@ class Mabc:
         """How far the actors are from some of the data, shape (S,)."""
         state, action = self._batches.some(DIAGNOSED)
         inputs = self.normalizer(state).expand(len(self.seeds), -1, -1)
-        return imitation_errors(self.actors.joint(inputs), action)
+        return imitation_errors(self.actors.joint(inputs), action, self.layout)
 
     # --- Act -----------------------------------------------------------------
 
@@ -144,3 +145,17 @@ class Mabc:
             self.actors.load_state(number, state["actors"])
             self.actors.load_learner_state(number, state["actor_learners"])
         self._batches.load_states([state["batches"] for state in states])
+
+
+ALGORITHMS.add(
+    "mabc",
+    Algorithm(
+        about="MABC: behaviour cloning with decentralised actors (paper, Sec. 4.4).",
+        source="paper, Sec. 4.4",
+        learner=Mabc,
+        presets={
+            TUNED: MabcConfig(),
+            PAPER: MabcConfig(updates=100_000, batch_size=256, learning_rate=5e-4),
+        },
+    ),
+)

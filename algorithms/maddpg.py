@@ -6,12 +6,14 @@ actor loss of agent i: -Q(s, (pi_i(o_i), a_-i)), where a_-i is what the others w
 now or, as in the source, what they did.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar, Literal
 
 import torch
 
-from marl_mm.algorithms.ddpg import Ddpg, DdpgConfig
+from marl_mm.algorithms.ddpg import TABLE_2, Ddpg, DdpgConfig, check_hindsight
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm
 from marl_mm.algorithms.replay import Batch
 from marl_mm.layout import AgentLayout
 
@@ -56,3 +58,32 @@ class Maddpg(Ddpg):
         # Together as much as of all at once.
         share = own.shape[-1] / len(self.layout.action)
         return loss + self.config.action_penalty * share * own.square().mean()
+
+
+_PAPER = MaddpgConfig(**TABLE_2, others="replay")  # Lowe 2017
+
+ALGORITHMS.add(
+    "maddpg",
+    Algorithm(
+        about="MADDPG: decentralised actors, one centralised critic (Lowe 2017).",
+        source="Lowe 2017",
+        learner=Maddpg,
+        presets={
+            TUNED: MaddpgConfig(hindsight=0),
+            PAPER: replace(_PAPER, hindsight=0),
+        },
+        online=True,
+        check=partial(check_hindsight, "maddpg"),
+    ),
+)
+ALGORITHMS.add(
+    "maddpg-her",
+    Algorithm(
+        about="MADDPG that replays most steps with goals reached later (HER).",
+        source="Lowe 2017; Andrychowicz 2017",
+        learner=Maddpg,
+        presets={TUNED: MaddpgConfig(), PAPER: _PAPER},
+        online=True,
+        check=partial(check_hindsight, "maddpg-her"),
+    ),
+)

@@ -11,7 +11,8 @@ from typing import ClassVar, Literal
 import torch
 
 from marl_mm.algorithms.offline_batches import OfflineBatch
-from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm
+from marl_mm.algorithms.td3_bc import TABLE_3, Td3Bc, Td3BcConfig
 from marl_mm.layout import AgentLayout, columns
 
 # --- Config ------------------------------------------------------------------
@@ -66,3 +67,17 @@ class Matd3Bc(Td3Bc):
             losses[f"loss/{agent.name}"] = loss.detach()
             losses[f"loss/imitation/{agent.name}"] = error.detach()
         return losses
+
+
+ALGORITHMS.add(
+    "matd3-bc",
+    Algorithm(
+        about="MATD3+BC: decentralised actors, centralised critics (Pan 2022).",
+        source="Pan 2022",
+        learner=Matd3Bc,
+        presets={
+            TUNED: Matd3BcConfig(),
+            PAPER: Matd3BcConfig(**TABLE_3, critics="own", others="data"),  # Pan 2022
+        },
+    ),
+)

@@ -14,9 +14,7 @@ import numpy as np
 import torch
 
 from marl_mm.algorithms.replay import (
-    COSTS,
     DRAWN_TOGETHER,
-    FAILED,
     Judge,
     normalized_actions,
 )
@@ -87,22 +85,21 @@ class OfflineBatches:
         # float64, so that a reward computed again is the step's own to the bit.
         self._state = arrays.states[~arrays.is_last_state()]
         self._next_state = arrays.states[~arrays.is_first_state()]
-        self._action = normalized_actions(arrays.actions)
+        self._action = normalized_actions(arrays.actions, arrays.layout)
         self._reward, self._terminated = arrays.rewards, arrays.terminated
         successes = np.repeat(arrays.successes(), arrays.lengths)
         self._successful = successes.astype(np.float32)
-        self._costs = {name: arrays.info[name] for name in COSTS}
+        self._terms = arrays.reward_terms(judge.needs)
         self._end = np.repeat(np.cumsum(arrays.lengths), arrays.lengths)
         """One past the last step of each step's episode."""
 
-        known = all(np.isfinite(values).all() for values in self._costs.values())
+        known = all(np.isfinite(values).all() for values in self._terms.values())
         if any(shares) and not known:
             raise UsageError(
                 "the dataset does not tell "
-                f"{', '.join(COSTS)} of all steps, which rewards for other goals "
+                f"{', '.join(judge.needs)} of all steps, which rewards for other goals "
                 "depend on: set --future 0, and --elsewhere 0 where there is one"
             )
-        self._costs[FAILED] = arrays.failed()
         self._streams = [np.random.default_rng(seed) for seed in seeds]
         self._begun = [stream.bit_generator.state for stream in self._streams]
         self._drawn: list[OfflineBatch] = []
@@ -170,10 +167,9 @@ class OfflineBatches:
         goal = np.where(elsewhere[:, None], self._state[others][:, places], goal)
         state[:, places], next_state[:, places] = goal, goal
         changed = np.flatnonzero(future | elsewhere)
-        costs = {name: values[rows[changed]] for name, values in self._costs.items()}
-        costs |= self._layout.reward_inputs(next_state[changed])
-        reward[changed], terminated[changed] = self._judge(
-            next_state[changed][:, achieved], goal[changed], costs
+        terms = {name: values[rows[changed]] for name, values in self._terms.items()}
+        reward[changed], terminated[changed] = self._judge.judge(
+            next_state[changed][:, achieved], goal[changed], terms
         )
         return (
             state.astype(np.float32),

@@ -20,7 +20,6 @@ from marl_mm.algorithms.speed import prepare_for_small_networks
 from marl_mm.algorithms.train import Evaluate
 from marl_mm.episode import Episode
 from marl_mm.errors import DivergedError, UsageError
-from marl_mm.layout import ALPHA
 from marl_mm.progress import Advance, silent
 
 RunEpisodes = Callable[[Explorer, Iterable[int]], Iterator[Episode]]
@@ -132,7 +131,9 @@ def train_online(
                 row = _epoch(algorithm, run_episodes, end, advance)
                 number = end // schedule.epoch
                 if number % schedule.evaluate_every == 0 or end == total:
-                    policy = LearnedPolicy(algorithm.name, algorithm.agents)
+                    policy = LearnedPolicy(
+                        algorithm.name, algorithm.agents, algorithm.layout
+                    )
                     row |= evaluate(policy)
                     if is_best(row, log.rows):
                         save_policy(run / BEST, algorithm)
@@ -200,10 +201,19 @@ def _epoch(
         "train/return": _mean([episode.episode_return for episode in episodes]),
         "train/success": _mean([episode.success for episode in episodes]),
         "train/steps": _mean([len(episode) for episode in episodes]),
-        "train/alpha": _mean([e.actions[:, ALPHA].mean() for e in episodes]),
+        **_alpha(episodes),
         **{key: _mean([one[key] for one in losses]) for key in (losses or [{}])[0]},
         **(algorithm.diagnose() if losses else {}),
     }
+
+
+def _alpha(episodes: Sequence[Episode]) -> dict[str, float]:
+    """Mean alpha, where the layout has it."""
+    names = episodes[0].layout.action_names
+    if "alpha" not in names:
+        return {}
+    place = names.index("alpha")
+    return {"train/alpha": _mean([e.actions[:, place].mean() for e in episodes])}
 
 
 def is_flat(rows: Sequence[Row], patience: int) -> bool:

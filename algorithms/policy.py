@@ -11,13 +11,7 @@ import numpy as np
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.checkpoint import read_checkpoint, restored_agents
 from marl_mm.errors import UsageError
-from marl_mm.layout import (
-    JOINT_NAME,
-    REACH,
-    Layout,
-    check_state,
-    layout_of_actions,
-)
+from marl_mm.layout import JOINT_NAME, Layout, refuse_other_layout
 
 
 class LearnedPolicy:
@@ -25,18 +19,22 @@ class LearnedPolicy:
 
     Args:
         name: How tables call it.
-        agents: The actors, by agent; in the order of their actions.
+        agents: The actors, by agent.
+        layout: Layout that they were trained for.
         source: Where it was loaded from.
     """
 
     def __init__(
-        self, name: str, agents: Mapping[str, AgentActor], source: str | None = None
+        self,
+        name: str,
+        agents: Mapping[str, AgentActor],
+        layout: Layout,
+        source: str | None = None,
     ) -> None:
         self.name = name
         self.agents = dict(agents)
+        self.layout = layout
         self._source = source
-        entries = sum(len(agent.layout.action) for agent in self.agents.values())
-        self.layout = layout_of_actions(entries)
 
     def describe(self) -> dict[str, Any]:
         """Where it was loaded from."""
@@ -51,8 +49,14 @@ class LearnedPolicy:
                 digest.update(name.encode() + tensor.numpy().tobytes())
         return digest.hexdigest()[:16]
 
-    def begin(self, rng: np.random.Generator) -> None:
-        """Nothing to remember between episodes."""
+    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
+        """Nothing to remember between episodes.
+
+        Raises:
+            LayoutError: If the policy was trained for another layout.
+        """
+        joint = JOINT_NAME in self.agents
+        refuse_other_layout(self.name, self.layout, "the task", layout, not joint)
 
     def act(self, observation: np.ndarray | Mapping[str, np.ndarray]) -> np.ndarray:
         """Joint action, shape (k,), float32.
@@ -82,20 +86,19 @@ class LearnedPolicy:
             raise UsageError(
                 f"{self.name} has one joint actor, which needs the joint state: step "
                 "the parallel environment with marl_mm.envs.parallel.split_action of "
-                "policy.act of its state()"
+                "policy.act of its state(), and its layout"
             )
         return {name: self.agents[name].act(o) for name, o in observations.items()}
 
 
 def joint_state(
-    observation: np.ndarray | Mapping[str, np.ndarray], layout: Layout = REACH
+    observation: np.ndarray | Mapping[str, np.ndarray], layout: Layout
 ) -> np.ndarray:
     """The joint state, shape (n,), of either form of observation."""
     if isinstance(observation, Mapping):
-        parts = [observation["observation"], observation["desired_goal"]]
-        return np.concatenate(parts)
+        return layout.state_of(observation["observation"], observation["desired_goal"])
     state = np.asarray(observation)
-    check_state(state, layout)
+    layout.check_state(state)
     return state
 
 
@@ -118,4 +121,6 @@ def load_policy(path: str | Path) -> LearnedPolicy:
         return pretrained.load_pretrained(path)
     checkpoint = read_checkpoint(path)
     agents = restored_agents(checkpoint, path)
-    return LearnedPolicy(checkpoint["algorithm"], agents, str(path))
+    return LearnedPolicy(
+        checkpoint["algorithm"], agents, checkpoint["layout"], str(path)
+    )

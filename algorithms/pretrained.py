@@ -16,6 +16,7 @@ from marl_mm.algorithms.actors import actors_from
 from marl_mm.algorithms.checkpoint import BEST, read_checkpoint
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.runlog import METRICS
+from marl_mm.envs.registry import make_task
 from marl_mm.errors import CheckpointError
 from marl_mm.files import new_folder
 
@@ -65,8 +66,9 @@ def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
         for name, value in tensors.items():
             agent, _, key = name.partition("/")
             states.setdefault(agent, {})[key] = value
-        agents = actors_from(states, config["hidden"])
+        layout = make_task(config["task"]).layout
+        agents = actors_from(states, layout)
     except (OSError, ValueError, KeyError, RuntimeError, SafetensorError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise CheckpointError(f"{folder} is damaged ({reason:.80})") from error
-    return LearnedPolicy(NAME, agents, NAME)
+    return LearnedPolicy(NAME, agents, layout, NAME)

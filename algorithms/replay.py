@@ -5,42 +5,39 @@ end of a later step of its own episode (strategy ``future``), and reward and ter
 are computed anew.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
 
-from marl_mm.episode import Episode
+from marl_mm.episode import FAILED, Episode, reward_terms
 from marl_mm.errors import UsageError
-from marl_mm.layout import REACH, Layout, layout_of_actions
-
-COSTS = ("d_mm", "d_mp", "base_jerk_rms")
-"""What of a step's info its reward depends on, apart from the goal."""
-
-FAILED = "failed"
-"""A cost, too: whether the step ended its episode without success."""
+from marl_mm.layout import Columns, Layout
 
 DRAWN_TOGETHER = 40
 """Batches drawn at once: relabelling costs hardly more for many."""
 
-Judge = Callable[
-    [np.ndarray, np.ndarray, Mapping[str, np.ndarray]], tuple[np.ndarray, np.ndarray]
-]
-"""Reward and termination, shape (n,), of steps that ended with the end-effector at the
-first positions, shape (n, 3) [m], by goals, shape (n, 3) [m], and costs by name."""
+
+class Judge(Protocol):
+    """What learning from other goals needs of a task."""
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Names of what rewards depend on beside the goal; see ``Task.needs``."""
+
+    @property
+    def highest_return(self) -> float | None:
+        """Bound that no return can pass; None if none is known."""
+
+    def judge(
+        self, achieved: np.ndarray, desired: np.ndarray, terms: Mapping[str, np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Reward and termination of steps by these goals, shapes (n, g) to (n,)."""
 
 
-def highest_reward(judge: Judge) -> float:
-    """That of a perfect hit, which no return can pass, as all others are negative."""
-    hit = np.zeros((1, 3))
-    rewards, _ = judge(hit, hit, dict.fromkeys(COSTS, np.zeros(1)))
-    return float(rewards[0])
-
-
-def normalized_actions(actions: np.ndarray) -> np.ndarray:
+def normalized_actions(actions: np.ndarray, layout: Layout) -> np.ndarray:
     """Joint actions in [-1, 1], float32, shape (n, k)."""
-    layout = layout_of_actions(actions.shape[1])
     low, high = np.array(layout.low), np.array(layout.high)
     scaled: np.ndarray = (2 * (actions - low) / (high - low) - 1).astype(np.float32)
     return scaled
@@ -89,10 +86,11 @@ class Replay:
         capacity: Steps; the oldest episodes go, whole.
         hindsight: Relabelled transitions per original one, the paper's k.
         judge: The task's own reward and termination.
+        layout: Layout of states and actions.
     """
 
     def __init__(
-        self, capacity: int, hindsight: int, judge: Judge, layout: Layout = REACH
+        self, capacity: int, hindsight: int, judge: Judge, layout: Layout
     ) -> None:
         self._capacity, self._layout = capacity, layout
         self._share = hindsight / (hindsight + 1)
@@ -104,7 +102,7 @@ class Replay:
         self._action = np.zeros((capacity, len(layout.action)), np.float32)
         self._reward = np.zeros(capacity)
         self._terminated = np.zeros(capacity, bool)
-        self._costs = {name: np.zeros(capacity) for name in (*COSTS, FAILED)}
+        self._terms = {name: np.zeros(capacity) for name in (*judge.needs, FAILED)}
         self._end = np.zeros(capacity, np.int64)
         """Step number at which each step's episode ends."""
 
@@ -130,12 +128,18 @@ class Replay:
         rows = np.arange(self._total, self._total + count) % self._capacity
         self._state[rows] = episode.states[:-1]
         self._next_state[rows] = episode.states[1:]
-        self._action[rows] = normalized_actions(episode.actions)
+        self._action[rows] = normalized_actions(episode.actions, self._layout)
         self._reward[rows] = episode.rewards
         self._terminated[rows] = episode.terminated
-        for name in COSTS:
-            self._costs[name][rows] = episode.info[name]
-        self._costs[FAILED][rows] = episode.failed
+        terms = reward_terms(
+            self._judge.needs,
+            episode.info,
+            episode.failed,
+            episode.states[1:],
+            self._layout,
+        )
+        for name, values in self._terms.items():
+            values[rows] = terms[name]
         self._end[rows] = self._total + count - 1
         self._total += count
 
@@ -153,11 +157,11 @@ class Replay:
         future = step + (later[chosen] * (end + 1 - step)).astype(np.int64)
         layout = self._layout
         goal = self._next_state[future % self._capacity][:, layout.achieved]
-        state[chosen, layout.goal] = next_state[chosen, layout.goal] = goal
-        costs = {name: values[rows[chosen]] for name, values in self._costs.items()}
-        costs |= layout.reward_inputs(next_state[chosen])
-        reward[chosen], terminated[chosen] = self._judge(
-            next_state[chosen][:, layout.achieved], goal, costs
+        _put(state, chosen, layout.goal, goal)
+        _put(next_state, chosen, layout.goal, goal)
+        terms = {name: values[rows[chosen]] for name, values in self._terms.items()}
+        reward[chosen], terminated[chosen] = self._judge.judge(
+            next_state[chosen][:, layout.achieved], goal, terms
         )
         return Batch(
             torch.from_numpy(state.astype(np.float32)),
@@ -188,5 +192,14 @@ class Replay:
             ("reward", self._reward),
             ("terminated", self._terminated),
             ("end", self._end),
-            *self._costs.items(),
+            *self._terms.items(),
         ]
+
+
+def _put(
+    states: np.ndarray, rows: np.ndarray, goal: Columns, values: np.ndarray
+) -> None:
+    """Write goals into some rows, whether they are a slice of columns or a list."""
+    part = states[rows]
+    part[:, goal] = values
+    states[rows] = part

@@ -20,7 +20,7 @@ from marl_mm.algorithms.networks import (
     perceptron,
     saturation,
 )
-from marl_mm.layout import AgentLayout, columns, layout_of_actions
+from marl_mm.layout import AgentLayout, Layout, columns, in_order
 
 TWINS = 2
 """Critics of a pair (Fujimoto 2018)."""
@@ -48,6 +48,7 @@ class SeededActors:
         device: str,
     ) -> None:
         self._layouts = {layout.name: layout for layout in layouts}
+        self._order = in_order(layouts)
         self._normalizer, self._hidden = normalizer, hidden
         members: dict[str, list[nn.Sequential]] = {name: [] for name in self._layouts}
         for seed in seeds:
@@ -65,7 +66,8 @@ class SeededActors:
 
     def joint(self, state: torch.Tensor) -> torch.Tensor:
         """All agents' actions, shape (S, B, k)."""
-        return torch.cat([self.own(name, state) for name in self._layouts], dim=-1)
+        joined = torch.cat([self.own(n, state) for n in self._layouts], dim=-1)
+        return joined if self._order is None else joined[..., self._order]
 
     def descend(self, name: str, loss: torch.Tensor) -> None:
         """One step of one agent's actors down their losses, shape (S,)."""
@@ -211,16 +213,17 @@ class SeededCritics:
 
 
 def imitation_errors(
-    now: torch.Tensor, action: torch.Tensor
+    now: torch.Tensor, action: torch.Tensor, layout: Layout
 ) -> dict[str, torch.Tensor]:
     """Mean square difference to actions of the data by entry, and saturation.
 
     Args:
         now: What the actors do, in [-1, 1], shape (S, n, k).
         action: What the data did, likewise.
+        layout: Layout of the actions.
     """
     errors = (now - action).square().mean(dim=1)
-    names = layout_of_actions(action.shape[-1]).action
+    names = layout.action_names
     return {
         **{f"imitation/{name}": errors[:, i] for i, name in enumerate(names)},
         "action/saturation": saturation(now),

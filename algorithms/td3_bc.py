@@ -17,15 +17,19 @@ from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.networks import DIAGNOSED, Normalizer
 from marl_mm.algorithms.offline_batches import OfflineBatch, OfflineBatches
-from marl_mm.algorithms.replay import Judge, highest_reward, normalized_actions
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm
+from marl_mm.algorithms.replay import Judge, normalized_actions
 from marl_mm.algorithms.seeded import SeededActors, SeededCritics, imitation_errors
 from marl_mm.algorithms.speed import Precision
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.errors import UsageError
-from marl_mm.layout import ACTION, JOINT_NAME, AgentLayout
+from marl_mm.layout import JOINT_NAME, AgentLayout
 
 # --- Config ------------------------------------------------------------------
 
+
+WEIGHTED = ("delta_x", "delta_y", "delta_z", "alpha")
+"""Entries of the action whose imitation can be weighted; others weigh 1."""
 
 LEAST_SPREAD = 0.1
 """Imitation errors are divided by an entry's standard deviation in the data, by this at
@@ -89,8 +93,8 @@ class Td3BcConfig:
     actor's (Nair 2018), or those of episodes that reached their goal."""
 
     imitation_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
-    """Weight in the imitation error of delta_x, delta_y, delta_z and alpha; a grip's is
-    1."""
+    """Weight in the imitation error of delta_x, delta_y, delta_z and alpha; of other
+    entries it is 1."""
 
     imitation_scaled: bool = True
     """Measure the imitation error of each entry by its spread in the data: where the
@@ -125,10 +129,10 @@ class Td3BcConfig:
         if self.q_weight_end is not None:
             check_ranges(self, (), not_negative=("q_weight_end",))
         weights = self.imitation_weights
-        if len(weights) != len(ACTION) or not all(0 < w < math.inf for w in weights):
+        if len(weights) != len(WEIGHTED) or not all(0 < w < math.inf for w in weights):
             raise UsageError(
                 f"imitation_weights is {weights}, expected one > 0 for each of "
-                f"{', '.join(ACTION)}"
+                f"{', '.join(WEIGHTED)}"
             )
         if self.future + self.elsewhere > 1:
             raise UsageError(
@@ -165,11 +169,11 @@ class Td3Bc:
         self._batches = OfflineBatches(
             arrays, config.batch_size, shares, judge, seeds, device
         )
-        self._highest = highest_reward(judge)
+        self._highest = judge.highest_return if config.clip_targets else None
         self._weights = self._imitation_weights(arrays).to(device)
         largest = float(np.abs(arrays.rewards).max()) / max(1 - config.discount, 1e-3)
         watched = "q/data", "q/policy", "q/largest"
-        self.sound = dict.fromkeys(watched, 100 * largest)
+        self.bounds = dict.fromkeys(watched, 100 * largest)
         # --- Networks --------------------------------------------------------
         states = torch.from_numpy(arrays.states).float()
         self.normalizer = Normalizer.of(states, config.std_floor).to(device)
@@ -195,12 +199,13 @@ class Td3Bc:
 
     def _imitation_weights(self, arrays: EpisodeArrays) -> torch.Tensor:
         """Of the squared error of each entry of the action, shape (k,)."""
-        told = self.config.imitation_weights
-        grip = (1.0,) * (len(self.layout.action) - len(told))
-        weights = torch.tensor((*told[:-1], *grip, told[-1]))
+        own = dict(zip(WEIGHTED, self.config.imitation_weights, strict=True))
+        weights = torch.tensor(
+            [own.get(name, 1.0) for name in self.layout.action_names]
+        )
         weights = weights / weights.mean()
         if self.config.imitation_scaled:
-            actions = torch.from_numpy(normalized_actions(arrays.actions))
+            actions = torch.from_numpy(normalized_actions(arrays.actions, self.layout))
             weights /= actions.var(dim=0, correction=0).clamp_min(LEAST_SPREAD**2)
         return weights
 
@@ -228,7 +233,7 @@ class Td3Bc:
             value = self._target_critics.least(next_state, next_action)
             alive = config.discount * (1 - batch.terminated)
             target = batch.reward[:, None] + alive[:, None] * value
-            if config.clip_targets:
+            if self._highest is not None:
                 target.clamp_max_(self._highest)
 
         errors = self.critics.values(state, batch.action) - target[:, :, None]
@@ -292,25 +297,36 @@ class Td3Bc:
         """What critics and actors do on some of the data, shape (S,).
 
         Q is the first critic's, which an actor follows; ``q/largest`` the farthest from
-        0 of any. ``q/slope``: how much more it values going to the goal than away from
-        it, along x; below 0 it has learnt the opposite.
+        0 of any. ``q/slope``, where the layout has ``delta_x`` and ``goal_x``: how much
+        more it values going to the goal than away from it, along x; below 0 it has
+        learnt the opposite.
         """
         state, action = self._batches.some(DIAGNOSED)
-        goal, achieved = self.layout.goal, self.layout.achieved
-        towards = torch.sign(state[..., goal.start] - state[..., achieved.start])
         inputs = self.normalizer(state).expand(len(self.seeds), -1, -1)
         action = action.expand(len(self.seeds), -1, -1)
-        there, back = action.clone(), action.clone()
-        there[..., 0], back[..., 0] = towards, -towards
-        slope = self.critics.first(inputs, there) - self.critics.first(inputs, back)
         now = self.actors.joint(inputs)
         return {
             "q/data": self.critics.first(inputs, action).mean(dim=1),
             "q/policy": self.critics.first(inputs, now).mean(dim=1),
             "q/largest": self.critics.values(inputs, now).abs().amax(dim=(1, 2, 3)),
-            "q/slope": slope.mean(dim=1),
-            **imitation_errors(now, action),
+            **self._slope(state, inputs, action),
+            **imitation_errors(now, action, self.layout),
         }
+
+    def _slope(
+        self, state: torch.Tensor, inputs: torch.Tensor, action: torch.Tensor
+    ) -> dict[str, torch.Tensor]:
+        layout = self.layout
+        if "delta_x" not in layout.action_names or "goal_x" not in layout.desired:
+            return {}
+        here = layout.compared[layout.desired.index("goal_x")]
+        goal, place = (layout.state_names.index(name) for name in ("goal_x", here))
+        towards = torch.sign(state[..., goal] - state[..., place])
+        along = layout.action_names.index("delta_x")
+        there, back = action.clone(), action.clone()
+        there[..., along], back[..., along] = towards, -towards
+        slope = self.critics.first(inputs, there) - self.critics.first(inputs, back)
+        return {"q/slope": slope.mean(dim=1)}
 
     # --- Act -----------------------------------------------------------------
 
@@ -344,3 +360,37 @@ class Td3Bc:
             self.critics.load_learner_state(number, state["critic_learners"])
             self._target_critics.load_state(number, state["target_critics"])
         self._batches.load_states([state["batches"] for state in states])
+
+
+TABLE_3: dict[str, Any] = {
+    "updates": 100_000,  # Table 3; 180,000 in Table 4
+    "batch_size": 256,  # Table 3
+    "actor_learning_rate": 5e-4,  # Table 3
+    "critic_learning_rate": 5e-4,  # Table 3
+    "discount": 0.95,  # Table 3
+    "target_rate": 0.005,  # Table 3
+    "q_weight": 2.5,  # Fujimoto & Gu 2021
+    "q_weight_end": None,
+    "policy_delay": 2,  # Fujimoto 2018
+    "target_noise": 0.1,  # Table 3: "Standard deviation", of what it does not say
+    "target_noise_clip": 0.5,  # Fujimoto 2018
+    "future": 0.0,
+    "elsewhere": 0.0,
+    "imitate": "all",
+    "imitation_weights": (1.0, 1.0, 1.0, 1.0),
+    "imitation_scaled": False,
+    "clip_targets": False,
+    "layer_norm": False,
+}
+"""Table 3, and the cited source's choice where it is silent; ours in hidden layers and
+the floor of deviations."""
+
+ALGORITHMS.add(
+    "td3-bc",
+    Algorithm(
+        about="TD3+BC: one agent that sees and sets everything (paper, Algorithm 2).",
+        source="Fujimoto & Gu 2021",
+        learner=Td3Bc,
+        presets={TUNED: Td3BcConfig(), PAPER: Td3BcConfig(**TABLE_3)},
+    ),
+)

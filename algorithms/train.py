@@ -127,7 +127,7 @@ def _refuse_odd_values(
         DivergedError: Naming it.
     """
     for key, value in measured.items():
-        limit = algorithm.sound.get(key, math.inf) if stop_unsound else math.inf
+        limit = algorithm.bounds.get(key, math.inf) if stop_unsound else math.inf
         for seed, number in zip(algorithm.seeds, value.tolist(), strict=True):
             if not (abs(number) <= limit and math.isfinite(number)):
                 told = f", more than {limit:.3g}" if math.isfinite(number) else ""
@@ -165,7 +165,9 @@ def _each_seeds(
 
 def _evaluated(algorithm: OfflineAlgorithm, evaluate: Evaluate) -> list[Row]:
     return [
-        evaluate(LearnedPolicy(algorithm.name, algorithm.agents(number)))
+        evaluate(
+            LearnedPolicy(algorithm.name, algorithm.agents(number), algorithm.layout)
+        )
         for number in range(len(algorithm.seeds))
     ]
 

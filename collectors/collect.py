@@ -10,36 +10,17 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import count
 
-from marl_mm.collectors.medium import MediumConfig, MediumPolicy
-from marl_mm.collectors.pd import PdConfig, PdPolicy
-from marl_mm.collectors.pretrained import PretrainedConfig, PretrainedPolicy
-from marl_mm.collectors.random import RandomConfig, RandomPolicy
-from marl_mm.collectors.scripted import ScriptedConfig, ScriptedPolicy
-from marl_mm.envs.config import ReachConfig
 from marl_mm.envs.rollout import EpisodePlan, episode_seed
 from marl_mm.episode import Episode
 from marl_mm.errors import HopelessError, UsageError
-from marl_mm.layout import HANDLING
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
-
-PolicyConfig = (
-    PdConfig | RandomConfig | PretrainedConfig | MediumConfig | ScriptedConfig
-)
 
 RunEpisodes = Callable[[Policy, Iterable[EpisodePlan]], Iterator[Episode]]
 """Runs episodes and yields each when it is finished, in whatever order."""
 
 _HOPELESS = 200
 """Attempts in a row without one to keep, after which the loop gives up."""
-
-
-@dataclass(frozen=True)
-class Collector:
-    """A policy and which of its episodes a dataset keeps."""
-
-    policy: Policy
-    keep: Callable[[Episode], bool]
 
 
 @dataclass(frozen=True)
@@ -54,35 +35,9 @@ class Collection:
     """False where Ctrl-C ended the loop early."""
 
 
-def make_collector(config: PolicyConfig) -> Collector:
-    """The collector a config describes: experts keep successes, others everything.
-
-    Raises:
-        UsageError: If it names an agent that does not exist.
-    """
-    if isinstance(config, PdConfig):
-        return Collector(PdPolicy(config), _reached)
-    if isinstance(config, PretrainedConfig):
-        return Collector(PretrainedPolicy(config), _reached)
-    if isinstance(config, ScriptedConfig):
-        return Collector(ScriptedPolicy(config), _reached)
-    if isinstance(config, MediumConfig):
-        return Collector(MediumPolicy(config), _whatever)
-    return Collector(RandomPolicy(config), _whatever)
-
-
-def usual_steps(config: PolicyConfig, task: ReachConfig) -> int:
-    """Length of a collector's episodes where nobody says another.
-
-    As in the paper (Sec. 5.4); where there is a block to be taken, the task's.
-    """
-    if task.layout is HANDLING:
-        return task.max_steps
-    return 50 if isinstance(config, PdConfig) else 25
-
-
 def collect(
-    collector: Collector,
+    policy: Policy,
+    keeps: Callable[[Episode], bool],
     run: RunEpisodes,
     steps: int,
     seed: int,
@@ -93,7 +48,8 @@ def collect(
     """Collect whole episodes until they have ``steps`` steps, or until Ctrl-C.
 
     Args:
-        collector: Who acts and what is kept.
+        policy: Who acts.
+        keeps: Whether an episode is kept.
         run: Runs the attempts.
         steps: Least number of steps of the kept episodes.
         seed: Of the whole collection.
@@ -104,7 +60,7 @@ def collect(
 
     Raises:
         UsageError: If ``steps`` is not positive or ``seed`` is negative.
-        HopelessError: If the collector hardly ever produces an episode to keep.
+        HopelessError: If the policy hardly ever produces an episode to keep.
     """
     if steps < 1:
         raise UsageError(f"steps is {steps}, expected >= 1")
@@ -116,13 +72,13 @@ def collect(
         for i in count()
         if i not in known
     )
-    attempts = run(collector.policy, plans)
+    attempts = run(policy, plans)
     kept: list[Episode] = []
     done = rejected = tried = 0
     try:
         for episode in _in_order(attempts, known, keep_safe):
             tried += 1
-            if episode is not None and collector.keep(episode):
+            if episode is not None and keeps(episode):
                 kept.append(episode)
                 advance(min(len(episode), steps - done), f"{len(kept)} episodes")
                 done += len(episode)
@@ -133,7 +89,7 @@ def collect(
                 return Collection(kept, tried, complete=True)
             if rejected >= _HOPELESS:
                 raise HopelessError(
-                    f"{collector.policy.name} reached no goal in {rejected} episodes "
+                    f"{policy.name} reached no goal in {rejected} episodes "
                     "in a row: allow more steps with --max-steps, or change what acts"
                 )
     except KeyboardInterrupt:
@@ -159,11 +115,3 @@ def _in_order(
             keep_safe(episode)
             waiting[episode.index] = episode
         yield waiting.pop(number)
-
-
-def _reached(episode: Episode) -> bool:
-    return episode.success
-
-
-def _whatever(episode: Episode) -> bool:
-    return True

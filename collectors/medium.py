@@ -7,7 +7,10 @@ import numpy as np
 
 from marl_mm.collectors.pretrained import load_agent
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
+from marl_mm.collectors.registry import COLLECTORS, Collector
+from marl_mm.envs.task import Task
 from marl_mm.errors import UsageError
+from marl_mm.layout import Layout
 
 
 @dataclass(frozen=True)
@@ -23,11 +26,6 @@ class MediumConfig:
     def __post_init__(self) -> None:
         if self.random_steps < 0:
             raise UsageError(f"random steps are {self.random_steps}, expected >= 0")
-
-    @property
-    def name(self) -> str:
-        """Of the collector."""
-        return "medium"
 
 
 class MediumPolicy:
@@ -49,14 +47,33 @@ class MediumPolicy:
         """The config, and whose weights they are."""
         return asdict(self.config) | {"weights": self._agent.fingerprint}
 
-    def begin(self, rng: np.random.Generator) -> None:
+    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
         """Take the episode's stream of random numbers; start to count steps."""
         self._steps = 0
-        self._random.begin(rng)
-        self._agent.begin(rng)
+        self._random.begin(rng, layout)
+        self._agent.begin(rng, layout)
 
     def act(self, state: np.ndarray) -> np.ndarray:
         """Uniform in the action space at first, then what the agent does."""
         self._steps += 1
         early = self._steps <= self.config.random_steps
         return (self._random if early else self._agent).act(state)
+
+
+def _medium(config: MediumConfig, task: Task) -> MediumPolicy:
+    if config.random_steps >= task.max_steps:
+        raise UsageError(
+            f"--random-steps is {config.random_steps}, expected fewer than an "
+            f"episode's {task.max_steps}: the agent has the rest"
+        )
+    return MediumPolicy(config)
+
+
+COLLECTORS.add(
+    "medium",
+    Collector(
+        about="Act at random first, then as a learnt agent; keep all episodes.",
+        config=MediumConfig,
+        policy=_medium,
+    ),
+)

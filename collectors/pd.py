@@ -5,8 +5,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from marl_mm.errors import UsageError
-from marl_mm.layout import ALPHA, BASE, DELTA, EE, GOAL, REACH, check_state
+from marl_mm.collectors.registry import COLLECTORS, Collector, successes
+from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, names
+from marl_mm.errors import LayoutError, UsageError
+from marl_mm.layout import Layout
 
 AlphaRule = Literal["constant", "direction", "room"]
 
@@ -54,11 +56,6 @@ class PdConfig:
                 "expected constant, direction or room"
             )
 
-    @property
-    def name(self) -> str:
-        """Of the collector."""
-        return "pd"
-
 
 class PdPolicy:
     """Proportional-derivative control of the hand's target."""
@@ -72,34 +69,55 @@ class PdPolicy:
         """The config."""
         return asdict(self.config)
 
-    def begin(self, rng: np.random.Generator) -> None:
-        """Forget the last episode's hand."""
-        self._last_ee: np.ndarray | None = None
-
-    def act(self, state: np.ndarray) -> np.ndarray:
-        """Deterministic in the episode's states.
+    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
+        """Forget the last episode's hand.
 
         Raises:
-            UsageError: If they are of a task with a block to be taken.
+            LayoutError: If there is no hand, base or goal, or more to be set than a
+                displacement and alpha.
         """
-        check_state(state, REACH)
+        self._last_ee: np.ndarray | None = None
+        self._hand = layout.columns(*names(*HAND))
+        self._base = layout.columns(*names(*BASE))
+        self._goal = layout.columns(*names(*GOAL))
+        self._delta = layout.settings(*names(*DELTA))
+        self._alpha_place = layout.settings(ALPHA.name)
+        if others := set(layout.action_names) - set(names(*DELTA, ALPHA)):
+            raise LayoutError(
+                f"pd does not set {', '.join(sorted(others))}: choose another policy"
+            )
+
+    def act(self, state: np.ndarray) -> np.ndarray:
+        """Deterministic in the episode's states."""
         config = self.config
-        hand = state[EE]
+        hand, goal = state[self._hand], state[self._goal]
         speed = np.zeros(3) if self._last_ee is None else hand - self._last_ee
         self._last_ee = hand
         action = np.empty(4, np.float32)
-        action[DELTA] = config.kp * (state[GOAL] - hand) - config.kd * speed
-        action[DELTA] = np.clip(action[DELTA], -1.0, 1.0)
-        action[ALPHA] = self._alpha(state)
+        action[self._delta] = config.kp * (goal - hand) - config.kd * speed
+        action[self._delta] = np.clip(action[self._delta], -1.0, 1.0)
+        action[self._alpha_place] = self._alpha(hand, state[self._base], goal)
         return action
 
-    def _alpha(self, state: np.ndarray) -> float:
+    def _alpha(self, hand: np.ndarray, base: np.ndarray, goal: np.ndarray) -> float:
         config = self.config
         if config.alpha_rule == "constant":
             return config.alpha
         if config.alpha_rule == "direction":
-            return 1.0 if state[GOAL][0] > state[EE][0] else config.alpha
-        x, y, yaw = state[BASE]
-        ahead = (state[0] - x) * np.cos(yaw) + (state[1] - y) * np.sin(yaw)
+            return 1.0 if goal[0] > hand[0] else config.alpha
+        x, y, yaw = base
+        ahead = (hand[0] - x) * np.cos(yaw) + (hand[1] - y) * np.sin(yaw)
         share = (ahead - config.room_end) / (config.room_start - config.room_end)
         return float(config.alpha + (1 - config.alpha) * np.clip(share, 0.0, 1.0))
+
+
+COLLECTORS.add(
+    "pd",
+    Collector(
+        about="Steer the hand to the goal; keep the episodes that reach it.",
+        config=PdConfig,
+        policy=lambda config, task: PdPolicy(config),
+        keeps=successes,
+        max_steps=50,  # paper, Sec. 5.4
+    ),
+)

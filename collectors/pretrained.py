@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from marl_mm.collectors.registry import COLLECTORS, Collector, successes
 from marl_mm.errors import UsageError
-from marl_mm.layout import layout_of
+from marl_mm.layout import Layout
 
 if TYPE_CHECKING:
     from marl_mm.algorithms.policy import LearnedPolicy
@@ -26,11 +27,6 @@ class PretrainedConfig:
         if not 0.0 <= self.noise <= 10.0:
             raise UsageError(f"noise is {self.noise}, expected a number in [0, 10]")
 
-    @property
-    def name(self) -> str:
-        """Of the collector."""
-        return "pretrained"
-
 
 class PretrainedPolicy:
     """An agent's actions, and noise.
@@ -40,27 +36,27 @@ class PretrainedPolicy:
         CheckpointError: If its files are damaged.
     """
 
+    name = "pretrained"
+
     def __init__(self, config: PretrainedConfig) -> None:
         self.config = config
-        self.name = config.name
         self._agent = load_agent(config.agent)
 
     def describe(self) -> dict[str, Any]:
         """The config, and whose weights they are."""
         return asdict(self.config) | {"weights": self._agent.fingerprint}
 
-    def begin(self, rng: np.random.Generator) -> None:
+    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
         """Take the episode's stream of random numbers."""
-        self._rng = rng
-        self._agent.begin(rng)
+        self._rng, self._low, self._high = rng, layout.low, layout.high
+        self._agent.begin(rng, layout)
 
     def act(self, state: np.ndarray) -> np.ndarray:
         """The agent's action plus noise, clipped to the action space."""
         action = self._agent.act(state)
         if self.config.noise:
             noisy = action + self._rng.normal(0.0, self.config.noise, len(action))
-            layout = layout_of(len(state))
-            action = np.clip(noisy, layout.low, layout.high)
+            action = np.clip(noisy, self._low, self._high)
         return action.astype(np.float32)
 
 
@@ -69,3 +65,16 @@ def load_agent(name: str) -> "LearnedPolicy":
     from marl_mm.algorithms.policy import load_policy  # torch takes a second to import
 
     return load_policy(name)
+
+
+COLLECTORS.add(
+    "pretrained",
+    Collector(
+        about="Let a learnt agent act; keep the episodes that reach the goal "
+        '("good" data).',
+        config=PretrainedConfig,
+        policy=lambda config, task: PretrainedPolicy(config),
+        keeps=successes,
+        dataset="good",
+    ),
+)

@@ -5,17 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from marl_mm.layout import layout_of
+from marl_mm.collectors.registry import COLLECTORS, Collector
+from marl_mm.layout import Layout
 
 
 @dataclass(frozen=True)
 class RandomConfig:
     """Nothing to set."""
-
-    @property
-    def name(self) -> str:
-        """Of the collector."""
-        return "random"
 
 
 class RandomPolicy:
@@ -30,11 +26,20 @@ class RandomPolicy:
         """The config."""
         return {}
 
-    def begin(self, rng: np.random.Generator) -> None:
-        """Take the episode's stream of random numbers."""
-        self._rng = rng
+    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
+        """Take the episode's stream of random numbers, and its action space."""
+        self._rng, self._low, self._high = rng, layout.low, layout.high
 
     def act(self, state: np.ndarray) -> np.ndarray:
         """Uniform in the action space."""
-        layout = layout_of(len(state))
-        return self._rng.uniform(layout.low, layout.high).astype(np.float32)
+        return self._rng.uniform(self._low, self._high).astype(np.float32)
+
+
+COLLECTORS.add(
+    "random",
+    Collector(
+        about="Act uniformly at random; keep all episodes.",
+        config=RandomConfig,
+        policy=lambda config, task: RandomPolicy(config),
+    ),
+)

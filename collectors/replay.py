@@ -6,11 +6,13 @@ from typing import Any
 import numpy as np
 
 from marl_mm.datasets.dataset import Dataset
-from marl_mm.envs.config import reach_config
-from marl_mm.envs.core import ReachCore
+from marl_mm.envs.core import EpisodeCore
+from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import EpisodePlan, run_episode
+from marl_mm.envs.task import Task
 from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError
+from marl_mm.layout import Layout, refuse_other_layout
 from marl_mm.workers import ordered_map
 
 
@@ -29,7 +31,7 @@ class ReplayPolicy:
         """Nothing to set."""
         return {}
 
-    def begin(self, rng: np.random.Generator) -> None:
+    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
         """From the first action on."""
         self._step = 0
 
@@ -49,31 +51,36 @@ def replay(dataset: Dataset, workers: int = 1) -> Iterator[str | None]:
     Raises:
         DatasetError: If the dataset does not say where its episodes come from.
     """
-    arrays, origins = dataset.arrays, dataset.metadata["marl_mm"]["origins"]
+    arrays, origins = dataset.arrays, dataset.provenance.origins
     items = []
     for number in range(len(arrays)):
         origin = str(arrays.origins[number])
-        if "collector_config" not in origins.get(origin, {}):
+        about = origins.get(origin)
+        if about is None or about.collector is None or about.task is None:
             raise DatasetError(
                 f"episode {number} comes from {origin!r}, which was imported: without "
                 "its seed and settings it cannot be replayed"
             )
-        about = origins[origin]
-        items.append((about["task"], about["overrides"], arrays.episode(number)))
+        task = make_task(about.task, about.overrides)
+        refuse_other_layout(f"episode {number}", arrays.layout, about.task, task.layout)
+        items.append((task, arrays.episode(number)))
     return ordered_map(_difference, items, workers)
 
 
-_cores: dict[str, ReachCore] = {}
+_cores: dict[str, EpisodeCore] = {}
 """A process's own environments."""
 
 
-def _difference(item: tuple[str, dict[str, Any], Episode]) -> str | None:
-    task, overrides, episode = item
-    key = f"{task} {overrides}"
+def _difference(item: tuple[Task, Episode]) -> str | None:
+    task, episode = item
+    key = repr(task)
     if key not in _cores:
-        _cores[key] = ReachCore(reach_config(task, overrides))
+        _cores[key] = EpisodeCore(task)
     plan = EpisodePlan(episode.index, episode.seed)
     again = run_episode(_cores[key], ReplayPolicy(episode), plan)
+    if again.info.keys() != episode.info.keys():
+        differ = again.info.keys() ^ episode.info.keys()
+        return f"only one of replay and file tells {', '.join(sorted(differ))}"
     pairs = {
         name: (getattr(again, name), getattr(episode, name))
         for name in ("states", "actions", "rewards", "terminated", "truncated", "start")

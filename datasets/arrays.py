@@ -3,7 +3,7 @@
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,9 +11,9 @@ from typing import IO
 
 import numpy as np
 
-from marl_mm.episode import INFO, Episode, failures
+from marl_mm.episode import Episode, directions, failures, reward_terms
 from marl_mm.errors import DatasetError
-from marl_mm.layout import Layout, layout_of
+from marl_mm.layout import Layout
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class EpisodeArrays:
     """Shape (n,), bool."""
 
     info: dict[str, np.ndarray]
-    """One array of shape (n,) for each name in ``marl_mm.episode.INFO``."""
+    """Step numbers by name, shape (n,) each; see ``Task.info``."""
 
     lengths: np.ndarray
     """Steps of each episode, shape (E,)."""
@@ -48,7 +48,7 @@ class EpisodeArrays:
     """Number of the attempt in its collection, shape (E,)."""
 
     starts: np.ndarray
-    """Configuration of the robot at each start, shape (E, 11)."""
+    """Configurations of the robots at each start, shape (E, 11 R)."""
 
     sources: np.ndarray
     """Name of the policy that acted, shape (E,), text."""
@@ -59,6 +59,9 @@ class EpisodeArrays:
     origin_episodes: np.ndarray
     """Its number there, shape (E,)."""
 
+    layout: Layout
+    """Layout of states and actions."""
+
     def __len__(self) -> int:
         return len(self.lengths)
 
@@ -66,11 +69,6 @@ class EpisodeArrays:
     def steps(self) -> int:
         """N."""
         return len(self.rewards)
-
-    @property
-    def layout(self) -> Layout:
-        """Of states and actions."""
-        return layout_of(self.states.shape[1])
 
     @cached_property
     def _ends(self) -> np.ndarray:
@@ -91,6 +89,7 @@ class EpisodeArrays:
             index=int(self.indices[number]),
             source=str(self.sources[number]),
             start=self.starts[number],
+            layout=self.layout,
         )
 
     def is_last_state(self) -> np.ndarray:
@@ -122,8 +121,17 @@ class EpisodeArrays:
         return failures(self.terminated, self.info["is_success"])
 
     def first_states(self) -> np.ndarray:
-        """Shape (E, 10)."""
+        """First joint state of each episode, shape (E, d)."""
         return np.asarray(self.states[self.is_first_state()])
+
+    def ahead(self) -> np.ndarray | None:
+        """Whether each episode's goal is ahead, shape (E,); see ``directions``."""
+        return directions(self.first_states(), self.layout)
+
+    def reward_terms(self, needs: Iterable[str]) -> dict[str, np.ndarray]:
+        """What the steps' rewards depend on beside the goal; see ``Task.needs``."""
+        after = self.states[~self.is_first_state()]
+        return reward_terms(needs, self.info, self.failed(), after, self.layout)
 
     def named(self, origins: np.ndarray, numbers: np.ndarray) -> "EpisodeArrays":
         """The same episodes, said to come from these episodes of these datasets."""
@@ -145,6 +153,7 @@ class EpisodeArrays:
             info={key: values[steps] for key, values in self.info.items()},
             lengths=lengths,
             **{name: getattr(self, name)[chosen] for name in _PER_EPISODE},
+            layout=self.layout,
         )
 
 
@@ -156,6 +165,11 @@ _DAMAGE = (
 
 _PER_EPISODE = ("seeds", "indices", "starts", "sources", "origins", "origin_episodes")
 
+_ARRAYS = tuple(
+    one.name for one in fields(EpisodeArrays) if one.name not in ("info", "layout")
+)
+"""Fields of ``EpisodeArrays`` that are arrays."""
+
 
 def arrays_of(episodes: Iterable[Episode], origin: str) -> EpisodeArrays:
     """Episodes that were collected for a dataset, in the order of that dataset.
@@ -165,18 +179,21 @@ def arrays_of(episodes: Iterable[Episode], origin: str) -> EpisodeArrays:
         origin: The dataset's id.
 
     Raises:
-        DatasetError: If there are no episodes.
+        DatasetError: If there are no episodes, or they are not alike.
     """
     listed = list(episodes)
     if not listed:
         raise DatasetError(f"no episode for {origin}")
+    layout, info = listed[0].layout, list(listed[0].info)
+    for one in listed:
+        _refuse_unlike(layout, info, one.layout, one.info)
     return EpisodeArrays(
         states=np.concatenate([one.states for one in listed]),
         actions=np.concatenate([one.actions for one in listed]),
         rewards=np.concatenate([one.rewards for one in listed]),
         terminated=np.concatenate([one.terminated for one in listed]),
         truncated=np.concatenate([one.truncated for one in listed]),
-        info={key: np.concatenate([one.info[key] for one in listed]) for key in INFO},
+        info={key: np.concatenate([one.info[key] for one in listed]) for key in info},
         lengths=np.array([len(one) for one in listed]),
         seeds=np.array([one.seed for one in listed]),
         indices=np.array([one.index for one in listed]),
@@ -184,41 +201,71 @@ def arrays_of(episodes: Iterable[Episode], origin: str) -> EpisodeArrays:
         sources=np.array([one.source for one in listed]),
         origins=np.array([origin] * len(listed)),
         origin_episodes=np.arange(len(listed)),
+        layout=layout,
     )
 
 
 def joined(parts: Sequence[EpisodeArrays]) -> EpisodeArrays:
-    """The episodes of several, one after the other."""
-    info = {key: np.concatenate([part.info[key] for part in parts]) for key in INFO}
-    names = [field.name for field in fields(EpisodeArrays) if field.name != "info"]
+    """The episodes of several, one after the other.
+
+    Raises:
+        DatasetError: If they are not alike.
+    """
+    layout, keys = parts[0].layout, list(parts[0].info)
+    for part in parts:
+        _refuse_unlike(layout, keys, part.layout, part.info)
+    info = {key: np.concatenate([part.info[key] for part in parts]) for key in keys}
     return EpisodeArrays(
         info=info,
-        **{name: np.concatenate([getattr(p, name) for p in parts]) for name in names},
+        layout=layout,
+        **{name: np.concatenate([getattr(p, name) for p in parts]) for name in _ARRAYS},
     )
 
 
+def _refuse_unlike(
+    layout: Layout, keys: Sequence[str], other: Layout, info: Mapping[str, np.ndarray]
+) -> None:
+    if other != layout:
+        raise DatasetError(
+            "episodes of two layouts cannot be one dataset: "
+            f"{'; '.join(layout.differences(other))}"
+        )
+    if set(keys) != info.keys():
+        differ = sorted(set(keys) ^ info.keys())
+        raise DatasetError(f"only some of the episodes tell {', '.join(differ)}")
+
+
 def save_arrays(file: Path | IO[bytes], arrays: EpisodeArrays, compress: bool) -> None:
-    """Write arrays as one npz file."""
+    """Write arrays as one npz file; their layout stands beside it."""
     values = {f"info/{key}": value for key, value in arrays.info.items()}
-    for field in fields(arrays):
-        if field.name != "info":
-            values[field.name] = getattr(arrays, field.name)
+    values |= {name: getattr(arrays, name) for name in _ARRAYS}
     (np.savez_compressed if compress else np.savez)(file, allow_pickle=False, **values)
 
 
-def load_arrays(file: Path | IO[bytes]) -> EpisodeArrays:
+def load_arrays(file: Path | IO[bytes], layout: Layout) -> EpisodeArrays:
     """Read what ``save_arrays`` wrote.
 
+    Args:
+        file: The npz file.
+        layout: Layout of its states and actions.
+
     Raises:
-        DatasetError: If it is damaged.
+        DatasetError: If it is damaged, or of another layout.
     """
     try:
         with np.load(file, allow_pickle=False) as values:
-            names = [one.name for one in fields(EpisodeArrays) if one.name != "info"]
-            info = {key: values[f"info/{key}"] for key in INFO}
-            return EpisodeArrays(info=info, **{name: values[name] for name in names})
+            keys = [key for key in values if key.startswith("info/")]
+            info = {key.removeprefix("info/"): values[key] for key in keys}
+            arrays = {name: values[name] for name in _ARRAYS}
     except _DAMAGE as error:
         raise DatasetError(f"{file} is damaged ({error})") from error
+    widths = arrays["states"].shape[1:], arrays["actions"].shape[1:]
+    if widths != ((len(layout.state),), (len(layout.action),)):
+        raise DatasetError(
+            f"{file} is damaged (rows of {widths} numbers, expected "
+            f"{len(layout.state)} and {len(layout.action)})"
+        )
+    return EpisodeArrays(info=info, layout=layout, **arrays)
 
 
 def _ranges(begins: np.ndarray, lengths: np.ndarray) -> np.ndarray:

@@ -12,11 +12,13 @@ import numpy as np
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.files import new_file, write_json
-from marl_mm.layout import ALPHA, BASE, EE
 
 _BINS = 10
 _CELL = 0.1
 """Edge of the cells that coverage counts [m]."""
+
+_HAND = ("end_effector_x", "end_effector_y", "end_effector_z")
+_BASE = ("base_x", "base_y")
 
 
 def card(dataset: Dataset) -> dict[str, Any]:
@@ -27,9 +29,8 @@ def card(dataset: Dataset) -> dict[str, Any]:
     """
     arrays = dataset.arrays
     ours = dataset.metadata["marl_mm"]
-    ahead = arrays.first_states()[:, arrays.layout.goal][:, 0] > 0
-    successes = arrays.successes()
-    alphas = arrays.actions[:, ALPHA].astype(float)
+    ahead, successes = arrays.ahead(), arrays.successes()
+    ways = {"all": slice(None)} if ahead is None else _ways(ahead)
     return {
         "id": dataset.metadata["dataset_id"],
         "path": str(dataset.location.folder),
@@ -42,15 +43,11 @@ def card(dataset: Dataset) -> dict[str, Any]:
         "rejected": _rejected(ours),
         "steps": arrays.steps,
         "episodes": len(arrays),
-        "success": {
-            "forward": _share(successes[ahead]),
-            "backward": _share(successes[~ahead]),
-        },
+        "success": {name: _share(successes[chosen]) for name, chosen in ways.items()},
         "episode_length": _spread(arrays.lengths),
         "episode_return": _spread(arrays.returns()),
         "return_histogram": _histogram(arrays.returns()),
-        "alpha": _spread(alphas),
-        "alpha_histogram": _histogram(alphas, (0.0, 1.0)),
+        **_alphas(arrays),
         "coverage": coverage(arrays),
         "sources": _sources(arrays),
     }
@@ -59,16 +56,18 @@ def card(dataset: Dataset) -> dict[str, Any]:
 def coverage(arrays: EpisodeArrays) -> dict[str, float]:
     """How many different things the data show, by counting cells.
 
-    A state's cell: where the goal is seen from the hand and the hand from the base, in
-    cubes of 10 cm. A state and action's: that, and a third of each action's range.
-    After Schweighofer 2022, who count unique pairs.
+    A state's cell: where the goal is seen from what is compared with it, and, where the
+    layout has them, the hand from the base, in cubes of 10 cm. A state and action's:
+    that, and a third of each action's range. After Schweighofer 2022, who count unique
+    pairs.
     """
     states = arrays.states[~arrays.is_last_state()]
-    base = np.zeros((len(states), 3))
-    base[:, :2] = states[:, BASE][:, :2]
     layout = arrays.layout
-    way = states[:, layout.goal] - states[:, layout.achieved]
-    seen = np.hstack([way, states[:, EE] - base])
+    seen = states[:, layout.goal] - states[:, layout.achieved]
+    if {*_HAND, *_BASE} <= set(layout.state_names):
+        base = np.zeros((len(states), 3))
+        base[:, :2] = states[:, layout.columns(*_BASE)]
+        seen = np.hstack([seen, states[:, layout.columns(*_HAND)] - base])
     low, high = np.array(layout.low), np.array(layout.high)
     thirds = np.minimum((arrays.actions - low) / (high - low) * 3, 2).astype(int)
     cells = np.floor(seen / _CELL).astype(int)
@@ -183,6 +182,21 @@ def _rejected(ours: dict[str, Any]) -> int | None:
 def _share(successes: np.ndarray) -> dict[str, Any]:
     rate = float(np.mean(successes)) if len(successes) else None
     return {"episodes": len(successes), "rate": rate}
+
+
+def _ways(ahead: np.ndarray) -> dict[str, np.ndarray]:
+    return {"forward": ahead, "backward": ~ahead}
+
+
+def _alphas(arrays: EpisodeArrays) -> dict[str, Any]:
+    """Spread and histogram of alpha, where the layout has it."""
+    if "alpha" not in arrays.layout.action_names:
+        return {}
+    alphas = arrays.actions[:, arrays.layout.action_names.index("alpha")].astype(float)
+    return {
+        "alpha": _spread(alphas),
+        "alpha_histogram": _histogram(alphas, (0.0, 1.0)),
+    }
 
 
 def _spread(values: np.ndarray) -> dict[str, float]:

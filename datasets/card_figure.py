@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from marl_mm.datasets.arrays import EpisodeArrays
-from marl_mm.layout import ALPHA, EE
+
+_HAND = ("end_effector_x", "end_effector_z")
 
 _REACHED, _MISSED = "#1b6ca8", "#c8553d"
 
@@ -41,35 +42,53 @@ def draw_card(arrays: EpisodeArrays, values: dict[str, Any], path: Path) -> None
     )
     axes[3].set(xlabel="return", ylabel="episodes")
     axes[3].legend(frameon=False)
-    for column, name in enumerate(arrays.layout.action[:ALPHA]):
-        axes[4].hist(
-            arrays.actions[:, column], 40, range=(-1, 1), histtype="step", label=name
-        )
-    axes[4].set(xlabel="displacement (1: 10 cm)", ylabel="steps", yscale="log")
-    axes[4].legend(frameon=False, loc="upper center")
-    axes[5].hist(arrays.actions[:, ALPHA], 40, range=(0, 1))
-    axes[5].set(xlabel="alpha: 0 accurate hand ... 1 stable base", ylabel="steps")
+    _actions(axes[4], axes[5], arrays)
     figure.suptitle(
         f"{values['id']}: {values['steps']} steps, {values['episodes']} episodes"
     )
     figure.savefig(path, dpi=110, format="png")
 
 
+def _actions(others: Axes, alphas: Axes, arrays: EpisodeArrays) -> None:
+    """Alpha has axes of its own."""
+    layout = arrays.layout
+    span = min(layout.low), max(layout.high)
+    for column, name in enumerate(layout.action_names):
+        values = arrays.actions[:, column]
+        if name == "alpha":
+            alphas.hist(values, 40, range=(0, 1))
+            label = "alpha: 0 accurate hand ... 1 stable base"
+            alphas.set(xlabel=label, ylabel="steps")
+        else:
+            others.hist(values, 40, range=span, histtype="step", label=name)
+    if "alpha" not in layout.action_names:
+        alphas.set_axis_off()
+    moves = any(name.startswith("delta_") for name in layout.action_names)
+    label = "displacement (1: 10 cm)" if moves else "action"
+    others.set(xlabel=label, ylabel="steps", yscale="log")
+    if others.has_data():
+        others.legend(frameon=False, loc="upper center")
+
+
 def _goals(axes: Axes, arrays: EpisodeArrays) -> None:
     goals, reached = arrays.first_states()[:, arrays.layout.goal], arrays.successes()
+    plane = [0, min(1, goals.shape[1] - 1)]
     size = float(np.clip(200 / np.sqrt(len(goals)), 2, 8))  # [pt]: all can be seen
     for chosen, color, label in (
         (reached, _REACHED, "goal reached"),
         (~reached, _MISSED, "missed"),
     ):
-        axes.plot(*goals[chosen, :2].T, ".", ms=size, color=color, label=label)
-    axes.set(xlabel="goal x [m]", ylabel="goal y [m]")
+        axes.plot(*goals[chosen][:, plane].T, ".", ms=size, color=color, label=label)
+    names = [name.replace("_", " ") for name in arrays.layout.desired[:2]]
+    axes.set(xlabel=f"{names[0]} [m]", ylabel=f"{names[-1]} [m]")
     axes.legend(frameon=False, markerscale=8 / size)
 
 
 def _hands(axes: Axes, arrays: EpisodeArrays) -> None:
-    hands = arrays.states[:, EE]
-    x, z = hands[:, 0], hands[:, 2]
+    if not set(_HAND) <= set(arrays.layout.state_names):
+        axes.set_axis_off()
+        return
+    x, z = arrays.states[:, arrays.layout.columns(*_HAND)].T
     cells = axes.hexbin(x, z, gridsize=40, bins="log", cmap="Blues", mincnt=1)
     axes.figure.colorbar(cells, ax=axes, label="states")
     axes.set(xlabel="hand x [m]", ylabel="hand z [m]")

@@ -1,8 +1,8 @@
 """A dataset in memory: its episodes, and flat views of their transitions.
 
 One set of arrays holds everything; episodes, and what an agent sees and sets, are views
-of it. Only the hand's observation is a copy, since its entries in the joint state have
-the control mode between them.
+of it. Only an observation whose entries do not follow one another in the joint state is
+a copy.
 """
 
 import hashlib
@@ -16,6 +16,7 @@ import numpy as np
 from marl_mm.datasets import shipped
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.datasets.location import SHIPPED, Location, find, locate
+from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import read_arrays, read_metadata
 from marl_mm.episode import Episode
 from marl_mm.layout import columns
@@ -81,6 +82,15 @@ class Dataset:
         return f"<Dataset {self.location.folder}: {steps} steps, {count} episodes>"
 
     @cached_property
+    def provenance(self) -> Provenance:
+        """Where the episodes come from.
+
+        Raises:
+            DatasetError: If the metadata do not say what they must.
+        """
+        return Provenance.from_json(self.metadata["marl_mm"])
+
+    @cached_property
     def episodes(self) -> list[Episode]:
         """In order; their arrays are views."""
         return [self.arrays.episode(number) for number in range(len(self.arrays))]
@@ -115,7 +125,7 @@ class Dataset:
         }
 
     def joint(self) -> Transitions:
-        """Joint state (10) and joint action (4)."""
+        """Joint states and joint actions."""
         return self._joint
 
     def agents(self) -> dict[str, Transitions]:

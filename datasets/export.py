@@ -1,5 +1,6 @@
 """Datasets in the flat layouts that other libraries read: one HDF5 file each."""
 
+import json
 from pathlib import Path
 from typing import Literal
 
@@ -10,10 +11,10 @@ from marl_mm.datasets.hdf5 import write_tables
 from marl_mm.errors import UsageError
 from marl_mm.files import new_file, refuse_existing
 
-Layout = Literal["agents", "flat", "d4rl"]
+Form = Literal["agents", "flat", "d4rl"]
 
 
-def export(dataset: Dataset, layout: Layout, path: Path, overwrite: bool) -> None:
+def export(dataset: Dataset, form: Form, path: Path, overwrite: bool) -> None:
     """Write all steps, one after the other.
 
     ``flat``: observations (n, d), actions (n, k), next_observations, rewards,
@@ -29,14 +30,15 @@ def export(dataset: Dataset, layout: Layout, path: Path, overwrite: bool) -> Non
     if path.is_dir():
         raise UsageError(f"{path} is a folder, expected a file to write")
     refuse_existing(path, overwrite)
-    tables = {"flat": _flat, "d4rl": _d4rl, "agents": _agents}[layout](dataset)
-    ours = dataset.metadata["marl_mm"]
+    tables = {"flat": _flat, "d4rl": _d4rl, "agents": _agents}[form](dataset)
+    layout = dataset.arrays.layout
     attributes = {
         "dataset_id": dataset.metadata["dataset_id"],
-        "task": ours["task"],
-        "layout": layout,
-        "state": list(ours["state"]),
-        "action": list(ours["action"]),
+        "task": dataset.provenance.task,
+        "form": form,
+        "layout": json.dumps(layout.to_json()),
+        "state": list(layout.state_names),
+        "action": list(layout.action_names),
         "agents": list(dataset.agents()),
     }
     with new_file(path) as temporary:

@@ -6,7 +6,7 @@ chunks would outweigh the numbers.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +16,9 @@ import h5py
 import numpy as np
 
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
-from marl_mm.episode import INFO, Episode
+from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError, MarlMmError
-from marl_mm.layout import LAYOUTS
+from marl_mm.layout import Layout
 
 FILE = "main_data.hdf5"
 
@@ -39,8 +39,8 @@ class Field:
     kind: str
     """"float", "bool" or "number": what of numpy's kinds of types is accepted."""
 
-    columns: tuple[int, ...] = ()
-    """Entries that one row may have, by layout; none for numbers."""
+    columns: int | None = None
+    """Entries of a row; None for numbers."""
 
     extra: int = 0
     """Rows beyond the episode's steps."""
@@ -48,24 +48,19 @@ class Field:
 
 _KINDS = {"float": "f", "bool": "b", "number": "fiub"}
 
-FIELDS = (
-    Field(
-        "observations/observation",
-        "float",
-        tuple(layout.observation.stop for layout in LAYOUTS),
-        1,
-    ),
-    Field("observations/achieved_goal", "float", (3,), 1),
-    Field("observations/desired_goal", "float", (3,), 1),
-    Field("actions", "float", tuple(len(layout.action) for layout in LAYOUTS)),
-    Field("rewards", "float"),
-    Field("terminations", "bool"),
-    Field("truncations", "bool"),
-)
-"""What every dataset of goal-dictionary observations has."""
 
-INFO_FIELDS = tuple(Field(f"infos/{key}", "number") for key in INFO)
-"""What ours have, too."""
+def episode_fields(layout: Layout) -> tuple[Field, ...]:
+    """What every episode of goal-dictionary observations has."""
+    goal = len(layout.desired)
+    return (
+        Field("observations/observation", "float", len(layout.state) - goal, 1),
+        Field("observations/achieved_goal", "float", goal, 1),
+        Field("observations/desired_goal", "float", goal, 1),
+        Field("actions", "float", len(layout.action)),
+        Field("rewards", "float"),
+        Field("terminations", "bool"),
+        Field("truncations", "bool"),
+    )
 
 
 def write_hdf5(path: Path, arrays: EpisodeArrays) -> None:
@@ -133,7 +128,7 @@ def _attributes(arrays: EpisodeArrays, number: int) -> dict[str, Any]:
         "rewards_max": float(rewards.max()),
         "index": episode.index,
         "collector": episode.source,
-        "direction": episode.direction,
+        **({} if episode.direction is None else {"direction": episode.direction}),
         "is_success": episode.success,
         "source_dataset": str(arrays.origins[number]),
         "source_episode": int(arrays.origin_episodes[number]),
@@ -181,35 +176,41 @@ def open_hdf5(path: Path) -> Iterator[Any]:
         raise DatasetError(f"{path} is damaged ({reason:.160})") from error
 
 
-def read_hdf5(path: Path, total: int) -> EpisodeArrays:
+def read_hdf5(
+    path: Path, total: int, layout: Layout, info: Sequence[str]
+) -> EpisodeArrays:
     """All episodes of a file of ours.
 
     Args:
         path: The file.
         total: How many episodes it has.
+        layout: Layout of their states and actions.
+        info: Names of their step numbers.
 
     Raises:
         DatasetError: If it is damaged; naming episode, key and what was expected.
     """
     episodes, origins, numbers = [], [], []
+    wanted = *episode_fields(layout), *(Field(f"infos/{key}", "number") for key in info)
     with open_hdf5(path) as file:
         for number in range(total):
             group = file[f"episode_{number}"]
-            values = checked(path, group, (*FIELDS, *INFO_FIELDS))
+            values = checked(path, group, wanted)
             attributes = dict(group.attrs)
             start = np.asarray(attributes[_START])
             episodes.append(
                 Episode(
-                    states=states_of(values),
+                    states=states_of(values, layout),
                     actions=values["actions"],
                     rewards=values["rewards"],
                     terminated=values["terminations"],
                     truncated=values["truncations"],
-                    info={key: values[f"infos/{key}"] for key in INFO},
+                    info={key: values[f"infos/{key}"] for key in info},
                     seed=int(attributes["seed"]),
                     index=int(attributes["index"]),
                     source=str(attributes["collector"]),
                     start=start,
+                    layout=layout,
                 )
             )
             origins.append(str(attributes["source_dataset"]))
@@ -219,16 +220,16 @@ def read_hdf5(path: Path, total: int) -> EpisodeArrays:
 
 
 def achieved_goals(path: Path, total: int) -> np.ndarray:
-    """Where the file says the hand is, shape (n + E, 3)."""
+    """What the file says was compared with the goal, shape (n + E, g)."""
     with open_hdf5(path) as file:
         names = (f"episode_{i}/observations/achieved_goal" for i in range(total))
         return np.concatenate([file[name][()] for name in names])
 
 
-def states_of(values: dict[str, np.ndarray]) -> np.ndarray:
-    """Joint states of an episode's observations, shape (T + 1, 10)."""
-    observation, goal = values["observations/observation"], "observations/desired_goal"
-    return np.concatenate([observation, values[goal]], axis=1, dtype=np.float64)
+def states_of(values: dict[str, np.ndarray], layout: Layout) -> np.ndarray:
+    """Joint states of an episode's observations, shape (T + 1, d)."""
+    goal = values["observations/desired_goal"]
+    return layout.state_of(values["observations/observation"], goal)
 
 
 def episode_groups(file: Any) -> list[Any]:
@@ -272,8 +273,7 @@ def checked(path: Path, group: Any, wanted: tuple[Field, ...]) -> dict[str, np.n
             )
         if field.key == "rewards":
             steps = shape[0] if len(shape) == 1 else 0
-        known = shape[1:] and shape[1] in field.columns
-        row = shape[1:2] if known else field.columns[:1]
+        row = () if field.columns is None else (field.columns,)
         expected = (steps + field.extra, *row)
         if shape != expected or not steps:
             wanted_shape = expected if steps else "(steps,)"

@@ -10,19 +10,20 @@ import numpy as np
 
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
 from marl_mm.datasets.hdf5 import (
-    FIELDS,
     FILE,
     Field,
     checked,
+    episode_fields,
     episode_groups,
     open_hdf5,
     optional,
     states_of,
 )
 from marl_mm.datasets.verify import problems_of
-from marl_mm.episode import IMPORTED, INFO, Episode
+from marl_mm.envs.registry import DEFAULT, make_task
+from marl_mm.episode import IMPORTED, Episode
 from marl_mm.errors import DatasetError, UsageError, WorkerDiedError
-from marl_mm.layout import AGENTS, LAYOUTS, layout_of
+from marl_mm.layout import Layout
 from marl_mm.workers import apart
 
 _SHARED = (
@@ -31,30 +32,34 @@ _SHARED = (
     Field("timeouts", "number"),
 )
 
-_STATES = tuple(len(layout.state) for layout in LAYOUTS)
-_ACTIONS = tuple(len(layout.action) for layout in LAYOUTS)
 
-FLAT = (
-    *_SHARED,
-    Field("observations", "float", _STATES),
-    Field("actions", "float", _ACTIONS),
-    Field("next_observations", "float", _STATES),
-)
-"""Of the flat layout, as in D4RL; ``marl-mm datasets export`` writes it."""
+def flat_fields(layout: Layout) -> tuple[Field, ...]:
+    """Of the flat form, as in D4RL; ``marl-mm datasets export`` writes it."""
+    state = len(layout.state)
+    return (
+        *_SHARED,
+        Field("observations", "float", state),
+        Field("actions", "float", len(layout.action)),
+        Field("next_observations", "float", state),
+    )
+
+
+def agents_fields(layout: Layout) -> tuple[Field, ...]:
+    """Of the form with one group per agent."""
+    state = len(layout.state)
+    return (
+        *_SHARED,
+        Field("state", "float", state),
+        Field("next_state", "float", state),
+        *(
+            Field(f"{agent.name}/actions", "float", len(agent.action))
+            for agent in layout.agents
+        ),
+    )
+
 
 _SAME = 1e-4
 """Difference of two observations that were one before somebody rounded them."""
-
-PER_AGENT = (
-    *_SHARED,
-    Field("state", "float", _STATES),
-    Field("next_state", "float", _STATES),
-    *(
-        Field(f"{same[0].name}/actions", "float", tuple(len(a.action) for a in same))
-        for same in zip(*(layout.agents for layout in LAYOUTS), strict=True)
-    ),
-)
-"""Of the layout with one group per agent."""
 
 _PATIENCE = 30.0
 """Seconds that reading a small file may take."""
@@ -68,19 +73,21 @@ class Foreign:
     """What a file holds."""
 
     arrays: EpisodeArrays
-    task: str | None
-    """Whose rewards they are; None where the file does not say."""
+    task: str
+    """Task whose rewards they are."""
 
 
-def read_foreign(path: Path, dataset_id: str) -> Foreign:
+def read_foreign(path: Path, dataset_id: str, task: str | None = None) -> Foreign:
     """The episodes of a file that somebody else wrote.
 
     Args:
         path: An HDF5 file, or the folder of a Minari dataset.
-        dataset_id: Of the dataset that they are to be.
+        dataset_id: Id of the dataset that they are to be.
+        task: Task whose rewards they are; default what the file says, and Reach-v0
+            where it says nothing.
 
     Raises:
-        UsageError: If there is no such file.
+        UsageError: If there is no such file or task.
         DatasetError: If it cannot be read, or is not what a dataset must be; naming the
             key, what was got and what was expected.
     """
@@ -97,28 +104,41 @@ def read_foreign(path: Path, dataset_id: str) -> Foreign:
         raise DatasetError(f"{path} is no HDF5 file, or a damaged one ({size} bytes)")
     seconds = _PATIENCE + path.stat().st_size / _SLOWEST
     try:
-        found = apart(_read, (path, dataset_id), seconds)
+        said = task or apart(_said, path, seconds) or DEFAULT
+        own = make_task(said)
+        arrays = apart(_read, (path, dataset_id, own.layout, list(own.info)), seconds)
+    except UsageError as error:
+        way_out = "" if task else ", or give --task"
+        raise UsageError(f"{path}: {error}{way_out}") from error
     except WorkerDiedError as error:
         raise DatasetError(
             f"{path} is damaged: the HDF5 library cannot read it ({error})"
         ) from error
-    if problems := problems_of(found.arrays):
+    if problems := problems_of(arrays):
         raise DatasetError(f"{path}: {'; '.join(problems)}")
-    return found
+    return Foreign(arrays, said)
 
 
-def _read(what: tuple[Path, str]) -> Foreign:
-    """The episodes of a file; damaged ones can crash the library, or never end."""
-    path, dataset_id = what
+def _said(path: Path) -> str | None:
+    """The task that a file names; damaged ones can crash the library, or never end."""
+    with open_hdf5(path) as file:
+        task = file.attrs.get("task") or _said_beside(path)
+    return task if isinstance(task, str) else None
+
+
+def _read(what: tuple[Path, str, Layout, list[str]]) -> EpisodeArrays:
+    """The episodes of a file."""
+    path, dataset_id, layout, info = what
     with open_hdf5(path) as file:
         groups = episode_groups(file)
         if groups:
-            episodes = [_episode(path, i, group) for i, group in enumerate(groups)]
+            episodes = [
+                _episode(path, i, group, layout, info) for i, group in enumerate(groups)
+            ]
         else:
-            episodes = _flat_episodes(path, _flat_arrays(path, file))
-        task = file.attrs.get("task") or _said_beside(path)
-    arrays = arrays_of(episodes, dataset_id)
-    return Foreign(arrays, task if isinstance(task, str) else None)
+            values = _flat_arrays(path, file, layout)
+            episodes = _flat_episodes(path, values, layout, info)
+    return arrays_of(episodes, dataset_id)
 
 
 def _said_beside(path: Path) -> Any:
@@ -131,40 +151,48 @@ def _said_beside(path: Path) -> Any:
         return None
 
 
-def _episode(path: Path, number: int, group: Any) -> Episode:
+def _episode(
+    path: Path, number: int, group: Any, layout: Layout, names: list[str]
+) -> Episode:
     """One of Minari's episodes with goal-dictionary observations."""
-    values = checked(path, group, FIELDS)
-    info = {key: optional(group, f"infos/{key}") for key in INFO}
+    values = checked(path, group, episode_fields(layout))
+    info = {key: optional(group, f"infos/{key}") for key in names}
     seed = group.attrs.get("seed", -1)
     return _built(
         number,
-        states_of(values),
+        states_of(values, layout),
         values["actions"],
         values["rewards"],
         values["terminations"],
         values["truncations"],
         info,
         int(seed) if isinstance(seed, int | np.integer) else -1,
+        layout,
     )
 
 
-def _flat_arrays(path: Path, file: Any) -> dict[str, np.ndarray]:
-    """Those of ``FLAT``, also of a file with one group per agent."""
+def _flat_arrays(path: Path, file: Any, layout: Layout) -> dict[str, np.ndarray]:
+    """Those of ``flat_fields``, also of a file with one group per agent."""
     if "state" in file and "observations" not in file:
-        values = checked(path, file, PER_AGENT)
+        values = checked(path, file, agents_fields(layout))
         values["observations"] = values["state"]
         values["next_observations"] = values["next_state"]
-        parts = [values[f"{agent.name}/actions"] for agent in AGENTS]
-        values["actions"] = np.concatenate(parts, axis=1)
+        shape = len(values["rewards"]), len(layout.action)
+        values["actions"] = np.empty(shape, values["rewards"].dtype)
+        for agent in layout.agents:
+            own = values[f"{agent.name}/actions"]
+            values["actions"][:, list(agent.action)] = own
     else:
-        values = checked(path, file, FLAT)
+        values = checked(path, file, flat_fields(layout))
     for key in ("terminals", "timeouts"):
         if not np.isin(values[key], (0, 1)).all():
             raise DatasetError(f"{path}: {key!r} holds other values than 0 and 1")
     return values
 
 
-def _flat_episodes(path: Path, values: dict[str, np.ndarray]) -> list[Episode]:
+def _flat_episodes(
+    path: Path, values: dict[str, np.ndarray], layout: Layout, names: list[str]
+) -> list[Episode]:
     terminated = values["terminals"].astype(bool)
     truncated = values["timeouts"].astype(bool)
     ends = np.flatnonzero(terminated | truncated) + 1
@@ -193,8 +221,9 @@ def _flat_episodes(path: Path, values: dict[str, np.ndarray]) -> list[Episode]:
                 values["rewards"][part],
                 terminated[part],
                 truncated[part],
-                dict.fromkeys(INFO),
+                dict.fromkeys(names),
                 -1,
+                layout,
             )
         )
     return episodes
@@ -209,10 +238,10 @@ def _built(
     truncated: np.ndarray,
     info: dict[str, np.ndarray | None],
     seed: int,
+    layout: Layout,
 ) -> Episode:
     """An episode of our types; what nobody measured is NaN."""
     states = states.astype(np.float64)
-    layout = layout_of(states.shape[1])
     way = states[1:, layout.achieved] - states[1:, layout.goal]
     known = {
         "distance": np.linalg.norm(way, axis=1),
@@ -236,4 +265,5 @@ def _built(
         index=number,
         source=IMPORTED,
         start=np.full(11, np.nan),
+        layout=layout,
     )

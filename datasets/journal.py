@@ -17,6 +17,7 @@ from marl_mm.datasets.arrays import arrays_of, load_arrays, save_arrays
 from marl_mm.datasets.location import datasets_root
 from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError, MarlMmError
+from marl_mm.layout import Layout
 
 FILE = "episodes.sqlite"
 
@@ -114,13 +115,17 @@ class Journal:
             (count,) = self._file.execute("select count(*) from episodes").fetchone()
         return int(count)
 
-    def episodes(self) -> dict[int, Episode]:
-        """All episodes by their number."""
+    def episodes(self, layout: Layout) -> dict[int, Episode]:
+        """All episodes by their number.
+
+        Args:
+            layout: Layout of their states and actions.
+        """
         with self._errors():
             rows = self._file.execute("select number, npz from episodes").fetchall()
         try:
             return {
-                number: load_arrays(io.BytesIO(blob)).episode(0)
+                number: load_arrays(io.BytesIO(blob), layout).episode(0)
                 for number, blob in rows
             }
         except DatasetError as error:

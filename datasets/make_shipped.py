@@ -13,9 +13,8 @@ from marl_mm.files import new_file, write_json
 _DERIVED = frozenset(
     {
         "schema",
-        "state",
-        "action",
-        "agents",
+        "layout",
+        "info",
         "statistics",
         "episodes",
         "steps",

@@ -11,6 +11,7 @@ import numpy as np
 from marl_mm.datasets.arrays import EpisodeArrays, joined
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.datasets.location import Location
+from marl_mm.datasets.provenance import Origin, Provenance
 from marl_mm.datasets.storage import write_alone
 from marl_mm.errors import UsageError
 
@@ -29,7 +30,7 @@ class Recipe:
     """Episodes and how they were chosen."""
 
     arrays: EpisodeArrays
-    description: dict[str, Any]
+    provenance: Provenance
 
 
 def mix(parts: Sequence[Part], seed: int) -> Recipe:
@@ -122,7 +123,9 @@ def filtered(dataset: Dataset, condition: Condition) -> Recipe:
     if condition.success is not None:
         keep &= arrays.successes() == condition.success
     if condition.direction is not None:
-        ahead = arrays.first_states()[:, arrays.layout.goal][:, 0] > 0
+        ahead = arrays.ahead()
+        if ahead is None:
+            raise UsageError("the episodes' layout has no goal_x: it has no directions")
         keep &= ahead == (condition.direction == "forward")
     if condition.min_return is not None:
         keep &= arrays.returns() >= condition.min_return
@@ -140,7 +143,7 @@ def filtered(dataset: Dataset, condition: Condition) -> Recipe:
 
 def write_mix(location: Location, recipe: Recipe, overwrite: bool = False) -> None:
     """Write what a recipe gave; see ``write_alone``."""
-    write_alone(location, recipe.arrays, recipe.description, overwrite)
+    write_alone(location, recipe.arrays, recipe.provenance, overwrite)
 
 
 def _refuse_unequal(datasets: Sequence[Dataset]) -> None:
@@ -154,7 +157,7 @@ def _refuse_unequal(datasets: Sequence[Dataset]) -> None:
             )
     if len(folders) < len(datasets):
         raise UsageError(f"{', '.join(folders)}: expected each dataset once")
-    tasks = {dataset.metadata["marl_mm"]["task"] for dataset in datasets}
+    tasks = {dataset.provenance.task for dataset in datasets}
     if len(tasks) > 1:
         raise UsageError(
             f"the datasets are of {', '.join(sorted(tasks))}: their rewards differ"
@@ -182,33 +185,32 @@ def _refuse_twins(chosen: Sequence[EpisodeArrays], parts: Sequence[Part]) -> Non
                 )
 
 
-def _described(datasets: Sequence[Dataset], recipe: dict[str, Any]) -> dict[str, Any]:
-    """Metadata of what is made of these datasets.
+def _described(datasets: Sequence[Dataset], recipe: dict[str, Any]) -> Provenance:
+    """What is made of these datasets says so.
 
     Raises:
         UsageError: If two of them say something else of one origin.
     """
-    metadata = [dataset.metadata["marl_mm"] for dataset in datasets]
-    origins: dict[str, Any] = {}
-    for ours in metadata:
-        for name, about in ours["origins"].items():
-            if origins.setdefault(name, about) != about:
+    made_of = [dataset.provenance for dataset in datasets]
+    origins: dict[str, Origin] = {}
+    for one in made_of:
+        for name, origin in one.origins.items():
+            if origins.setdefault(name, origin) != origin:
                 raise UsageError(
                     f"two different datasets are called {name}: collect one of them "
                     "under another name"
                 )
-    longest = max(ours["overrides"].get("max_steps", 0) for ours in metadata)
-    return {
-        "task": metadata[0]["task"],
-        "overrides": {"max_steps": longest} if longest else {},
-        "collector": recipe["kind"],
-        "seed": recipe.get("seed"),
-        "recipe": recipe,
-        "sources": [
+    longest = max(one.overrides.get("max_steps", 0) for one in made_of)
+    return Provenance(
+        task=made_of[0].task,
+        overrides={"max_steps": longest} if longest else {},
+        collector=recipe["kind"],
+        seed=recipe.get("seed"),
+        recipe=recipe,
+        sources=[
             {key: value for key, value in dataset.identity().items() if key != "path"}
             for dataset in datasets
         ],
-        "origins": origins,
-        "attempts": None,
-        "complete": all(ours["complete"] for ours in metadata),
-    }
+        origins=origins,
+        complete=all(one.complete for one in made_of),
+    )

@@ -23,8 +23,16 @@ from marl_mm.datasets.arrays import EpisodeArrays, load_arrays, save_arrays
 from marl_mm.datasets.hdf5 import FILE, read_hdf5, write_hdf5
 from marl_mm.datasets.journal import FILE as JOURNAL
 from marl_mm.datasets.location import SHIPPED, Location, datasets_root, known_ids
+from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.reference import reference_scores
-from marl_mm.errors import DatasetError, UnknownDatasetError, UsageError
+from marl_mm.envs.registry import TASKS
+from marl_mm.episode import INFO
+from marl_mm.errors import (
+    DatasetError,
+    LayoutError,
+    UnknownDatasetError,
+    UsageError,
+)
 from marl_mm.files import (
     new_file,
     new_folder,
@@ -32,11 +40,13 @@ from marl_mm.files import (
     refuse_existing,
     write_json,
 )
+from marl_mm.layout import Layout
 from marl_mm.spaces import action_space, goal_observation_space
+from marl_mm.version1 import dataset_layout
 from marl_mm.versions import versions
 
-SCHEMA = 2
-"""Version of our metadata."""
+SCHEMA = 3
+"""Version of our metadata; 2 had no layout, and is read as well."""
 
 OWN_FILES = frozenset(
     {
@@ -55,7 +65,7 @@ OWN_FILES = frozenset(
 def write_dataset(
     location: Location,
     arrays: EpisodeArrays,
-    description: dict[str, Any],
+    provenance: Provenance,
     overwrite: bool = False,
 ) -> None:
     """Write a dataset; it appears whole or not at all.
@@ -63,8 +73,7 @@ def write_dataset(
     Args:
         location: Where.
         arrays: The episodes.
-        description: Task and ``overrides`` of its environment; collector's name, its
-            config, seed and the like; JSON-serialisable.
+        provenance: Where the episodes come from.
         overwrite: Replace a dataset that is there already.
 
     Raises:
@@ -80,7 +89,7 @@ def write_dataset(
             temporary / "data",
             observation_space=goal_observation_space(arrays.layout),
             action_space=action_space(arrays.layout),
-            env_spec=env_spec(description),
+            env_spec=env_spec(provenance),
             data_format="hdf5",
         )
         path = temporary / "data" / FILE
@@ -92,7 +101,7 @@ def write_dataset(
                 "total_episodes": len(arrays),
                 "total_steps": arrays.steps,
                 "dataset_size": storage.get_size(),
-                **_metadata(location, arrays, description, digest),
+                **_metadata(location, arrays, provenance, digest),
             }
         )
         sign_metadata(temporary / "data" / "metadata.json")
@@ -102,7 +111,7 @@ def write_dataset(
 def write_alone(
     location: Location,
     arrays: EpisodeArrays,
-    description: dict[str, Any],
+    provenance: Provenance,
     overwrite: bool = False,
 ) -> None:
     """``write_dataset`` where no collection is under way.
@@ -117,20 +126,21 @@ def write_alone(
                 "marl-mm collect --resume, or delete it"
             )
         try:
-            write_dataset(location, arrays, description, overwrite)
+            write_dataset(location, arrays, provenance, overwrite)
         finally:
             location.working.rmdir()
 
 
-def env_spec(description: dict[str, Any]) -> EnvSpec:
-    """The environment that a dataset's episodes come from.
+def env_spec(provenance: Provenance) -> EnvSpec | None:
+    """The environment that a dataset's episodes come from, if its task is known.
 
     Its number of steps stands in the specification, too: d3rlpy reads it there.
     """
-    spec = deepcopy(gymnasium.spec(f"marl_mm/{description['task']}"))
-    overrides = description.get("overrides", {})
-    spec.kwargs["overrides"] = overrides
-    spec.max_episode_steps = overrides.get("max_steps")
+    if provenance.task not in TASKS:
+        return None
+    spec = deepcopy(gymnasium.spec(f"marl_mm/{provenance.task}"))
+    spec.kwargs["overrides"] = dict(provenance.overrides)
+    spec.max_episode_steps = provenance.overrides.get("max_steps")
     return spec
 
 
@@ -184,9 +194,9 @@ def read_metadata(location: Location) -> dict[str, Any]:
         raise DatasetError(f"cannot read {path}: {reason}") from error
     ours = metadata.get("marl_mm") if isinstance(metadata, dict) else None
     schema = ours.get("schema") if isinstance(ours, dict) else None
-    if not isinstance(ours, dict) or schema != SCHEMA:
+    if not isinstance(ours, dict) or schema not in (2, SCHEMA):
         raise DatasetError(
-            f"{path} is not of a marl_mm dataset of schema {SCHEMA}: its schema is "
+            f"{path} is of no marl_mm dataset of schema 2 or {SCHEMA}: its schema is "
             f"{schema!r}; marl-mm datasets import takes other HDF5 files"
         )
     if ours.get("metadata_sha256") != _metadata_digest(metadata):
@@ -195,6 +205,21 @@ def read_metadata(location: Location) -> dict[str, Any]:
             "takes what was changed on purpose"
         )
     return metadata
+
+
+def layout_of(metadata: dict[str, Any]) -> Layout:
+    """The layout of a dataset's states and actions.
+
+    Raises:
+        DatasetError: If the metadata have none, or one that makes no sense.
+    """
+    ours = metadata["marl_mm"]
+    try:
+        if ours["schema"] == SCHEMA:
+            return Layout.from_json(ours.get("layout", {}))
+        return dataset_layout(ours)
+    except LayoutError as error:
+        raise DatasetError(f"metadata.json: {error}") from error
 
 
 def _why_unknown(location: Location) -> str:
@@ -237,9 +262,10 @@ def read_arrays(
             f"were written; marl-mm datasets delete {location.name} removes it, and "
             "what made it makes it again"
         )
-    if cached and (found := _read_cache(location.folder, digest)) is not None:
+    layout, ours = layout_of(metadata), metadata["marl_mm"]
+    if cached and (found := _read_cache(location.folder, digest, layout)) is not None:
         return found
-    arrays = read_hdf5(path, metadata["marl_mm"]["episodes"])
+    arrays = read_hdf5(path, ours["episodes"], layout, ours.get("info", list(INFO)))
     if cached:
         try:
             _write_cache(location.folder, digest, arrays)
@@ -259,10 +285,10 @@ def cache_file(folder: Path, digest: str) -> Path:
     return folder / "cache" / f"{digest[:16]}.npz"
 
 
-def _read_cache(folder: Path, digest: str) -> EpisodeArrays | None:
+def _read_cache(folder: Path, digest: str, layout: Layout) -> EpisodeArrays | None:
     path = cache_file(folder, digest)
     try:
-        return load_arrays(path) if path.exists() else None
+        return load_arrays(path, layout) if path.exists() else None
     except DatasetError:  # it is only a cache
         return None
 
@@ -278,28 +304,20 @@ def _write_cache(folder: Path, digest: str, arrays: EpisodeArrays) -> None:
 def _metadata(
     location: Location,
     arrays: EpisodeArrays,
-    description: dict[str, Any],
+    provenance: Provenance,
     digest: str,
 ) -> dict[str, Any]:
     sources = ", ".join(np.unique(arrays.sources).tolist())
     ours = {
         "schema": SCHEMA,
-        "state": arrays.layout.state,
-        "action": arrays.layout.action,
-        "agents": [
-            {
-                "name": agent.name,
-                "observation": agent.observation,
-                "action": agent.action,
-            }
-            for agent in arrays.layout.agents
-        ],
+        "layout": arrays.layout.to_json(),
+        "info": list(arrays.info),
         "packages": versions(),
         "statistics": statistics(arrays),
         "episodes": len(arrays),
         "steps": arrays.steps,
         "data_sha256": digest,
-        **description,
+        **provenance.to_json(location.id),
     }
     return {
         "dataset_id": location.id,
@@ -307,7 +325,7 @@ def _metadata(
         "author": {"marl_mm"},
         "description": f"Episodes of {sources} on marl_mm.",
         "minari_version": versions()["minari"],
-        **reference_scores(description.get("task")),
+        **reference_scores(provenance.task),
         "marl_mm": ours,
     }
 

@@ -16,9 +16,8 @@ from marl_mm.datasets.storage import (
     read_metadata,
     statistics,
 )
-from marl_mm.episode import IMPORTED, INFO
+from marl_mm.episode import IMPORTED
 from marl_mm.errors import DatasetError
-from marl_mm.layout import MODE
 
 
 def verify(location: Location) -> list[str]:
@@ -70,13 +69,12 @@ def _values(arrays: EpisodeArrays) -> list[str]:
     layout = arrays.layout
     low, high = np.array(layout.low), np.array(layout.high)
     outside = (arrays.actions < low) | (arrays.actions > high)
-    modes = arrays.states[:, MODE]
+    least, most = np.array([(one.low, one.high) for one in layout.state]).T
+    beyond = ((arrays.states < least) | (arrays.states > most)).any(axis=1)
     moved = np.diff(arrays.states[:, layout.goal], axis=0)[~arrays.is_last_state()[:-1]]
     checks = {
         "actions outside of the action space": outside.any(axis=1).sum(),
-        "states whose control mode is outside of [0, 1]": (
-            (modes < 0) | (modes > 1)
-        ).sum(),
+        "states outside of their entries' bounds": beyond.sum(),
         "goals that move within an episode": moved.any(axis=1).sum(),
     }
     return [f"{count} {what}" for what, count in checks.items() if count]
@@ -121,13 +119,14 @@ def _cache(arrays: EpisodeArrays, location: Location) -> list[str]:
     if not path.exists():
         return []
     try:
-        cached = load_arrays(path)
+        cached = load_arrays(path, arrays.layout)
     except DatasetError as error:
         return [str(error)]
-    names = [field.name for field in fields(arrays) if field.name != "info"]
+    others = ("info", "layout")
+    names = [field.name for field in fields(arrays) if field.name not in others]
     pairs = [(getattr(arrays, name), getattr(cached, name)) for name in names]
-    pairs += [(arrays.info[key], cached.info[key]) for key in INFO]
-    equal = all(_same(one, other) for one, other in pairs)
+    pairs += [(arrays.info[key], cached.info.get(key)) for key in arrays.info]
+    equal = all(other is not None and _same(one, other) for one, other in pairs)
     return [] if equal else [f"{path} is not what the data are: delete it"]
 
 

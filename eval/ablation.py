@@ -3,17 +3,12 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal, get_args, get_type_hints
+from typing import Any, Literal, get_type_hints
 
 from typeguard import TypeCheckError, check_type
 
-from marl_mm.algorithms.presets import (
-    OFFLINE,
-    OfflineConfig,
-    Preset,
-    offline_preset,
-)
-from marl_mm.envs.config import reach_config
+from marl_mm.algorithms.registry import TUNED, names, preset
+from marl_mm.envs.registry import make_task
 from marl_mm.errors import UsageError
 
 
@@ -47,7 +42,7 @@ class Setting:
     """In tables."""
 
     algorithm: str = "td3-bc"
-    preset: Preset = "tuned"
+    preset: str = TUNED
 
     changes: Mapping[str, Any] = field(default_factory=dict)
     """Of the preset's hyper-parameters."""
@@ -71,11 +66,11 @@ class Setting:
             UsageError: Saying what could.
         """
         _check_name(self.name)
-        _check_choice("algorithm", self.algorithm, OFFLINE)
-        _check_choice("preset", self.preset, get_args(Preset))
+        _check_choice("algorithm", self.algorithm, names(online=False))
+        preset(self.algorithm, self.preset)  # raises
         if self.goals < 2 or self.goals % 2:
             raise UsageError(f"goals is {self.goals}, expected 2, 4, 6 ...: each way")
-        known = {one.name for one in fields(offline_preset(self.algorithm))}
+        known = {one.name for one in fields(preset(self.algorithm))}
         for name in set(self.changes) - known:
             raise UsageError(
                 f"setting {self.name!r} changes {name!r}, which {self.algorithm} has "
@@ -84,7 +79,7 @@ class Setting:
         self._check_changes()
 
     def _check_changes(self) -> None:
-        hints = get_type_hints(type(offline_preset(self.algorithm)))
+        hints = get_type_hints(type(preset(self.algorithm)))
         for name, value in self.changes.items():
             try:
                 check_type(value, hints[name])
@@ -98,9 +93,9 @@ class Setting:
             raise UsageError(f"setting {self.name!r}: {error}") from None
 
     @property
-    def config(self) -> OfflineConfig:
+    def config(self) -> Any:
         """Its hyper-parameters."""
-        return replace(offline_preset(self.algorithm, self.preset), **self.changes)
+        return replace(preset(self.algorithm, self.preset), **self.changes)
 
 
 Cell = tuple[str, Setting]
@@ -143,7 +138,7 @@ class Probe:
         _check_choice("checkpoint", self.checkpoint, ("last", "best"))
         if self.alpha is not None and not 0 <= self.alpha <= 1:
             raise UsageError(f"alpha is {self.alpha}, expected a number in [0, 1]")
-        reach_config(overrides=self.overrides)  # raises
+        make_task(overrides=self.overrides)  # raises
 
 
 LAST = Probe("last", "at the end")

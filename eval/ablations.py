@@ -7,7 +7,6 @@ once. ``marl-mm ablate TARGET`` makes these, ``marl-mm ablate FILE.py:NAME`` one
 from itertools import product
 from typing import Any
 
-from marl_mm.algorithms.presets import Preset
 from marl_mm.eval.ablation import (
     BEST,
     LAST,
@@ -28,7 +27,7 @@ LONG = 180_000
 """Updates of the paper's tables (Table 4)."""
 
 
-def _long(algorithm: str, preset: Preset, batch: int = 256, **more: Any) -> Setting:
+def _long(algorithm: str, preset: str, batch: int = 256, **more: Any) -> Setting:
     """As many updates as in Table 4, and learning curves."""
     changes: dict[str, Any] = {"updates": LONG}
     name = f"{algorithm}-{preset}-180k"

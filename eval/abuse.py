@@ -12,10 +12,9 @@ import numpy as np
 
 from marl_mm.control.limits import WHEEL_ARM
 from marl_mm.control.wbc import Command
-from marl_mm.envs.config import ReachConfig
-from marl_mm.envs.core import ReachCore
+from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.drive import Drive, Tick
-from marl_mm.layout import ALPHA, DELTA
+from marl_mm.envs.task import Task
 from marl_mm.progress import Advance, silent
 from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig
 from marl_mm.robot.model import ACTUATED, RobotModel
@@ -85,7 +84,7 @@ class Watcher:
 
 
 def abuse(
-    config: ReachConfig, ticks: int, seed: int, advance: Advance = silent
+    config: Task, ticks: int, seed: int, advance: Advance = silent
 ) -> dict[str, Any]:
     """Run at least ``ticks`` ticks of abuse and report.
 
@@ -100,7 +99,7 @@ def abuse(
         unit; negative: kept), counts of levels, QPs, failures and safe commands,
         extremes of stability, and the longest tick of the controller [us].
     """
-    core = ReachCore(config)
+    core = EpisodeCore(config)
     drive = core.drive
     watcher = Watcher(drive, config.robot, config.controller.limits.keep_out)
     rng = np.random.default_rng(seed)
@@ -137,8 +136,8 @@ def abuse(
                     core.reset(rng)
                     longest = 0.0
             action = np.empty(4)
-            action[DELTA] = REACH * rng.uniform(-1, 1, 3)
-            action[ALPHA] = rng.choice([0.0, 1.0, rng.uniform()])
+            action[:3] = REACH * rng.uniform(-1, 1, 3)
+            action[3] = rng.choice([0.0, 1.0, rng.uniform()])
             infos.append(core.push(action, watch).info)
             done += config.ticks_per_step
             advance(config.ticks_per_step, f"{sum(reasons.values())} failed levels")

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from marl_mm.envs.config import reach_config
+from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.episode import Episode
 from marl_mm.eval.goals import goal_set
 from marl_mm.eval.intervals import bootstrap_interval
-from marl_mm.eval.metrics import Row
-from marl_mm.layout import ALPHA, MODE
+from marl_mm.eval.metrics import Row, alphas
+from marl_mm.layout import Layout
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
 
@@ -45,19 +45,21 @@ class FixedAlpha:
         """The alpha, and the policy's own settings."""
         return {"alpha": self._alpha, **self._policy.describe()}
 
-    def begin(self, rng: np.random.Generator) -> None:
+    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
         """A new episode of the policy, too."""
-        self._policy.begin(rng)
+        self._policy.begin(rng, layout)
+        self._mode = layout.columns("control_mode")
+        self._place = layout.settings("alpha")
         self._chosen = None
 
     def act(self, state: np.ndarray) -> np.ndarray:
         """The policy's action with the held alpha."""
         seen = state.copy()
         if self._chosen is not None:
-            seen[MODE] = self._chosen
+            seen[self._mode] = self._chosen
         action = self._policy.act(seen).copy()
-        self._chosen = float(action[ALPHA])
-        action[ALPHA] = self._alpha
+        self._chosen = float(action[self._place].item())
+        action[self._place] = self._alpha
         return action
 
 
@@ -87,7 +89,7 @@ def worth_rows(
         Rows of ``alpha`` (a number or ``learnt``), goal, direction, success and return;
         and the episodes with the learnt alpha.
     """
-    config = reach_config(task, overrides)
+    config = make_task(task, overrides)
     plans = goal_set(config, goals, seed)
     rows: list[Row] = []
     learnt: list[Episode] = []
@@ -147,9 +149,9 @@ def _summarize_agent(rows: Sequence[Row], setting: str, seed: int) -> Iterator[R
 def alpha_steps(task: str, episodes: Sequence[Episode]) -> Iterator[Row]:
     """Alpha at each step of the episodes that come to it, by direction."""
     for direction in ("forward", "backward"):
-        own = [e.actions[:, ALPHA] for e in episodes if e.direction == direction]
+        own = [alphas(e) for e in episodes if e.direction == direction]
         for step in range(max(map(len, own), default=0)):
-            values = [alphas[step] for alphas in own if len(alphas) > step]
+            values = [one[step] for one in own if len(one) > step]
             yield {
                 "task": task,
                 "direction": direction,

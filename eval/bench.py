@@ -18,10 +18,10 @@ from marl_mm.control.config import ControllerConfig
 from marl_mm.control.limits import UNBOUNDED
 from marl_mm.control.tasks.task import Reference
 from marl_mm.control.wbc import Priorities, WholeBodyController
-from marl_mm.envs.config import ReachConfig
-from marl_mm.envs.core import ReachCore
+from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.drive import Drive
-from marl_mm.layout import ACTION_HIGH, ACTION_LOW
+from marl_mm.envs.task import Task
+from marl_mm.envs.tasks.reach import LAYOUT
 from marl_mm.progress import Advance, silent
 from marl_mm.robot.model import ModelTerms, RobotState
 from marl_mm.sim.config import RATE
@@ -46,7 +46,7 @@ class Sample(NamedTuple):
 
 
 def bench_control(
-    config: ReachConfig, steps: int, seed: int, advance: Advance = silent
+    config: Task, steps: int, seed: int, advance: Advance = silent
 ) -> dict[str, Any]:
     """Times [us] of a tick and its parts in closed loop, and of other solvers.
 
@@ -59,7 +59,7 @@ def bench_control(
         seed: Of the actions.
         advance: Told the finished steps.
     """
-    core = ReachCore(config)
+    core = EpisodeCore(config)
     rng = np.random.default_rng(seed)
     core.reset(rng)
     core.step(_action(rng))  # compiles, or loads what was compiled
@@ -157,7 +157,7 @@ def _timed(
 
 
 def _action(rng: np.random.Generator) -> np.ndarray:
-    return rng.uniform(ACTION_LOW, ACTION_HIGH)
+    return rng.uniform(LAYOUT.low, LAYOUT.high)
 
 
 def _spread(times: np.ndarray) -> dict[str, float]:
@@ -203,9 +203,9 @@ def _per_repeat(function: Callable[..., Any], *arguments: Any) -> tuple[float, A
     return (perf_counter() - begin) / _REPEATS, result
 
 
-def _references(core: ReachCore, samples: list[Sample]) -> dict[str, np.ndarray]:
+def _references(core: EpisodeCore, samples: list[Sample]) -> dict[str, np.ndarray]:
     """Other ways to solve the same states; what is not installed is left out."""
-    config = core.config.controller
+    config = core.task.controller
     found = {
         "compiled": _solve_times(core, replace(config, solver="active-set"), samples),
         "numpy_proxqp": _solve_times(core, replace(config, solver="proxqp"), samples),
@@ -223,7 +223,7 @@ def _references(core: ReachCore, samples: list[Sample]) -> dict[str, np.ndarray]
     return found
 
 
-def _infeasible(core: ReachCore, samples: list[Sample]) -> dict[str, np.ndarray]:
+def _infeasible(core: EpisodeCore, samples: list[Sample]) -> dict[str, np.ndarray]:
     """The same states with a load on joint 1 that no acceleration can carry."""
     loaded = [
         sample._replace(
@@ -231,7 +231,7 @@ def _infeasible(core: ReachCore, samples: list[Sample]) -> dict[str, np.ndarray]
         )
         for sample in samples
     ]
-    config = core.config.controller
+    config = core.task.controller
     return {
         "compiled": _solve_times(core, replace(config, solver="active-set"), loaded),
         "numpy_proxqp": _solve_times(core, replace(config, solver="proxqp"), loaded),
@@ -239,7 +239,7 @@ def _infeasible(core: ReachCore, samples: list[Sample]) -> dict[str, np.ndarray]
 
 
 def _solve_times(
-    core: ReachCore, config: ControllerConfig, samples: list[Sample]
+    core: EpisodeCore, config: ControllerConfig, samples: list[Sample]
 ) -> np.ndarray:
     controller = WholeBodyController(core.drive.limits, config, RATE)
     return _times(lambda sample: controller.solve(*sample), samples)

@@ -16,20 +16,22 @@ import minari
 import numpy as np
 from minari.data_collector import EpisodeBuffer
 
-from marl_mm.collectors.collect import collect, make_collector
-from marl_mm.collectors.random import RandomConfig
-from marl_mm.collectors.scripted import ScriptedConfig, ScriptedPolicy
+from marl_mm.collectors.collect import collect
+from marl_mm.collectors.random import RandomConfig, RandomPolicy
+from marl_mm.collectors.registry import everything
+from marl_mm.collectors.scripted import ScriptedPolicy
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of, joined
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.hdf5 import FILE
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import Location
+from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
-from marl_mm.envs.config import reach_config
-from marl_mm.envs.core import ReachCore
+from marl_mm.envs.core import EpisodeCore
+from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import EpisodePlan, Rollouts, episode_seed, run_episode
+from marl_mm.envs.task import ScriptConfig
 from marl_mm.episode import Episode
-from marl_mm.layout import ACTION_HIGH, ACTION_LOW, EE, GOAL, OBSERVATION, REACH
 from marl_mm.progress import Advance, silent
 from marl_mm.sim.scene import Grasp
 
@@ -56,11 +58,11 @@ def bench_collection(
     Returns:
         ``bare`` and each number of workers; processes are started before.
     """
-    config = reach_config(TASK)
+    config = make_task(TASK)
     steps = episodes * config.max_steps
-    core = ReachCore(config)
+    core = EpisodeCore(config)
     pools = {number: Rollouts(config, number) for number in workers}
-    collector = make_collector(RandomConfig())
+    policy = RandomPolicy(RandomConfig())
     rates: dict[str, list[float]] = {}
     collected: list[Episode] = []
     try:
@@ -74,7 +76,8 @@ def bench_collection(
                 with Journal(folder) as journal:
                     begin = perf_counter()
                     collected = collect(
-                        collector,
+                        policy,
+                        everything,
                         rollouts.completed,
                         steps,
                         seed,
@@ -107,9 +110,9 @@ def bench_grasps(episodes: int, seed: int, advance: Advance = silent) -> dict[st
         seed: Of the episodes.
         advance: Told the episodes.
     """
-    script = ScriptedPolicy(ScriptedConfig())
+    script = ScriptedPolicy(ScriptConfig(), make_task(HANDLED))
     cores = {
-        grasp: ReachCore(reach_config(HANDLED, {"load": {"grasp": grasp}}))
+        grasp: EpisodeCore(make_task(HANDLED, {"load": {"grasp": grasp}}))
         for grasp in get_args(Grasp)
     }
     rates: dict[str, list[float]] = {grasp: [] for grasp in cores}
@@ -134,13 +137,13 @@ def bench_grasps(episodes: int, seed: int, advance: Advance = silent) -> dict[st
     }
 
 
-def _bare(core: ReachCore, episodes: int, seed: int) -> None:
+def _bare(core: EpisodeCore, episodes: int, seed: int) -> None:
     """Random episodes of the environment alone."""
     for number in range(episodes):
         rng = np.random.default_rng(episode_seed(seed, number, "collect"))
         core.reset(rng)
-        for _ in range(core.config.max_steps):
-            core.step(rng.uniform(ACTION_LOW, ACTION_HIGH))
+        for _ in range(core.task.max_steps):
+            core.step(rng.uniform(core.task.layout.low, core.task.layout.high))
 
 
 def bench_storage(
@@ -163,7 +166,7 @@ def bench_storage(
     arrays = _short(episodes, steps)
     location = Location("marl_mm/reach/bench-v0", folder / "bench")
     begin = perf_counter()
-    write_dataset(location, arrays, {"task": TASK, "complete": True})
+    write_dataset(location, arrays, Provenance(task=TASK, collector="random"))
     result: dict[str, Any] = {
         "steps": arrays.steps,
         "episodes": len(arrays),
@@ -209,6 +212,7 @@ def _short(episodes: Sequence[Episode], steps: int) -> EpisodeArrays:
             index=one.index,
             source=one.source,
             start=one.start,
+            layout=one.layout,
         )
         for one in episodes
         if len(one) >= length
@@ -239,18 +243,19 @@ def _minari_size(arrays: EpisodeArrays, folder: Path) -> float:
 
     from marl_mm.spaces import action_space, goal_observation_space
 
+    layout = arrays.layout
     storage = MinariStorage.new(
         folder / "minari",
-        observation_space=goal_observation_space(REACH),
-        action_space=action_space(REACH),
+        observation_space=goal_observation_space(layout),
+        action_space=action_space(layout),
         data_format="hdf5",
     )
     storage.update_episodes(
         EpisodeBuffer(
             observations={
-                "observation": one.states[:, OBSERVATION],
-                "achieved_goal": one.states[:, EE],
-                "desired_goal": one.states[:, GOAL],
+                "observation": one.states[:, layout.observation],
+                "achieved_goal": one.states[:, layout.achieved],
+                "desired_goal": one.states[:, layout.goal],
             },
             actions=one.actions,
             rewards=one.rewards,

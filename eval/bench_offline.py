@@ -9,7 +9,6 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from tempfile import TemporaryDirectory, TemporaryFile
 from time import perf_counter
 from typing import Any
@@ -19,14 +18,12 @@ import psutil
 
 from marl_mm.algorithms.mabc import Mabc, MabcConfig
 from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
-from marl_mm.algorithms.presets import offline_preset
+from marl_mm.algorithms.registry import preset
 from marl_mm.algorithms.speed import matrix_products, prepare_for_small_networks
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
-from marl_mm.datasets.arrays import load_arrays
 from marl_mm.datasets.location import SHIPPED
-from marl_mm.datasets.shipped import ARRAYS
-from marl_mm.envs.config import reach_config
-from marl_mm.envs.terms import judge
+from marl_mm.datasets.shipped import shipped_arrays
+from marl_mm.envs.registry import make_task
 from marl_mm.errors import MarlMmError
 from marl_mm.eval.td3_bc_reference import PlainTd3Bc
 from marl_mm.progress import Advance, silent
@@ -130,7 +127,7 @@ def bench_side_by_side(
         device: A GPU; on a CPU seeds are trained in processes instead.
         advance: Told the updates of either.
     """
-    arrays, rewards = load_arrays(ARRAYS), partial(judge, config=reach_config())
+    arrays, rewards = shipped_arrays(), make_task()
     config = Td3BcConfig(hidden=HIDDEN)
     rates = {}
     for count in (1, seeds):
@@ -189,7 +186,7 @@ def _memory(process: psutil.Process) -> float:
 
 
 def _learners(seed: int) -> dict[str, Callable[[], object]]:
-    arrays, rewards = load_arrays(ARRAYS), partial(judge, config=reach_config())
+    arrays, rewards = shipped_arrays(), make_task()
     tuned, plain = Td3BcConfig(hidden=HIDDEN), plain_config()
     others = Matd3BcConfig(hidden=HIDDEN)
     cloning = MabcConfig(hidden=HIDDEN)
@@ -208,7 +205,7 @@ def _learners(seed: int) -> dict[str, Callable[[], object]]:
 
 def plain_config() -> Td3BcConfig:
     """What the authors' code does, of ours."""
-    config = offline_preset("td3-bc", "paper")
+    config = preset("td3-bc", "paper")
     assert isinstance(config, Td3BcConfig)
     return replace(config, hidden=HIDDEN)
 

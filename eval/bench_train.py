@@ -19,11 +19,11 @@ from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.maddpg import Maddpg, MaddpgConfig
 from marl_mm.algorithms.online import run_cycle
 from marl_mm.algorithms.policy import LearnedPolicy
-from marl_mm.algorithms.presets import preset
+from marl_mm.algorithms.registry import preset
 from marl_mm.algorithms.speed import prepare_for_small_networks
-from marl_mm.envs.config import reach_config
+from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import EpisodePlan, Rollouts, episode_seed
-from marl_mm.envs.terms import judge
+from marl_mm.envs.task import Task
 from marl_mm.episode import Episode
 from marl_mm.eval.evaluate import evaluate_with
 from marl_mm.eval.online import SB3
@@ -79,16 +79,18 @@ def _learners(
     seed: int, sb3: bool, episodes: int, advance: Advance
 ) -> dict[str, Callable[[int], object]]:
     """What makes so many updates of each algorithm, after random episodes."""
-    config = reach_config(TASK)
-    rewards = partial(judge, config=config)
+    config = make_task(TASK)
+    layout = config.layout
     plain = replace(preset("ddpg-her"), layer_norm=False)
     ours = {
-        "ddpg-her": Ddpg(preset("ddpg-her"), rewards, seed),
-        "ddpg-her-no-layer-norm": Ddpg(plain, rewards, seed),
-        "maddpg-her": _maddpg(rewards, seed),
+        "ddpg-her": Ddpg(preset("ddpg-her"), config, seed, (), layout),
+        "ddpg-her-no-layer-norm": Ddpg(plain, config, seed, (), layout),
+        "maddpg-her": _maddpg(config, seed),
     }
     plans = [EpisodePlan(i, episode_seed(seed, i, "train")) for i in range(episodes)]
-    explorer = Ddpg(replace(preset("ddpg-her"), warm_up=10**4), rewards, seed)
+    explorer = Ddpg(
+        replace(preset("ddpg-her"), warm_up=10**4), config, seed, (), layout
+    )
     advance(0, "random episodes")
     with Rollouts(config) as rollouts:
         for episode in rollouts.run(explorer.behaviour(), plans):
@@ -122,14 +124,14 @@ def bench_success(
     prepare_for_small_networks()
     hyper = preset("ddpg-her")
     success: dict[str, Any] = {}
-    with Rollouts(reach_config(TASK)) as rollouts:
+    with Rollouts(make_task(TASK)) as rollouts:
 
         def measure(policy: Policy) -> dict[str, Any]:
             everything = evaluate_with(rollouts, policy, goals, seed, TASK).summary
             return {key: everything["all"][key] for key in ("success_rate", "interval")}
 
         ours = _taught(rollouts, hyper, env_steps, seed, advance)
-        success[ours.name] = measure(LearnedPolicy(ours.name, ours.agents))
+        success[ours.name] = measure(LearnedPolicy(ours.name, ours.agents, ours.layout))
         if sb3:
             success[SB3] = measure(_sb3_taught(hyper, env_steps, seed, advance))
     return success
@@ -144,7 +146,8 @@ def _taught(
         plans = [EpisodePlan(i, episode_seed(seed, i, "train")) for i in numbers]
         return rollouts.run(policy, plans)
 
-    ours = Ddpg(hyper, partial(judge, config=reach_config(TASK)), seed)
+    task = make_task(TASK)
+    ours = Ddpg(hyper, task, seed, (), task.layout)
     while ours.env_steps < env_steps:
         episodes, _ = run_cycle(ours, run_episodes, hyper.episodes)
         advance(sum(map(len, episodes)), ours.name)
@@ -169,10 +172,10 @@ def _sb3_taught(
     return Sb3Policy(model)
 
 
-def _maddpg(rewards: Any, seed: int) -> Maddpg:
+def _maddpg(task: Task, seed: int) -> Maddpg:
     config = preset("maddpg-her")
     assert isinstance(config, MaddpgConfig)
-    return Maddpg(config, rewards, seed)
+    return Maddpg(config, task, seed, (), task.layout)
 
 
 def _sb3(seed: int, episodes: int) -> Any:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from marl_mm.envs.config import reach_config
+from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import UsageError
 from marl_mm.eval.goals import goal_set
@@ -21,7 +21,7 @@ class Evaluation:
     policy_config: dict[str, Any]
     task: str
     overrides: dict[str, Any]
-    """Of the task's ``ReachConfig``."""
+    """Of the task's ``Task``."""
 
     seed: int
     rows: list[Row]
@@ -75,14 +75,14 @@ def evaluate(
         episodes: Number of goals.
         seed: Of goals, environment and policy.
         task: A registered task's name.
-        overrides: Fields of its ``ReachConfig`` to replace.
+        overrides: Fields of its ``Task`` to replace.
         workers: Processes; the result does not depend on it.
         advance: Told the finished episodes.
 
     Raises:
         UsageError: If ``episodes`` is not positive or ``seed`` is negative.
     """
-    with Rollouts(reach_config(task, overrides), workers) as rollouts:
+    with Rollouts(make_task(task, overrides), workers) as rollouts:
         return evaluate_with(rollouts, policy, episodes, seed, task, overrides, advance)
 
 
@@ -101,7 +101,7 @@ def evaluate_with(
     if seed < 0:
         raise UsageError(f"seed is {seed}, expected >= 0")
     rows: list[Row] = []
-    plans = goal_set(reach_config(task, overrides), episodes, seed)
+    plans = goal_set(make_task(task, overrides), episodes, seed)
     for episode in rollouts.run(policy, plans):
         rows.append(episode_row(episode))
         reached = sum(row["success"] for row in rows)

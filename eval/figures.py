@@ -8,9 +8,8 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from marl_mm.episode import Episode
-from marl_mm.eval.metrics import Row
+from marl_mm.eval.metrics import Row, alphas
 from marl_mm.files import new_file
-from marl_mm.layout import ALPHA
 
 COLORS = {"forward": "#1b6ca8", "backward": "#c8553d", "all": "#333333"}
 
@@ -88,11 +87,10 @@ def alpha_over_time(episodes: dict[str, Sequence[Episode]], path: Path) -> None:
     for column, (name, runs) in enumerate(episodes.items()):
         above, below = axes[0][column], axes[1][column]
         for episode in runs:
-            color, label = COLORS[episode.direction], episode.direction
+            label = episode.direction or "all"
+            color = COLORS[label]
             time = range(1, len(episode) + 1)
-            above.plot(
-                time, episode.actions[:, ALPHA], "o-", ms=3, color=color, label=label
-            )
+            above.plot(time, alphas(episode), "o-", ms=3, color=color, label=label)
             distance = episode.info["distance"]
             below.plot(time, distance, "o-", ms=3, color=color, label=label)
         above.set(title=name, ylim=(-0.05, 1.05))

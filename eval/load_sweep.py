@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marl_mm.collectors.pd import PdConfig, PdPolicy
-from marl_mm.envs.config import reach_config
-from marl_mm.envs.core import ReachCore
+from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.drive import Drive, Tick
+from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import run_episode
 from marl_mm.eval.goals import goal_set
 from marl_mm.eval.intervals import bootstrap_interval
@@ -69,9 +69,9 @@ def run_load_cell(cell: SweepCell) -> list[Row]:
     ``zmp_span`` how far it went from end to end [m]: the margin to all edges is nearly
     always that to the sides, which the base's way ahead does not change.
     """
-    config = reach_config(cell.task, cell.overrides)
+    config = make_task(cell.task, cell.overrides)
     policy, rows = PdPolicy(cell.pd), []
-    with closing(ReachCore(config)) as core:
+    with closing(EpisodeCore(config)) as core:
         for plan in goal_set(config, cell.goals, cell.seed):
             swing = _Swing(core.drive, config.look_every)
             episode = run_episode(core, policy, plan, swing.see)

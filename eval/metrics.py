@@ -1,40 +1,105 @@
 """From episodes to rows, and from rows to summaries: pure functions."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from marl_mm.episode import Episode
 from marl_mm.eval.intervals import success_interval
-from marl_mm.layout import ALPHA
+from marl_mm.registry import Registry
 
 Row = dict[str, Any]
 
 
-def episode_row(episode: Episode) -> Row:
-    """One episode as numbers; errors and jerk are means over its steps.
+@dataclass(frozen=True, kw_only=True)
+class Metric:
+    """One number of an episode."""
 
-    ``reason``, why it failed or nothing, where there is a block.
+    about: str
+    """Meaning, with its unit."""
+
+    value: Callable[[Episode], float | None]
+    """The number; None where the episode does not have what it is made of."""
+
+    averaged: bool = False
+    """Whether summaries have its mean over episodes."""
+
+
+METRICS: Registry[Metric] = Registry("metric")
+"""Metrics that evaluations have beside success, steps and return."""
+
+
+def _of_info(name: str, reduce: Callable[[np.ndarray], Any]) -> Any:
+    def value(episode: Episode) -> Any:
+        return reduce(episode.info[name]).item() if name in episode.info else None
+
+    return value
+
+
+def _add(name: str, about: str, value: Any, averaged: bool = False) -> None:
+    METRICS.add(name, Metric(about=about, value=value, averaged=averaged))
+
+
+_add(
+    "final_distance",
+    "distance to the goal at the end [m]",
+    _of_info("distance", lambda values: values[-1]),
+)
+_add("d_mm", "end-effector to its target, mean [m]", _of_info("d_mm", np.mean), True)
+_add("d_mp", "base to its plan, mean [m]", _of_info("d_mp", np.mean), True)
+_add(
+    "base_jerk_rms",
+    "jerk of the base, mean over steps [m/s^3]",
+    _of_info("base_jerk_rms", np.mean),
+    True,
+)
+_add("zmp_margin", "least margin of stability [m]", _of_info("zmp_margin", np.min))
+
+
+def alphas(episode: Episode) -> np.ndarray:
+    """Alpha at each step, shape (T,).
+
+    Raises:
+        LayoutError: If the layout has none.
     """
-    info = episode.info
+    return np.asarray(episode.actions[:, episode.layout.settings("alpha")][:, 0])
+
+
+def _mean_alpha(episode: Episode) -> float | None:
+    if "alpha" not in episode.layout.action_names:
+        return None
+    return float(alphas(episode).mean())
+
+
+_add("alpha", "alpha, mean: 0 accurate hand ... 1 stable base", _mean_alpha, True)
+_add(
+    "qp_failures",
+    "levels of the hierarchy without a solution",
+    _of_info("qp_failures", np.sum),
+)
+
+
+def episode_row(episode: Episode) -> Row:
+    """One episode as numbers.
+
+    ``direction`` where the layout has one; ``reason``, why it failed or nothing, where
+    the task can fail.
+    """
     told = {} if episode.reason is None else {"reason": episode.reason}
+    direction = episode.direction
+    measured = {name: one.value(episode) for name, one in METRICS.items()}
     return {
         "index": episode.index,
         "seed": episode.seed,
         "goal": episode.states[0, episode.layout.goal].tolist(),
-        "direction": episode.direction,
+        **({} if direction is None else {"direction": direction}),
         "success": episode.success,
         "steps": len(episode),
         "return": episode.episode_return,
-        "final_distance": float(info["distance"][-1]),
-        "d_mm": float(info["d_mm"].mean()),
-        "d_mp": float(info["d_mp"].mean()),
-        "base_jerk_rms": float(info["base_jerk_rms"].mean()),
-        "zmp_margin": float(info["zmp_margin"].min()),
-        "alpha": float(episode.actions[:, ALPHA].mean()),
-        "qp_failures": int(info["qp_failures"].sum()),
+        **{name: value for name, value in measured.items() if value is not None},
         **told,
     }
 
@@ -49,8 +114,10 @@ def summarize(rows: Sequence[Row]) -> dict[str, Any]:
         "interval": success_interval(len(successes), len(rows)),
         "steps_to_success": float(np.mean(steps)) if steps else None,
     }
-    for key in ("return", "d_mm", "d_mp", "base_jerk_rms", "alpha"):
-        summary[key] = float(np.mean([row[key] for row in rows]))
+    averaged = [name for name, one in METRICS.items() if one.averaged]
+    for key in ("return", *averaged):
+        if key in rows[0]:
+            summary[key] = float(np.mean([row[key] for row in rows]))
     failures = count_failures(rows)
     return summary if failures is None else {**summary, "failures": failures}
 
@@ -73,5 +140,5 @@ def summarize_directions(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
     """Summaries of all rows, of those ahead and of those behind."""
     parts = {"all": list(rows)}
     for direction in ("forward", "backward"):
-        parts[direction] = [row for row in rows if row["direction"] == direction]
+        parts[direction] = [row for row in rows if row.get("direction") == direction]
     return {name: summarize(part) for name, part in parts.items() if part}

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from marl_mm.algorithms.ddpg import DdpgConfig
-from marl_mm.algorithms.presets import Preset, preset
+from marl_mm.algorithms.registry import TUNED, preset
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.errors import UsageError
 from marl_mm.eval.ablation import Reported
@@ -46,7 +45,7 @@ class OnlineSetting:
     """In tables."""
 
     algorithm: str = "ddpg-her"
-    preset: Preset = "tuned"
+    preset: str = TUNED
     task: str = "Reach-v0"
     demonstrations: bool = False
     """Whether it replays episodes of an agent that knows how: PD, or the script."""
@@ -61,7 +60,7 @@ class OnlineSetting:
     """What the paper says of it."""
 
     @property
-    def config(self) -> DdpgConfig:
+    def config(self) -> Any:
         """Its hyper-parameters."""
         return replace(preset(self.algorithm, self.preset), **self.changes)
 

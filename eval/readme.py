@@ -11,7 +11,11 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from marl_mm.envs.config import TASKS, LoadConfig
+from marl_mm.envs.load import StandConfig
+from marl_mm.envs.registry import TASKS
+from marl_mm.envs.tasks.carry import Carry
+from marl_mm.envs.tasks.grasp import LAYOUT as HANDLING
+from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.eval.ablations import ABLATIONS, BLOCKS
 from marl_mm.eval.bench_tables import (
     abuse_table,
@@ -47,7 +51,6 @@ from marl_mm.eval.sweep_tables import (
 )
 from marl_mm.eval.tables import markdown_table, rate_with_interval
 from marl_mm.files import new_file
-from marl_mm.layout import HANDLING, REACH
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "eval" / "results"
@@ -166,10 +169,10 @@ def _offline_updates() -> str:
 
 def _entries() -> str:
     """Entries of joint state and action, and whose they are, as Markdown."""
-    only = [f"`{task}`" for task, one in TASKS.items() if one.layout is HANDLING]
+    only = [f"`{task}`" for task, one in TASKS.items() if one.layout == HANDLING]
     sides = [
-        ("seen by", HANDLING.state, REACH.state, "observation"),
-        ("set by", HANDLING.action, REACH.action, "action"),
+        ("seen by", HANDLING.state_names, REACH.state_names, "observation"),
+        ("set by", HANDLING.action_names, REACH.action_names, "action"),
     ]
     lines: dict[tuple[str, ...], list[str]] = {}
     for verb, names, everywhere, part in sides:
@@ -187,8 +190,8 @@ def _entries() -> str:
 
 def _drawn() -> str:
     """What is drawn of blocks and stands, and what a failure brings, as Markdown."""
-    loads = {task: one.load for task, one in TASKS.items() if one.load}
-    load = LoadConfig()
+    loads = {task: one.load for task, one in TASKS.items() if isinstance(one, Carry)}
+    load = StandConfig()
     lines = [
         (what, *(f"{scale * end:g}" for end in interval))
         for what, interval, scale in (

@@ -16,9 +16,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import NormalActionNoise
 
 from marl_mm.algorithms.ddpg import DdpgConfig
-from marl_mm.envs.reach import goal_observation
+from marl_mm.envs.goal_env import goal_observation
+from marl_mm.envs.tasks.reach import LAYOUT
 from marl_mm.eval.online import SB3
-from marl_mm.layout import ACTION
+from marl_mm.layout import Layout
 
 
 class Sb3Policy:
@@ -33,12 +34,14 @@ class Sb3Policy:
         """Nothing: the run's config says it."""
         return {}
 
-    def begin(self, rng: np.random.Generator) -> None:
+    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
         """Nothing to remember between episodes."""
+        self._layout = layout
 
     def act(self, state: np.ndarray) -> np.ndarray:
         """Joint action, shape (4,), float32."""
-        action, _ = self._model.predict(goal_observation(state), deterministic=True)
+        observation = goal_observation(state, self._layout)
+        action, _ = self._model.predict(observation, deterministic=True)
         return np.asarray(action, np.float32)
 
 
@@ -58,7 +61,7 @@ def sb3_model(
         train_freq=(1, "episode"),
         gradient_steps=config.updates_per_episode,
         action_noise=NormalActionNoise(
-            np.zeros(len(ACTION)), np.full(len(ACTION), config.noise)
+            np.zeros(len(LAYOUT.action)), np.full(len(LAYOUT.action), config.noise)
         ),
         replay_buffer_class=HerReplayBuffer,
         replay_buffer_kwargs={

@@ -13,10 +13,9 @@ import numpy as np
 
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.control.config import Form
-from marl_mm.envs.config import TASKS, reach_config
+from marl_mm.envs.registry import TASKS, make_task
 from marl_mm.envs.rollout import run_episodes
-from marl_mm.envs.terms import reach_reward
-from marl_mm.episode import Episode
+from marl_mm.episode import Episode, reward_terms
 from marl_mm.eval.goals import goal_set
 from marl_mm.eval.intervals import bootstrap_interval, success_interval
 from marl_mm.eval.metrics import Row
@@ -69,7 +68,7 @@ class SweepCell:
 
 def run_cell(cell: SweepCell) -> list[Row]:
     """One row per goal and task."""
-    config = reach_config(cell.task, cell.overrides)
+    config = make_task(cell.task, cell.overrides)
     plans = goal_set(config, cell.goals, cell.seed)
     policy = PdPolicy(cell.pd)
     episodes = run_episodes(config, policy, plans)
@@ -83,13 +82,11 @@ def episode_rows(cell: SweepCell, episode: Episode) -> Iterable[Row]:
     for task in RUNS.get(cell.task, (cell.task,)):
         reward = episode.rewards
         if task != cell.task:
-            reward = reach_reward(
-                info["distance"],
-                info["d_mm"],
-                info["d_mp"],
-                info["base_jerk_rms"],
-                TASKS[task],
-            )
+            other, layout = TASKS.get(task), episode.layout
+            after = episode.states[1:]
+            terms = reward_terms(other.needs, info, episode.failed, after, layout)
+            achieved, goals = after[:, layout.achieved], after[:, layout.goal]
+            reward = other.reward(achieved, goals, terms)
         yield {
             "task": task,
             "form": cell.form,

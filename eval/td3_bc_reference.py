@@ -14,7 +14,7 @@ from torch.nn import functional
 from marl_mm.algorithms.replay import normalized_actions
 from marl_mm.algorithms.td3_bc import Td3BcConfig
 from marl_mm.datasets.arrays import EpisodeArrays
-from marl_mm.layout import ACTION, STATE
+from marl_mm.envs.tasks.reach import LAYOUT
 
 
 class PlainActor(nn.Module):
@@ -22,9 +22,9 @@ class PlainActor(nn.Module):
 
     def __init__(self, units: int) -> None:
         super().__init__()
-        self.l1 = nn.Linear(len(STATE), units)
+        self.l1 = nn.Linear(len(LAYOUT.state), units)
         self.l2 = nn.Linear(units, units)
-        self.l3 = nn.Linear(units, len(ACTION))
+        self.l3 = nn.Linear(units, len(LAYOUT.action))
 
     def forward(self, state: torch.Tensor) -> torch.Tensor:
         """Shapes (n, 10) to (n, 4)."""
@@ -38,7 +38,7 @@ class PlainCritic(nn.Module):
 
     def __init__(self, units: int) -> None:
         super().__init__()
-        width = len(STATE) + len(ACTION)
+        width = len(LAYOUT.state) + len(LAYOUT.action)
         self.l1, self.l4 = nn.Linear(width, units), nn.Linear(width, units)
         self.l2, self.l5 = nn.Linear(units, units), nn.Linear(units, units)
         self.l3, self.l6 = nn.Linear(units, 1), nn.Linear(units, 1)
@@ -86,7 +86,7 @@ class PlainTd3Bc:
         next_states = arrays.states[~arrays.is_first_state()]
         self._buffer = (
             (states - self.mean) / self.std,
-            normalized_actions(arrays.actions),
+            normalized_actions(arrays.actions, arrays.layout),
             (next_states - self.mean) / self.std,
             arrays.rewards[:, None],
             1.0 - arrays.terminated[:, None],

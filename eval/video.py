@@ -8,10 +8,10 @@ import imageio_ffmpeg
 import numpy as np
 from matplotlib.figure import Figure
 
-from marl_mm.envs.config import ReachConfig
-from marl_mm.envs.core import ReachCore
+from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.drive import Tick
 from marl_mm.envs.rollout import EpisodePlan, run_episode
+from marl_mm.envs.task import Task
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
 from marl_mm.eval.goals import goal_set
@@ -64,7 +64,7 @@ class Film:
 
 
 def film_episode(
-    config: ReachConfig,
+    config: Task,
     policy: Policy,
     plan: EpisodePlan,
     camera: Camera,
@@ -86,7 +86,7 @@ def film_episode(
     Returns:
         The episode, and frames of shape (height, width, 3), uint8.
     """
-    core = ReachCore(config, visual=True, gui=gui)
+    core = EpisodeCore(config, visual=True, gui=gui)
     film = Film(core.drive.world, camera, fps)
 
     def watch(tick: Tick) -> None:
@@ -114,7 +114,7 @@ class TwoWays(NamedTuple):
 
 
 def film_both_ways(
-    config: ReachConfig, policy: Policy, seed: int, fps: int, advance: Advance = silent
+    config: Task, policy: Policy, seed: int, fps: int, advance: Advance = silent
 ) -> TwoWays:
     """Film a policy on a seed's first goal ahead and on its first one behind.
 

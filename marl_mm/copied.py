@@ -17,10 +17,10 @@ from marl_mm.processes import BEFORE, set_variables
 def _take_a_step() -> None:
     import numpy as np
 
-    from marl_mm.envs.config import ReachConfig
-    from marl_mm.envs.core import ReachCore
+    from marl_mm.envs.core import EpisodeCore
+    from marl_mm.envs.registry import make_task
 
-    core = ReachCore(ReachConfig())
+    core = EpisodeCore(make_task())
     core.reset(np.random.default_rng(0))
     core.step(np.zeros(4))
     core.close()

@@ -37,6 +37,10 @@ class OtherConfigError(UsageError):
         return f"{self.difference}: {self.advice}"
 
 
+class LayoutError(UsageError):
+    """A layout makes no sense, or is another one than what it meets."""
+
+
 class UnknownDatasetError(UsageError):
     """No dataset has this id or path."""
 

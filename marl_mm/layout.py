@@ -1,212 +1,405 @@
-"""Names and order of the joint state and action, and which part each agent has.
+"""What a joint state and a joint action hold, entry by entry, and each agent's part.
 
-Every other package builds on this one place: environments, datasets, algorithms.
+A layout travels with what it describes: episodes, datasets, checkpoints, policies. No
+number is ever read by its place without the layout that names it.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from marl_mm.errors import UsageError
+from marl_mm.errors import LayoutError
 
-STATE = (
-    "end_effector_x",
-    "end_effector_y",
-    "end_effector_z",
-    "base_x",
-    "base_y",
-    "base_yaw",
-    "control_mode",
-    "goal_x",
-    "goal_y",
-    "goal_z",
-)
-"""Joint state, shape (10,): world frame [m], [rad]; control mode is the last alpha."""
+JOINT_NAME = "joint"
+"""Name of the single actor of algorithms that do not know agents."""
 
-ACTION = ("delta_x", "delta_y", "delta_z", "alpha")
-"""Joint action, shape (4,): displacement of the end-effector's target, then alpha."""
+_RESERVED = (JOINT_NAME, "actor", "critic", "imitation")
+"""Names that agents may not have, as logs and checkpoints use them."""
 
-EE = slice(0, 3)
-BASE = slice(3, 6)
-MODE = 6
-OBSERVATION = slice(0, 7)
-GOAL = slice(7, 10)
-DELTA = slice(0, 3)
-GRIP = 3
-"""Of ``HANDLING``."""
+MOST_AGENTS = 8
+"""Largest number of agents of a layout."""
 
-ALPHA = -1
+Columns = slice | list[int]
+"""Index of entries along an array's last axis."""
 
-ACTION_LOW = (-1.0, -1.0, -1.0, 0.0)
-ACTION_HIGH = (1.0, 1.0, 1.0, 1.0)
+
+@dataclass(frozen=True)
+class Entry:
+    """One number of a joint state or a joint action."""
+
+    name: str
+    """Name, a Python identifier that is unique in the state or action."""
+
+    unit: str = "1"
+    """Unit; "1" for numbers without one."""
+
+    low: float = -math.inf
+    """Least value."""
+
+    high: float = math.inf
+    """Largest value."""
+
+    def __str__(self) -> str:
+        bounded = math.isfinite(self.low) or math.isfinite(self.high)
+        within = f" in [{self.low:g}, {self.high:g}]" if bounded else ""
+        return f"{self.name} [{self.unit}]{within}"
+
+
+@dataclass(frozen=True)
+class Agent:
+    """What one agent sees and sets, by names of entries."""
+
+    name: str
+    sees: tuple[str, ...]
+    """Names of entries of the joint state, in the order of its observation."""
+
+    sets: tuple[str, ...]
+    """Names of entries of the joint action; no two agents set the same."""
 
 
 @dataclass(frozen=True)
 class AgentLayout:
-    """What one agent sees of the joint state and sets of the joint action."""
+    """What one agent sees and sets, by places in the joint state and action."""
 
     name: str
 
     observation: tuple[int, ...]
-    """Entries of the joint state."""
+    """Places of its observation in the joint state."""
 
     action: tuple[int, ...]
-    """Entries of the joint action."""
+    """Places of its action in the joint action."""
 
     low: tuple[float, ...]
-    """Least values of these."""
+    """Least values of its action."""
 
     high: tuple[float, ...]
-    """Largest ones."""
+    """Largest values of its action."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Joint state and action of a kind of tasks.
+    """Entries of a joint state and action, the agents, and what the goal is.
 
-    Whatever it is, the state begins with ``EE``, ``BASE`` and ``MODE`` and ends with
-    the goal; the action begins with ``DELTA`` and ends with ``ALPHA``.
+    Raises:
+        LayoutError: If names are missing, unknown or not unique, an action entry has
+            no agent or several, no bounds, or the goal does not fit what is compared.
     """
 
-    name: str
-    state: tuple[str, ...]
-    action: tuple[str, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    seen: Mapping[str, tuple[int, ...]]
-    """Entries of the state that each agent sees, in the order of their actions."""
+    state: tuple[Entry, ...]
+    """Entries of the joint state, in order."""
 
-    achieved_from: int = 0
-    """First of the three entries of the state that are compared with the goal."""
+    action: tuple[Entry, ...]
+    """Entries of the joint action, in order; each is bounded."""
 
-    held: int | None = None
-    """Entry that is 1 once a block has been held long enough to count; None: there is
-    no block to be taken."""
+    team: tuple[Agent, ...]
+    """Agents in order, 1 to 8 of them."""
 
-    @property
-    def achieved(self) -> slice:
-        """What is compared with the goal."""
-        return slice(self.achieved_from, self.achieved_from + 3)
+    compared: tuple[str, ...]
+    """Names of the state's entries that are compared with the goal."""
 
-    @property
-    def goal(self) -> slice:
-        """The state's last three entries."""
-        return slice(len(self.state) - 3, len(self.state))
+    desired: tuple[str, ...]
+    """Names of the state's entries that are the goal, as many, in the same order."""
 
-    @property
-    def observation(self) -> slice:
-        """The state but for the goal."""
-        return slice(0, len(self.state) - 3)
+    def __post_init__(self) -> None:
+        _check_names("state", self.state_names)
+        _check_names("action", self.action_names)
+        _check_names("agents", [agent.name for agent in self.team])
+        for agent in self.team:
+            if agent.name in _RESERVED:
+                raise LayoutError(
+                    f"an agent is called {agent.name!r}, expected another name than "
+                    f"{', '.join(_RESERVED)}"
+                )
+            if not agent.sees or not agent.sets:
+                raise LayoutError(f"agent {agent.name!r} sees or sets no entry")
+            _check_known("state", agent.sees, self.state_names, f"{agent.name!r} sees")
+        if len(self.team) > MOST_AGENTS:
+            raise LayoutError(
+                f"{len(self.team)} agents, expected at most {MOST_AGENTS}"
+            )
+        sets = [name for agent in self.team for name in agent.sets]
+        if sorted(sets) != sorted(self.action_names):
+            raise LayoutError(
+                f"the agents set {', '.join(sets)}, expected each of "
+                f"{', '.join(self.action_names)} once"
+            )
+        for entry in self.action:
+            if not -math.inf < entry.low < entry.high < math.inf:
+                raise LayoutError(f"action entry {entry}: expected finite low < high")
+        for entry in self.state:
+            if not entry.low < entry.high:
+                raise LayoutError(f"state entry {entry}: expected low < high")
+        for part, names in (("compared", self.compared), ("desired", self.desired)):
+            _check_names(part, names)
+            _check_known("state", names, self.state_names, f"{part} has")
+        if len(self.compared) != len(self.desired):
+            raise LayoutError(
+                f"{', '.join(self.compared)} cannot be compared with "
+                f"{', '.join(self.desired)}: expected as many entries"
+            )
 
-    def reward_inputs(self, states: np.ndarray) -> dict[str, np.ndarray]:
-        """What of states rewards depend on beside the goal; see ``envs.terms.judge``.
+    @cached_property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the joint state's entries."""
+        return tuple(entry.name for entry in self.state)
 
-        Args:
-            states: After the steps, shape (n, k).
-        """
-        return {} if self.held is None else {"held": states[:, self.held]}
+    @cached_property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the joint action's entries."""
+        return tuple(entry.name for entry in self.action)
 
-    @property
+    @cached_property
+    def low(self) -> tuple[float, ...]:
+        """Least values of the joint action."""
+        return tuple(entry.low for entry in self.action)
+
+    @cached_property
+    def high(self) -> tuple[float, ...]:
+        """Largest values of the joint action."""
+        return tuple(entry.high for entry in self.action)
+
+    @cached_property
+    def achieved(self) -> Columns:
+        """Columns of the state that are compared with the goal."""
+        return columns(places(self.state_names, self.compared))
+
+    @cached_property
+    def goal(self) -> Columns:
+        """Columns of the state that are the goal."""
+        return columns(places(self.state_names, self.desired))
+
+    @cached_property
+    def observation(self) -> Columns:
+        """Columns of the state but for the goal."""
+        rest = (name for name in self.state_names if name not in self.desired)
+        return columns(places(self.state_names, rest))
+
+    @cached_property
     def agents(self) -> tuple[AgentLayout, ...]:
-        """``end_effector`` sets all but alpha, ``balance`` alpha."""
-        sets = slice(0, len(self.action) - 1), slice(len(self.action) - 1, None)
-        entries = tuple(range(len(self.action)))
+        """The agents by places in the joint state and action."""
         return tuple(
-            AgentLayout(name, seen, entries[own], self.low[own], self.high[own])
-            for (name, seen), own in zip(self.seen.items(), sets, strict=True)
+            self._placed(
+                agent.name,
+                places(self.state_names, agent.sees),
+                places(self.action_names, agent.sets),
+            )
+            for agent in self.team
         )
 
-    @property
+    @cached_property
     def joint(self) -> AgentLayout:
         """One agent that sees and sets everything, for algorithms without agents."""
-        seen, sets = tuple(range(len(self.state))), tuple(range(len(self.action)))
-        return AgentLayout(JOINT_NAME, seen, sets, self.low, self.high)
+        seen, sets = range(len(self.state)), range(len(self.action))
+        return self._placed(JOINT_NAME, tuple(seen), tuple(sets))
+
+    def columns(self, *names: str) -> Columns:
+        """Columns of the state's entries of these names.
+
+        Raises:
+            LayoutError: Naming those that the state lacks.
+        """
+        _check_known("state", names, self.state_names, "it is asked for")
+        return columns(places(self.state_names, names))
+
+    def settings(self, *names: str) -> Columns:
+        """Columns of the action's entries of these names.
+
+        Raises:
+            LayoutError: Naming those that the action lacks.
+        """
+        _check_known("action", names, self.action_names, "it is asked for")
+        return columns(places(self.action_names, names))
+
+    def state_of(self, observation: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        """Joint states of what a goal environment shows, float64, shape (..., n)."""
+        shape = (*observation.shape[:-1], len(self.state))
+        state = np.empty(shape)
+        state[..., self.observation], state[..., self.goal] = observation, goal
+        return state
+
+    def check_state(self, state: np.ndarray) -> None:
+        """Raise for a joint state of another width.
+
+        Raises:
+            LayoutError: Naming what it should hold.
+        """
+        if state.shape != (len(self.state),):
+            raise LayoutError(
+                f"state has shape {state.shape}, expected ({len(self.state)},): "
+                f"{', '.join(self.state_names)}"
+            )
+
+    def to_json(self) -> dict[str, Any]:
+        """The layout, JSON-serialisable; infinite bounds are None."""
+        return {
+            "state": [_entry_to_json(entry) for entry in self.state],
+            "action": [_entry_to_json(entry) for entry in self.action],
+            "agents": [[a.name, list(a.sees), list(a.sets)] for a in self.team],
+            "compared": list(self.compared),
+            "desired": list(self.desired),
+        }
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> "Layout":
+        """The layout of a file.
+
+        Raises:
+            LayoutError: If it is none.
+        """
+        try:
+            return cls(
+                tuple(_entry_from_json(*entry) for entry in values["state"]),
+                tuple(_entry_from_json(*entry) for entry in values["action"]),
+                tuple(
+                    Agent(str(name), _names(sees), _names(sets))
+                    for name, sees, sets in values["agents"]
+                ),
+                _names(values["compared"]),
+                _names(values["desired"]),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise LayoutError(f"no layout of marl_mm ({error!r:.80})") from error
+
+    def differences(self, other: "Layout", agents: bool = True) -> list[str]:
+        """What another layout has otherwise, in words; none if they are equal.
+
+        Args:
+            other: The one to compare with.
+            agents: Whether the agents matter, or only the entries and the goal.
+        """
+        found = [
+            *_different("state", self.state, other.state),
+            *_different("action", self.action, other.action),
+        ]
+        for part in ("compared", "desired"):
+            own, theirs = getattr(self, part), getattr(other, part)
+            if own != theirs:
+                found.append(f"{part} {', '.join(own)} (there {', '.join(theirs)})")
+        if agents:
+            found += _different("agent", self.team, other.team)
+        return found
+
+    def _placed(
+        self, name: str, seen: tuple[int, ...], sets: tuple[int, ...]
+    ) -> AgentLayout:
+        low, high = (tuple(one[i] for i in sets) for one in (self.low, self.high))
+        return AgentLayout(name, seen, sets, low, high)
 
 
-JOINT_NAME = "joint"
+def refuse_other_layout(
+    what: str, own: Layout, where: str, met: Layout, agents: bool = True
+) -> None:
+    """Raise if two layouts that have to be the same are not.
 
-REACH = Layout(
-    "reach",
-    STATE,
-    ACTION,
-    ACTION_LOW,
-    ACTION_HIGH,
-    {"end_effector": (0, 1, 2, 3, 4, 5, 7, 8, 9), "balance": (0, 1, 2, 3, 4, 5, 6)},
-)
-"""Of tasks with nothing but a goal."""
-
-HANDLING = Layout(
-    "handling",
-    (
-        *STATE[OBSERVATION],
-        "opening",
-        "held",
-        *("block_x", "block_y", "block_z"),
-        *("stand_x", "stand_y", "stand_z"),
-        *STATE[GOAL],
-    ),
-    (*ACTION[:-1], "grip", ACTION[-1]),
-    (*ACTION_LOW[:-1], -1.0, ACTION_LOW[-1]),
-    (*ACTION_HIGH[:-1], 1.0, ACTION_HIGH[-1]),
-    {
-        "end_effector": (0, 1, 2, 3, 4, 5, *range(7, 18)),
-        "balance": (0, 1, 2, 3, 4, 5, 6, 8),
-    },
-    achieved_from=9,
-    held=8,
-)
-"""Of tasks with a block to be taken: the end-effector's agent sees it, its stand's top
-and the gripper's opening [m], and closes with a ``grip`` above 0; both agents see
-whether the block is held."""
-
-LAYOUTS = (REACH, HANDLING)
-
-AGENTS, JOINT = REACH.agents, REACH.joint
-"""Of the reach tasks."""
-
-
-def check_state(state: np.ndarray, layout: Layout) -> None:
-    """Raise if a joint state is of tasks with other entries.
+    Args:
+        what: What brings a layout of its own, in words.
+        own: Its layout.
+        where: What it meets, in words.
+        met: That one's layout.
+        agents: Whether the agents matter, or only the entries and the goal.
 
     Raises:
-        UsageError: Saying what it should be.
+        LayoutError: Naming the entries that differ.
     """
-    if state.shape != (len(layout.state),):
-        raise UsageError(
-            f"state has shape {state.shape}, expected ({len(layout.state)},): the "
-            f"policy is for tasks that show {', '.join(layout.state)}"
+    if own is met:
+        return
+    if differences := own.differences(met, agents):
+        raise LayoutError(
+            f"{what} is made for another layout than {where} has: "
+            f"{'; '.join(differences)}"
         )
 
 
-def layout_of(width: int) -> Layout:
-    """The layout whose joint states have so many entries.
+def columns(entries: Sequence[int]) -> Columns:
+    """Index of these places; a slice where it says the same, as that makes a view."""
+    run = slice(entries[0], entries[-1] + 1) if entries else slice(0, 0)
+    return run if list(entries) == list(range(run.start, run.stop)) else list(entries)
 
-    Raises:
-        UsageError: If there is none.
+
+def places(names: Sequence[str], chosen: Iterable[str]) -> tuple[int, ...]:
+    """Where the chosen ones of these names stand."""
+    return tuple(names.index(name) for name in chosen)
+
+
+def in_order(agents: Iterable[AgentLayout]) -> list[int] | None:
+    """Order that brings agents' actions, one after the other, into the joint action's.
+
+    None where they stand in that order already.
     """
-    return _layout_with("state", width)
+    placed = [place for agent in agents for place in agent.action]
+    order = sorted(range(len(placed)), key=placed.__getitem__)
+    return None if order == list(range(len(placed))) else order
 
 
-def layout_of_actions(width: int) -> Layout:
-    """The layout whose joint actions have so many entries.
-
-    Raises:
-        UsageError: If there is none.
-    """
-    return _layout_with("action", width)
-
-
-def _layout_with(part: Literal["state", "action"], width: int) -> Layout:
-    known = {len(getattr(layout, part)): layout for layout in LAYOUTS}
-    if width not in known:
-        expected = " or ".join(map(str, known))
-        raise UsageError(f"{part} has {width} entries, expected {expected}")
-    return known[width]
+def _check_names(part: str, names: Sequence[str]) -> None:
+    if not names:
+        raise LayoutError(f"{part} has no entries, expected at least one")
+    for name in names:
+        if not name.isidentifier():
+            raise LayoutError(
+                f"{part} has the name {name!r}, expected letters, digits and '_'"
+            )
+        if names.count(name) > 1:
+            raise LayoutError(f"{part} has {name!r} twice, expected it once")
 
 
-def columns(entries: tuple[int, ...]) -> slice | list[int]:
-    """Index of these entries; a slice where it says the same, as that makes a view."""
-    run = slice(entries[0], entries[-1] + 1)
-    return run if entries == tuple(range(run.start, run.stop)) else list(entries)
+def _check_known(
+    part: str, names: Iterable[str], known: Sequence[str], who: str
+) -> None:
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise LayoutError(
+            f"{who} {', '.join(unknown)}, which the {part} has not: expected some of "
+            f"{', '.join(known)}"
+        )
+
+
+def _different(part: str, own: Sequence[Any], others: Sequence[Any]) -> list[str]:
+    """Things by name that are missing on one side, differ, or stand elsewhere."""
+    here, there = ({one.name: one for one in side} for side in (own, others))
+    found = [
+        f"{part} {_told(one)}: not there" for n, one in here.items() if n not in there
+    ]
+    found += [
+        f"{part} {_told(one)}: only there" for n, one in there.items() if n not in here
+    ]
+    found += [
+        f"{part} {_told(one)} (there {_told(there[name])})"
+        for name, one in here.items()
+        if name in there and there[name] != one
+    ]
+    if not found and list(here) != list(there):
+        found = [f"order of the {part}: {', '.join(here)} (there {', '.join(there)})"]
+    return found
+
+
+def _told(one: Any) -> str:
+    if isinstance(one, Agent):
+        return (
+            f"{one.name}, which sees {', '.join(one.sees)}, sets {', '.join(one.sets)}"
+        )
+    return str(one)
+
+
+def _entry_to_json(entry: Entry) -> list[Any]:
+    bounds = (b if math.isfinite(b) else None for b in (entry.low, entry.high))
+    return [entry.name, entry.unit, *bounds]
+
+
+def _entry_from_json(
+    name: str, unit: str, low: float | None, high: float | None
+) -> Entry:
+    return Entry(
+        str(name),
+        str(unit),
+        -math.inf if low is None else float(low),
+        math.inf if high is None else float(high),
+    )
+
+
+def _names(values: Iterable[Any]) -> tuple[str, ...]:
+    return tuple(map(str, values))

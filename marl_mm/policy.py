@@ -4,9 +4,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from marl_mm.layout import Layout
+
 
 class Policy(Protocol):
-    """A policy for both agents together."""
+    """A policy for all agents together."""
 
     @property
     def name(self) -> str:
@@ -15,8 +17,16 @@ class Policy(Protocol):
     def describe(self) -> dict[str, Any]:
         """Its settings, JSON-serialisable, so that a result says whose it is."""
 
-    def begin(self, rng: np.random.Generator) -> None:
-        """A new episode starts; ``rng`` is the only source of randomness in it."""
+    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
+        """A new episode starts.
+
+        Args:
+            rng: Only source of randomness in it.
+            layout: Layout of its states and actions.
+
+        Raises:
+            LayoutError: If the policy is for another one.
+        """
 
     def act(self, state: np.ndarray) -> np.ndarray:
-        """Joint action, float32, at a joint state, as in the task's ``Layout``."""
+        """Joint action, shape (k,), float32, at a joint state, shape (n,)."""

@@ -3,37 +3,31 @@
 import numpy as np
 from gymnasium import spaces
 
-from marl_mm.layout import Layout
-
-_BOUNDS = {"control_mode": (0.0, 1.0), "opening": (-0.1, 0.1), "held": (0.0, 1.0)}
-"""Of the state's entries that have any; the hand opens to 0.08 m."""
+from marl_mm.layout import AgentLayout, Columns, Layout
 
 
-def _state_box(layout: Layout, entries: slice | tuple[int, ...]) -> spaces.Box:
-    unbounded = -np.inf, np.inf
-    low, high = np.array([_BOUNDS.get(name, unbounded) for name in layout.state]).T
-    index = list(entries) if isinstance(entries, tuple) else entries
-    return spaces.Box(low[index], high[index], dtype=np.float64)
+def _state_box(layout: Layout, entries: Columns) -> spaces.Box:
+    low, high = np.array([(one.low, one.high) for one in layout.state]).T
+    return spaces.Box(low[entries], high[entries], dtype=np.float64)
 
 
-def _action_box(layout: Layout, entries: tuple[int, ...]) -> spaces.Box:
-    low = np.array(layout.low, np.float32)[list(entries)]
-    high = np.array(layout.high, np.float32)[list(entries)]
+def _action_box(agent: AgentLayout) -> spaces.Box:
+    low, high = (np.array(one, np.float32) for one in (agent.low, agent.high))
     return spaces.Box(low, high, dtype=np.float32)
 
 
 def state_space(layout: Layout) -> spaces.Box:
     """Joint state, shape (n,)."""
-    return _state_box(layout, layout.joint.observation)
+    return _state_box(layout, slice(None))
 
 
 def action_space(layout: Layout) -> spaces.Box:
     """Joint action, shape (k,)."""
-    return _action_box(layout, layout.joint.action)
+    return _action_box(layout.joint)
 
 
 def goal_observation_space(layout: Layout) -> spaces.Dict:
-    """The joint state as a goal dictionary: observation (n - 3), two goals (3)."""
+    """The joint state as a goal dictionary: observation (n - g), two goals (g)."""
     return spaces.Dict(
         {
             "observation": _state_box(layout, layout.observation),
@@ -46,10 +40,11 @@ def goal_observation_space(layout: Layout) -> spaces.Dict:
 def agent_observation_spaces(layout: Layout) -> dict[str, spaces.Box]:
     """Each agent's part of the joint state, by name."""
     return {
-        agent.name: _state_box(layout, agent.observation) for agent in layout.agents
+        agent.name: _state_box(layout, list(agent.observation))
+        for agent in layout.agents
     }
 
 
 def agent_action_spaces(layout: Layout) -> dict[str, spaces.Box]:
     """Each agent's part of the joint action, by name."""
-    return {agent.name: _action_box(layout, agent.action) for agent in layout.agents}
+    return {agent.name: _action_box(agent) for agent in layout.agents}

@@ -10,10 +10,12 @@ import psutil
 import pytest
 
 from marl_mm.control.tasks.task import Reference
-from marl_mm.envs.config import ReachConfig, reach_config
-from marl_mm.envs.core import ReachCore
+from marl_mm.envs.core import EpisodeCore
+from marl_mm.envs.registry import make_task
+from marl_mm.envs.task import Task
+from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import INFO, Episode
-from marl_mm.layout import REACH, Layout
+from marl_mm.layout import Layout
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
@@ -23,7 +25,7 @@ os.environ.setdefault("PYTHON_CPU_COUNT", "1")
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 MakeEpisode = Callable[..., Episode]
-OpenWorld = Callable[..., ReachCore]
+OpenWorld = Callable[..., EpisodeCore]
 Situation = tuple[RobotState, ModelTerms, Reference]
 
 
@@ -62,8 +64,8 @@ def situation(limits: RobotLimits) -> Callable[[np.random.Generator], Situation]
 
 
 @pytest.fixture
-def core() -> Iterator[ReachCore]:
-    core = ReachCore(ReachConfig())
+def core() -> Iterator[EpisodeCore]:
+    core = EpisodeCore(make_task())
     yield core
     core.close()
 
@@ -71,10 +73,10 @@ def core() -> Iterator[ReachCore]:
 @pytest.fixture
 def open_world() -> Iterator[OpenWorld]:
     """Builds the core of a task, with its load changed; closed after the test."""
-    opened: list[ReachCore] = []
+    opened: list[EpisodeCore] = []
 
-    def build(task: str, **load: Any) -> ReachCore:
-        opened.append(ReachCore(reach_config(task, {"load": load} if load else {})))
+    def build(task: str, **load: Any) -> EpisodeCore:
+        opened.append(EpisodeCore(make_task(task, {"load": load} if load else {})))
         return opened[-1]
 
     yield build
@@ -83,9 +85,9 @@ def open_world() -> Iterator[OpenWorld]:
 
 
 @pytest.fixture(scope="session")
-def short_task() -> ReachConfig:
+def short_task() -> Task:
     """Reach with steps of a tenth of a second, for tests about everything else."""
-    return reach_config("Reach-v0", {"ticks_per_step": 24, "max_steps": 4})
+    return make_task("Reach-v0", {"ticks_per_step": 24, "max_steps": 4})
 
 
 def build_episode(
@@ -96,8 +98,9 @@ def build_episode(
     goal_x = 1.2 if index % 2 else -0.6
     states = rng.normal(size=(steps + 1, len(layout.state)))
     states[:, layout.goal] = goal_x, 0.1, 0.6
-    if layout.held is not None:
-        states[:, layout.held] = rng.integers(2, size=steps + 1)
+    for place, entry in enumerate(layout.state):
+        if (entry.low, entry.high) == (0.0, 1.0):  # such as whether a block is held
+            states[:, place] = rng.integers(2, size=steps + 1)
     return Episode(
         states=states,
         actions=rng.uniform(0, 1, (steps, len(layout.action))).astype(np.float32),
@@ -109,6 +112,7 @@ def build_episode(
         index=index,
         source="pd",
         start=rng.normal(size=11),
+        layout=layout,
     )
 
 

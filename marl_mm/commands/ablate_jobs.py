@@ -10,6 +10,7 @@ from typing import Any
 
 from marl_mm.algorithms import checkpoint
 from marl_mm.algorithms.policy import load_policy
+from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.commands.offline_options import Offline, task_of
 from marl_mm.commands.train_offline import evaluate_offline_run, train_offline_run
 from marl_mm.datasets.dataset import Dataset, load_dataset
@@ -40,7 +41,7 @@ class Job:
     dataset: str | Path | Location
     """What it learns from."""
 
-    options: Offline
+    options: Offline[Any]
     """How; with one worker."""
 
     probes: Sequence[Probe]
@@ -212,7 +213,7 @@ def _named(job: Job) -> Bar:
 
     def bar(label: str, total: int) -> Advance:
         what = label.split()[0]
-        training = what in checkpoint.KNOWN
+        training = what in ALGORITHMS
         return _bar(job.label if training else f"{job.label} {what}", total)
 
     return bar

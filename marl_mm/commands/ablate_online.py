@@ -18,7 +18,7 @@ from marl_mm.commands.ablate_rows import (
     rows_of,
 )
 from marl_mm.commands.ablate_runs import Ablate, told_missing, train_missing
-from marl_mm.envs.config import reach_config
+from marl_mm.envs.registry import make_task
 from marl_mm.errors import UsageError
 from marl_mm.eval.alpha_study import ALPHAS, alpha_steps, summarize_worth, worth_rows
 from marl_mm.eval.metrics import Row
@@ -214,7 +214,7 @@ def _fig6(options: Ablate) -> None:
         policy: Policy = load_policy(run / BEST)
     else:  # who ships is that run's best policy
         policy, run = load_pretrained(), FOLDER
-    config = reach_config()
+    config = make_task()
     with progress_bar("fig6", 2 * config.max_steps) as advance:
         both = film_both_ways(config, policy, 0, FPS, advance)
     film_strip(options.results("fig6.png"), both.strips)

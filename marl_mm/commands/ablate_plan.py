@@ -29,7 +29,7 @@ from marl_mm.commands.offline_options import (
 )
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import SHIPPED
-from marl_mm.envs.config import reach_config
+from marl_mm.envs.registry import make_task
 from marl_mm.errors import OtherConfigError, UnknownDatasetError, UsageError
 from marl_mm.eval.ablation import Ablation, Cell, Probe, Setting, cell_name
 from marl_mm.eval.evaluate import evaluate
@@ -142,13 +142,13 @@ def _cells(
     return list(found.values())
 
 
-def training_options(options: AblateOffline, setting: Setting) -> Offline:
+def training_options(options: AblateOffline, setting: Setting) -> Offline[Any]:
     """Options of one setting's runs."""
     small = options.budget == "smoke"
     changes = {"precision": resolved(options.precision), **setting.changes}
     if small:
         changes["updates"] = _SMALL["updates"]
-    training: Any = offline_options(
+    training = offline_options(
         setting.algorithm,
         setting.preset,
         dataset="",
@@ -160,11 +160,10 @@ def training_options(options: AblateOffline, setting: Setting) -> Offline:
         stop_unsound=False,  # a table's runs have all their updates
         resume=True,  # what there is of them
     )
-    trained: Offline = replace(training, config=replace(training.config, **changes))
-    return trained
+    return replace(training, config=replace(training.config, **changes))
 
 
-def _made_of(algorithm: str, training: Offline) -> dict[str, Any]:
+def _made_of(algorithm: str, training: Offline[Any]) -> dict[str, Any]:
     """What rows must have been made of; the seeds and the dataset stand elsewhere."""
     own = ("eval_episodes", "eval_seed", "curve_every", "curve_episodes", "max_steps")
     config = asdict(training.config)
@@ -189,7 +188,7 @@ def _jobs(
     cell: Cell,
     probes: tuple[Probe, ...],
     dataset: Dataset,
-    training: Offline,
+    training: Offline[Any],
 ) -> tuple[Job, ...]:
     name, setting = cell
     short = "-".join(name.removeprefix("marl_mm/").split("-")[:2])
@@ -246,12 +245,12 @@ def _seconds(job: Job, per_update: float, per_step: float) -> float:
     probes = [probe for probe in job.probes if not job.has(probe)]
     points = -(-updates // options.curve_every) + (not rows)
     goals = len(probes) * options.eval_episodes + points * options.curve_episodes
-    most = options.max_steps or reach_config().max_steps
+    most = options.max_steps or make_task().max_steps
     steps = most if options.preset == "paper" else _STEPS
-    return updates * per_update + goals * steps * per_step
+    return float(updates * per_update + goals * steps * per_step)
 
 
-def _seconds_per_update(dataset: Dataset, options: Offline) -> float:
+def _seconds_per_update(dataset: Dataset, options: Offline[Any]) -> float:
     prepare_for_small_networks()
     algorithm = offline_algorithm(dataset, options, [0])
     with matrix_products(options.config.precision):

@@ -5,19 +5,18 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.online import Schedule
 from marl_mm.collectors.pd import PdConfig
-from marl_mm.collectors.scripted import ScriptedConfig
 from marl_mm.commands.collect_dataset import CollectOptions, collect_dataset
 from marl_mm.commands.options import COMMITTED
 from marl_mm.commands.runs import BEST_EVALUATION, EVALUATION
 from marl_mm.commands.train_online import (
-    TrainDdpg,
+    Online,
     check_online_run,
     evaluate_online_run,
     online_options,
@@ -25,7 +24,8 @@ from marl_mm.commands.train_online import (
 )
 from marl_mm.commands.train_sb3 import check_sb3, check_sb3_run, train_sb3_run
 from marl_mm.datasets.location import locate
-from marl_mm.envs.config import reach_config
+from marl_mm.envs.registry import make_task
+from marl_mm.envs.task import ScriptConfig
 from marl_mm.errors import (
     DivergedError,
     FailedRunsError,
@@ -34,7 +34,6 @@ from marl_mm.errors import (
 )
 from marl_mm.eval.online import SETTINGS, OnlineSetting
 from marl_mm.files import only_here
-from marl_mm.layout import HANDLING
 from marl_mm.workers import available_cores
 
 ANOTHER_FOLDER = "name another folder with --runs, or delete this one"
@@ -204,7 +203,7 @@ def _finished(options: Ablate, setting: OnlineSetting, seed: int) -> bool:
     return all((run / name).exists() for name in (EVALUATION, BEST_EVALUATION))
 
 
-def _train_or_keep(training: TrainDdpg, seed: int, run: Path) -> None:
+def _train_or_keep(training: Online[Any], seed: int, run: Path) -> None:
     """Train, and if that diverges, go by what there was before: it is a result, too."""
     try:
         train_online_run(training, seed, run)
@@ -221,7 +220,7 @@ def _training(
     demonstrations: Path | None,
     finished: bool,
     run: Path,
-) -> TrainDdpg:
+) -> Online[Any]:
     """Options of one setting's runs."""
     small = options.budget == "smoke"
     going = finished or (run / FILE).exists()
@@ -246,8 +245,9 @@ def _training(
 
 def _demonstrations(options: Ablate, task: str) -> Path:
     """A dataset of PD, with a rule for alpha, or of the script; collected once."""
-    takes = reach_config(task).layout is HANDLING
-    policy = ScriptedConfig() if takes else PdConfig(alpha_rule="room")
+    takes = "grip" in make_task(task).layout.action_names
+    collector = "scripted" if takes else "pd"
+    policy = ScriptConfig() if takes else PdConfig(alpha_rule="room")
     name = DEMONSTRATIONS if task == "Reach-v0" else f"{DEMONSTRATIONS}-{task}"
     path = (options.runs_folder() / name).resolve()
     steps = 100 if options.budget == "smoke" else 2_000
@@ -255,6 +255,7 @@ def _demonstrations(options: Ablate, task: str) -> Path:
         location = locate(str(path))
         collection = collect_dataset(
             location,
+            collector,
             policy,
             CollectOptions(
                 steps=steps,

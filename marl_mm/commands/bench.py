@@ -15,7 +15,7 @@ from rich.table import Table
 from marl_mm.commands.options import check_positive, check_seed
 from marl_mm.commands.parser import parse_subcommand
 from marl_mm.control.config import Form, Solver
-from marl_mm.envs.config import reach_config
+from marl_mm.envs.registry import make_task
 from marl_mm.errors import UsageError
 from marl_mm.eval.abuse import abuse
 from marl_mm.eval.bench import bench_control
@@ -154,13 +154,13 @@ def _control(options: BenchControl) -> dict[str, Any]:
     check_positive(steps=options.steps)
     overrides = {"controller": {"form": options.form, "solver": options.solver}}
     with progress_bar("bench control", options.steps) as advance:
-        config = reach_config("Reach-v0", overrides)
+        config = make_task("Reach-v0", overrides)
         return bench_control(config, options.steps, options.seed, advance)
 
 
 def _abuse(options: BenchAbuse) -> dict[str, Any]:
     check_positive(ticks=options.ticks)
-    config = reach_config("Reach-v0", {"controller": {"form": options.form}})
+    config = make_task("Reach-v0", {"controller": {"form": options.form}})
     with progress_bar("bench abuse", options.ticks) as advance:
         return abuse(config, options.ticks, options.seed, advance)
 

@@ -3,16 +3,11 @@
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, Generic, TypeVar
 
 import tyro
 
-from marl_mm.collectors.collect import PolicyConfig
-from marl_mm.collectors.medium import MediumConfig
-from marl_mm.collectors.pd import PdConfig
-from marl_mm.collectors.pretrained import PretrainedConfig
-from marl_mm.collectors.random import RandomConfig
-from marl_mm.collectors.scripted import ScriptedConfig
+from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.commands.collect_dataset import (
     CollectOptions,
     collect_dataset,
@@ -28,67 +23,32 @@ from marl_mm.commands.parser import (
 from marl_mm.datasets.card import keep_card
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import locate
-from marl_mm.envs.config import TASKS
+from marl_mm.envs.registry import TASKS
+
+C = TypeVar("C")
 
 
 @dataclass(frozen=True)
-class Pretrained(CollectOptions):
-    """Let a learnt agent act; keep the episodes that reach the goal ("good" data)."""
+class CollectWith(CollectOptions, Generic[C]):
+    """Options of a collection, and the collector's own."""
 
-    policy: Annotated[PretrainedConfig, tyro.conf.arg(name="")] = field(
-        default_factory=PretrainedConfig
-    )
+    policy: Annotated[C, tyro.conf.arg(name="")] = field(kw_only=True)
 
 
-@dataclass(frozen=True)
-class Pd(CollectOptions):
-    """Steer the hand to the goal; keep the episodes that reach it."""
-
-    policy: Annotated[PdConfig, tyro.conf.arg(name="")] = field(
-        default_factory=PdConfig
-    )
-
-
-@dataclass(frozen=True)
-class Medium(CollectOptions):
-    """Act at random first, then as a learnt agent; keep all episodes."""
-
-    policy: Annotated[MediumConfig, tyro.conf.arg(name="")] = field(
-        default_factory=MediumConfig
-    )
-
-
-@dataclass(frozen=True)
-class Random(CollectOptions):
-    """Act uniformly at random; keep all episodes."""
-
-    policy: Annotated[RandomConfig, tyro.conf.arg(name="")] = field(
-        default_factory=RandomConfig
-    )
-
-
-@dataclass(frozen=True)
-class Scripted(CollectOptions):
-    """Take the block, if there is one, and bring it to the goal; keep successes."""
-
-    policy: Annotated[ScriptedConfig, tyro.conf.arg(name="")] = field(
-        default_factory=ScriptedConfig
-    )
-
-
-KINDS = {
-    "pretrained": Pretrained,
-    "pd": Pd,
-    "medium": Medium,
-    "random": Random,
-    "scripted": Scripted,
-}
+def _subcommand(name: str, options: Any = None) -> Subcommand:
+    collector = COLLECTORS.get(name)
+    options = options or CollectWith(policy=collector.config())
+    kind = CollectWith[collector.config]  # type: ignore[name-defined]
+    return Subcommand(options, collector.about, kind)
 
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm collect``."""
-    commands: dict[str, type | Subcommand] = {**KINDS, "paper": Paper}
-    if "--resume" in arguments and arguments[0] in KINDS:
+    commands: dict[str, type | Subcommand] = {
+        name: _subcommand(name) for name in COLLECTORS.names()
+    }
+    commands["paper"] = Paper
+    if "--resume" in arguments and arguments[0] in COLLECTORS:
         commands[arguments[0]] = _resumed(arguments)
     kind, command = parse_subcommand(
         commands,
@@ -101,9 +61,9 @@ def main(arguments: Sequence[str]) -> None:
         return
     name = command.dataset
     if name is None:
-        name = _default_id(command.task, command.policy)
+        name = _default_id(command.task, kind)
     location = locate(name)
-    collection = collect_dataset(location, command.policy, command)
+    collection = collect_dataset(location, kind, command.policy, command)
     summary = keep_card(load_dataset(location))
     if command.json:
         print(json.dumps(summary, indent=2))
@@ -120,23 +80,23 @@ def main(arguments: Sequence[str]) -> None:
 
 def _resumed(arguments: Sequence[str]) -> Subcommand:
     """Options whose defaults are what the collection was begun with."""
-    kind = KINDS[arguments[0]]
-    options = kind()
+    name = arguments[0]
+    options = CollectWith(policy=COLLECTORS.get(name).config())
     task = value_of(arguments, "--task", options.task)
-    name = value_of(arguments, "--dataset", "") or _default_id(task, options.policy)
+    dataset = value_of(arguments, "--dataset", "") or _default_id(task, name)
     if task not in TASKS:  # what is wrong with it is told later
-        return Subcommand(options, kind.__doc__ or "")
-    begun = begun_with(locate(name))
-    if begun is not None and begun.get("collector") == options.policy.name:
-        known = {key: begun[key] for key in ("task", "seed")}
-        known |= begun["overrides"] | begun["collector_config"]
+        return _subcommand(name)
+    begun = begun_with(locate(dataset))
+    if begun is not None and begun.collector == name:
+        known = {"task": begun.task, "seed": begun.seed}
+        known |= {**begun.overrides, **(begun.collector_config or {})}
         options = with_values(options, known)
-    return Subcommand(options, kind.__doc__ or "")
+    return _subcommand(name, options)
 
 
-def _default_id(task: str, policy: PolicyConfig) -> str:
+def _default_id(task: str, collector: str) -> str:
     folder = task.removesuffix("-v0").replace("Reach", "-reach").strip("-").lower()
-    name = "good" if isinstance(policy, PretrainedConfig) else policy.name
+    name = COLLECTORS.get(collector).dataset or collector
     return f"marl_mm/{folder}/{name}-v0"
 
 

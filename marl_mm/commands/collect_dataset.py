@@ -1,20 +1,14 @@
 """Collecting into a dataset that survives whatever stops it."""
 
+from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Annotated, Any
 
 import tyro
 
-from marl_mm.collectors.collect import (
-    Collection,
-    Collector,
-    PolicyConfig,
-    collect,
-    make_collector,
-    usual_steps,
-)
-from marl_mm.collectors.medium import MediumConfig
+from marl_mm.collectors.collect import Collection, collect
+from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.commands.collect_resume import (
     clear,
     is_complete,
@@ -31,9 +25,11 @@ from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.journal import FILE as JOURNAL
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import Location
+from marl_mm.datasets.provenance import Origin, Provenance
 from marl_mm.datasets.storage import read_metadata, refuse_foreign, write_dataset
-from marl_mm.envs.config import config_dict, reach_config
+from marl_mm.envs.registry import DEFAULT, config_dict, make_task
 from marl_mm.envs.rollout import Rollouts
+from marl_mm.envs.task import Task
 from marl_mm.episode import Episode
 from marl_mm.errors import (
     HopelessError,
@@ -44,6 +40,8 @@ from marl_mm.errors import (
 )
 from marl_mm.files import only_here, refuse_existing
 from marl_mm.interrupts import deaf_to_interrupts
+from marl_mm.layout import Layout
+from marl_mm.policy import Policy
 from marl_mm.progress import progress_bar
 from marl_mm.workers import Executor, available_cores
 
@@ -72,11 +70,10 @@ class CollectOptions:
     """Id below $MINARI_DATASETS_PATH, or path; default marl_mm/TASK/COLLECTOR-v0, of
     pretrained marl_mm/TASK/good-v0. A word is short for marl_mm/reach/WORD-v0."""
 
-    task: Annotated[str, tyro.conf.arg(help=f"{REGISTERED}.")] = "Reach-v0"
+    task: Annotated[str, tyro.conf.arg(help=f"{REGISTERED}.")] = DEFAULT
 
     max_steps: int | None = None
-    """Steps per episode; default 25, for pd 50, and where a block is to be taken the
-    task's."""
+    """Steps per episode; default the task's (25 for Reach-v0), for pd 50."""
 
     resume: bool = False
     """Go on where a collection was stopped, or with more --steps where it ended;
@@ -91,7 +88,8 @@ class CollectOptions:
 
 def collect_dataset(
     location: Location,
-    policy: PolicyConfig,
+    collector: str,
+    config: Any,
     options: CollectOptions,
     first: Location | None = None,
 ) -> Collection:
@@ -99,7 +97,8 @@ def collect_dataset(
 
     Args:
         location: Where.
-        policy: Who acts.
+        collector: Name of a registered collector.
+        config: Its settings.
         options: How much, and how.
         first: A shorter dataset of the same policy, task and seed to begin with.
 
@@ -113,19 +112,18 @@ def collect_dataset(
     if options.steps is not None:
         check_positive(steps=options.steps)
     check_seed(options.seed)
-    reach_config(options.task)
     if options.resume and options.overwrite:
         raise UsageError("--resume and --overwrite contradict each other: choose one")
+    task, about = _about(collector, config, options)
     _refuse_existing(location, options)
     nothing = not location.folder.exists() and not location.working.exists()
     if options.resume and nothing:
         raise UsageError(
             f"nothing was begun at {location.folder}: leave out --resume to start"
         )
-    collector = make_collector(policy)
-    about = _about(policy, options) | {
-        "weights": collector.policy.describe().get("weights")
-    }
+    policy = COLLECTORS.get(collector).policy(config, task)
+    keeps = COLLECTORS.get(collector).keeps
+    about = replace(about, weights=policy.describe().get("weights"))
     with only_here(location.working), ExitStack() as cleaning:
         cleaning.callback(remove_if_empty, location)
         if options.overwrite:
@@ -141,12 +139,12 @@ def collect_dataset(
             if mine is not None and is_complete(mine, steps):
                 cleaning.callback(clear, location)
                 return Collection(_kept(known), len(known), complete=True)
-            known |= _begun(journal, about, location, options, steps)
+            known |= _begun(journal, about, location, options, steps, task.layout)
             try:
-                collection = _run(collector, options, steps, about, known, journal)
+                collection = _run(policy, keeps, task, options, steps, known, journal)
             except HopelessError:
-                if not any(map(collector.keep, journal.episodes().values())):
-                    journal.begin(about)  # empty, it is removed
+                if not any(map(keeps, journal.episodes(task.layout).values())):
+                    journal.begin(about.to_json())  # empty, it is removed
                 raise
         _refuse_loss(location, collection, replacing)
         _write(location, collection, about, steps)
@@ -165,26 +163,23 @@ def _refuse_existing(location: Location, options: CollectOptions) -> None:
     refuse_existing(location.folder, overwrite=True)
 
 
-def _about(policy: PolicyConfig, options: CollectOptions) -> dict[str, Any]:
-    """What the episodes depend on."""
+def _about(collector: str, config: Any, options: CollectOptions) -> tuple[Task, Origin]:
+    """The task, and what the episodes depend on."""
     max_steps = options.max_steps
     if max_steps is None:
-        max_steps = usual_steps(policy, reach_config(options.task))
+        usual = COLLECTORS.get(collector).max_steps
+        max_steps = usual or make_task(options.task).max_steps
     check_positive(max_steps=max_steps)
-    if isinstance(policy, MediumConfig) and policy.random_steps >= max_steps:
-        raise UsageError(
-            f"--random-steps is {policy.random_steps}, expected fewer than an "
-            f"episode's {max_steps}: the agent has the rest"
-        )
     overrides = {"max_steps": max_steps}
-    return {
-        "task": options.task,
-        "overrides": overrides,
-        "config": config_dict(reach_config(options.task, overrides)),
-        "collector": policy.name,
-        "collector_config": asdict(policy),
-        "seed": options.seed,
-    }
+    task = make_task(options.task, overrides)
+    return task, Origin(
+        task=options.task,
+        overrides=overrides,
+        config=config_dict(task),
+        collector=collector,
+        collector_config=asdict(config),
+        seed=options.seed,
+    )
 
 
 def _kept(known: dict[int, Episode | None]) -> list[Episode]:
@@ -235,10 +230,11 @@ def _refuse_loss(location: Location, collection: Collection, replacing: bool) ->
 
 def _begun(
     journal: Journal,
-    about: dict[str, Any],
+    about: Origin,
     location: Location,
     options: CollectOptions,
     steps: int,
+    layout: Layout,
 ) -> dict[int, Episode | None]:
     """What a journal holds; a new one, or one to overwrite, begins."""
     before = journal.about()
@@ -249,28 +245,29 @@ def _begun(
         )
     if before is None or options.overwrite:
         replaces = options.overwrite and location.folder.exists()
-        journal.begin({**about, "steps_asked": steps, "replaces": replaces})
+        journal.begin({**about.to_json(), "steps_asked": steps, "replaces": replaces})
         return {}
     refuse_other(location, before, about)
     journal.note({**before, "steps_asked": steps})
-    return dict(journal.episodes())
+    return dict(journal.episodes(layout))
 
 
 def _run(
-    collector: Collector,
+    policy: Policy,
+    keeps: Callable[[Episode], bool],
+    task: Task,
     options: CollectOptions,
     steps: int,
-    about: dict[str, Any],
     known: dict[int, Episode | None],
     journal: Journal,
 ) -> Collection:
-    config = reach_config(options.task, about["overrides"])
     complete = False
-    with progress_bar(f"collect {collector.policy.name}", steps) as advance:
-        rollouts = Rollouts(config, options.workers, options.executor)
+    with progress_bar(f"collect {policy.name}", steps) as advance:
+        rollouts = Rollouts(task, options.workers, options.executor)
         try:
             collection = collect(
-                collector,
+                policy,
+                keeps,
                 rollouts.completed,
                 steps,
                 options.seed,
@@ -293,20 +290,19 @@ def _run(
 def _write(
     location: Location,
     collection: Collection,
-    about: dict[str, Any],
+    about: Origin,
     steps: int,
 ) -> None:
-    description = {
-        **about,
-        "origins": {location.id: about},
-        "steps_asked": steps,
-        "attempts": collection.attempts,
-        "complete": collection.complete,
-    }
+    provenance = Provenance.collected(
+        about,
+        steps_asked=steps,
+        attempts=collection.attempts,
+        complete=collection.complete,
+    )
     arrays = arrays_of(collection.episodes, location.id)
     try:
         with deaf_to_interrupts(forget=not collection.complete):
-            write_dataset(location, arrays, description, overwrite=True)
+            write_dataset(location, arrays, provenance, overwrite=True)
     except (OSError, MarlMmError) as error:  # no room
         raise MarlMmError(
             f"{error}; finished episodes are kept: make room and go on with --resume"

@@ -3,11 +3,7 @@
 import json
 from dataclasses import dataclass, field
 
-from marl_mm.collectors.collect import PolicyConfig
-from marl_mm.collectors.medium import MediumConfig
-from marl_mm.collectors.pd import PdConfig
-from marl_mm.collectors.pretrained import PretrainedConfig
-from marl_mm.collectors.random import RandomConfig
+from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.commands.collect_dataset import (
     CollectOptions,
     collect_dataset,
@@ -17,17 +13,18 @@ from marl_mm.commands.options import check_seed
 from marl_mm.datasets.card import card_text, keep_card
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import Location, locate
+from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.recipe import Part, mix, write_mix
 from marl_mm.datasets.storage import read_metadata
 from marl_mm.errors import DatasetError, UsageError
 from marl_mm.workers import Executor, available_cores
 
-COLLECTED: dict[str, tuple[PolicyConfig, int]] = {
-    "good-30k": (PretrainedConfig(), 30_000),
-    "good-60k": (PretrainedConfig(), 60_000),
-    "pd-30k": (PdConfig(), 30_000),
-    "random-10k": (RandomConfig(), 10_000),
-    "medium-5k": (MediumConfig(), 5_000),
+COLLECTED: dict[str, tuple[str, int]] = {
+    "good-30k": ("pretrained", 30_000),
+    "good-60k": ("pretrained", 60_000),
+    "pd-30k": ("pd", 30_000),
+    "random-10k": ("random", 10_000),
+    "medium-5k": ("medium", 5_000),
 }
 """Who acts, and how many steps (paper, Sec. 5.4.2)."""
 
@@ -99,7 +96,7 @@ def paper_location(name: str) -> Location:
 
 
 def _collect(name: str, location: Location, command: Paper) -> None:
-    policy, _ = COLLECTED[name]
+    collector, _ = COLLECTED[name]
     steps = _steps(name, command)
     begun = location.folder.exists() or location.working.exists()
     fits = _fits(location, steps, command)
@@ -112,7 +109,9 @@ def _collect(name: str, location: Location, command: Paper) -> None:
         overwrite=begun and not fits,
     )
     first = paper_location("good-30k") if name == "good-60k" else None
-    collection = collect_dataset(location, policy, options, first)
+    collection = collect_dataset(
+        location, collector, COLLECTORS.get(collector).config(), options, first
+    )
     if not collection.complete:
         raise KeyboardInterrupt(f"stopped in {name}; the same command goes on there")
 
@@ -129,12 +128,12 @@ def _mix(name: str, location: Location, command: Paper) -> None:
     recipe = mix(parts, command.seed)
     if location.folder.exists():
         try:
-            known = read_metadata(location)["marl_mm"]
+            known = Provenance.from_json(read_metadata(location)["marl_mm"])
+            mine = recipe.provenance
+            if (known.recipe, known.sources) == (mine.recipe, mine.sources):
+                return
         except DatasetError:  # and may be replaced
-            known = {}
-        keys = ("recipe", "sources")
-        if all(known.get(key) == recipe.description[key] for key in keys):
-            return
+            pass
     write_mix(location, recipe, overwrite=True)
 
 
@@ -153,9 +152,9 @@ def _fits(location: Location, steps: int, command: Paper) -> bool:
         raise
     if there is None:
         return True
-    seed, asked = there.get("seed"), there.get("steps_asked", 0)
-    if "recipe" in there:
-        asked = sum(there["recipe"].get("steps", {}).values())
+    seed, asked = there.seed, there.steps_asked or 0
+    if there.recipe is not None:
+        asked = sum(there.recipe.get("steps", {}).values())
     if seed == command.seed and asked <= steps:
         return True
     if not command.overwrite:

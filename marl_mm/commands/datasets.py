@@ -29,10 +29,9 @@ from marl_mm.commands.options import (
 )
 from marl_mm.commands.parser import parse_subcommand
 from marl_mm.datasets import shipped
-from marl_mm.datasets.arrays import load_arrays
 from marl_mm.datasets.card import card, card_markdown, card_text, keep_card
 from marl_mm.datasets.dataset import existing, load_dataset
-from marl_mm.datasets.export import Layout, export
+from marl_mm.datasets.export import Form, export
 from marl_mm.datasets.journal import begun
 from marl_mm.datasets.location import (
     SHIPPED,
@@ -101,7 +100,7 @@ class Export:
     out: Path
     """File to write."""
 
-    layout: Layout = "flat"
+    layout: Form = "flat"
     """"agents": one group per agent; "flat": joint arrays; "d4rl": those in float32."""
 
     overwrite: bool = False
@@ -197,7 +196,7 @@ def _entry(name: str) -> dict[str, Any]:
 
 
 def _shipped_entry() -> dict[str, Any]:
-    arrays = load_arrays(shipped.ARRAYS)
+    arrays = shipped.shipped_arrays()
     return {
         "id": SHIPPED,
         "steps": arrays.steps,

@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -12,9 +12,10 @@ from marl_mm.datasets.card import card_text, keep_card
 from marl_mm.datasets.dataset import existing, load_dataset
 from marl_mm.datasets.importing import read_foreign
 from marl_mm.datasets.location import Location, locate
+from marl_mm.datasets.provenance import Origin, Provenance
 from marl_mm.datasets.recipe import Condition, Part, filtered, mix, split, write_mix
 from marl_mm.datasets.storage import refuse_foreign, write_alone
-from marl_mm.envs.config import reach_config
+from marl_mm.envs.registry import make_task
 from marl_mm.episode import IMPORTED
 from marl_mm.errors import UsageError
 from marl_mm.files import refuse_existing
@@ -96,9 +97,10 @@ class Filter:
 class Import:
     """Take a Minari dataset or an HDF5 file of your own.
 
-    Minari's layout with goal-dictionary observations: observation (7), achieved_goal
-    (3), desired_goal (3). Or flat arrays: observations (n, d), actions (n, k),
-    next_observations, rewards, terminals, timeouts; or what export writes per agent.
+    Minari's form with goal-dictionary observations: observation, achieved_goal,
+    desired_goal, as in the task's layout. Or flat arrays: observations (n, d),
+    actions (n, k), next_observations, rewards, terminals, timeouts; or what export
+    writes per agent.
     Where its episodes were collected is not kept, and nothing can replay them.
     """
 
@@ -166,24 +168,16 @@ def make_imported(command: Import) -> None:
     """Run ``marl-mm datasets import``."""
     location = _free(command.out, command.overwrite)
     if command.task is not None:
-        reach_config(command.task)  # a wrong one is refused before the file is read
-    found = read_foreign(command.file, location.id)
-    arrays = found.arrays
-    task = command.task or found.task or "Reach-v0"
-    try:
-        usual = reach_config(task).max_steps
-    except UsageError as error:
-        raise UsageError(f"{command.file}: {error}, or give --task") from error
-    description: dict[str, Any] = {
-        "task": task,
-        "overrides": {"max_steps": max(usual, int(arrays.lengths.max()))},
-        "collector": IMPORTED,
-        "seed": None,
-        "origins": {location.id: {"file": command.file.name}},
-        "attempts": None,
-        "complete": True,
-    }
-    write_alone(location, arrays, description, command.overwrite)
+        make_task(command.task)  # a wrong one is refused before the file is read
+    found = read_foreign(command.file, location.id, command.task)
+    longest = max(make_task(found.task).max_steps, int(found.arrays.lengths.max()))
+    provenance = Provenance(
+        task=found.task,
+        overrides={"max_steps": longest},
+        collector=IMPORTED,
+        origins={location.id: Origin(file=command.file.name)},
+    )
+    write_alone(location, found.arrays, provenance, command.overwrite)
     _tell([location], command.json)
 
 

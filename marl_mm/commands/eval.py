@@ -8,16 +8,18 @@ from typing import Annotated
 
 import tyro
 
-from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands.options import (
     REGISTERED,
     check_positive,
     check_seed,
     named_policy,
     own_task,
+    policy_names,
     print_evaluations,
+    with_policies,
 )
 from marl_mm.commands.parser import parse_options
+from marl_mm.envs.registry import make_task
 from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import evaluate
 from marl_mm.files import refuse_existing, write_json
@@ -31,7 +33,7 @@ class Eval:
     """Evaluate runs and scripted policies on fixed goals."""
 
     policies: tyro.conf.Positional[tuple[str, ...]]
-    """Run folders, checkpoint files, "pretrained", "pd", "random" or "scripted"."""
+    """Run folders, checkpoint files, "pretrained" or names of collectors."""
 
     episodes: int = 100
     """Goals, half ahead and half behind; in Grasp-v0 all are ahead."""
@@ -59,16 +61,13 @@ class Eval:
     json: bool = False
     """Print everything, with one row per episode, as JSON."""
 
-    pd: PdConfig = field(default_factory=PdConfig)
-    """Gains and alpha of the policy "pd"."""
-
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm eval``."""
-    options = parse_options(Eval, "marl-mm eval", arguments)
+    options = parse_options(with_policies(Eval), "marl-mm eval", arguments)
     if not options.policies:
         raise UsageError(
-            "no policy given, expected run folders, pretrained, pd, random or scripted"
+            f"no policy given, expected run folders or {', '.join(policy_names())}"
         )
     check_positive(episodes=options.episodes, workers=options.workers)
     check_seed(options.seed)
@@ -78,8 +77,9 @@ def main(arguments: Sequence[str]) -> None:
         overrides["max_steps"] = options.max_steps
     if options.out is not None:
         refuse_existing(options.out, options.overwrite)
-    policies = [named_policy(name, options.pd) for name in options.policies]
     task = options.task or own_task(options.policies)
+    own = make_task(task, overrides)
+    policies = [named_policy(name, options, own) for name in options.policies]
     evaluations = []
     for name, policy in zip(options.policies, policies, strict=True):
         with progress_bar(f"eval {Path(name).name}", options.episodes) as advance:

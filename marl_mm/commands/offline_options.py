@@ -2,21 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import torch
 import tyro
 
 from marl_mm.algorithms.algorithm import OfflineAlgorithm
 from marl_mm.algorithms.checkpoint import FILE
-from marl_mm.algorithms.mabc import Mabc, MabcConfig
-from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
-from marl_mm.algorithms.presets import Preset, offline_preset
+from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.speed import resolved
-from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
 from marl_mm.commands.options import REGISTERED, check_positive
 from marl_mm.commands.runs import (
     TrainOptions,
@@ -24,21 +20,30 @@ from marl_mm.commands.runs import (
     read_config,
 )
 from marl_mm.datasets.dataset import Dataset
-from marl_mm.envs.config import reach_config
-from marl_mm.envs.terms import judge
+from marl_mm.envs.registry import make_task
 from marl_mm.errors import DatasetError, UsageError
+from marl_mm.layout import refuse_other_layout
 from marl_mm.versions import versions
+
+C = TypeVar("C")
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainOffline(TrainOptions):
-    """What every offline algorithm needs."""
+class Offline(TrainOptions, Generic[C]):
+    """What every offline algorithm needs, and its hyper-parameters."""
+
+    algorithm: Annotated[str, tyro.conf.Suppress]
+    """Registered name."""
+
+    config: Annotated[C, tyro.conf.arg(name="")]
+    """Hyper-parameters."""
 
     dataset: str
     """Id, such as marl_mm/reach/pd-v0 or pd for short, or path; good-5k ships."""
 
-    preset: Preset = "tuned"
-    """Hyper-parameters that the defaults below are of: ours, or the paper's Table 3."""
+    preset: str = TUNED
+    """Hyper-parameters that the defaults below are of: tuned, ours, or paper, those of
+    Table 3, where the algorithm has them."""
 
     task: Annotated[
         str | None,
@@ -65,67 +70,24 @@ class TrainOffline(TrainOptions):
     otherwise only when something is not finite."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrainMabc(TrainOffline):
-    """Behaviour cloning with two decentralised actors (paper, Sec. 4.4)."""
-
-    config: Annotated[MabcConfig, tyro.conf.arg(name="")]
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainTd3Bc(TrainOffline):
-    """One agent that sees and sets everything (paper, Algorithm 2)."""
-
-    config: Annotated[Td3BcConfig, tyro.conf.arg(name="")]
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainMatd3Bc(TrainOffline):
-    """Two decentralised actors, centralised critics (Pan 2022)."""
-
-    config: Annotated[Matd3BcConfig, tyro.conf.arg(name="")]
-
-
-Offline = TrainMabc | TrainTd3Bc | TrainMatd3Bc
-
-OFFLINE = {
-    "mabc": "MABC: behaviour cloning with two decentralised actors (paper, Sec. 4.4).",
-    "td3-bc": "TD3+BC: one agent that sees and sets everything (paper, Algorithm 2).",
-    "matd3-bc": "MATD3+BC: two decentralised actors, centralised critics (Pan 2022).",
-}
-"""Algorithms, and what helps say of them."""
-
-_KINDS: dict[type, tuple[Any, Any]] = {
-    MabcConfig: (Mabc, TrainMabc),
-    Td3BcConfig: (Td3Bc, TrainTd3Bc),
-    Matd3BcConfig: (Matd3Bc, TrainMatd3Bc),
-}
-"""Algorithm and options by the class of the hyper-parameters."""
-
-
-def offline_options(algorithm: str, name: Preset = "tuned", **changes: Any) -> Offline:
+def offline_options(algorithm: str, name: str = TUNED, **changes: Any) -> Offline[Any]:
     """The options of an offline algorithm, with some replaced."""
-    config = offline_preset(algorithm, name)
-    _, kind = _KINDS[type(config)]
-    options: Offline = kind(config=config, preset=name, **changes)
-    return options
+    config = preset(algorithm, name)
+    return Offline(algorithm=algorithm, config=config, preset=name, **changes)
 
 
-def with_exact_precision(options: Offline) -> Offline:
+def with_exact_precision(options: Offline[Any]) -> Offline[Any]:
     """Options that say what ``--precision auto`` means on this machine.
 
     A run goes on with that elsewhere, too.
     """
-    changed: Any = options
     precision = resolved(options.config.precision)
-    changed = replace(changed, config=replace(changed.config, precision=precision))
-    exact: Offline = changed
-    return exact
+    return replace(options, config=replace(options.config, precision=precision))
 
 
 def check_offline(
     dataset: Dataset,
-    options: Offline,
+    options: Offline[Any],
     runs: Mapping[int, Path],
     further: bool = True,
 ) -> None:
@@ -154,11 +116,9 @@ def check_offline(
             f"--no-require-success{others} it is tried all the same"
         )
     task = task_of(dataset, options)
-    if reach_config(task, options.overrides).layout is not dataset.arrays.layout:
-        raise UsageError(
-            f"{dataset.metadata['dataset_id']} is of {_dataset_task(dataset)}, whose "
-            f"states and actions are not those of --task {task}"
-        )
+    refuse_other_layout(
+        dataset.location.name, dataset.arrays.layout, task, make_task(task).layout
+    )
     ignored = (*_MAY_DIFFER, *(CONTINUED if further else ()))
     for seed, run in runs.items():
         check_run(run, offline_config(dataset, options, seed), options, ignored)
@@ -168,7 +128,7 @@ def check_offline(
     offline_algorithm(dataset, options, list(runs))
 
 
-def _check_end(options: Offline, run: Path) -> None:
+def _check_end(options: Offline[Any], run: Path) -> None:
     """Raise if a run cannot go on to the updates asked for."""
     rows, asked = read_metrics(run), options.config.updates
     done = rows[-1]["step"] if rows else 0
@@ -183,25 +143,20 @@ def _check_end(options: Offline, run: Path) -> None:
 
 
 def offline_algorithm(
-    dataset: Dataset, options: Offline, seeds: Sequence[int]
+    dataset: Dataset, options: Offline[Any], seeds: Sequence[int]
 ) -> OfflineAlgorithm:
     """A fresh one, for several seeds at once."""
-    rewards = partial(judge, config=reach_config(_dataset_task(dataset)))
-    kind, _ = _KINDS[type(options.config)]
-    algorithm: OfflineAlgorithm = kind(
-        options.config, dataset.arrays, rewards, seeds, options.device
+    judge = make_task(dataset.provenance.task)
+    learner = ALGORITHMS.get(options.algorithm).learner
+    algorithm: OfflineAlgorithm = learner(
+        options.config, dataset.arrays, judge, seeds, options.device
     )
     return algorithm
 
 
-def task_of(dataset: Dataset, options: Offline) -> str:
+def task_of(dataset: Dataset, options: Offline[Any]) -> str:
     """What is evaluated on."""
-    return options.task or _dataset_task(dataset)
-
-
-def _dataset_task(dataset: Dataset) -> str:
-    task: str = dataset.metadata["marl_mm"]["task"]
-    return task
+    return options.task or dataset.provenance.task
 
 
 _MAY_DIFFER = ("preset", "device", "eval_episodes")
@@ -212,11 +167,12 @@ CONTINUED = ("updates",)
 end stays in the learning curve.)"""
 
 
-def offline_config(dataset: Dataset, options: Offline, seed: int) -> dict[str, Any]:
+def offline_config(
+    dataset: Dataset, options: Offline[Any], seed: int
+) -> dict[str, Any]:
     """What a run is made of; ``config.json``."""
-    kind, _ = _KINDS[type(options.config)]
     return {
-        "algorithm": kind.name,
+        "algorithm": options.algorithm,
         "preset": options.preset,
         "seed": seed,
         "device": options.device,

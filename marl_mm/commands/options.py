@@ -3,60 +3,89 @@
 import json
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import field, fields, make_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from rich.console import Console
 
 import marl_mm
-from marl_mm.collectors.pd import PdConfig, PdPolicy
-from marl_mm.collectors.random import RandomConfig, RandomPolicy
-from marl_mm.collectors.scripted import ScriptedConfig, ScriptedPolicy
+from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import Location
-from marl_mm.envs.config import TASKS
+from marl_mm.envs.registry import DEFAULT, TASKS
+from marl_mm.envs.task import Task
 from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.eval.metrics import failures_in_words
 from marl_mm.eval.tables import evaluation_table
 from marl_mm.policy import Policy
 
+T = TypeVar("T")
+
 COMMITTED = Path(marl_mm.__file__).parent / "eval" / "results"
 """In a clone, the results that its tables are made of."""
 
-REGISTERED = " or ".join((", ".join(list(TASKS)[:-1]), list(TASKS)[-1]))
+REGISTERED = " or ".join((", ".join(TASKS.names()[:-1]), TASKS.names()[-1]))
 """The tasks, for helps."""
 
-NAMED = ("pretrained", "pd", "random", "scripted")
-"""Policies that need no run folder."""
+AGENT = "pretrained"
+"""Name of the agent that ships, which needs no run folder."""
 
 
-def named_policy(name: str, pd: PdConfig, others: tuple[str, ...] = ()) -> Policy:
+def policy_names() -> tuple[str, ...]:
+    """Policies that need no run folder: the agent that ships, and all collectors'."""
+    return AGENT, *(name for name in COLLECTORS.names() if name != AGENT)
+
+
+def with_policies(options: type[T]) -> type[T]:
+    """A class of options with the settings of every collector's policy, by its name."""
+    settings = [
+        (_attribute(name), one.config, field(default_factory=one.config))
+        for name, one in COLLECTORS.items()
+        if name != AGENT and fields(one.config)
+    ]
+    made = make_dataclass(
+        options.__name__,
+        settings,
+        bases=(options,),
+        frozen=True,
+    )
+    made.__doc__ = options.__doc__
+    return made
+
+
+def named_policy(
+    name: str, options: Any, task: Task, others: tuple[str, ...] = ()
+) -> Policy:
     """A policy by name, or that of a run folder.
 
     Args:
-        name: ``pretrained``, ``pd``, ``random``, ``scripted`` or a path.
-        pd: Gains and alpha of ``pd``.
+        name: One of ``policy_names``, or a path.
+        options: What ``with_policies`` made, with the settings of policies.
+        task: What it is to act in.
         others: What else the command takes in this place.
 
     Raises:
         UsageError: If it is neither.
         CheckpointError: If the run's checkpoint is damaged.
     """
-    if name == "pd":
-        return PdPolicy(pd)
-    if name == "random":
-        return RandomPolicy(RandomConfig())
-    if name == "scripted":
-        return ScriptedPolicy(ScriptedConfig())
-    if name != "pretrained" and not Path(name).exists():
+    if name != AGENT and name in COLLECTORS:
+        collector = COLLECTORS.get(name)
+        config = getattr(options, _attribute(name), None) or collector.config()
+        return collector.policy(config, task)
+    if name != AGENT and not Path(name).exists():
         raise UsageError(
-            f"no policy {name!r}: expected {', '.join((*NAMED, *others))}, a run "
-            "folder or a checkpoint file"
+            f"no policy {name!r}: expected {', '.join((*policy_names(), *others))}, a "
+            "run folder or a checkpoint file"
         )
     from marl_mm.algorithms.policy import load_policy  # torch takes a second to import
 
     return load_policy(name)
+
+
+def _attribute(name: str) -> str:
+    return name.replace("-", "_")
 
 
 def own_task(policies: Sequence[str]) -> str:
@@ -72,12 +101,12 @@ def own_task(policies: Sequence[str]) -> str:
     for name in policies:
         path = Path(name)
         config = (path.parent if path.is_file() else path) / "config.json"
-        if name not in NAMED and config.exists():
-            tasks[json.loads(config.read_text()).get("task", "Reach-v0")] = name
+        if name not in policy_names() and config.exists():
+            tasks[json.loads(config.read_text()).get("task", DEFAULT)] = name
     if len(tasks) > 1:
         told = ", ".join(f"{name} for {task}" for task, name in sorted(tasks.items()))
         raise UsageError(f"runs for several tasks, {told}: choose one with --task")
-    return next(iter(tasks), "Reach-v0")
+    return next(iter(tasks), DEFAULT)
 
 
 def print_evaluations(evaluations: Sequence[Evaluation]) -> None:

@@ -32,6 +32,9 @@ class Subcommand(NamedTuple):
 
     description: str
 
+    kind: Any = None
+    """Type of the options, where their class is generic; None: their class."""
+
 
 def parse_subcommand(
     commands: Mapping[str, type | Subcommand],
@@ -96,7 +99,7 @@ def _kind(name: str, command: type | Subcommand) -> Any:
     about = tyro.conf.subcommand(
         name, default=command.default, description=command.description
     )
-    return Annotated[type(command.default), about]
+    return Annotated[command.kind or type(command.default), about]
 
 
 def _in_one_line(parse: Callable[[], T], prog: str) -> T:

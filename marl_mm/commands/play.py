@@ -10,18 +10,18 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
-from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands.options import (
     REGISTERED,
     check_positive,
     check_seed,
     named_policy,
     own_task,
+    with_policies,
 )
 from marl_mm.commands.parser import parse_options
-from marl_mm.envs.config import reach_config
 from marl_mm.envs.demos import DEMOS, Drift, arm_reach, base_turn, demo_drive
 from marl_mm.envs.drive import Drive, Tick, Watch
+from marl_mm.envs.registry import make_task
 from marl_mm.errors import UsageError
 from marl_mm.eval.goals import goal_set
 from marl_mm.eval.metrics import episode_row
@@ -43,7 +43,7 @@ class Play:
     """Film an episode, or watch it in a window."""
 
     policy: tyro.conf.Positional[str]
-    """Run folder, checkpoint file, "pretrained", "pd", "random" or "scripted"; or the
+    """Run folder, checkpoint file, "pretrained" or the name of a collector; or the
     robot alone: "arm-reach" (the base stands) or "base-turn" (the arm rests). These two
     take no goal and no task, and hold the arm's posture tightly."""
 
@@ -85,9 +85,6 @@ class Play:
     camera: Camera = field(default_factory=Camera)
     """Where to look from."""
 
-    pd: PdConfig = field(default_factory=PdConfig)
-    """Gains and alpha of the policy "pd"."""
-
     target: tuple[float, float, float] = (0.8, 0.3, 0.8)
     """Where the hand goes in "arm-reach", world x, y, z [m]; it starts at 0.65, 0.10,
     0.58."""
@@ -114,7 +111,7 @@ class Play:
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm play``."""
-    options = parse_options(Play, "marl-mm play", arguments)
+    options = parse_options(with_policies(Play), "marl-mm play", arguments)
     check_positive(fps=options.fps)
     overrides = {}
     if options.max_steps is not None:
@@ -131,16 +128,16 @@ def main(arguments: Sequence[str]) -> None:
     if options.policy in DEMOS:
         _play_demo(options)
         return
-    policy = named_policy(options.policy, options.pd, DEMOS)
     task = options.task or own_task([options.policy])
-    config = reach_config(task, overrides)
-    ahead, behind = goal_set(config, 2, options.seed)
-    if options.direction is not None and ahead.goal_w is None:
-        raise UsageError(f"--direction is not for {task}, whose goal is at its block")
+    own = make_task(task, overrides)
+    policy = named_policy(options.policy, options, own, DEMOS)
+    ahead, behind = goal_set(own, 2, options.seed)
+    if options.direction is not None and ahead.goal is None:
+        raise UsageError(f"--direction is not for {task}: its seed draws the goal")
     plan = ahead if options.direction == "forward" else behind
-    with progress_bar(f"play {policy.name}", config.max_steps) as advance:
+    with progress_bar(f"play {policy.name}", own.max_steps) as advance:
         episode, frames = film_episode(
-            config,
+            own,
             policy,
             plan,
             options.camera,

@@ -17,7 +17,7 @@ from marl_mm.algorithms.policy import load_policy
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.commands.collect_dataset import CollectOptions, collect_dataset
-from marl_mm.commands.offline_options import TrainMabc
+from marl_mm.commands.offline_options import Offline
 from marl_mm.commands.options import (
     check_positive,
     check_seed,
@@ -28,7 +28,7 @@ from marl_mm.commands.train_offline import train_offline
 from marl_mm.datasets.card import card
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import locate
-from marl_mm.envs.config import reach_config
+from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import run_episodes
 from marl_mm.eval.evaluate import Evaluation, evaluate
 from marl_mm.eval.figures import alpha_over_time
@@ -138,6 +138,7 @@ def _timed(stages: Stages, name: str) -> Iterator[None]:
 def _collect(options: Quickstart, size: Size) -> None:
     collection = collect_dataset(
         locate(str(options.out.resolve() / "dataset")),
+        "pd",
         EXPERT,
         CollectOptions(
             steps=size.steps,
@@ -151,7 +152,8 @@ def _collect(options: Quickstart, size: Size) -> None:
 
 
 def _train(options: Quickstart, size: Size) -> Evaluation:
-    training = TrainMabc(
+    training = Offline(
+        algorithm="mabc",
         dataset=str(options.out / "dataset"),
         curve_every=2_000,
         eval_episodes=size.episodes,
@@ -179,7 +181,7 @@ def _evaluate(policy: Policy, options: Quickstart, size: Size) -> Evaluation:
 
 def _picture(options: Quickstart) -> None:
     """Alpha over time of learner and expert, a film and a film strip of the learner."""
-    out, config = options.out, reach_config()
+    out, config = options.out, make_task()
     learned, expert = load_policy(out / "mabc"), PdPolicy(EXPERT)
     plans = goal_set(config, 2, options.seed)
     alpha_over_time(
@@ -223,7 +225,7 @@ Film: [mabc.mp4](mabc.mp4)
 
 ![learning curve](mabc/learning_curve.png)
 
-Each point: {TrainMabc.curve_episodes} goals of their own, so coarser than the table.
+Each point: {Offline.curve_episodes} goals of their own, so coarser than the table.
 
 ## Alpha over time
 

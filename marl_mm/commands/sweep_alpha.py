@@ -14,7 +14,7 @@ from marl_mm.commands.ablate_check import check_drawings, note_artist
 from marl_mm.commands.options import check_positive, check_seed
 from marl_mm.commands.parser import parse_options
 from marl_mm.control.config import FORMS, Form
-from marl_mm.envs.config import config_dict, reach_config
+from marl_mm.envs.registry import config_dict, make_task
 from marl_mm.errors import UsageError
 from marl_mm.eval.figures import alpha_pareto, alpha_response, load_response
 from marl_mm.eval.load_sweep import load_cells, run_load_cell, summarize_loads
@@ -263,7 +263,7 @@ def _cell_name(cell: SweepCell) -> str:
 
 def _cell_key(cell: SweepCell) -> dict[str, Any]:
     """All that the rows depend on: settings, config, sources of the controller."""
-    config = config_dict(reach_config(cell.task, cell.overrides))
+    config = config_dict(make_task(cell.task, cell.overrides))
     sources = source_fingerprint()
     return {**cell.to_json(), "config": config, "sources": sources, **versions()}
 

@@ -30,7 +30,7 @@ from marl_mm.commands.runs import (
     start_run,
 )
 from marl_mm.datasets.dataset import Dataset
-from marl_mm.envs.config import reach_config
+from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import DivergedError, WorkerDiedError
 from marl_mm.eval.evaluate import Evaluation, evaluate_with
@@ -43,7 +43,7 @@ _Trained = list[tuple[Path, Evaluation]] | DivergedError
 
 
 def train_offline(
-    dataset: Dataset, options: Offline, runs: Mapping[int, Path]
+    dataset: Dataset, options: Offline[Any], runs: Mapping[int, Path]
 ) -> Iterator[tuple[Path, Evaluation]]:
     """Train, evaluate, and leave a folder of each seed's run, as they come.
 
@@ -79,7 +79,7 @@ def train_offline(
 
 
 def train_offline_run(
-    dataset: Dataset, options: Offline, seed: int, run: Path, bar: Bar
+    dataset: Dataset, options: Offline[Any], seed: int, run: Path, bar: Bar
 ) -> Evaluation:
     """One seed, in this process, and after another process that may be at it.
 
@@ -92,7 +92,7 @@ def train_offline_run(
     return evaluation
 
 
-def _begin(dataset: Dataset, options: Offline, runs: Mapping[int, Path]) -> None:
+def _begin(dataset: Dataset, options: Offline[Any], runs: Mapping[int, Path]) -> None:
     """Make the folders of runs, or note in them what they go on with."""
     for seed, run in runs.items():
         if options.resume and (run / FILE).exists():
@@ -102,7 +102,7 @@ def _begin(dataset: Dataset, options: Offline, runs: Mapping[int, Path]) -> None
 
 
 def _apart(
-    dataset: Dataset, options: Offline, runs: Mapping[int, Path], processes: int
+    dataset: Dataset, options: Offline[Any], runs: Mapping[int, Path], processes: int
 ) -> Iterator[_Trained]:
     """Seeds in processes of their own, which Ctrl-C or one that dies stops."""
     context = get_context("forkserver")
@@ -141,7 +141,7 @@ def _train_in_process(cell: tuple[int, Path]) -> _Trained:
 
 
 def _together(
-    dataset: Dataset, options: Offline, runs: Mapping[int, Path]
+    dataset: Dataset, options: Offline[Any], runs: Mapping[int, Path]
 ) -> Iterator[_Trained]:
     """Seeds side by side in this process, those together that stand at one update."""
     steps: dict[int, dict[int, Path]] = {}
@@ -159,13 +159,15 @@ def _together(
             yield trained
 
 
-def _here(dataset: Dataset, options: Offline, runs: Mapping[int, Path]) -> _Trained:
+def _here(
+    dataset: Dataset, options: Offline[Any], runs: Mapping[int, Path]
+) -> _Trained:
     with progress_bars() as bar:
         return _try(dataset, options, runs, bar)
 
 
 def _try(
-    dataset: Dataset, options: Offline, runs: Mapping[int, Path], bar: Bar
+    dataset: Dataset, options: Offline[Any], runs: Mapping[int, Path], bar: Bar
 ) -> _Trained:
     """Train; that one seed diverges is no reason to stop others."""
     try:
@@ -175,7 +177,7 @@ def _try(
 
 
 def _train(
-    dataset: Dataset, options: Offline, runs: Mapping[int, Path], bar: Bar
+    dataset: Dataset, options: Offline[Any], runs: Mapping[int, Path], bar: Bar
 ) -> list[tuple[Path, Evaluation]]:
     """Train what has been started, and evaluate one seed after the other."""
     prepare_for_small_networks()
@@ -185,8 +187,8 @@ def _train(
     task = task_of(dataset, options)
     label = f"{algorithm.name} {' '.join(map(str, runs))}"
     advance = bar(label, options.config.updates)
-    config = reach_config(task, options.overrides)
-    with Rollouts(config, options.workers) as rollouts:
+    own = make_task(task, options.overrides)
+    with Rollouts(own, options.workers) as rollouts:
 
         def point(policy: LearnedPolicy) -> dict[str, float]:
             goals = options.eval_seed + 1  # not those of the final evaluation
@@ -210,7 +212,7 @@ def _train(
 
 
 def evaluate_offline_run(
-    dataset: Dataset, options: Offline, run: Path, bar: Bar, label: str
+    dataset: Dataset, options: Offline[Any], run: Path, bar: Bar, label: str
 ) -> Evaluation:
     """Draw a trained run's learning curve; evaluate its last policy."""
     from marl_mm.eval.figures import learning_curve  # matplotlib takes half a second

@@ -2,19 +2,16 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Generic, TypeVar
 
 import tyro
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
-from marl_mm.algorithms.ddpg import Ddpg, DdpgConfig
 from marl_mm.algorithms.explore import Explorer
-from marl_mm.algorithms.maddpg import Maddpg, MaddpgConfig
-from marl_mm.algorithms.online import Schedule, is_flat, train_online
+from marl_mm.algorithms.online import OnlineAlgorithm, Schedule, is_flat, train_online
 from marl_mm.algorithms.policy import LearnedPolicy
-from marl_mm.algorithms.presets import Preset, preset
+from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.train import resume
 from marl_mm.commands.options import REGISTERED, check_positive
@@ -31,9 +28,8 @@ from marl_mm.commands.runs import (
     start_run,
 )
 from marl_mm.datasets.dataset import Dataset, load_dataset
-from marl_mm.envs.config import reach_config
+from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.envs.rollout import EpisodePlan, Rollouts, episode_seed
-from marl_mm.envs.terms import judge
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate_with
@@ -41,15 +37,24 @@ from marl_mm.files import only_here
 from marl_mm.progress import progress_bar, progress_bars
 from marl_mm.versions import versions
 
+C = TypeVar("C")
+
 
 @dataclass(frozen=True, kw_only=True)
-class TrainOnline(TrainOptions):
-    """What every online algorithm needs."""
+class Online(TrainOptions, Generic[C]):
+    """What every online algorithm needs, and its hyper-parameters."""
 
-    task: Annotated[str, tyro.conf.arg(help=f"To learn: {REGISTERED}.")] = "Reach-v0"
+    algorithm: Annotated[str, tyro.conf.Suppress]
+    """Registered name."""
 
-    preset: Preset = "tuned"
-    """Hyper-parameters that the defaults below are of: ours, or the paper's Table 2."""
+    config: Annotated[C, tyro.conf.arg(name="")]
+    """Hyper-parameters."""
+
+    task: Annotated[str, tyro.conf.arg(help=f"To learn: {REGISTERED}.")] = DEFAULT
+
+    preset: str = TUNED
+    """Hyper-parameters that the defaults below are of: tuned, ours, or paper, those of
+    Table 2, where the algorithm has them."""
 
     demonstrations: str | None = None
     """Dataset, id or path, whose episodes are replayed, too."""
@@ -62,35 +67,10 @@ class TrainOnline(TrainOptions):
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrainDdpg(TrainOnline):
-    """One agent that sees and sets everything (paper, Algorithm 1)."""
-
-    config: Annotated[DdpgConfig, tyro.conf.arg(name="")]
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainMaddpg(TrainDdpg):
-    """Two decentralised actors, one centralised critic (Lowe 2017)."""
-
-    config: Annotated[MaddpgConfig, tyro.conf.arg(name="")]
-
-
-ONLINE = {
-    "ddpg": "DDPG: one agent that sees and sets everything (paper, Algorithm 1).",
-    "ddpg-her": "DDPG that replays most steps with goals reached later (HER).",
-    "maddpg": "MADDPG: two decentralised actors, one centralised critic (Lowe 2017).",
-    "maddpg-her": "MADDPG that replays most steps with goals reached later (HER).",
-}
-"""Algorithms, and what helps say of them."""
-
-
-def online_options(algorithm: str, name: Preset = "tuned", **changes: Any) -> TrainDdpg:
+def online_options(algorithm: str, name: str = TUNED, **changes: Any) -> Online[Any]:
     """The options of an online algorithm, with some replaced."""
     config = preset(algorithm, name)
-    if isinstance(config, MaddpgConfig):
-        return TrainMaddpg(config=config, preset=name, **changes)
-    return TrainDdpg(config=config, preset=name, **changes)
+    return Online(algorithm=algorithm, config=config, preset=name, **changes)
 
 
 _CONTINUED = ("episodes", "patience")
@@ -98,27 +78,24 @@ _CONTINUED = ("episodes", "patience")
 at the former end stays, and counts.)"""
 
 
-def check_online(algorithm: str, options: TrainDdpg) -> None:
+def check_online(options: Online[Any]) -> None:
     """Raise before any work is done for options that make no sense.
 
     Raises:
         UsageError: Naming the option.
     """
     check_positive(curve_episodes=options.curve_episodes)
-    longest = reach_config(options.task, options.overrides).max_steps
-    if options.config.capacity < longest:
+    longest = make_task(options.task, options.overrides).max_steps
+    if getattr(options.config, "capacity", longest) < longest:
         raise UsageError(
             f"--capacity is {options.config.capacity}, expected at least an episode's "
             f"{longest} steps"
         )
-    hindsight = options.config.hindsight
-    if (hindsight > 0) != algorithm.endswith("-her"):
-        other = algorithm.removesuffix("-her") + "-her" * (hindsight > 0)
-        raise UsageError(f"--hindsight is {hindsight} with {algorithm}: use {other}")
+    ALGORITHMS.get(options.algorithm).check(options.config)
 
 
 def check_online_run(
-    options: TrainDdpg, seed: int, run: Path, further: bool = True
+    options: Online[Any], seed: int, run: Path, further: bool = True
 ) -> None:
     """Raise before any work is done for what would stop a run; see ``check_run``.
 
@@ -135,7 +112,7 @@ def check_online_run(
         _check_end(options, run)
 
 
-def _check_end(options: TrainDdpg, run: Path) -> None:
+def _check_end(options: Online[Any], run: Path) -> None:
     """Raise if a run cannot go on to the episodes asked for."""
     rows = read_metrics(run)
     done = rows[-1]["episode"] if rows else 0
@@ -151,7 +128,7 @@ def _check_end(options: TrainDdpg, run: Path) -> None:
 
 
 def train_online_run(
-    options: TrainDdpg, seed: int, run: Path
+    options: Online[Any], seed: int, run: Path
 ) -> tuple[Evaluation, Evaluation]:
     """Train one seed into a run folder; evaluations of its last and its best policy.
 
@@ -164,7 +141,9 @@ def train_online_run(
         return evaluate_online_run(options, run)
 
 
-def evaluate_online_run(options: TrainDdpg, run: Path) -> tuple[Evaluation, Evaluation]:
+def evaluate_online_run(
+    options: Online[Any], run: Path
+) -> tuple[Evaluation, Evaluation]:
     """Draw a trained run's learning curve; evaluate its last and its best policy."""
     from marl_mm.eval.figures import online_curve  # matplotlib takes half a second
 
@@ -182,13 +161,12 @@ def evaluate_online_run(options: TrainDdpg, run: Path) -> tuple[Evaluation, Eval
     return last, best
 
 
-def _train(options: TrainDdpg, seed: int, run: Path) -> None:
+def _train(options: Online[Any], seed: int, run: Path) -> None:
     demonstrations = _demonstrations(options)
-    task = reach_config(options.task, options.overrides)
-    kind = Maddpg if isinstance(options.config, MaddpgConfig) else Ddpg
-    algorithm = kind(
+    task = make_task(options.task, options.overrides)
+    algorithm: OnlineAlgorithm = ALGORITHMS.get(options.algorithm).learner(
         options.config,
-        partial(judge, config=task),
+        task,
         seed,
         demonstrations.episodes if demonstrations else (),
         task.layout,
@@ -218,11 +196,11 @@ def _train(options: TrainDdpg, seed: int, run: Path) -> None:
             train_online(algorithm, run, run_episodes, point, options.schedule, advance)
 
 
-def _demonstrations(options: TrainOnline) -> Dataset | None:
+def _demonstrations(options: Online[Any]) -> Dataset | None:
     if not options.demonstrations:
         return None
     dataset = load_dataset(options.demonstrations)
-    task = dataset.metadata["marl_mm"]["task"]
+    task = dataset.provenance.task
     if task != options.task:
         raise UsageError(
             f"--demonstrations {options.demonstrations} is of {task}, expected "
@@ -232,12 +210,11 @@ def _demonstrations(options: TrainOnline) -> Dataset | None:
 
 
 def _run_config(
-    options: TrainDdpg, demonstrations: Dataset | None, seed: int
+    options: Online[Any], demonstrations: Dataset | None, seed: int
 ) -> dict[str, Any]:
     """What a run is made of; ``config.json``."""
-    base = "maddpg" if isinstance(options.config, MaddpgConfig) else "ddpg"
     return {
-        "algorithm": base + "-her" * (options.config.hindsight > 0),
+        "algorithm": options.algorithm,
         "preset": options.preset,
         "seed": seed,
         "task": options.task,

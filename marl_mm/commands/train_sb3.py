@@ -15,8 +15,8 @@ from marl_mm.commands.runs import (
     refuse_other,
     start_run,
 )
-from marl_mm.commands.train_online import TrainDdpg
-from marl_mm.envs.config import reach_config
+from marl_mm.commands.train_online import Online
+from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate_with
@@ -36,7 +36,7 @@ def check_sb3() -> None:
         raise UsageError("stable_baselines3 is missing: pip install 'marl-mm[bench]'")
 
 
-def check_sb3_run(options: TrainDdpg, seed: int, run: Path) -> None:
+def check_sb3_run(options: Online[Any], seed: int, run: Path) -> None:
     """Raise if a finished run was made with something else.
 
     Raises:
@@ -45,7 +45,7 @@ def check_sb3_run(options: TrainDdpg, seed: int, run: Path) -> None:
     refuse_other(run, _run_config(options, seed))
 
 
-def train_sb3_run(options: TrainDdpg, seed: int, run: Path) -> None:
+def train_sb3_run(options: Online[Any], seed: int, run: Path) -> None:
     """Train Stable-Baselines3's DDPG+HER and evaluate it as ours is.
 
     An interrupted run starts again: it keeps no checkpoints.
@@ -54,7 +54,7 @@ def train_sb3_run(options: TrainDdpg, seed: int, run: Path) -> None:
         _train(options, seed, run)
 
 
-def _train(options: TrainDdpg, seed: int, run: Path) -> None:
+def _train(options: Online[Any], seed: int, run: Path) -> None:
     from marl_mm.eval.sb3_reference import Sb3Policy, learn_sb3, sb3_model
 
     config, schedule = options.config, options.schedule
@@ -64,7 +64,7 @@ def _train(options: TrainDdpg, seed: int, run: Path) -> None:
     policy = Sb3Policy(model)
     best = run / SB3_BEST
     with (
-        Rollouts(reach_config(options.task, overrides), options.workers) as rollouts,
+        Rollouts(make_task(options.task, overrides), options.workers) as rollouts,
         RunLog(run, "episode", since=0) as log,
         progress_bar(f"{SB3} {seed}", config.episodes) as advance,
     ):
@@ -109,7 +109,7 @@ _UNUSED = (
 """Of our hyper-parameters: SB3 has no such thing."""
 
 
-def _run_config(options: TrainDdpg, seed: int) -> dict[str, Any]:
+def _run_config(options: Online[Any], seed: int) -> dict[str, Any]:
     config = asdict(options.config)
     for name in _UNUSED:
         del config[name]

@@ -10,6 +10,10 @@ from typing import Literal, NamedTuple, get_args
 
 from marl_mm.errors import UsageError
 
+Knowledge = Literal["estimated", "given", "none"]
+"""Where the controller has a load's mass from: the joints' torques, the start, or
+nowhere."""
+
 Form = Literal["blend", "rhp", "rhp-literal"]
 """How alpha enters: blend of two strict hierarchies, or one fractional hierarchy."""
 

@@ -7,14 +7,11 @@ mass goes towards what explains the rest best, as a momentum observer would have
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Literal
 
 import numpy as np
 
+from marl_mm.control.config import Knowledge
 from marl_mm.robot.model import GRAVITY, ModelTerms, RobotModel, RobotState
-
-Knowledge = Literal["estimated", "given", "none"]
-"""Of the load: from the joints' torques, from the start, or not at all."""
 
 SETTLING = 0.25
 """Time constant of the estimate [s]."""

@@ -1,45 +1,52 @@
-"""The robot under its controller: follow references for some ticks, and watch how.
+"""Robots under their controllers: follow references for some ticks, and watch how.
 
 Simulator, model and controller meet here and nowhere else. What the limits say is
 watched at 240 Hz where it is needed, and stability every few ticks.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import hypot, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
-from marl_mm.control.config import ControllerConfig
+from marl_mm.control.config import ControllerConfig, Knowledge
 from marl_mm.control.limits import WHEEL_ARM
-from marl_mm.control.tasks.task import Reference
 from marl_mm.control.wbc import Command, Priorities, WholeBodyController
 from marl_mm.envs.hand import Hand
+from marl_mm.envs.order import Order, ReferenceAt
 from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig
 from marl_mm.robot.limits import robot_limits
-from marl_mm.robot.model import RobotModel, RobotState, support_margin
+from marl_mm.robot.model import ModelTerms, RobotModel, RobotState, support_margin
 from marl_mm.sim.bullet import BulletWorld
 from marl_mm.sim.config import RATE, SimulationConfig
-from marl_mm.sim.scene import Scene
-
-ReferenceAt = Callable[[int, RobotState], Reference]
-"""Reference at a tick's number and state."""
+from marl_mm.sim.scene import Mark, Scene
 
 
 class Tick(NamedTuple):
-    """One tick, for those who watch."""
+    """One robot's tick, for those who watch."""
 
     number: int
+    """Number of the tick in its step."""
 
     state: RobotState
-    """Before the tick."""
+    """State before the tick."""
 
     command: Command
-    """What the robot was told then."""
+    """Command during the tick."""
+
+    terms: ModelTerms
+    """Terms of the model at the state; valid until the robot's next tick."""
+
+    after: RobotState
+    """State after the tick."""
+
+    robot: int
+    """Number of the robot."""
 
 
 Watch = Callable[[Tick], None]
-"""Called after each tick."""
+"""Called after each robot's tick."""
 
 
 class Motion(NamedTuple):
@@ -93,22 +100,38 @@ class Drive:
         self.model = RobotModel(robot, balance=controller.limits.zmp)
         self.limits = robot_limits(robot)
         self.controller = WholeBodyController(self.limits, controller, RATE)
+        self._posture = robot.initial_joints
         self.hand: Hand | None = None
         """Feels each tick, where there is something to handle."""
 
     def reset(
-        self, goal_w: np.ndarray | None = None, scene: Scene | None = None
+        self, marks: Sequence[Mark] = (), scene: Scene | None = None
     ) -> RobotState:
         """A new world, with the robot at rest in its start posture.
 
         Args:
-            goal_w: Where to draw the goal, shape (3,) [m].
+            marks: What is only to be seen.
             scene: What else is there.
         """
-        self.world.reset(goal_w, scene)
+        self.world.reset(marks, scene)
         self.state = self.world.read()
         self.hand = None
         return self.state
+
+    def start_w(self) -> np.ndarray:
+        """Place of the end-effector in the start posture, shape (3,) [m]."""
+        rest = RobotState(np.array([0, 0, 1, 0, *self._posture]), np.zeros(10))
+        return self.model.evaluate(rest).position_w.copy()
+
+    def handle(self, scene: Scene, knowledge: Knowledge) -> Hand:
+        """Let the hand feel each tick, to hold what is in the scene.
+
+        Args:
+            scene: As in ``reset``.
+            knowledge: What the controller knows of the load.
+        """
+        self.hand = Hand(self.world.handling, self.model, scene, knowledge)
+        return self.hand
 
     def follow(
         self,
@@ -127,42 +150,10 @@ class Drive:
             every: Ticks between looks at stability.
             watch: Called after each tick.
         """
-        model, controller, world = self.model, self.controller, self.world
-        hand = self.hand
-        accelerations = np.empty(ticks)
-        looks: list[tuple[float, float, float, float, float]] = []
-        failures = safe = 0
-        state = self.state
-        for k in range(ticks):
-            terms = model.evaluate(state)
-            reference = reference_at(k, state)
-            command = controller.solve(state, terms, reference, priorities)
-            if k % every == 0:
-                looks.append(self._look(state, terms.position_w, command))
-            accelerations[k] = command.acceleration[0]
-            world.command(*command.base_speed, command.torque)
-            world.step()
-            if command.failures:
-                failures += command.failures
-                safe += command.safe
-            after = world.read()
-            if hand is not None:
-                hand.feel(state, terms, command.torque, after)
-            if watch is not None:
-                watch(Tick(k, state, command))
-            state = after
-        self.state = state
-        margins, tilts, pitches, slips, errors = zip(*looks, strict=True)
-        return Motion(
-            accelerations,
-            min(margins),
-            max(tilts),
-            max(pitches, key=abs),
-            max(slips),
-            max(errors),
-            failures,
-            safe,
+        (motion,) = follow(
+            [self], [Order(reference_at, priorities)], ticks, every, watch
         )
+        return motion
 
     def zmp_b(self, state: RobotState, command: Command) -> np.ndarray:
         """Zero-moment point on the ground in the base frame, shape (2,) [m].
@@ -182,7 +173,7 @@ class Drive:
         """Disconnect from the simulator."""
         self.world.close()
 
-    def _look(
+    def look(
         self, state: RobotState, position_w: np.ndarray, command: Command
     ) -> tuple[float, float, float, float, float]:
         """Margin, tilt, pitch, slip and the model's error at a state: see Motion."""
@@ -193,6 +184,75 @@ class Drive:
         slip = wheel_slip(state, self.world.wheel_rates())
         margin = support_margin(self.zmp_b(state, command))
         return margin, hypot(roll, pitch), pitch, slip, error
+
+
+def follow(
+    drives: Sequence[Drive],
+    orders: Sequence[Order],
+    ticks: int,
+    every: int,
+    watch: Watch | None = None,
+) -> list[Motion]:
+    """Run robots side by side, tick by tick; each one's motion.
+
+    Args:
+        drives: The robots.
+        orders: What each is to do.
+        ticks: Of 1/240 s.
+        every: Ticks between looks at stability.
+        watch: Called after each robot's tick.
+    """
+    steps = [_Step(*pair, ticks, every) for pair in zip(drives, orders, strict=True)]
+    for k in range(ticks):
+        for number, step in enumerate(steps):
+            step.tick(k, number, watch)
+    return [step.motion() for step in steps]
+
+
+class _Step:
+    """One robot's step, tick by tick."""
+
+    def __init__(self, drive: Drive, order: Order, ticks: int, every: int) -> None:
+        self._drive, self._order, self._every = drive, order, every
+        self._accelerations = np.empty(ticks)
+        self._looks: list[tuple[float, float, float, float, float]] = []
+        self._failures = self._safe = 0
+
+    def tick(self, k: int, number: int, watch: Watch | None) -> None:
+        """One tick: model, reference, controller, simulator, hand, in that order."""
+        drive = self._drive
+        state, world = drive.state, drive.world
+        terms = drive.model.evaluate(state)
+        reference = self._order.reference_at(k, state)
+        command = drive.controller.solve(
+            state, terms, reference, self._order.priorities
+        )
+        if k % self._every == 0:
+            self._looks.append(drive.look(state, terms.position_w, command))
+        self._accelerations[k] = command.acceleration[0]
+        world.command(*command.base_speed, command.torque)
+        world.step()
+        if command.failures:
+            self._failures += command.failures
+            self._safe += command.safe
+        after = drive.state = world.read()
+        if drive.hand is not None:
+            drive.hand.feel(state, terms, command.torque, after)
+        if watch is not None:
+            watch(Tick(k, state, command, terms, after, number))
+
+    def motion(self) -> Motion:
+        margins, tilts, pitches, slips, errors = zip(*self._looks, strict=True)
+        return Motion(
+            self._accelerations,
+            min(margins),
+            max(tilts),
+            max(pitches, key=abs),
+            max(slips),
+            max(errors),
+            self._failures,
+            self._safe,
+        )
 
 
 def wheel_slip(state: RobotState, rates: tuple[float, float]) -> float:

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from marl_mm.control.payload import Knowledge, Payload
+from marl_mm.control.config import Knowledge
+from marl_mm.control.payload import Payload
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
 from marl_mm.sim.config import RATE
 from marl_mm.sim.handling import Handling, Touches
@@ -20,9 +21,6 @@ LOOK_EVERY = 8
 
 CLEAR = 0.01
 """Under a block that is clear of its stand [m]."""
-
-OUT_OF_REACH = "the block is out of reach"
-"""Of the reasons the one that is known to the task, too."""
 
 
 class Hand:
@@ -63,6 +61,10 @@ class Hand:
         else:
             self._handling.open_gripper()
         self._closing = close
+
+    def lose_reach(self) -> None:
+        """The block is where the hand cannot take it."""
+        self.fail("the block is out of reach")
 
     def fail(self, reason: str) -> None:
         """Something goes wrong; what went wrong first counts."""
@@ -115,7 +117,7 @@ class Hand:
             self.clear_ticks = 0
         stand = self._scene.stand_size
         if not self.held and stand is not None and block_w[2] < stand[2]:
-            self.fail(OUT_OF_REACH)
+            self.lose_reach()
 
     def _is_clear(self, block_w: np.ndarray, touches: Touches) -> bool:
         """Whether the block touches no stand, and is above it or beside it."""

@@ -1,8 +1,4 @@
-"""The reach tasks as a PettingZoo parallel environment: two agents share the robot.
-
-``end_effector`` moves the hand's target and sees the goal; ``balance`` sets alpha and
-does not see it. They share one reward.
-"""
+"""A task as a PettingZoo parallel environment: its agents share one reward."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,11 +8,10 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
-from marl_mm.envs.config import reach_config
-from marl_mm.envs.core import RENDER_MODES, ReachCore, check_render_mode
+from marl_mm.envs.core import RENDER_MODES, EpisodeCore, check_render_mode
+from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.errors import InvalidActionError, UsageError
-from marl_mm.layout import REACH, Layout, layout_of, layout_of_actions
-from marl_mm.sim.config import Camera
+from marl_mm.layout import Layout
 from marl_mm.spaces import (
     agent_action_spaces,
     agent_observation_spaces,
@@ -26,21 +21,17 @@ from marl_mm.spaces import (
 AgentDict = dict[str, np.ndarray]
 
 
-def split_state(state: np.ndarray) -> AgentDict:
+def split_state(state: np.ndarray, layout: Layout) -> AgentDict:
     """Each agent's observation of a joint state, shape (..., n)."""
-    agents = layout_of(state.shape[-1]).agents
-    return {agent.name: state[..., list(agent.observation)] for agent in agents}
+    return {agent.name: state[..., list(agent.observation)] for agent in layout.agents}
 
 
-def split_action(action: np.ndarray) -> AgentDict:
+def split_action(action: np.ndarray, layout: Layout) -> AgentDict:
     """Each agent's part of the joint action, shape (k,)."""
-    agents = layout_of_actions(len(action)).agents
-    return {agent.name: action[list(agent.action)] for agent in agents}
+    return {agent.name: action[list(agent.action)] for agent in layout.agents}
 
 
-def join_actions(
-    actions: Mapping[str, np.ndarray], layout: Layout = REACH
-) -> np.ndarray:
+def join_actions(actions: Mapping[str, np.ndarray], layout: Layout) -> np.ndarray:
     """The joint action, shape (k,), of the agents' actions.
 
     Raises:
@@ -62,18 +53,18 @@ def join_actions(
     return joint
 
 
-class ReachParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
+class TeamEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
     """Parallel environment, ``marl_mm.envs.parallel_env("Reach-v0")``.
 
     Args:
         task: A registered task's name.
-        overrides: Fields of its ``ReachConfig`` to replace.
+        overrides: Fields of the task to replace.
         render_mode: ``"rgb_array"`` or None.
     """
 
     def __init__(
         self,
-        task: str = "Reach-v0",
+        task: str = DEFAULT,
         overrides: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
     ) -> None:
@@ -84,9 +75,9 @@ class ReachParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
             "is_parallelizable": True,
         }
         self.render_mode = render_mode
-        self.config = reach_config(task, overrides)
-        self.core = ReachCore(self.config, visual=render_mode is not None)
-        layout = self.config.layout
+        self.task = make_task(task, overrides)
+        self.core = EpisodeCore(self.task, visual=render_mode is not None)
+        layout = self.task.layout
         self.possible_agents = [agent.name for agent in layout.agents]
         self.agents: list[str] = []
         self.observation_spaces = agent_observation_spaces(layout)
@@ -106,12 +97,14 @@ class ReachParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[AgentDict, dict[str, dict[str, Any]]]:
-        """Begin an episode; ``options={"goal": (x, y, z)}`` sets the goal [m]."""
+        """Begin an episode; ``options={"goal": (x, y, z)}`` sets the goal."""
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
         state = self.core.reset(self._rng, (options or {}).get("goal"))
         self._joint, self.agents = state, list(self.possible_agents)
-        return split_state(state), {agent: {} for agent in self.agents}
+        return split_state(state, self.task.layout), {
+            agent: {} for agent in self.agents
+        }
 
     def step(
         self, actions: dict[str, np.ndarray]
@@ -122,15 +115,15 @@ class ReachParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Act for one second; rewards, ends and infos are the same for both agents."""
+        """Act for one second; rewards, ends and infos are the same for all agents."""
         if not self.agents:
             return {}, {}, {}, {}, {}
-        outcome = self.core.step(join_actions(actions, self.config.layout))
+        outcome = self.core.step(join_actions(actions, self.task.layout))
         self._joint, agents = outcome.state, self.agents
         if outcome.terminated or outcome.truncated:
             self.agents = []
         return (
-            split_state(outcome.state),
+            split_state(outcome.state, self.task.layout),
             dict.fromkeys(agents, outcome.reward),
             dict.fromkeys(agents, outcome.terminated),
             dict.fromkeys(agents, outcome.truncated),
@@ -149,9 +142,7 @@ class ReachParallelEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
 
     def render(self) -> np.ndarray | None:
         """A picture, shape (height, width, 3), in mode ``"rgb_array"``."""
-        if self.render_mode != "rgb_array":
-            return None
-        return self.core.drive.world.render(Camera())
+        return self.core.render(self.task.camera) if self.render_mode else None
 
     def close(self) -> None:
         """Disconnect from the simulator."""

@@ -11,10 +11,10 @@ from typing import Literal, get_args
 import numpy as np
 from gymnasium.utils import seeding
 
-from marl_mm.envs.config import ReachConfig
-from marl_mm.envs.core import ReachCore, Step
+from marl_mm.envs.core import EpisodeCore, Step
 from marl_mm.envs.drive import Watch
-from marl_mm.episode import INFO, Episode
+from marl_mm.envs.task import Task
+from marl_mm.episode import Episode
 from marl_mm.policy import Policy
 from marl_mm.workers import Executor, open_pool
 
@@ -32,8 +32,8 @@ class EpisodePlan:
     seed: int
     """Of the environment and, through a stream of its own, of the policy."""
 
-    goal_w: tuple[float, float, float] | None = None
-    """Where to go instead of a goal drawn from the seed [m]."""
+    goal: tuple[float, ...] | None = None
+    """Goal instead of one drawn from the seed."""
 
 
 def episode_seed(seed: int, index: int, purpose: Purpose) -> int:
@@ -47,17 +47,17 @@ def episode_seed(seed: int, index: int, purpose: Purpose) -> int:
 
 
 def run_episode(
-    core: ReachCore,
+    core: EpisodeCore,
     policy: Policy,
     plan: EpisodePlan,
     watch: Watch | None = None,
 ) -> Episode:
     """Run one episode to its end; ``watch`` is called after each controller tick."""
     rng, _ = seeding.np_random(plan.seed)
-    goal_w = None if plan.goal_w is None else np.array(plan.goal_w)
-    states = [core.reset(rng, goal_w)]
-    start = core.drive.state.q.copy()
-    policy.begin(np.random.default_rng([plan.seed, 1]))
+    layout = core.task.layout
+    policy.begin(np.random.default_rng([plan.seed, 1]), layout)
+    states = [core.reset(rng, None if plan.goal is None else np.array(plan.goal))]
+    start = core.starts()
     actions: list[np.ndarray] = []
     steps: list[Step] = []
     while not steps or not (steps[-1].terminated or steps[-1].truncated):
@@ -70,7 +70,10 @@ def run_episode(
         rewards=np.array([step.reward for step in steps]),
         terminated=np.array([step.terminated for step in steps]),
         truncated=np.array([step.truncated for step in steps]),
-        info={key: np.array([step.info[key] for step in steps]) for key in INFO},
+        info={
+            key: np.array([step.info[key] for step in steps]) for key in core.task.info
+        },
+        layout=layout,
         seed=plan.seed,
         index=plan.index,
         source=policy.name,
@@ -83,7 +86,7 @@ class Rollouts:
     """Environments of one task that are kept for many policies, in a ``with`` block.
 
     Args:
-        config: The task.
+        task: The task.
         workers: Processes; 1 of this machine is this one.
         executor: Of which machines.
 
@@ -92,12 +95,12 @@ class Rollouts:
     """
 
     def __init__(
-        self, config: ReachConfig, workers: int = 1, executor: Executor = "local"
+        self, task: Task, workers: int = 1, executor: Executor = "local"
     ) -> None:
         here = workers == 1 and executor == "local"
-        self._core = ReachCore(config) if here else None
+        self._core = EpisodeCore(task) if here else None
         self._pool = (
-            None if here else open_pool(executor, workers, _start_worker, (config,))
+            None if here else open_pool(executor, workers, _start_worker, (task,))
         )
 
     def __enter__(self) -> "Rollouts":
@@ -140,20 +143,20 @@ class Rollouts:
 
 
 def run_episodes(
-    config: ReachConfig, policy: Policy, plans: Iterable[EpisodePlan], workers: int = 1
+    task: Task, policy: Policy, plans: Iterable[EpisodePlan], workers: int = 1
 ) -> Iterator[Episode]:
     """Run episodes and yield them in the order of ``plans``; see ``Rollouts``."""
-    with Rollouts(config, workers) as rollouts:
+    with Rollouts(task, workers) as rollouts:
         yield from rollouts.run(policy, plans)
 
 
-_core: ReachCore | None = None
+_core: EpisodeCore | None = None
 """A worker process's own environment."""
 
 
-def _start_worker(config: ReachConfig) -> None:
+def _start_worker(task: Task) -> None:
     global _core
-    _core = ReachCore(config)
+    _core = EpisodeCore(task)
 
 
 def _run_in_worker(item: tuple[Policy, EpisodePlan]) -> Episode:

@@ -2,8 +2,10 @@
 
 import os
 import tempfile
+from collections.abc import Sequence
 from functools import cache
 from math import asin, atan2
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +24,7 @@ from marl_mm.sim.config import RATE, Camera, SimulationConfig
 from marl_mm.sim.engine import pybullet, pybullet_data
 from marl_mm.sim.handling import Handling
 from marl_mm.sim.planar import planar_state
-from marl_mm.sim.scene import Scene
+from marl_mm.sim.scene import Mark, Scene
 
 
 @cache
@@ -61,13 +63,11 @@ class BulletWorld:
         self._com_b = robot.base_com_b
         self._handling: Handling | None = None
 
-    def reset(
-        self, goal_w: np.ndarray | None = None, scene: Scene | None = None
-    ) -> None:
+    def reset(self, marks: Sequence[Mark] = (), scene: Scene | None = None) -> None:
         """A new world: the robot at the origin, heading +x, in its start posture.
 
         Args:
-            goal_w: Where to draw the goal, shape (3,) [m]; drawn only with visuals.
+            marks: What is only to be seen; drawn only with visuals.
             scene: What else is there. Without, hand and arm are no solid bodies, which
                 is faster.
         """
@@ -89,8 +89,8 @@ class BulletWorld:
             self._handling = Handling(
                 client, self._robot, links, self._ground, config, scene, self._visual
             )
-        if goal_w is not None and self._visual:
-            self._draw_goal(goal_w, 0.03 if scene is None else 0.02)  # not to hide it
+        for mark in marks if self._visual else ():
+            self._draw(mark)
 
     def read(self) -> RobotState:
         """The robot's planar state, from the simulator's free-floating base.
@@ -327,16 +327,17 @@ class BulletWorld:
             physicsClientId=client,
         )
 
-    def _draw_goal(self, goal_w: np.ndarray, radius: float) -> None:
+    def _draw(self, mark: Mark) -> None:
+        size: dict[str, Any] = {"radius": mark.size[0]}
+        kind = pybullet.GEOM_SPHERE
+        if len(mark.size) == 3:
+            size, kind = {"halfExtents": np.divide(mark.size, 2)}, pybullet.GEOM_BOX
         shape = pybullet.createVisualShape(
-            pybullet.GEOM_SPHERE,
-            radius=radius,
-            rgbaColor=[0.90, 0.25, 0.15, 1],
-            physicsClientId=self._client,
+            kind, rgbaColor=mark.color, physicsClientId=self._client, **size
         )
         pybullet.createMultiBody(
             0,
             baseVisualShapeIndex=shape,
-            basePosition=goal_w.tolist(),
+            basePosition=mark.position_w,
             physicsClientId=self._client,
         )

@@ -18,6 +18,27 @@ class Block:
     """Coefficient against the finger pads, whose own is 1, and against the stand."""
 
 
+Color = tuple[float, float, float, float]
+"""Red, green, blue and opacity, 0 to 1."""
+
+RED: Color = (0.90, 0.25, 0.15, 1.0)
+"""Colour of goals."""
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Something to be seen and not touched: a goal, a zone."""
+
+    position_w: tuple[float, ...]
+    """Centre, x, y and z [m]."""
+
+    size: tuple[float, ...] = (0.03,)
+    """Radius of a ball, or edges of a box along x, y and z [m]."""
+
+    color: Color = RED
+    """Colour."""
+
+
 Grasp = Literal["friction", "weld"]
 """How a block is held: between the pads, or fixed to the hand, which is faster."""
 

@@ -1,0 +1,77 @@
+"""Algorithms by name: what learns, from what, and with which hyper-parameters."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from marl_mm.errors import UsageError
+from marl_mm.registry import Registry
+
+TUNED = "tuned"
+"""Preset of the defaults."""
+
+PAPER = "paper"
+"""Preset of the source paper's tables."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Algorithm:
+    """A way to learn."""
+
+    about: str
+    """What it is, in a sentence for helps."""
+
+    source: str
+    """Whose it is: author and year, or table of the source paper."""
+
+    learner: Callable[..., Any]
+    """Makes what learns: of a config, episodes, a judge, seeds and a device (offline,
+    an ``OfflineAlgorithm``), or of a config, a judge, a seed, demonstrations and a
+    layout (online, an ``OnlineAlgorithm``)."""
+
+    presets: Mapping[str, Any]
+    """Hyper-parameters by preset, frozen dataclasses; ``TUNED`` is the default."""
+
+    online: bool = False
+    """Whether it learns from episodes of its own, and not from a dataset."""
+
+    check: Callable[[Any], None] = lambda config: None
+    """Raises a ``UsageError`` for hyper-parameters that are not this algorithm's."""
+
+    def __post_init__(self) -> None:
+        if TUNED not in self.presets:
+            raise UsageError(f"an algorithm has no preset {TUNED!r}: {self.about!r}")
+
+
+ALGORITHMS: Registry[Algorithm] = Registry(
+    "algorithm",
+    [
+        f"marl_mm.algorithms.{name}"
+        for name in ("mabc", "td3_bc", "matd3_bc", "ddpg", "maddpg")
+    ],
+)
+"""Algorithms that there are."""
+
+
+def names(online: bool) -> tuple[str, ...]:
+    """Names of the algorithms that learn online, or of those that learn offline."""
+    return tuple(name for name, one in ALGORITHMS.items() if one.online == online)
+
+
+def preset(algorithm: str, name: str = TUNED) -> Any:
+    """An algorithm's hyper-parameters.
+
+    Args:
+        algorithm: Name of a registered algorithm.
+        name: Name of one of its presets.
+
+    Raises:
+        UsageError: If there is no such algorithm or preset.
+    """
+    presets = ALGORITHMS.get(algorithm).presets
+    if name not in presets:
+        raise UsageError(
+            f"--preset is {name!r}, expected one of {', '.join(presets)}: {algorithm} "
+            "has no other"
+        )
+    return presets[name]

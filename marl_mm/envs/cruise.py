@@ -1,0 +1,209 @@
+"""Tasks of one hand: it goes where actions say, while the base follows at a cruise."""
+
+from abc import ABC
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from marl_mm.control.tasks.task import Reference
+from marl_mm.envs.order import Order
+from marl_mm.envs.task import Attempt, Task, Values
+from marl_mm.envs.terms import goal_distance
+from marl_mm.errors import UsageError
+from marl_mm.layout import Entry
+from marl_mm.sim.config import RATE
+from marl_mm.sim.scene import Mark, Scene
+
+if TYPE_CHECKING:
+    from marl_mm.robot.model import RobotState
+
+HAND = tuple(Entry(f"end_effector_{axis}", "m") for axis in "xyz")
+"""Place of the end-effector, world frame."""
+
+BASE = (Entry("base_x", "m"), Entry("base_y", "m"), Entry("base_yaw", "rad"))
+"""Pose of the base, world frame."""
+
+MODE = Entry("control_mode", "1", 0.0, 1.0)
+"""Alpha of the last step."""
+
+GOAL = tuple(Entry(f"goal_{axis}", "m") for axis in "xyz")
+"""Place to go to, world frame."""
+
+DELTA = tuple(Entry(f"delta_{axis}", "0.1 m", -1.0, 1.0) for axis in "xyz")
+"""Displacement of the end-effector's target from its present place."""
+
+ALPHA = Entry("alpha", "1", 0.0, 1.0)
+"""Trade-off: 0 accurate hand ... 1 stable base."""
+
+
+def names(*entries: Entry) -> tuple[str, ...]:
+    """Names of these entries."""
+    return tuple(entry.name for entry in entries)
+
+
+class BasePlan(NamedTuple):
+    """A slow, straight cruise of the base during one step."""
+
+    start_x: float
+    """Where the base is when the step begins, world [m]."""
+
+    advance: float
+    """Signed length along x [m]; the plan lies on y = 0."""
+
+    direction: float
+    """-1 backward, 0 standing, 1 forward."""
+
+    def points(self, ticks: int) -> np.ndarray:
+        """The plan after each tick of the step, shape (ticks, 2) [m]."""
+        x = self.start_x + self.advance * np.arange(1, ticks + 1) / ticks
+        return np.stack([x, np.zeros(ticks)], axis=1)
+
+    def heading(self, y: float, gain: float, limit: float) -> float:
+        """Heading that steers a base at lateral offset y back to y = 0 [rad]."""
+        return -self.direction * min(max(gain * y, -limit), limit)
+
+
+@dataclass
+class Course:
+    """Where hand and base are to go."""
+
+    rotation_w: np.ndarray
+    """Axes of the end-effector at the start, which it keeps, shape (3, 3)."""
+
+    alpha: float
+    """Control mode of the last step."""
+
+    target_w: np.ndarray
+    """Target of the end-effector in the last step, shape (3,) [m]."""
+
+    plan: BasePlan
+    """Plan of the base in the last step."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CruiseTask(Task, ABC):
+    """Numbers of hand and cruise; ours, as the paper leaves them open."""
+
+    own_info: ClassVar[dict[str, str]] = {
+        "d_mm": "end-effector to its target at the step's end [m]",
+        "d_mp": "base to its plan at the step's end [m]",
+    }
+
+    action_scale: float = 0.1
+    """Largest displacement of the end-effector's target per axis and step [m]."""
+
+    initial_alpha: float = 1.0
+    """Control mode in the first observation, before any alpha was set."""
+
+    random_start_steps: int = 0
+    """Random steps before the episode, unseen by the policy."""
+
+    cruise: float = 0.03
+    """Most the base plan advances per step [m]. A plan that kept up with the hand would
+    make all tasks compatible and alpha meaningless."""
+
+    stand_off: float = 0.647
+    """The base plan heads for this far behind the hand's target along x [m]: the
+    end-effector's distance ahead of the base in the initial posture."""
+
+    standing: float = 0.005
+    """A plan that advances less than this has no direction of travel [m]."""
+
+    heading_gain: float = 1.0
+    """Heading reference per lateral offset, steering back to y = 0 [rad/m]."""
+
+    heading_limit: float = 0.3
+    """Largest heading reference [rad]."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.action_scale > 0:
+            raise UsageError(f"action_scale is {self.action_scale}, expected > 0")
+        if not 0.0 <= self.initial_alpha <= 1.0:
+            raise UsageError(f"initial_alpha is {self.initial_alpha}, expected [0, 1]")
+
+    # --- Start ---------------------------------------------------------------
+
+    def place(
+        self, attempt: Attempt, marks: tuple[Mark, ...], scene: Scene | None = None
+    ) -> None:
+        """Reset the robot, with these things around it."""
+        (drive,) = attempt.drives
+        start = drive.model.evaluate(drive.reset(marks, scene))
+        hand_w = self.hand_w(attempt)
+        rotation_w = np.ascontiguousarray(start.rotation_w).copy()
+        still = BasePlan(0.0, 0.0, 0.0)
+        attempt.memory = Course(rotation_w, self.initial_alpha, hand_w, still)
+
+    def hold(self, attempt: Attempt, target_w: np.ndarray) -> None:
+        """Let the hand stay at a place for a step, unseen by the policy."""
+        attempt.memory.target_w = target_w
+        attempt.memory.plan = BasePlan(0.0, 0.0, 0.0)
+        attempt.follow([self._order(attempt)])
+
+    def wander(self, attempt: Attempt, rng: np.random.Generator) -> None:
+        """Take the random steps before the episode."""
+        low, high = np.array(self.layout.low), np.array(self.layout.high)
+        for _ in range(self.random_start_steps):
+            action = rng.uniform(low, high).tolist()
+            named = dict(zip(self.layout.action_names, action, strict=True))
+            attempt.follow(self.act(attempt, named))
+
+    # --- Step ----------------------------------------------------------------
+
+    @staticmethod
+    def hand_w(attempt: Attempt) -> np.ndarray:
+        """Place of the end-effector now, shape (3,) [m]."""
+        return attempt.drives[0].world.grasp_position_w()
+
+    def act(self, attempt: Attempt, action: Values) -> list[Order]:
+        """Move the hand's target, and plan the base towards its place behind it."""
+        course: Course = attempt.memory
+        way = np.array([action[entry.name] for entry in DELTA])
+        course.target_w = self.hand_w(attempt) + self.action_scale * way
+        course.alpha = float(action[ALPHA.name])
+        course.plan = self._plan_base(attempt)
+        return [self._order(attempt)]
+
+    def observe(self, attempt: Attempt) -> Values:
+        """Hand, base and control mode."""
+        course: Course = attempt.memory
+        state = attempt.drives[0].state
+        seen = *self.hand_w(attempt), state.q[0], state.q[1], state.yaw, course.alpha
+        return dict(zip(names(*HAND, *BASE, MODE), seen, strict=True))
+
+    def measure(self, attempt: Attempt) -> dict[str, Any]:
+        """Distances of hand and base to where they were to be."""
+        course: Course = attempt.memory
+        base_w = attempt.drives[0].state.q[:2]
+        return {
+            "d_mm": float(goal_distance(course.target_w, self.hand_w(attempt))),
+            "d_mp": float(goal_distance(course.plan.points(1)[0], base_w)),
+        }
+
+    def _plan_base(self, attempt: Attempt) -> BasePlan:
+        """A plan from the measured base towards its place behind the hand's target."""
+        base_w = attempt.drives[0].state.q[:2]
+        way = attempt.memory.target_w[0] - self.stand_off - base_w[0]
+        advance = float(np.clip(way, -self.cruise, self.cruise))
+        moves = abs(advance) > self.standing
+        return BasePlan(
+            float(base_w[0]), advance, float(np.sign(advance)) if moves else 0.0
+        )
+
+    def _order(self, attempt: Attempt) -> Order:
+        course: Course = attempt.memory
+        target_w, rotation_w, plan = course.target_w, course.rotation_w, course.plan
+        posture = np.array(self.robot.initial_joints)
+        ticks = self.ticks_per_step
+        speed = plan.advance * RATE / ticks
+        points = plan.points(ticks)
+        gain, limit = self.heading_gain, self.heading_limit
+
+        def reference_at(k: int, state: "RobotState") -> Reference:
+            heading = plan.heading(state.q[1].item(), gain, limit)
+            return Reference(target_w, rotation_w, points[k], heading, speed, posture)
+
+        priorities = attempt.drives[0].controller.priorities(course.alpha)
+        return Order(reference_at, priorities)

@@ -1,0 +1,119 @@
+"""A task as a Gymnasium goal environment: one agent sets the joint action."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+from marl_mm.envs.core import RENDER_MODES, EpisodeCore, check_render_mode
+from marl_mm.envs.registry import DEFAULT, make_task
+from marl_mm.envs.task import Terms
+from marl_mm.episode import FAILED
+from marl_mm.layout import Layout
+from marl_mm.spaces import action_space, goal_observation_space
+
+GoalObservation = dict[str, np.ndarray]
+Infos = Mapping[str, Any] | Sequence[Mapping[str, Any]]
+
+
+def goal_observation(state: np.ndarray, layout: Layout) -> GoalObservation:
+    """The joint state, shape (n,), as a goal dictionary."""
+    return {
+        "observation": state[layout.observation].copy(),
+        "achieved_goal": state[layout.achieved].copy(),
+        "desired_goal": state[layout.goal].copy(),
+    }
+
+
+class GoalEnv(gymnasium.Env[GoalObservation, np.ndarray]):
+    """Goal environment, ``gymnasium.make("marl_mm/Reach-v0")``.
+
+    ``info`` of a step is listed with its units in ``Task.info``.
+
+    Args:
+        task: A registered task's name.
+        overrides: Fields of the task to replace, JSON-serialisable.
+        render_mode: ``"rgb_array"`` or None.
+    """
+
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 1}  # noqa: RUF012
+
+    def __init__(
+        self,
+        task: str = DEFAULT,
+        overrides: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        check_render_mode(render_mode)
+        self.render_mode = render_mode
+        self.task = make_task(task, overrides)
+        self.core = EpisodeCore(self.task, visual=render_mode is not None)
+        layout = self.task.layout
+        self.observation_space = cast(
+            spaces.Space[GoalObservation], goal_observation_space(layout)
+        )
+        self.action_space = action_space(layout)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[GoalObservation, dict[str, Any]]:
+        """Begin an episode; ``options={"goal": (x, y, z)}`` sets the goal."""
+        super().reset(seed=seed)
+        state = self.core.reset(self.np_random, (options or {}).get("goal"))
+        return goal_observation(state, self.task.layout), {}
+
+    def step(
+        self, action: np.ndarray
+    ) -> tuple[GoalObservation, float, bool, bool, dict[str, Any]]:
+        """Act for one second; see ``EpisodeCore.step``."""
+        state, reward, terminated, truncated, info = self.core.step(action)
+        observation = goal_observation(state, self.task.layout)
+        return observation, reward, terminated, truncated, info
+
+    def compute_reward(
+        self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Infos
+    ) -> np.ndarray:
+        """The reward a step would have had with other goals, shapes (..., g) to (...).
+
+        Args:
+            achieved_goal: What is compared with the goal, after the step.
+            desired_goal: Goal to judge it by.
+            info: The step's info, or one per row of the goals.
+        """
+        return self.task.reward(achieved_goal, desired_goal, self._terms(info))
+
+    def compute_terminated(
+        self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Infos
+    ) -> np.ndarray:
+        """Whether a step would have ended the episode with other goals."""
+        _, ended = self.task.judge(achieved_goal, desired_goal, self._terms(info))
+        return np.asarray(ended)
+
+    def compute_truncated(
+        self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Infos
+    ) -> np.ndarray:
+        """Goals never truncate an episode; the step count does."""
+        return np.zeros(np.shape(achieved_goal)[:-1], bool)
+
+    def render(self) -> np.ndarray | None:
+        """A picture, shape (height, width, 3), in mode ``"rgb_array"``."""
+        return self.core.render(self.task.camera) if self.render_mode else None
+
+    def close(self) -> None:
+        """Disconnect from the simulator."""
+        self.core.close()
+
+    def _terms(self, info: Infos) -> Terms:
+        terms = {name: _gathered(info, name) for name in self.task.needs}
+        failed = np.asarray(False)
+        if self.task.fails:  # reasons are words, or none
+            failed = _gathered(info, "reason").astype(object).astype(bool)
+        return {**terms, FAILED: failed}
+
+
+def _gathered(info: Infos, key: str) -> np.ndarray:
+    if isinstance(info, Mapping):
+        return np.asarray(info[key])
+    return np.array([single[key] for single in info])

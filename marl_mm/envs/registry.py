@@ -1,0 +1,109 @@
+"""The tasks by name, and a task with some of its numbers replaced."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+import gymnasium
+
+from marl_mm.envs.task import Task
+from marl_mm.errors import UsageError
+from marl_mm.registry import Registry
+
+TASKS: Registry[Task] = Registry(
+    "task", [f"marl_mm.envs.tasks.{kind}" for kind in ("reach", "carry", "grasp")]
+)
+"""Tasks that there are."""
+
+DEFAULT = "Reach-v0"
+"""Task of what names none."""
+
+
+def register_task(name: str, task: Task) -> None:
+    """Make a task known by name, to Gymnasium as ``marl_mm/NAME``, too.
+
+    Raises:
+        UsageError: If it is no task, or the name is another task's.
+    """
+    if not isinstance(task, Task):
+        raise UsageError(
+            f"task {name!r} is {task!r}, expected a marl_mm.envs.task.Task"
+        )
+    TASKS.add(name, task)
+    gymnasium.register(
+        id=f"marl_mm/{name}",
+        entry_point="marl_mm.envs.goal_env:GoalEnv",
+        kwargs={"task": name},
+    )
+
+
+def make_task(name: str = DEFAULT, overrides: Mapping[str, Any] | None = None) -> Task:
+    """A registered task, with some of its numbers replaced.
+
+    Args:
+        name: One of ``TASKS``.
+        overrides: Fields to replace, nested as the task is, for example
+            ``{"max_steps": 50, "controller": {"form": "rhp"}}``.
+
+    Raises:
+        UsageError: If the task or a field does not exist, or a value is of another type
+            or makes no sense.
+    """
+    task: Task = _replaced(TASKS.get(name), overrides or {}, "")
+    return task
+
+
+def config_dict(config: Any) -> Any:
+    """A config as nested dictionaries, JSON-serialisable."""
+    if is_dataclass(config):
+        return {f.name: config_dict(getattr(config, f.name)) for f in fields(config)}
+    if hasattr(config, "_asdict"):
+        return {name: config_dict(value) for name, value in config._asdict().items()}
+    return config
+
+
+def _replaced(config: Any, overrides: Mapping[str, Any], path: str) -> Any:
+    if is_dataclass(config):
+        known = [item.name for item in fields(config)]
+    else:
+        known = list(config._fields)
+    changes = {}
+    for name, value in overrides.items():
+        if name not in known:
+            raise UsageError(
+                f"unknown field {path + name!r}, expected one of {', '.join(known)}"
+            )
+        current = getattr(config, name)
+        if is_dataclass(current) or hasattr(current, "_asdict"):
+            if not isinstance(value, Mapping):
+                raise UsageError(
+                    f"{path}{name} is {value!r}, expected a mapping of its fields"
+                )
+            changes[name] = _replaced(current, value, f"{path}{name}.")
+        else:
+            changes[name] = _like(current, value, path + name)
+    if is_dataclass(config) and not isinstance(config, type):
+        return replace(config, **changes)
+    return config._replace(**changes)
+
+
+def _like(current: Any, value: Any, name: str) -> Any:
+    """A value in the type of the one it replaces.
+
+    Raises:
+        UsageError: If it is not of that type, or not finite.
+    """
+    if isinstance(current, tuple):
+        if not isinstance(value, list | tuple) or len(value) != len(current):
+            raise UsageError(f"{name} is {value!r}, expected {len(current)} numbers")
+        pairs = zip(current, value, strict=True)
+        return tuple(_like(one, other, name) for one, other in pairs)
+    truth = isinstance(value, bool)
+    if isinstance(current, float) and isinstance(value, int | float) and not truth:
+        if math.isfinite(value):
+            return float(value)
+    elif isinstance(value, type(current)) and truth == isinstance(current, bool):
+        return value
+    kind = "a finite number" if isinstance(current, float) else type(current).__name__
+    raise UsageError(f"{name} is {value!r}, expected {kind}")

@@ -1,0 +1,249 @@
+"""What a task is: everything of an episode that is not the same in all of them.
+
+A task is a frozen dataclass of numbers with the functions below; it keeps nothing of an
+episode, which is what an ``Attempt`` is for. ``envs/tasks`` has one file a kind.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from marl_mm.control.config import ControllerConfig
+from marl_mm.envs.order import Order
+from marl_mm.envs.terms import goal_distance
+from marl_mm.episode import FAILED, GOAL_INFO, MOTION_INFO
+from marl_mm.errors import UsageError
+from marl_mm.layout import Layout
+from marl_mm.robot.description import RobotConfig
+from marl_mm.sim.config import Camera, SimulationConfig
+
+if TYPE_CHECKING:  # a task's numbers are looked at without the simulator
+    from marl_mm.envs.drive import Drive, Motion, Tick, Watch
+
+Values = Mapping[str, float]
+"""Entries of a joint state or action by name."""
+
+Terms = Mapping[str, np.ndarray]
+"""What rewards depend on beside the goal, by name; of one step or of many."""
+
+
+class Attempt:
+    """One episode under way.
+
+    Args:
+        task: What is attempted.
+        drives: The robots, as many as the task has.
+    """
+
+    def __init__(self, task: "Task", drives: "Sequence[Drive]") -> None:
+        self.task = task
+        self.drives = tuple(drives)
+        self.steps = 0
+        """Steps taken."""
+
+        self.goal = np.empty(0)
+        """The goal, shape (g,), in the units of its entries."""
+
+        self.memory: Any = None
+        """What the task has to remember, an object of its own."""
+
+    def follow(
+        self, orders: Sequence[Order], watch: "Watch | None" = None
+    ) -> "list[Motion]":
+        """Let every robot follow its order for a step's ticks.
+
+        Args:
+            orders: One for each robot.
+            watch: Called after each robot's tick.
+        """
+        from marl_mm.envs.drive import follow
+
+        task = self.task
+        if type(task).at_tick is not Task.at_tick:
+            watch = _both(self, watch)
+        return follow(self.drives, orders, task.ticks_per_step, task.look_every, watch)
+
+
+def _both(attempt: Attempt, watch: "Watch | None") -> "Watch":
+    def see(tick: "Tick") -> None:
+        attempt.task.at_tick(attempt, tick)
+        if watch is not None:
+            watch(tick)
+
+    return see
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScriptConfig:
+    """What a scripted expert leaves open."""
+
+    alpha: float = 0.0
+    """Alpha, where the script does not choose it: 0 accurate hand ... 1 stable base."""
+
+    kp: float = 10.0
+    """Action per distance [1/m]; 10 asks for the place itself within 0.1 m."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.alpha <= 1.0:
+            raise UsageError(f"alpha is {self.alpha}, expected a number in [0, 1]")
+        if not (np.isfinite(self.kp) and self.kp > 0):
+            raise UsageError(f"kp is {self.kp}, expected > 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task(ABC):
+    """A kind of task with its numbers."""
+
+    about: ClassVar[str] = ""
+    """What there is to do, in a sentence."""
+
+    layout: ClassVar[Layout]
+    """Layout of joint state and action."""
+
+    robots: ClassVar[int] = 1
+    """Number of robots, each in a world of its own."""
+
+    needs: ClassVar[tuple[str, ...]] = ()
+    """Names of what rewards depend on beside the goal: step numbers or entries of the
+    state. ``"failed"`` is always there, too."""
+
+    own_info: ClassVar[Mapping[str, str]] = {}
+    """Meanings, with units, of the step numbers that ``measure`` adds, by name."""
+
+    fails: ClassVar[bool] = False
+    """Whether an episode can end in failure."""
+
+    camera: ClassVar[Camera] = Camera()
+    """Where pictures are taken from."""
+
+    max_steps: int = 25
+    """Steps until truncation (paper, Tables 2, 3)."""
+
+    ticks_per_step: int = 240
+    """Controller ticks per policy step: 1 Hz over 240 Hz (paper, Fig. 2)."""
+
+    look_every: int = 8
+    """Ticks between looks at stability: ZMP margin, tilt, slip, the model's error."""
+
+    robot: RobotConfig = field(default_factory=RobotConfig)
+    """Mass properties and start posture."""
+
+    simulation: SimulationConfig = field(default_factory=SimulationConfig)
+    """Solver and motors."""
+
+    controller: ControllerConfig = field(default_factory=ControllerConfig)
+    """Form, gains and limits of the controller."""
+
+    def __post_init__(self) -> None:
+        for name in ("max_steps", "ticks_per_step", "look_every"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"{name} is {getattr(self, name)}, expected >= 1")
+
+    @property
+    def info(self) -> dict[str, str]:
+        """Meanings, with units, of the step numbers that episodes keep, by name."""
+        return {**self.own_info, **GOAL_INFO, **MOTION_INFO}
+
+    @property
+    def highest_return(self) -> float | None:
+        """Bound that no return can pass; None if the task knows none."""
+        return None
+
+    # --- Start ---------------------------------------------------------------
+
+    @abstractmethod
+    def begin(
+        self, attempt: Attempt, rng: np.random.Generator, goal: np.ndarray | None
+    ) -> None:
+        """Draw what is to be drawn, reset the robots, and set ``attempt.goal``.
+
+        Args:
+            attempt: A new one; the task may put its own memory into it.
+            rng: Only source of randomness in the episode.
+            goal: Goal to use instead of a drawn one, shape (g,).
+        """
+
+    def fixed_goal(
+        self, index: int, rng: np.random.Generator
+    ) -> tuple[float, ...] | None:
+        """Goal of an evaluation's episode; None if its seed draws it.
+
+        Args:
+            index: Number of the episode.
+            rng: Stream of the evaluation's goals, which come in order.
+        """
+        return None
+
+    # --- Step ----------------------------------------------------------------
+
+    @abstractmethod
+    def act(self, attempt: Attempt, action: Values) -> Sequence[Order]:
+        """What an action asks of each robot.
+
+        Args:
+            attempt: The episode so far.
+            action: Joint action by name, within its bounds.
+        """
+
+    def at_tick(self, attempt: Attempt, tick: "Tick") -> None:  # noqa: B027
+        """Look at a tick of a robot; called only where a task has its own."""
+
+    @abstractmethod
+    def observe(self, attempt: Attempt) -> Values:
+        """Joint state by name, but for the goal."""
+
+    def measure(self, attempt: Attempt) -> dict[str, Any]:
+        """Step numbers of the task's own, after a step."""
+        return {}
+
+    def failure(self, attempt: Attempt) -> str:
+        """Why the episode has failed, in words; nothing if it has not."""
+        return ""
+
+    # --- Reward --------------------------------------------------------------
+
+    @abstractmethod
+    def reached(
+        self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
+    ) -> np.ndarray:
+        """Whether goals count as reached, shapes (..., g) to (...).
+
+        Args:
+            achieved: What is compared with the goal, after the steps.
+            desired: The goals.
+            terms: See ``needs``.
+        """
+
+    @abstractmethod
+    def reward(
+        self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
+    ) -> np.ndarray:
+        """Rewards, shapes (..., g) to (...); see ``reached``."""
+
+    def judge(
+        self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Reward and termination of steps by these goals, shapes (n, g) to (n,)."""
+        ended = self.reached(achieved, desired, terms) | terms[FAILED].astype(bool)
+        return self.reward(achieved, desired, terms), ended
+
+    def distance(self, achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
+        """Distance of what was achieved to the goal, shapes (..., g) to (...)."""
+        return goal_distance(achieved, desired)
+
+    # --- Expert --------------------------------------------------------------
+
+    def expert(self, state: Values, script: ScriptConfig) -> Values:
+        """Joint action by name of a scripted expert that remembers nothing.
+
+        Args:
+            state: Joint state by name.
+            script: What the script leaves open.
+
+        Raises:
+            UsageError: If the task has no expert.
+        """
+        raise UsageError(f"{type(self).__name__} has no scripted expert")

@@ -1,0 +1,70 @@
+"""Carry: reach with a block in the hand, whose mass the policy does not see."""
+
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from marl_mm.envs.load import LoadConfig
+from marl_mm.envs.registry import register_task
+from marl_mm.envs.task import Attempt, Terms
+from marl_mm.envs.tasks.reach import Reach
+from marl_mm.episode import FAILED
+from marl_mm.sim.scene import Mark, Scene
+
+GOAL_SIZE = 0.02
+"""Radius of the goal's ball where a block must not be hidden by it [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Carry(Reach):
+    """Numbers of goals, reward and load."""
+
+    about = "Bring a load of unknown mass in the hand to a goal ahead or behind."
+    fails: ClassVar[bool] = True
+
+    load: LoadConfig = field(default_factory=lambda: LoadConfig(failure_reward=-50.0))
+    """The block in the hand."""
+
+    def begin(
+        self, attempt: Attempt, rng: np.random.Generator, goal: np.ndarray | None
+    ) -> None:
+        """Draw goal and block, and let the hand hold it still for as long as a step."""
+        drawn = np.array(self._draw_goal(rng, ahead=bool(rng.random() < 0.5)))
+        block = self.load.draw(rng)
+        attempt.goal = drawn if goal is None else goal
+        (drive,) = attempt.drives
+        start_w = drive.start_w()
+        x, y, z = start_w.tolist()
+        scene = Scene(block, (x, y, z), grasp=self.load.grasp)
+        goal_mark = Mark(tuple(attempt.goal.tolist()), (GOAL_SIZE,))
+        self.place(attempt, (goal_mark,), scene)
+        drive.handle(scene, self.load.knowledge).take(self.hand_w(attempt))
+        self.hold(attempt, start_w)
+        self.wander(attempt, rng)
+
+    def failure(self, attempt: Attempt) -> str:
+        """What went wrong with the block, or what was hit."""
+        hand = attempt.drives[0].hand
+        return "" if hand is None else hand.failure
+
+    def measure(self, attempt: Attempt) -> dict[str, Any]:
+        """Distances of hand and base, and whether the block is held."""
+        return {**super().measure(attempt), "held": self.holds(attempt)}
+
+    def holds(self, attempt: Attempt) -> bool:
+        """Whether the block is held."""
+        hand = attempt.drives[0].hand
+        return hand is not None and hand.held
+
+    def reward(
+        self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
+    ) -> np.ndarray:
+        """Reach's, and the load's for a failure."""
+        hit = self.reached(achieved, desired, terms)
+        goal = np.where(hit, self.goal_reward, -self.distance(achieved, desired))
+        failed = terms[FAILED].astype(bool)
+        return self.charged(np.where(failed, self.load.failure_reward, goal), terms)
+
+
+register_task("CarryReach-v0", Carry())

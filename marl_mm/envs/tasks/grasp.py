@@ -1,0 +1,156 @@
+"""Grasp: take a block from a stand, and lift it or carry it to a goal."""
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, names
+from marl_mm.envs.grasping import grasping
+from marl_mm.envs.load import StandConfig
+from marl_mm.envs.order import Order
+from marl_mm.envs.registry import register_task
+from marl_mm.envs.task import Attempt, ScriptConfig, Terms, Values
+from marl_mm.envs.tasks.carry import GOAL_SIZE, Carry
+from marl_mm.envs.tasks.reach import Reach, steer
+from marl_mm.errors import UsageError
+from marl_mm.layout import Agent, Entry, Layout
+from marl_mm.sim.scene import Mark, Scene
+
+OPENING = Entry("opening", "m", -0.1, 0.1)
+"""Between the finger tips; the hand opens to 0.08."""
+
+HELD = Entry("held", "1", 0.0, 1.0)
+"""1 once the block has been held, clear of its stand, for long enough."""
+
+BLOCK = tuple(Entry(f"block_{axis}", "m") for axis in "xyz")
+"""Centre of the block, world frame."""
+
+STAND = tuple(Entry(f"stand_{axis}", "m") for axis in "xyz")
+"""Middle of the stand's top, world frame."""
+
+GRIP = Entry("grip", "1", -1.0, 1.0)
+"""Above 0 the hand closes."""
+
+LAYOUT = Layout(
+    (*HAND, *BASE, MODE, OPENING, HELD, *BLOCK, *STAND, *GOAL),
+    (*DELTA, GRIP, ALPHA),
+    (
+        Agent(
+            "end_effector",
+            names(*HAND, *BASE, OPENING, HELD, *BLOCK, *STAND, *GOAL),
+            names(*DELTA, GRIP),
+        ),
+        Agent("balance", names(*HAND, *BASE, MODE, HELD), names(ALPHA)),
+    ),
+    compared=names(*BLOCK),
+    desired=names(*GOAL),
+)
+"""The end-effector's agent sees the block, its stand and the gripper's opening; both
+see whether the block is held."""
+
+FAR = 1.3
+"""Farthest along an axis that a base can take a block [m]: the arm's foot is 0.22 ahead
+of the base, and it reaches 0.855 (Franka data sheet)."""
+
+HIGH = 1.4
+"""Highest that it can [m]: the arm's shoulder is at 0.68."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grasp(Carry):
+    """Numbers of goals, reward, block and stand."""
+
+    about = "Take a block from a stand and bring it to a goal."
+    layout = LAYOUT
+    needs: ClassVar[tuple[str, ...]] = (*Reach.needs, "held")
+
+    load: StandConfig = field(default_factory=StandConfig)
+    """The block on its stand."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        ticks = self.max_steps * self.ticks_per_step
+        if self.load.hold_ticks > ticks:
+            raise UsageError(
+                f"load.hold_ticks is {self.load.hold_ticks}, expected at most an "
+                f"episode's {ticks}"
+            )
+
+    def begin(
+        self, attempt: Attempt, rng: np.random.Generator, goal: np.ndarray | None
+    ) -> None:
+        """Draw goal, block and stand, and open the hand."""
+        drawn = np.array(self._draw_goal(rng, ahead=bool(rng.random() < 0.5)))
+        load = self.load
+        block = load.draw(rng)
+        x, y, height = (
+            float(rng.uniform(*interval))
+            for interval in (load.stand_x, load.stand_y, load.stand_height)
+        )
+        block_w = x, y, height + block.size[2] / 2
+        if load.lift:
+            drawn = np.array(block_w)
+            drawn[2] += load.lift
+        stand = load.stand_edge, load.stand_edge, height
+        scene = Scene(block, block_w, stand, load.grasp)
+        attempt.goal = drawn if goal is None else goal
+        goal_mark = Mark(tuple(attempt.goal.tolist()), (GOAL_SIZE,))
+        self.place(attempt, (goal_mark,), scene)
+        hand = attempt.drives[0].handle(scene, load.knowledge)
+        hand.grip(False)
+        travel = self.action_scale * self.max_steps  # of the hand
+        if max(abs(x), abs(y)) > FAR + travel or block_w[2] > HIGH:
+            hand.lose_reach()
+        self.wander(attempt, rng)
+
+    def fixed_goal(
+        self, index: int, rng: np.random.Generator
+    ) -> tuple[float, ...] | None:
+        """Reach's; where the block is only to be lifted, its seed draws the goal."""
+        return None if self.load.lift else super().fixed_goal(index, rng)
+
+    def act(self, attempt: Attempt, action: Values) -> list[Order]:
+        """Close or open the hand, and go on as in Reach."""
+        hand = attempt.drives[0].hand
+        if hand is not None:
+            hand.grip(action[GRIP.name] > 0)
+        return super().act(attempt, action)
+
+    def observe(self, attempt: Attempt) -> Values:
+        """Hand and base as in Reach; opening, block and stand."""
+        handling = attempt.drives[0].world.handling
+        seen = handling.opening(), self.holds(attempt), *handling.block_w()[0]
+        entries = names(OPENING, HELD, *BLOCK, *STAND)
+        own = dict(zip(entries, (*seen, *handling.stand_w), strict=True))
+        return {**super().observe(attempt), **own}
+
+    def holds(self, attempt: Attempt) -> bool:
+        """Whether the block has been held, clear of its stand, for long enough."""
+        hand = attempt.drives[0].hand
+        return (
+            hand is not None and hand.held and hand.clear_ticks >= self.load.hold_ticks
+        )
+
+    def reached(
+        self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
+    ) -> np.ndarray:
+        """Whether the block is held, nearer to the goal than the task's distance."""
+        below = super().reached(achieved, desired, terms)
+        return np.asarray(below & terms[HELD.name].astype(bool))
+
+    def expert(self, state: Values, script: ScriptConfig) -> Values:
+        """Over the block, down, close, up, to the goal; alpha is held."""
+        hand, block, stand, goal = (
+            np.array([state[entry.name] for entry in entries])
+            for entries in (HAND, BLOCK, STAND, GOAL)
+        )
+        way, closes = grasping(hand, block, stand, goal, state[OPENING.name])
+        grip = 1.0 if closes else -1.0
+        return {**steer(script.kp * way), GRIP.name: grip, ALPHA.name: script.alpha}
+
+
+register_task("Grasp-v0", Grasp(max_steps=20, load=StandConfig(lift=0.1)))
+register_task(
+    "GraspReach-v0", Grasp(max_steps=50, load=StandConfig(failure_reward=-100.0))
+)

@@ -1,0 +1,42 @@
+"""Layouts of files of version 1, which say less of them than today's files do."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from marl_mm.envs.tasks import grasp, reach
+from marl_mm.errors import LayoutError
+from marl_mm.layout import Layout
+
+_LAYOUTS = (reach.LAYOUT, grasp.LAYOUT)
+"""Those that version 1 had."""
+
+
+def dataset_layout(metadata: Mapping[str, Any]) -> Layout:
+    """The layout of a dataset of schema 2, by the names of its entries.
+
+    Raises:
+        LayoutError: If version 1 had none with these.
+    """
+    names = [*metadata.get("state", ()), *metadata.get("action", ())]
+    for layout in _LAYOUTS:
+        if [*layout.state_names, *layout.action_names] == names:
+            return layout
+    raise LayoutError(f"no layout of version 1 has the entries {', '.join(names)}")
+
+
+def checkpoint_layout(record: Mapping[str, Any]) -> Layout:
+    """The layout of a checkpoint, by its agents and the actions' bounds.
+
+    Raises:
+        LayoutError: If version 1 had none with these.
+    """
+    for layout in _LAYOUTS:
+        agents = layout.agents
+        known = {
+            "agents": [[a.name, list(a.observation), list(a.action)] for a in agents],
+            "action_low": list(layout.low),
+            "action_high": list(layout.high),
+        }
+        if known == record:
+            return layout
+    raise LayoutError(f"no layout of version 1 is {record!s:.200}")
