@@ -10,9 +10,10 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import deepcopy
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,10 +24,32 @@ from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.errors import ExportError, UsageError
 from marl_mm.files import new_file
 from marl_mm.layout import in_order
+from marl_mm.registry import Registry
 
-Format = Literal["torchscript", "onnx"]
+Run = Callable[[np.ndarray], np.ndarray]
+"""A written file: observations, float32, shape (n, d), to actions, shape (n, k)."""
 
-SUFFIXES: dict[Format, str] = {"torchscript": ".ts", "onnx": ".onnx"}
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyFormat:
+    """A kind of file that a policy can be written as."""
+
+    about: str
+    """What runs it, in a sentence."""
+
+    suffix: str
+    """Ending of its files."""
+
+    write: Callable[[nn.Module, torch.Tensor, Path, dict[str, Any]], Run]
+    """Writes a module, given some observations, a path and the metadata to go in, and
+    returns what the file does."""
+
+    packages: tuple[str, ...] = ()
+    """Modules that it needs, of the optional extra of its name."""
+
+
+POLICY_FORMATS: Registry[PolicyFormat] = Registry("format")
+"""Kinds of files that policies can be written as."""
 
 TOLERANCE = 1e-5
 """Largest difference between a file's actions and the policy's."""
@@ -39,14 +62,14 @@ _METADATA = "marl_mm"
 
 
 def export_policy(
-    policy: LearnedPolicy, path: Path, form: Format, agent: str | None = None
+    policy: LearnedPolicy, path: Path, form: str, agent: str | None = None
 ) -> dict[str, Any]:
     """Write a policy, and compare what the file does with what the policy does.
 
     Args:
         policy: Trained.
         path: The file; it appears when the comparison has passed.
-        form: TorchScript or ONNX.
+        form: Name of one of ``POLICY_FORMATS``.
         agent: One decentralised actor on its own observation; None for the joint
             action at the joint state.
 
@@ -57,18 +80,16 @@ def export_policy(
         UsageError: If there is no such agent, or a library is missing.
         ExportError: If the file's actions differ by more than ``TOLERANCE``.
     """
-    needed = ("onnx", "onnxscript", "onnxruntime")
-    if form == "onnx" and any(find_spec(name) is None for name in needed):
-        raise UsageError(f"{', '.join(needed)} missing: pip install 'marl-mm[onnx]'")
+    chosen = POLICY_FORMATS.get(form)
+    if any(find_spec(name) is None for name in chosen.packages):
+        needed = ", ".join(chosen.packages)
+        raise UsageError(f"{needed} missing: pip install 'marl-mm[{form}]'")
     module = _Exported(policy, agent).eval()
     metadata = module.metadata | {"policy": policy.name, "weights": policy.fingerprint}
     observations = module.some(_CHECKS)
     with new_file(path) as temporary:
         with _quiet():
-            if form == "torchscript":
-                run = _torchscript(module, observations[:2], temporary, metadata)
-            else:
-                run = _onnx(module, observations[:2], temporary, metadata)
+            run = chosen.write(module, observations[:2], temporary, metadata)
         difference = np.abs(run(observations.numpy()) - module.expected(observations))
         if not difference.max() <= TOLERANCE:
             raise ExportError(
@@ -145,9 +166,6 @@ class _Exported(nn.Module):
         return np.array(rows)
 
 
-Run = Callable[[np.ndarray], np.ndarray]
-
-
 def _torchscript(
     module: nn.Module, example: torch.Tensor, path: Path, metadata: dict[str, Any]
 ) -> Run:
@@ -186,6 +204,23 @@ def _onnx(
         return np.asarray(actions)
 
     return run
+
+
+POLICY_FORMATS.add(
+    "torchscript",
+    PolicyFormat(
+        about="TorchScript, run by torch.jit.load.", suffix=".ts", write=_torchscript
+    ),
+)
+POLICY_FORMATS.add(
+    "onnx",
+    PolicyFormat(
+        about="ONNX, run by onnxruntime.",
+        suffix=".onnx",
+        write=_onnx,
+        packages=("onnx", "onnxscript", "onnxruntime"),
+    ),
+)
 
 
 @contextmanager

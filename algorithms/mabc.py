@@ -16,7 +16,12 @@ from marl_mm.algorithms.networks import DIAGNOSED, Normalizer
 from marl_mm.algorithms.offline_batches import OfflineBatches
 from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm
 from marl_mm.algorithms.replay import Judge
-from marl_mm.algorithms.seeded import SeededActors, imitation_errors
+from marl_mm.algorithms.seeded import (
+    SeededActors,
+    imitation_errors,
+    load_parts,
+    parts_state,
+)
 from marl_mm.algorithms.speed import Precision
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.layout import columns
@@ -131,19 +136,13 @@ class Mabc:
 
     def state(self, number: int) -> dict[str, Any]:
         """Everything that one seed needs to act and to resume bit-equally."""
-        return {
-            "step": self.step,
-            "actors": self.actors.state(number),
-            "actor_learners": self.actors.learner_state(number),
-            "batches": self._batches.state(number),
-        }
+        own = parts_state({"actors": self.actors}, number)
+        return {"step": self.step, **own, "batches": self._batches.state(number)}
 
     def load_states(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Continue all seeds from their ``state``."""
         self.step = states[0]["step"]
-        for number, state in enumerate(states):
-            self.actors.load_state(number, state["actors"])
-            self.actors.load_learner_state(number, state["actor_learners"])
+        load_parts({"actors": self.actors}, states)
         self._batches.load_states([state["batches"] for state in states])
 
 

@@ -38,6 +38,9 @@ class SeededActors:
         device: Where they go.
     """
 
+    learns = True
+    """Whether there are learners; targets have none."""
+
     def __init__(
         self,
         layouts: Sequence[AgentLayout],
@@ -77,7 +80,7 @@ class SeededActors:
         """Target actors: the same now, and without learners."""
         other = copy(self)
         other.networks = {name: one.copy() for name, one in self.networks.items()}
-        other._learners = {}
+        other._learners, other.learns = {}, False
         return other
 
     def follow(self, others: "SeededActors", rate: float) -> None:
@@ -133,6 +136,9 @@ class SeededCritics:
         device: Where they go.
     """
 
+    learns = True
+    """Whether there is a learner; targets have none."""
+
     def __init__(
         self,
         inputs: int,
@@ -184,6 +190,7 @@ class SeededCritics:
         other = copy(self)
         other.networks = self.networks.copy()
         del other._learner
+        other.learns = False
         return other
 
     def follow(self, others: "SeededCritics", rate: float) -> None:
@@ -210,6 +217,33 @@ class SeededCritics:
 
     def _members(self, number: int) -> range:
         return range(number * self._each, (number + 1) * self._each)
+
+
+Parts = Mapping[str, SeededActors | SeededCritics]
+"""What a learner is made of, by name in its state."""
+
+
+def parts_state(parts: Parts, number: int) -> dict[str, Any]:
+    """One seed's state of all parts, and of their learners where they have one."""
+    state: dict[str, Any] = {}
+    for name, part in parts.items():
+        state[name] = part.state(number)
+        if part.learns:
+            state[_learners(name)] = part.learner_state(number)
+    return state
+
+
+def load_parts(parts: Parts, states: Sequence[Mapping[str, Any]]) -> None:
+    """Continue all parts from every seed's ``parts_state``."""
+    for number, state in enumerate(states):
+        for name, part in parts.items():
+            part.load_state(number, state[name])
+            if part.learns:
+                part.load_learner_state(number, state[_learners(name)])
+
+
+def _learners(name: str) -> str:
+    return f"{name.removesuffix('s')}_learners"
 
 
 def imitation_errors(

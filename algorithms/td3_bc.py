@@ -19,7 +19,14 @@ from marl_mm.algorithms.networks import DIAGNOSED, Normalizer
 from marl_mm.algorithms.offline_batches import OfflineBatch, OfflineBatches
 from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm
 from marl_mm.algorithms.replay import Judge, normalized_actions
-from marl_mm.algorithms.seeded import SeededActors, SeededCritics, imitation_errors
+from marl_mm.algorithms.seeded import (
+    Parts,
+    SeededActors,
+    SeededCritics,
+    imitation_errors,
+    load_parts,
+    parts_state,
+)
 from marl_mm.algorithms.speed import Precision
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.errors import UsageError
@@ -338,28 +345,22 @@ class Td3Bc:
 
     def state(self, number: int) -> dict[str, Any]:
         """Everything that one seed needs to act and to resume bit-equally."""
-        return {
-            "step": self.step,
-            "actors": self.actors.state(number),
-            "actor_learners": self.actors.learner_state(number),
-            "target_actors": self._target_actors.state(number),
-            "critics": self.critics.state(number),
-            "critic_learners": self.critics.learner_state(number),
-            "target_critics": self._target_critics.state(number),
-            "batches": self._batches.state(number),
-        }
+        own = parts_state(self._parts(), number)
+        return {"step": self.step, **own, "batches": self._batches.state(number)}
 
     def load_states(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Continue all seeds from their ``state``."""
         self.step = states[0]["step"]
-        for number, state in enumerate(states):
-            self.actors.load_state(number, state["actors"])
-            self.actors.load_learner_state(number, state["actor_learners"])
-            self._target_actors.load_state(number, state["target_actors"])
-            self.critics.load_state(number, state["critics"])
-            self.critics.load_learner_state(number, state["critic_learners"])
-            self._target_critics.load_state(number, state["target_critics"])
+        load_parts(self._parts(), states)
         self._batches.load_states([state["batches"] for state in states])
+
+    def _parts(self) -> Parts:
+        return {
+            "actors": self.actors,
+            "target_actors": self._target_actors,
+            "critics": self.critics,
+            "target_critics": self._target_critics,
+        }
 
 
 TABLE_3: dict[str, Any] = {

@@ -1,8 +1,9 @@
 """Datasets in the flat layouts that other libraries read: one HDF5 file each."""
 
 import json
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -10,18 +11,26 @@ from marl_mm.datasets.dataset import Dataset
 from marl_mm.datasets.hdf5 import write_tables
 from marl_mm.errors import UsageError
 from marl_mm.files import new_file, refuse_existing
+from marl_mm.registry import Registry
 
-Form = Literal["agents", "flat", "d4rl"]
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetForm:
+    """A way to lay a dataset out as flat arrays."""
+
+    about: str
+    """What the arrays are, in a sentence."""
+
+    tables: Callable[[Dataset], dict[str, np.ndarray]]
+    """The arrays by key."""
 
 
-def export(dataset: Dataset, form: Form, path: Path, overwrite: bool) -> None:
-    """Write all steps, one after the other.
+DATASET_FORMS: Registry[DatasetForm] = Registry("form")
+"""Ways to write datasets as one HDF5 file."""
 
-    ``flat``: observations (n, d), actions (n, k), next_observations, rewards,
-    terminals, timeouts, and each step's episode; types as they are stored. ``d4rl``:
-    the same with float32, and ``infos/goal``. ``agents``: observations, actions and
-    next_observations in one group per agent, the joint ones as ``state`` and
-    ``next_state``, and what both share.
+
+def export(dataset: Dataset, form: str, path: Path, overwrite: bool) -> None:
+    """Write all steps, one after the other, in one of ``DATASET_FORMS``.
 
     Raises:
         OutputExistsError: If the file exists and may not be replaced.
@@ -30,7 +39,7 @@ def export(dataset: Dataset, form: Form, path: Path, overwrite: bool) -> None:
     if path.is_dir():
         raise UsageError(f"{path} is a folder, expected a file to write")
     refuse_existing(path, overwrite)
-    tables = {"flat": _flat, "d4rl": _d4rl, "agents": _agents}[form](dataset)
+    tables = DATASET_FORMS.get(form).tables(dataset)
     layout = dataset.arrays.layout
     attributes = {
         "dataset_id": dataset.metadata["dataset_id"],
@@ -80,3 +89,23 @@ def _agents(dataset: Dataset) -> dict[str, np.ndarray]:
         tables[f"{name}/actions"] = view.action
         tables[f"{name}/next_observations"] = view.next_observation
     return tables | _shared(dataset)
+
+
+DATASET_FORMS.add(
+    "flat",
+    DatasetForm(
+        about="Joint observations (n, d), actions (n, k), next_observations, rewards, "
+        "terminals, timeouts, episodes; types as stored.",
+        tables=_flat,
+    ),
+)
+DATASET_FORMS.add(
+    "d4rl", DatasetForm(about="The same in float32, and infos/goal.", tables=_d4rl)
+)
+DATASET_FORMS.add(
+    "agents",
+    DatasetForm(
+        about="One group per agent; joint arrays as state and next_state.",
+        tables=_agents,
+    ),
+)

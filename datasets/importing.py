@@ -1,6 +1,7 @@
 """Datasets of others, brought into ours: Minari's episodes or flat HDF5 arrays."""
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.episode import IMPORTED, Episode
 from marl_mm.errors import DatasetError, UsageError, WorkerDiedError
 from marl_mm.layout import Layout
+from marl_mm.registry import Registry
 from marl_mm.workers import apart
 
 _SHARED = (
@@ -66,6 +68,25 @@ _PATIENCE = 30.0
 
 _SLOWEST = 200_000.0
 """Bytes per second that a large one is read at, at least: a tenth of what is usual."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportForm:
+    """A way in which others lay out episodes in an HDF5 file."""
+
+    about: str
+    """What the file holds, in a sentence."""
+
+    fits: Callable[[Any], bool]
+    """Whether an open file is of this form; the first one that fits is taken."""
+
+    episodes: Callable[[Path, Any, Layout, list[str]], list[Episode]]
+    """Reads the episodes of an open file, of a layout and with step numbers of these
+    names."""
+
+
+IMPORTS: Registry[ImportForm] = Registry("form")
+"""Ways in which files of others are read, the last one added first."""
 
 
 @dataclass(frozen=True)
@@ -130,14 +151,8 @@ def _read(what: tuple[Path, str, Layout, list[str]]) -> EpisodeArrays:
     """The episodes of a file."""
     path, dataset_id, layout, info = what
     with open_hdf5(path) as file:
-        groups = episode_groups(file)
-        if groups:
-            episodes = [
-                _episode(path, i, group, layout, info) for i, group in enumerate(groups)
-            ]
-        else:
-            values = _flat_arrays(path, file, layout)
-            episodes = _flat_episodes(path, values, layout, info)
+        forms = [form for _, form in reversed(IMPORTS.items()) if form.fits(file)]
+        episodes = forms[0].episodes(path, file, layout, info)
     return arrays_of(episodes, dataset_id)
 
 
@@ -171,28 +186,32 @@ def _episode(
     )
 
 
-def _flat_arrays(path: Path, file: Any, layout: Layout) -> dict[str, np.ndarray]:
-    """Those of ``flat_fields``, also of a file with one group per agent."""
-    if "state" in file and "observations" not in file:
-        values = checked(path, file, agents_fields(layout))
-        values["observations"] = values["state"]
-        values["next_observations"] = values["next_state"]
-        shape = len(values["rewards"]), len(layout.action)
-        values["actions"] = np.empty(shape, values["rewards"].dtype)
-        for agent in layout.agents:
-            own = values[f"{agent.name}/actions"]
-            values["actions"][:, list(agent.action)] = own
-    else:
-        values = checked(path, file, flat_fields(layout))
-    for key in ("terminals", "timeouts"):
-        if not np.isin(values[key], (0, 1)).all():
-            raise DatasetError(f"{path}: {key!r} holds other values than 0 and 1")
-    return values
+def _minari(path: Path, file: Any, layout: Layout, names: list[str]) -> list[Episode]:
+    groups = enumerate(episode_groups(file))
+    return [_episode(path, i, group, layout, names) for i, group in groups]
+
+
+def _flat(path: Path, file: Any, layout: Layout, names: list[str]) -> list[Episode]:
+    values = checked(path, file, flat_fields(layout))
+    return _flat_episodes(path, values, layout, names)
+
+
+def _agents(path: Path, file: Any, layout: Layout, names: list[str]) -> list[Episode]:
+    values = checked(path, file, agents_fields(layout))
+    values["observations"] = values["state"]
+    values["next_observations"] = values["next_state"]
+    actions = np.empty((len(values["rewards"]), len(layout.action)))
+    for agent in layout.agents:
+        actions[:, list(agent.action)] = values[f"{agent.name}/actions"]
+    return _flat_episodes(path, {**values, "actions": actions}, layout, names)
 
 
 def _flat_episodes(
     path: Path, values: dict[str, np.ndarray], layout: Layout, names: list[str]
 ) -> list[Episode]:
+    for key in ("terminals", "timeouts"):
+        if not np.isin(values[key], (0, 1)).all():
+            raise DatasetError(f"{path}: {key!r} holds other values than 0 and 1")
     terminated = values["terminals"].astype(bool)
     truncated = values["timeouts"].astype(bool)
     ends = np.flatnonzero(terminated | truncated) + 1
@@ -267,3 +286,30 @@ def _built(
         start=np.full(11, np.nan),
         layout=layout,
     )
+
+
+IMPORTS.add(
+    "flat",
+    ImportForm(
+        about="Joint arrays as in D4RL: observations, actions, next_observations, "
+        "rewards, terminals, timeouts.",
+        fits=lambda file: True,
+        episodes=_flat,
+    ),
+)
+IMPORTS.add(
+    "agents",
+    ImportForm(
+        about="One group per agent, state and next_state, as export writes them.",
+        fits=lambda file: "state" in file and "observations" not in file,
+        episodes=_agents,
+    ),
+)
+IMPORTS.add(
+    "minari",
+    ImportForm(
+        about="Minari's episodes with goal-dictionary observations.",
+        fits=lambda file: bool(episode_groups(file)),
+        episodes=_minari,
+    ),
+)

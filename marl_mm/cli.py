@@ -11,7 +11,7 @@ from marl_mm.interrupts import end_on_signals
 
 COMMANDS = {
     "quickstart": "collect, train and evaluate in a few minutes, with a report",
-    "collect": "collect a dataset: pretrained, pd, medium, random, scripted, paper",
+    "collect": "collect a dataset with a scripted or a learnt policy",
     "datasets": "list, show, mix, split, filter, verify, export, import, delete",
     "train": "train a policy: from a dataset, or online",
     "eval": "evaluate runs and scripted policies on fixed goals",
@@ -21,8 +21,21 @@ COMMANDS = {
     "ablate": "reproduce figures and tables, training the runs they need",
     "report": "all tables and figures on one page",
     "bench": "measure the controller, and the speed of training and data",
+    "check": "whether a plug-in keeps to what the package promises of its own",
 }
 """Each command is a module of ``marl_mm.commands``, imported when it is called."""
+
+LISTS = ("algorithms", "tasks", "collectors", "formats", "metrics")
+"""Commands that list what there is of a kind, and where it comes from."""
+
+PLUGIN = "--plugin"
+"""Option of every command; its values are Python files or modules."""
+
+ABOUT_PLUGINS = (
+    f"{PLUGIN} FILE.py|MODULE, with every command and any number of times: a plug-in "
+    "with\ntasks, algorithms or collectors of your own. It is code and is run as such: "
+    "name only\nwhat you trust. Nothing in a dataset or a run ever loads one."
+)
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
@@ -62,23 +75,54 @@ def _run(words: list[str]) -> int:
 
         _print(f"marl-mm {__version__}")
         return 0
-    if words[0] not in COMMANDS:
-        raise UsageError(
-            f"unknown command {words[0]!r}, expected one of {', '.join(COMMANDS)}"
-        )
+    words, sources = _without_plugins(words)
+    if words[:1] and words[0] not in (*COMMANDS, *LISTS):
+        known = ", ".join((*COMMANDS, *LISTS))
+        raise UsageError(f"unknown command {words[0]!r}, expected one of {known}")
+    if sources:
+        from marl_mm.plugins import load_all
+
+        load_all(sources)
+    if not words:
+        raise UsageError(f"{PLUGIN} needs a command, such as marl-mm tasks")
+    if words[0] in LISTS:
+        words = ["listing", *words]
     module = words[0].replace("-", "_")
     importlib.import_module(f"marl_mm.commands.{module}").main(words[1:])
     return 0
 
 
+def _without_plugins(words: list[str]) -> tuple[list[str], list[str]]:
+    """The words without ``--plugin``, wherever it stands, and its values.
+
+    Raises:
+        UsageError: If it has no value.
+    """
+    rest, sources = [], []
+    remaining = iter(words)
+    for word in remaining:
+        if word == PLUGIN:
+            sources.append(next(remaining, ""))
+        elif word.startswith(f"{PLUGIN}="):
+            sources.append(word.removeprefix(f"{PLUGIN}="))
+        else:
+            rest.append(word)
+    if "" in sources or any(source.startswith("--") for source in sources):
+        raise UsageError(f"{PLUGIN} has no value, expected FILE.py or a module")
+    return rest, sources
+
+
 def _usage() -> str:
-    width = max(map(len, COMMANDS))
-    lines = [f"  {name:<{width}}  {text}" for name, text in COMMANDS.items()]
+    lists = f"list what there is: {', '.join(LISTS[1:])} likewise"
+    commands = COMMANDS | {LISTS[0]: lists}
+    width = max(map(len, commands))
+    lines = [f"  {name:<{width}}  {text}" for name, text in commands.items()]
     return (
         "usage: marl-mm COMMAND [OPTIONS]\n\n"
         "Multi-agent reinforcement learning on a mobile manipulator.\n\n"
         + "\n".join(lines)
         + "\n\nmarl-mm COMMAND --help tells a command's options, units and defaults."
+        + f"\n\n{ABOUT_PLUGINS}"
     )
 
 

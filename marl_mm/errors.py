@@ -41,6 +41,10 @@ class LayoutError(UsageError):
     """A layout makes no sense, or is another one than what it meets."""
 
 
+class PluginError(MarlMmError):
+    """The code of a plug-in fails."""
+
+
 class UnknownDatasetError(UsageError):
     """No dataset has this id or path."""
 

@@ -60,6 +60,9 @@ class Agent:
     sets: tuple[str, ...]
     """Names of entries of the joint action; no two agents set the same."""
 
+    def __str__(self) -> str:
+        return f"{self.name} (sees {', '.join(self.sees)}; sets {', '.join(self.sets)})"
+
 
 @dataclass(frozen=True)
 class AgentLayout:
@@ -361,28 +364,30 @@ def _check_known(
 def _different(part: str, own: Sequence[Any], others: Sequence[Any]) -> list[str]:
     """Things by name that are missing on one side, differ, or stand elsewhere."""
     here, there = ({one.name: one for one in side} for side in (own, others))
-    found = [
-        f"{part} {_told(one)}: not there" for n, one in here.items() if n not in there
-    ]
-    found += [
-        f"{part} {_told(one)}: only there" for n, one in there.items() if n not in here
-    ]
-    found += [
-        f"{part} {_told(one)} (there {_told(there[name])})"
-        for name, one in here.items()
-        if name in there and there[name] != one
-    ]
+    found = [f"{part} {one}: not there" for n, one in here.items() if n not in there]
+    found += [f"{part} {one}: only there" for n, one in there.items() if n not in here]
+    for name in (one.name for one in own if one.name in there):
+        found += _unequal(part, here[name], there[name])
     if not found and list(here) != list(there):
         found = [f"order of the {part}: {', '.join(here)} (there {', '.join(there)})"]
     return found
 
 
-def _told(one: Any) -> str:
-    if isinstance(one, Agent):
-        return (
-            f"{one.name}, which sees {', '.join(one.sees)}, sets {', '.join(one.sets)}"
-        )
-    return str(one)
+def _unequal(part: str, own: Any, other: Any) -> list[str]:
+    if own == other:
+        return []
+    if not isinstance(own, Agent):
+        return [f"{part} {own} (there {other})"]
+    found = []
+    for verb in ("sees", "sets"):
+        mine, theirs = getattr(own, verb), getattr(other, verb)
+        lost = [f"{name} (not there)" for name in mine if name not in theirs]
+        new = [f"{name} (only there)" for name in theirs if name not in mine]
+        if changed := lost + new:
+            found.append(f"{part} {own.name} {verb} {', '.join(changed)}")
+        elif mine != theirs:
+            found.append(f"{part} {own.name} {verb} the same in another order")
+    return found
 
 
 def _entry_to_json(entry: Entry) -> list[Any]:

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import ray
 
 from marl_mm.errors import MarlMmError, UsageError, WorkerDiedError
+from marl_mm.plugins import Carried
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -46,7 +47,9 @@ class RayWorkers:
             self.close()
             raise UsageError(f"workers is {workers}, the Ray cluster has {cpus} CPUs")
         kind = ray.remote(num_cpus=1)(_Worker)
-        self._actors = [kind.remote(initializer, arguments) for _ in range(workers)]
+        self._actors = [
+            kind.remote((Carried(), initializer, arguments)) for _ in range(workers)
+        ]
 
     def __enter__(self) -> "RayWorkers":
         return self
@@ -100,9 +103,8 @@ class RayWorkers:
 class _Worker:
     """A process of the cluster."""
 
-    def __init__(
-        self, initializer: Callable[..., None], arguments: tuple[Any, ...]
-    ) -> None:
+    def __init__(self, first: tuple[Any, Callable[..., None], tuple[Any, ...]]) -> None:
+        _, initializer, arguments = first
         initializer(*arguments)
 
     def call(self, function: Callable[[T], R], item: T) -> R:

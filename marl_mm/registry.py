@@ -2,7 +2,7 @@
 
 import difflib
 import importlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Generic, TypeVar
 
@@ -66,7 +66,7 @@ class Registry(Generic[T]):
         self._load()
         return tuple(self._things)
 
-    def items(self) -> Iterable[tuple[str, T]]:
+    def items(self) -> tuple[tuple[str, T], ...]:
         """All things with their names."""
         self._load()
         return tuple(self._things.items())
@@ -84,10 +84,10 @@ class Registry(Generic[T]):
         self._load()
         if name not in self._things:
             close = difflib.get_close_matches(name, self._things, 1)
-            hint = f"; did you mean {close[0]}?" if close else ""
+            hint = f"; did you mean {close[0]}?" if close else "."
             raise UsageError(
                 f"unknown {self.kind} {name!r}, expected one of "
-                f"{', '.join(self._things)}{hint}"
+                f"{', '.join(self._things)}{hint} What a plug-in adds needs --plugin"
             )
         return self._things[name]
 

@@ -14,6 +14,7 @@ from typing import Any, Literal, Protocol, TypeVar, cast
 
 from marl_mm.errors import UsageError, WorkerDiedError
 from marl_mm.interrupts import deaf_to_interrupts
+from marl_mm.plugins import Carried
 from marl_mm.processes import process_context
 
 T = TypeVar("T")
@@ -94,7 +95,7 @@ class Workers:
         self._workers = workers
         self._pool: ProcessPoolExecutor | None = None
         if workers > 1:
-            first = dict(os.environ), initializer, arguments
+            first = Carried(), dict(os.environ), initializer, arguments
             context = process_context((initializer or _begin).__module__)
             self._pool = ProcessPoolExecutor(workers, context, _begin, first)
         elif initializer is not None:
@@ -180,7 +181,7 @@ def apart(function: Callable[[T], R], item: T, seconds: float) -> R:
     """
     context = process_context(function.__module__)
     receiver, sender = context.Pipe(duplex=False)
-    arguments = dict(os.environ), sender, function, item
+    arguments = Carried(), dict(os.environ), sender, function, item
     process = context.Process(target=_send, args=arguments, daemon=True)
     with deaf_to_interrupts(), _dead_servers_named():
         process.start()
@@ -211,6 +212,7 @@ def _dead_servers_named() -> Iterator[None]:
 
 
 def _send(
+    plugins: Any,
     environment: dict[str, str],
     sender: connection.Connection,
     function: Callable[[T], R],
@@ -238,6 +240,7 @@ def _broken_pools_named(pending: Collection[Future[Any]]) -> Iterator[None]:
 
 
 def _begin(
+    plugins: Any,
     environment: dict[str, str],
     initializer: Callable[..., None] | None,
     arguments: tuple[Any, ...],

@@ -27,7 +27,7 @@ from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import Location
 from marl_mm.datasets.provenance import Origin, Provenance
 from marl_mm.datasets.storage import read_metadata, refuse_foreign, write_dataset
-from marl_mm.envs.registry import DEFAULT, config_dict, make_task
+from marl_mm.envs.registry import DEFAULT, TASKS, config_dict, make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.envs.task import Task
 from marl_mm.episode import Episode
@@ -41,6 +41,7 @@ from marl_mm.errors import (
 from marl_mm.files import only_here, refuse_existing
 from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.layout import Layout
+from marl_mm.plugins import record
 from marl_mm.policy import Policy
 from marl_mm.progress import progress_bar
 from marl_mm.workers import Executor, available_cores
@@ -179,6 +180,7 @@ def _about(collector: str, config: Any, options: CollectOptions) -> tuple[Task, 
         collector=collector,
         collector_config=asdict(config),
         seed=options.seed,
+        plugins=record(COLLECTORS.origin(collector), TASKS.origin(options.task)),
     )
 
 

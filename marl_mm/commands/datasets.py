@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import tyro
 from rich.console import Console
@@ -31,7 +31,7 @@ from marl_mm.commands.parser import parse_subcommand
 from marl_mm.datasets import shipped
 from marl_mm.datasets.card import card, card_markdown, card_text, keep_card
 from marl_mm.datasets.dataset import existing, load_dataset
-from marl_mm.datasets.export import Form, export
+from marl_mm.datasets.export import DATASET_FORMS, export
 from marl_mm.datasets.journal import begun
 from marl_mm.datasets.location import (
     SHIPPED,
@@ -100,8 +100,12 @@ class Export:
     out: Path
     """File to write."""
 
-    layout: Form = "flat"
-    """"agents": one group per agent; "flat": joint arrays; "d4rl": those in float32."""
+    layout: Annotated[
+        str,
+        tyro.conf.arg(
+            help=" ".join(f"{name}: {one.about}" for name, one in DATASET_FORMS.items())
+        ),
+    ] = "flat"
 
     overwrite: bool = False
     """Replace the file if it exists."""

@@ -4,11 +4,12 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
 from marl_mm.algorithms.checkpoint import BEST
-from marl_mm.algorithms.export import SUFFIXES, Format, export_policy
+from marl_mm.algorithms.export import POLICY_FORMATS, export_policy
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.commands.parser import parse_options
 from marl_mm.errors import UsageError
@@ -28,12 +29,16 @@ class Export:
     run: tyro.conf.Positional[str]
     """Run folder, checkpoint file or "pretrained"."""
 
-    format: Format = "torchscript"
-    """ONNX needs the optional extra "onnx"."""
+    format: Annotated[
+        str,
+        tyro.conf.arg(
+            help=f'{" or ".join(POLICY_FORMATS.names())}; onnx needs the extra "onnx".'
+        ),
+    ] = "torchscript"
 
     agent: str | None = None
-    """One decentralised actor on its own observation (end_effector or balance);
-    default the joint action at the joint state."""
+    """One decentralised actor on its own observation; default the joint action at the
+    joint state."""
 
     out: Path | None = None
     """File; default RUN/policy or RUN/AGENT with .ts or .onnx, of RUN/best.pt
@@ -53,7 +58,9 @@ def main(arguments: Sequence[str]) -> None:
     run = Path(options.run)
     folder = run if run.is_dir() else run.parent
     best = "best-" if run.is_file() and run.name == BEST else ""
-    name = f"{best}{options.agent or 'policy'}{SUFFIXES[options.format]}"
+    name = (
+        f"{best}{options.agent or 'policy'}{POLICY_FORMATS.get(options.format).suffix}"
+    )
     out = options.out or folder / name
     if out.is_dir():
         raise UsageError(

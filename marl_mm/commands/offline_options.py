@@ -17,6 +17,7 @@ from marl_mm.commands.options import REGISTERED, check_positive
 from marl_mm.commands.runs import (
     TrainOptions,
     check_run,
+    plugins_of,
     read_config,
 )
 from marl_mm.datasets.dataset import Dataset
@@ -184,5 +185,6 @@ def offline_config(
         "eval_episodes": options.eval_episodes,
         "eval_seed": options.eval_seed,
         "packages": versions(),
+        **plugins_of(options.algorithm, task_of(dataset, options)),
         **asdict(options.config),
     }

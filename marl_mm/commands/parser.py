@@ -10,6 +10,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar, Union
 
 import tyro
 
+from marl_mm.cli import ABOUT_PLUGINS
 from marl_mm.errors import UsageError
 
 T = TypeVar("T")
@@ -21,7 +22,12 @@ def parse_options(options: type[T], prog: str, arguments: Sequence[str]) -> T:
     Raises:
         UsageError: If the arguments are not the options' own.
     """
-    return _in_one_line(lambda: tyro.cli(options, prog=prog, args=arguments), prog)
+    description = f"{options.__doc__ or ''}\n\n{ABOUT_PLUGINS}"
+
+    def parse() -> T:
+        return tyro.cli(options, prog=prog, description=description, args=arguments)
+
+    return _in_one_line(parse, prog)
 
 
 class Subcommand(NamedTuple):
@@ -56,13 +62,15 @@ def parse_subcommand(
     word = arguments[0] if arguments else ""
     if word and not word.startswith("-") and word not in commands:
         raise UsageError(
-            f"{prog} knows no {word!r}, expected one of {', '.join(commands)}"
+            f"{prog} knows no {word!r}, expected one of {', '.join(commands)}. What a "
+            "plug-in adds needs --plugin"
         )
     kinds = [_kind(name, command) for name, command in commands.items()]
     union: Any = Union[tuple(kinds)]  # noqa: UP007
 
     def parse() -> Any:
-        return tyro.cli(union, prog=prog, description=description, args=arguments)
+        about = f"{description}\n\n{ABOUT_PLUGINS}"
+        return tyro.cli(union, prog=prog, description=about, args=arguments)
 
     known = arguments and arguments[0] in commands
     options = _in_one_line(parse, f"{prog} {arguments[0]}" if known else prog)

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
-from marl_mm.algorithms.export import SUFFIXES
+from marl_mm.algorithms.export import POLICY_FORMATS
 from marl_mm.algorithms.policy import load_policy
+from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.algorithms.runlog import METRICS
 from marl_mm.commands.options import (
     check_positive,
@@ -17,9 +18,16 @@ from marl_mm.commands.options import (
 )
 from marl_mm.commands.parser import with_values
 from marl_mm.differences import as_json, refuse_difference
-from marl_mm.errors import CheckpointError, OutputExistsError, UsageError
+from marl_mm.envs.registry import TASKS
+from marl_mm.errors import (
+    CheckpointError,
+    OtherConfigError,
+    OutputExistsError,
+    UsageError,
+)
 from marl_mm.eval.evaluate import Evaluation, evaluate
 from marl_mm.files import refuse_existing, write_json
+from marl_mm.plugins import record
 from marl_mm.progress import Bar
 from marl_mm.workers import available_cores
 
@@ -31,7 +39,7 @@ BEST_EVALUATION = "eval_best.json"
 CURVE = "learning_curve.png"
 SB3_BEST = "best.zip"
 
-_MADE = ("eval*.json", *(f"*{end}" for end in SUFFIXES.values()))
+_MADE = ("eval*.json", *(f"*{one.suffix}" for _, one in POLICY_FORMATS.items()))
 """What is made of a run's policies: evaluations and exports."""
 
 
@@ -61,6 +69,10 @@ class TrainOptions:
     resume: bool = False
     """Go on where runs were stopped; seeds that have none start. What is left out is as
     the first run in OUT has it."""
+
+    allow_changed_plugin: bool = False
+    """With --resume, go on though a plug-in is another file than before; the run's
+    config keeps both hashes."""
 
     overwrite: bool = False
     """Start anew where a run exists."""
@@ -122,7 +134,24 @@ def check_run(
         return
     if not ((run / FILE).exists() or (run / EVALUATION).exists()):
         return  # stopped before its first checkpoint, or before its turn
-    refuse_other(run, config, ignored)
+    _refuse_other_plugins(run, config, options.allow_changed_plugin)
+    refuse_other(run, config, (*ignored, "plugins"))
+
+
+def _refuse_other_plugins(run: Path, config: dict[str, Any], allowed: bool) -> None:
+    """Raise if a plug-in is not the one that the run was made with.
+
+    Raises:
+        OtherConfigError: Naming it.
+    """
+    before, now = read_config(run).get("plugins", {}), config.get("plugins", {})
+    for name in sorted({*before, *now} if not allowed else ()):
+        if before.get(name) != now.get(name):
+            raise OtherConfigError(
+                f"{run} was made with another {name} (SHA-256 "
+                f"{before.get(name, 'none'):.12}, now {now.get(name, 'none'):.12})",
+                "go on with that file, or with --allow-changed-plugin",
+            )
 
 
 def refuse_other(
@@ -142,6 +171,12 @@ def refuse_other(
         if one.get("dataset"):
             one["dataset"].pop("path", None)
     refuse_difference(run, theirs, mine)
+
+
+def plugins_of(algorithm: str, task: str) -> dict[str, Any]:
+    """What a run's config says of the plug-ins that it was made with, if any."""
+    found = record(ALGORITHMS.origin(algorithm), TASKS.origin(task))
+    return {"plugins": found} if found else {}
 
 
 def start_run(run: Path, config: dict[str, Any]) -> None:
@@ -191,6 +226,9 @@ def read_config(run: Path) -> dict[str, Any]:
 def continue_run(run: Path, changes: dict[str, Any]) -> None:
     """Note in a run's config what it goes on with."""
     config = read_config(run)
+    before = config.get("plugins", {})
+    if changes.get("plugins", before) != before:
+        changes["plugins_before"] = [*config.get("plugins_before", []), before]
     if config | changes != config:  # what was made of where it ended before goes
         _remove(run, *_MADE)
         write_json(run / CONFIG, config | changes)

@@ -27,6 +27,7 @@ from marl_mm.commands.runs import (
     continue_run,
     curve_point,
     evaluate_run,
+    plugins_of,
     start_run,
 )
 from marl_mm.datasets.dataset import Dataset
@@ -96,7 +97,8 @@ def _begin(dataset: Dataset, options: Offline[Any], runs: Mapping[int, Path]) ->
     """Make the folders of runs, or note in them what they go on with."""
     for seed, run in runs.items():
         if options.resume and (run / FILE).exists():
-            continue_run(run, {"updates": options.config.updates})
+            plugins = plugins_of(options.algorithm, task_of(dataset, options))
+            continue_run(run, {"updates": options.config.updates, **plugins})
         else:
             start_run(run, offline_config(dataset, options, seed))
 

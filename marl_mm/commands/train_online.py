@@ -24,6 +24,7 @@ from marl_mm.commands.runs import (
     continue_run,
     curve_point,
     evaluate_run,
+    plugins_of,
     read_config,
     start_run,
 )
@@ -174,7 +175,8 @@ def _train(options: Online[Any], seed: int, run: Path) -> None:
     if options.resume and (run / FILE).exists():
         resume(algorithm, run, ("episodes",))
         config = _run_config(options, demonstrations, seed)
-        continue_run(run, {name: config[name] for name in _CONTINUED})
+        kept = (*_CONTINUED, "plugins")
+        continue_run(run, {name: config[name] for name in kept if name in config})
     else:
         start_run(run, _run_config(options, demonstrations, seed))
 
@@ -224,6 +226,7 @@ def _run_config(
         "eval_episodes": options.eval_episodes,
         "eval_seed": options.eval_seed,
         "packages": versions(),
+        **plugins_of(options.algorithm, options.task),
         **asdict(options.schedule),
         **asdict(options.config),
     }

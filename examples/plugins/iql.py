@@ -1,0 +1,162 @@
+"""IQL, implicit Q-learning (Kostrikov 2022): never asks a critic for unseen actions.
+
+Loss of V: L_tau(min_j Q_j'(s, a) - V(s)), where L_tau(x) = |tau - 1(x < 0)| x^2; of the
+twin critics: (Q_j(s, a) - r - gamma (1 - terminated) V(s'))^2; of the actor:
+exp(beta (min_j Q_j'(s, a) - V(s))) MSE(a, pi(s)).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+
+from marl_mm.algorithms.actors import AgentActor
+from marl_mm.algorithms.config_checks import check_ranges
+from marl_mm.algorithms.networks import DIAGNOSED, Normalizer
+from marl_mm.algorithms.offline_batches import OfflineBatches
+from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm
+from marl_mm.algorithms.replay import Judge
+from marl_mm.algorithms.seeded import (
+    SeededActors,
+    SeededCritics,
+    imitation_errors,
+    load_parts,
+    parts_state,
+)
+from marl_mm.algorithms.speed import Precision
+from marl_mm.datasets.arrays import EpisodeArrays
+from marl_mm.layout import JOINT_NAME
+
+MOST_WEIGHT = 100.0
+"""Largest weight of an action in the actor's loss (the source's code)."""
+
+
+@dataclass(frozen=True)
+class IqlConfig:
+    """Hyper-parameters; the source's where it names them, untuned."""
+
+    updates: int = 8_000
+    """Gradient steps."""
+
+    batch_size: int = 256
+    """Transitions per update."""
+
+    learning_rate: float = 3e-4
+    """Learning rate of Adam."""
+
+    discount: float = 0.95
+    """gamma."""
+
+    target_rate: float = 0.005
+    """tau of the target critics."""
+
+    expectile: float = 0.7
+    """tau of V's loss."""
+
+    temperature: float = 3.0
+    """beta, the weight of the advantage in the actor's loss."""
+
+    hidden: tuple[int, ...] = (128, 128)
+    """Units of the hidden layers."""
+
+    std_floor: float = 0.01
+    """Least standard deviation an observation is scaled by."""
+
+    precision: Precision = "auto"
+    """Precision of products of float32 matrices."""
+
+    def __post_init__(self) -> None:
+        positive = ("updates", "batch_size", "learning_rate", "target_rate")
+        check_ranges(self, positive, ("temperature",), ("discount", "expectile"))
+
+
+class Iql:
+    """Learns from a dataset's transitions, for several seeds at once."""
+
+    name: ClassVar[str] = "iql"
+
+    def __init__(
+        self,
+        config: IqlConfig,
+        arrays: EpisodeArrays,
+        judge: Judge,
+        seeds: Sequence[int],
+        device: str = "cpu",
+    ) -> None:
+        self.config, self.seeds, self.step = config, tuple(seeds), 0
+        self.layout, self.bounds = arrays.layout, dict[str, float]()
+        sizes = config.batch_size, (0.0, 0.0)  # goals stay as they are
+        self._batches = OfflineBatches(arrays, *sizes, judge, seeds, device)
+        states = torch.from_numpy(arrays.states).float()
+        self.normalizer = Normalizer.of(states, config.std_floor).to(device)
+        rest = config.learning_rate, seeds, device
+        self.actors = SeededActors(
+            (self.layout.joint,), self.normalizer, config.hidden, *rest
+        )
+        width = len(self.layout.state)
+        self.values = SeededCritics(width, 1, config.hidden, False, *rest)
+        width += len(self.layout.action)
+        self.critics = SeededCritics(width, 1, config.hidden, False, *rest)
+        self._targets = self.critics.copy()
+
+    def update(self) -> dict[str, torch.Tensor]:
+        """One gradient step; losses of each seed, shape (S,)."""
+        config, batch = self.config, self._batches.next()
+        self.step += 1
+        state, action = self.normalizer(batch.observation), batch.action
+        next_state, nothing = self.normalizer(batch.next_observation), action[..., :0]
+        with torch.no_grad():
+            taken = self._targets.least(state, action)[:, 0]
+
+        advantage = taken - self.values.first(state, nothing)
+        weight = (config.expectile - (advantage < 0).float()).abs()
+        value_loss = (weight * advantage.square()).mean(dim=1)
+        self.values.descend(value_loss)
+
+        with torch.no_grad():
+            alive = config.discount * (1 - batch.terminated)
+            target = batch.reward + alive * self.values.first(next_state, nothing)
+        errors = self.critics.values(state, action) - target[:, None, None]
+        critic_loss = errors.square().mean(dim=3).sum(dim=(1, 2))
+        self.critics.descend(critic_loss)
+
+        weight = (config.temperature * advantage.detach()).exp().clamp_max(MOST_WEIGHT)
+        error = (self.actors.joint(state) - action).square().mean(dim=2)
+        actor_loss = (weight * error).mean(dim=1)
+        self.actors.descend(JOINT_NAME, actor_loss)
+
+        self._targets.follow(self.critics, config.target_rate)
+        losses = {"critic": critic_loss, "value": value_loss, "actor": actor_loss}
+        return {f"loss/{name}": loss.detach() for name, loss in losses.items()}
+
+    @torch.no_grad()
+    def diagnose(self) -> dict[str, torch.Tensor]:
+        """How far the actor is from some of the data, shape (S,)."""
+        state, action = self._batches.some(DIAGNOSED)
+        inputs = self.normalizer(state).expand(len(self.seeds), -1, -1)
+        return imitation_errors(self.actors.joint(inputs), action, self.layout)
+
+    def agents(self, number: int) -> dict[str, AgentActor]:
+        """One seed's actor as it is now."""
+        return self.actors.agents(number)
+
+    def state(self, number: int) -> dict[str, Any]:
+        """Everything that one seed needs to act and to resume bit-equally."""
+        own = parts_state(self._parts(), number)
+        return {"step": self.step, **own, "batches": self._batches.state(number)}
+
+    def load_states(self, states: Sequence[Mapping[str, Any]]) -> None:
+        """Continue all seeds from their ``state``."""
+        self.step = states[0]["step"]
+        load_parts(self._parts(), states)
+        self._batches.load_states([state["batches"] for state in states])
+
+    def _parts(self) -> dict[str, Any]:
+        own = {"actors": self.actors, "values": self.values, "critics": self.critics}
+        return own | {"targets": self._targets}
+
+
+_about = "IQL: in-sample values, advantage-weighted cloning."
+_own = {"learner": Iql, "presets": {TUNED: IqlConfig()}, "source": "Kostrikov 2022"}
+ALGORITHMS.add("iql", Algorithm(about=_about, **_own))

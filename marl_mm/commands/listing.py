@@ -1,0 +1,132 @@
+"""marl-mm algorithms, tasks, collectors and the like: what there is, and whose."""
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from marl_mm.commands.parser import parse_options
+from marl_mm.envs.registry import config_dict
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Listing:
+    """List what there is, and where it comes from."""
+
+    json: bool = False
+    """Print JSON."""
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the command line of ``marl-mm KIND``, whose word is the first argument."""
+    kind, *rest = arguments
+    options = parse_options(Listing, f"marl-mm {kind}", rest)
+    rows = list(_ROWS[kind]())
+    if options.json:
+        print(json.dumps(rows, indent=2))
+        return
+    table = Table(*rows[0])
+    for row in rows:
+        table.add_row(*(_text(value) for value in row.values()))
+    console = Console()
+    if not console.is_terminal:  # whole sentences, for whoever searches them
+        console = Console(width=200)
+    console.print(table)
+
+
+def _algorithms() -> Iterable[Row]:
+    from marl_mm.algorithms.registry import ALGORITHMS
+
+    for name, one in ALGORITHMS.items():
+        yield {
+            "name": name,
+            "learns": "online" if one.online else "from a dataset",
+            "about": one.about,
+            "source": one.source,
+            "presets": list(one.presets),
+            "from": ALGORITHMS.origin(name),
+        }
+
+
+def _tasks() -> Iterable[Row]:
+    from marl_mm.envs.registry import TASKS
+
+    for name, one in TASKS.items():
+        yield {
+            "name": name,
+            "about": one.about,
+            "numbers": _changed(one),
+            "agents": [agent.name for agent in one.layout.team],
+            "state": len(one.layout.state),
+            "action": len(one.layout.action),
+            "max_steps": one.max_steps,
+            "from": TASKS.origin(name),
+        }
+
+
+def _collectors() -> Iterable[Row]:
+    from marl_mm.collectors.registry import COLLECTORS
+
+    for name, one in COLLECTORS.items():
+        yield {"name": name, "about": one.about, "from": COLLECTORS.origin(name)}
+
+
+def _formats() -> Iterable[Row]:
+    from marl_mm.algorithms.export import POLICY_FORMATS
+    from marl_mm.datasets.export import DATASET_FORMS
+    from marl_mm.datasets.importing import IMPORTS
+
+    for of, registry in (
+        ("policies", POLICY_FORMATS),
+        ("datasets, written", DATASET_FORMS),
+        ("datasets, read", IMPORTS),
+    ):
+        for name, one in registry.items():
+            yield {
+                "name": name,
+                "of": of,
+                "about": one.about,
+                "from": registry.origin(name),
+            }
+
+
+def _metrics() -> Iterable[Row]:
+    from marl_mm.eval.metrics import METRICS
+
+    for name, one in METRICS.items():
+        yield {"name": name, "about": one.about, "from": METRICS.origin(name)}
+
+
+_ROWS = {
+    "algorithms": _algorithms,
+    "tasks": _tasks,
+    "collectors": _collectors,
+    "formats": _formats,
+    "metrics": _metrics,
+}
+
+
+def _changed(task: Any) -> dict[str, Any]:
+    """A task's numbers that are not those of its kind."""
+    usual, own = config_dict(type(task)()), config_dict(task)
+    return {name: value for name, value in _differences(usual, own)}
+
+
+def _differences(usual: Any, own: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in own.items():
+        if isinstance(value, dict):
+            yield from _differences(usual[name], value, f"{path}{name}.")
+        elif value != usual[name]:
+            yield f"{path}{name}", value
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, dict):
+        value = [f"{name} {one}" for name, one in value.items()]
+    return escape(", ".join(map(str, value)) if isinstance(value, list) else str(value))

@@ -1,0 +1,181 @@
+"""Plug-ins: code of others that registers tasks, algorithms, collectors and the like.
+
+A plug-in is a Python file or module, and is run as such when it is loaded: only those
+that somebody names, or has installed with an entry point of the group
+``marl_mm.plugins``. Nothing in a dataset or a checkpoint ever loads one.
+"""
+
+import hashlib
+import importlib
+import importlib.util
+import sys
+import traceback
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+
+from marl_mm.errors import MarlMmError, PluginError, UsageError
+from marl_mm.registry import BUILT_IN, registered_by
+
+GROUP = "marl_mm.plugins"
+"""Group of the entry points of installed plug-ins."""
+
+_PREFIX = "marl_mm_plugin_"
+"""Beginning of the names of modules that are made of files."""
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """Code that has been loaded."""
+
+    name: str
+    """Name of its file, or its module."""
+
+    source: str
+    """Absolute path of its file, or its module: what loads it again."""
+
+    sha256: str
+    """Hash of its code."""
+
+
+_loaded: dict[str, Plugin] = {}
+"""Plug-ins by name, in the order in which they were loaded."""
+
+
+def load(source: str | Path) -> Plugin:
+    """Load a plug-in: its code is run.
+
+    Args:
+        source: A file, ``FILE.py``, or a module that can be imported.
+
+    Raises:
+        UsageError: If there is none, or another plug-in has its name.
+        PluginError: If its code fails.
+    """
+    text = str(source)
+    is_file = text.endswith(".py")
+    name = Path(text).name if is_file else text
+    if is_file:
+        path = Path(text).resolve()
+        if not path.is_file():
+            raise UsageError(f"no plug-in {text}: expected a file, or a module's name")
+        text = str(path)
+    before = _loaded.get(name)
+    if before is not None:
+        if before.source != text:
+            raise UsageError(
+                f"two plug-ins are called {name}: {before.source} and {text}"
+            )
+        return before
+    module = _run(name, text, is_file)
+    _loaded[name] = Plugin(name, text, _digest(module))
+    return _loaded[name]
+
+
+def load_all(sources: Iterable[str]) -> None:
+    """Load several plug-ins, those that installed packages bring first."""
+    load_installed()
+    for source in sources:
+        load(source)
+
+
+def load_installed() -> None:
+    """Load the plug-ins of installed packages; one that fails is only warned of."""
+    for entry in entry_points(group=GROUP):
+        if entry.module not in _loaded:
+            try:
+                load(entry.module)
+            except MarlMmError as error:
+                warnings.warn(
+                    f"the installed plug-in {entry.name} is left out: {error}",
+                    stacklevel=2,
+                )
+
+
+def loaded() -> tuple[Plugin, ...]:
+    """The plug-ins that have been loaded, in order."""
+    return tuple(_loaded.values())
+
+
+def record(*origins: str) -> dict[str, str]:
+    """Names and hashes of what is not built in, for a run or a dataset.
+
+    Args:
+        origins: Where things come from; see ``Registry.origin``.
+    """
+    found = {}
+    for origin in origins:
+        if origin in _loaded:
+            found[origin] = _loaded[origin].sha256
+        elif origin != BUILT_IN and origin in sys.modules:
+            found[origin] = _digest(sys.modules[origin])
+    return found
+
+
+class Carried:
+    """This process's plug-ins for another one: there, unpickling it loads them.
+
+    To be pickled before what may be of their classes.
+    """
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return load_all, ([plugin.source for plugin in _loaded.values()],)
+
+
+def _run(name: str, source: str, is_file: bool) -> ModuleType:
+    try:
+        with registered_by(name):
+            return _imported_file(Path(source)) if is_file else _imported(source)
+    except MarlMmError as error:
+        raise PluginError(f"plug-in {name}: {error}") from error
+    except ModuleNotFoundError as error:
+        if error.name == source:
+            raise UsageError(
+                f"no plug-in {source!r}: expected a file that ends in .py, or a module "
+                "that can be imported"
+            ) from error
+        raise PluginError(f"plug-in {name} fails: {error}") from error
+    except Exception as error:
+        line = traceback.extract_tb(error.__traceback__)[-1].lineno
+        reason = f"{type(error).__name__}: {error}"
+        raise PluginError(
+            f"plug-in {name} fails: {reason:.300} (line {line})"
+        ) from error
+
+
+def _imported(module: str) -> ModuleType:
+    return importlib.import_module(module)
+
+
+def _imported_file(path: Path) -> ModuleType:
+    """A file as a module of its own, which pickles of its classes find by name."""
+    name = _PREFIX + path.stem.replace("-", "_")
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    sys.path.insert(0, str(path.parent))  # of what it imports itself
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    finally:
+        sys.path.remove(str(path.parent))
+    return module
+
+
+def _digest(module: ModuleType) -> str:
+    """Hash of a module's file, or of all files of a package."""
+    file = getattr(module, "__file__", None)
+    if file is None:
+        return ""
+    path = Path(file)
+    paths = sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]
+    digest = hashlib.sha256()
+    for one in paths:
+        digest.update(one.read_bytes())
+    return digest.hexdigest()
