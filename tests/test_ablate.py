@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -9,7 +10,7 @@ from marl_mm.algorithms.pretrained import load_pretrained
 from marl_mm.cli import main
 from marl_mm.commands import ablate_runs
 from marl_mm.commands.ablate_online import TARGETS
-from marl_mm.commands.train_online import TrainDdpg, train_online_run
+from marl_mm.commands.train_online import Online, train_online_run
 from marl_mm.errors import CheckpointError, DivergedError
 from marl_mm.eval.online import MADE_OF, SETTINGS
 from marl_mm.eval.rows import read_rows
@@ -103,7 +104,7 @@ def test_the_worth_of_alpha_from_raw_runs(
 def test_a_run_that_diverged_counts_as_it_was_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def diverge(training: TrainDdpg, seed: int, run: Path) -> None:
+    def diverge(training: Online[Any], seed: int, run: Path) -> None:
         train_online_run(training, seed, run)
         (run / "eval.json").unlink()
         (run / "eval_best.json").unlink()
@@ -119,7 +120,7 @@ def test_a_run_that_diverged_counts_as_it_was_before(
 def test_a_run_that_fails_does_not_stop_the_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(training: TrainDdpg, seed: int, run: Path) -> None:
+    def fail(training: Online[Any], seed: int, run: Path) -> None:
         if run.parent.name == "ddpg":
             raise CheckpointError("the disk is full")
         train_online_run(training, seed, run)

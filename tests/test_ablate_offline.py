@@ -186,7 +186,7 @@ def test_what_is_committed_was_made_as_declared(
     [
         (lambda: Setting("0.5", "x"), "name is '0.5', expected a letter"),
         (lambda: Setting("x", "x", "td3bc"), "'td3bc', expected one of mabc, td3-bc"),
-        (lambda: Setting("x", "x", preset="tunde"), "'tunde', expected one of tuned"),  # type: ignore[arg-type]
+        (lambda: Setting("x", "x", preset="tunde"), "'tunde', expected one of tuned"),
         (lambda: Setting("x", "x", goals=1), "goals is 1, expected 2, 4"),
         (lambda: Setting("x", "x", changes={"hidden": 64}), "'x' changes hidden to 64"),
         (lambda: Setting("x", "x", changes={"updates": 1.5}), "changes updates to 1.5"),

@@ -1,7 +1,6 @@
 """The benchmark's numbers belong together; abuse is counted and limits hold."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -9,10 +8,8 @@ import torch
 
 from marl_mm.algorithms.td3_bc import Td3Bc
 from marl_mm.control.config import Form
-from marl_mm.datasets.arrays import load_arrays
-from marl_mm.datasets.shipped import ARRAYS
-from marl_mm.envs.config import reach_config
-from marl_mm.envs.terms import judge
+from marl_mm.datasets.shipped import shipped_arrays
+from marl_mm.envs.registry import make_task
 from marl_mm.errors import MarlMmError
 from marl_mm.eval.abuse import abuse
 from marl_mm.eval.bench import bench_control
@@ -30,7 +27,7 @@ from marl_mm.eval.td3_bc_reference import PlainTd3Bc
 
 @pytest.mark.slow
 def test_parts_of_a_tick_belong_together() -> None:
-    result = bench_control(reach_config("Reach-v0"), steps=3, seed=0)
+    result = bench_control(make_task("Reach-v0"), steps=3, seed=0)
     us = {name: spread["median"] for name, spread in result["us"].items()}
     assert us["simulation"] + us["controller"] + us["io"] < 1.3 * us["tick"]
     assert us["assembly"] + us["levels"] < us["solve"] < us["controller"]
@@ -49,7 +46,7 @@ def test_parts_of_a_tick_belong_together() -> None:
 @pytest.mark.parametrize("form", ["blend", "rhp"])
 def test_abuse_in_closed_loop_keeps_the_limits(form: Form) -> None:
     """A bounded piece of ``marl-mm bench abuse``: 100 s of flung targets."""
-    config = reach_config("Reach-v0", {"controller": {"form": form}})
+    config = make_task("Reach-v0", {"controller": {"form": form}})
     result = abuse(config, 24_000, seed=6)
     worst = result["worst_excess"]
     for name in (
@@ -74,7 +71,7 @@ def test_abuse_in_closed_loop_keeps_the_limits(form: Form) -> None:
 
 
 def test_abuse_is_seeded() -> None:
-    config = reach_config("Reach-v0", {"ticks_per_step": 60})
+    config = make_task("Reach-v0", {"ticks_per_step": 60})
     one, other = (abuse(config, 300, seed=1) for _ in range(2))
     del one["longest_controller_tick_us"], other["longest_controller_tick_us"]
     assert one == other
@@ -160,7 +157,7 @@ def theirs_in_order(*networks: torch.nn.Module) -> list[torch.Tensor]:
 def test_ours_without_its_additions_is_the_authors() -> None:
     """From the same weights, on the same batches and noise: the same networks."""
     config = replace(plain_config(), hidden=(16, 16), batch_size=32)
-    arrays, rewards = load_arrays(ARRAYS), partial(judge, config=reach_config())
+    arrays, rewards = shipped_arrays(), make_task()
     ours, twin = (Td3Bc(config, arrays, rewards, [0]) for _ in range(2))
     theirs = PlainTd3Bc(arrays, config, 0)
     learning = theirs.actor, theirs.critic

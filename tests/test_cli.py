@@ -4,8 +4,8 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -19,18 +19,13 @@ from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import locate
+from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
 
 ID = "marl_mm/reach/test-v0"
-DESCRIPTION = {
-    "task": "Reach-v0",
-    "collector": "pd",
-    "seed": 0,
-    "complete": True,
-    "attempts": 6,
-}
+PROVENANCE = Provenance(task="Reach-v0", collector="pd", seed=0, attempts=6)
 
 Output = pytest.CaptureFixture[str]
 
@@ -45,7 +40,7 @@ def run(*arguments: str) -> int:
 
 @pytest.fixture
 def dataset(datasets_home: Path, episodes: list[Episode]) -> Path:
-    write_dataset(locate(ID), arrays_of(episodes, ID), DESCRIPTION)
+    write_dataset(locate(ID), arrays_of(episodes, ID), PROVENANCE)
     return datasets_home / ID
 
 
@@ -201,10 +196,10 @@ def test_no_datasets_says_how_to_make_one(datasets_home: Path, capsys: Output) -
     assert "marl-mm collect pd" in listed and "ships with" in listed
 
 
-def stopped(dataset: Path) -> tuple[EpisodeArrays, dict[str, Any]]:
+def stopped(dataset: Path) -> tuple[EpisodeArrays, Provenance]:
     """A dataset's episodes, and what would be said if its collection were stopped."""
     whole = load_dataset(dataset)
-    return whole.arrays, {**whole.metadata["marl_mm"], "complete": False}
+    return whole.arrays, replace(whole.provenance, complete=False)
 
 
 def test_what_was_typed_wrongly_or_stopped_is_told(

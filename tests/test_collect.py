@@ -12,19 +12,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from marl_mm.collectors.collect import Collector, RunEpisodes, collect, make_collector
+from marl_mm.collectors.collect import RunEpisodes, collect
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
+from marl_mm.collectors.registry import everything, successes
 from marl_mm.datasets.dataset import load_dataset
-from marl_mm.envs.config import ReachConfig, reach_config
-from marl_mm.envs.reach import ReachEnv
+from marl_mm.envs.goal_env import GoalEnv
+from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import PURPOSES, EpisodePlan, Rollouts, episode_seed
+from marl_mm.envs.task import Task
+from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import Episode
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.policy import Policy
 
 
-def runs(task: ReachConfig, workers: int = 1) -> RunEpisodes:
+def runs(task: Task, workers: int = 1) -> RunEpisodes:
     """Runs attempts and yields each when it is finished."""
 
     def run(policy: Policy, plans: Iterable[EpisodePlan]) -> Iterator[Episode]:
@@ -49,38 +52,38 @@ def same(one: list[Episode], other: list[Episode]) -> bool:
 
 
 @pytest.mark.slow
-def test_one_and_two_workers_give_equal_bytes(short_task: ReachConfig) -> None:
-    collector = make_collector(RandomConfig())
-    one = collect(collector, runs(short_task, 1), 60, seed=5)
-    two = collect(collector, runs(short_task, 2), 60, seed=5)
+def test_one_and_two_workers_give_equal_bytes(short_task: Task) -> None:
+    policy = RandomPolicy(RandomConfig())
+    one = collect(policy, everything, runs(short_task, 1), 60, seed=5)
+    two = collect(policy, everything, runs(short_task, 2), 60, seed=5)
     assert same(one.episodes, two.episodes)
     assert one.attempts == two.attempts
-    other = collect(collector, runs(short_task), 60, seed=6)
+    other = collect(policy, everything, runs(short_task), 60, seed=6)
     assert not same(one.episodes, other.episodes)
 
 
 def test_a_dataset_is_the_shortest_run_of_whole_episodes(
-    short_task: ReachConfig,
+    short_task: Task,
 ) -> None:
-    collector = make_collector(RandomConfig())
-    collection = collect(collector, runs(short_task), 10, seed=0)
+    policy = RandomPolicy(RandomConfig())
+    collection = collect(policy, everything, runs(short_task), 10, seed=0)
     lengths = [len(episode) for episode in collection.episodes]
     assert sum(lengths) >= 10 > sum(lengths[:-1])
     assert collection.complete
 
 
-def test_a_longer_dataset_begins_with_the_shorter(short_task: ReachConfig) -> None:
-    collector = make_collector(RandomConfig())
-    short = collect(collector, runs(short_task), 8, seed=0).episodes
-    long = collect(collector, runs(short_task), 16, seed=0).episodes
+def test_a_longer_dataset_begins_with_the_shorter(short_task: Task) -> None:
+    policy = RandomPolicy(RandomConfig())
+    short = collect(policy, everything, runs(short_task), 8, seed=0).episodes
+    long = collect(policy, everything, runs(short_task), 16, seed=0).episodes
     assert same(short, long[: len(short)])
 
 
 @pytest.mark.slow
 def test_pd_keeps_successes_and_they_can_be_replayed() -> None:
-    task = reach_config("Reach-v0", {"max_steps": 50})
-    collection = collect(make_collector(PdConfig()), runs(task), 30, seed=1)
-    env = ReachEnv(overrides={"max_steps": 50})
+    task = make_task("Reach-v0", {"max_steps": 50})
+    collection = collect(PdPolicy(PdConfig()), successes, runs(task), 30, seed=1)
+    env = GoalEnv(overrides={"max_steps": 50})
     for episode in collection.episodes:
         assert episode.success
         observation, _ = env.reset(seed=episode.seed)
@@ -114,23 +117,21 @@ def test_episode_seeds_are_distinct_and_stable() -> None:
     )  # datasets of all versions rely on it
 
 
-def test_a_hopeless_collector_gives_up(short_task: ReachConfig) -> None:
-    hopeless = Collector(PdPolicy(PdConfig()), lambda episode: False)
+def test_a_hopeless_collector_gives_up(short_task: Task) -> None:
     with pytest.raises(MarlMmError, match="reached no goal in 200 episodes"):
         collect(
-            hopeless,
-            runs(reach_config("Reach-v0", {"ticks_per_step": 1, "max_steps": 1})),
+            PdPolicy(PdConfig()),
+            lambda episode: False,
+            runs(make_task("Reach-v0", {"ticks_per_step": 1, "max_steps": 1})),
             5,
             0,
         )
 
 
 @pytest.mark.parametrize(("steps", "seed"), [(0, 0), (-5, 0), (5, -1)])
-def test_bad_numbers_are_refused(
-    short_task: ReachConfig, steps: int, seed: int
-) -> None:
+def test_bad_numbers_are_refused(short_task: Task, steps: int, seed: int) -> None:
     with pytest.raises(UsageError, match="expected >= "):
-        collect(make_collector(RandomConfig()), runs(short_task), steps, seed)
+        collect(RandomPolicy(RandomConfig()), everything, runs(short_task), steps, seed)
 
 
 @pytest.mark.parametrize(
@@ -144,14 +145,14 @@ def test_bad_settings_of_pd_are_refused(setting: dict[str, float]) -> None:
 
 def test_pd_steers_towards_the_goal_and_stays_in_range() -> None:
     policy = PdPolicy(PdConfig(kd=0.0))
-    policy.begin(np.random.default_rng(0))
+    policy.begin(np.random.default_rng(0), REACH)
     state = np.array([0.6, 0.1, 0.6, 0, 0, 0, 1, 1.3, 0.05, 0.7])
     np.testing.assert_allclose(policy.act(state), [1.0, -0.5, 1.0, 0.5], atol=1e-6)
 
 
 def test_pd_damps_the_hands_speed() -> None:
     policy = PdPolicy(PdConfig(kp=1.0, kd=2.0))
-    policy.begin(np.random.default_rng(0))
+    policy.begin(np.random.default_rng(0), REACH)
     state = np.zeros(10)
     policy.act(state)
     state = state.copy()
@@ -172,14 +173,14 @@ def test_pd_damps_the_hands_speed() -> None:
 )
 def test_alpha_rules(rule: str, ahead: float, goal: float, expected: float) -> None:
     policy = PdPolicy(PdConfig(alpha_rule=rule, alpha=0.6))  # type: ignore[arg-type]
-    policy.begin(np.random.default_rng(0))
+    policy.begin(np.random.default_rng(0), REACH)
     state = np.array([ahead, 0, 0.6, 0, 0, 0, 1, goal, 0, 0.6])
     assert policy.act(state)[3] == pytest.approx(expected)
 
 
 def test_random_actions_fill_the_action_space() -> None:
     policy = RandomPolicy(RandomConfig())
-    policy.begin(np.random.default_rng(0))
+    policy.begin(np.random.default_rng(0), REACH)
     actions = np.stack([policy.act(np.zeros(10)) for _ in range(2000)])
     np.testing.assert_allclose(actions.min(axis=0), [-1, -1, -1, 0], atol=0.01)
     np.testing.assert_allclose(actions.max(axis=0), [1, 1, 1, 1], atol=0.01)
@@ -236,7 +237,7 @@ def test_ctrl_c_leaves_the_episodes_until_then(
     dataset = load_dataset("marl_mm/reach/pd-v0")
     assert dataset.metadata["marl_mm"]["complete"] is False
     assert dataset.metadata["total_episodes"] == len(dataset.episodes) > 0
-    task = reach_config("Reach-v0", {"max_steps": 50})
-    again = collect(make_collector(PdConfig()), runs(task), 20, seed=2).episodes
+    task = make_task("Reach-v0", {"max_steps": 50})
+    again = collect(PdPolicy(PdConfig()), successes, runs(task), 20, seed=2).episodes
     count = min(len(again), len(dataset.episodes))
     assert same(again[:count], dataset.episodes[:count])

@@ -12,15 +12,17 @@ import psutil
 import pytest
 
 from marl_mm.cli import main
-from marl_mm.collectors.collect import collect, make_collector
+from marl_mm.collectors.collect import collect
 from marl_mm.collectors.medium import MediumConfig, MediumPolicy
 from marl_mm.collectors.pretrained import PretrainedConfig, PretrainedPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
+from marl_mm.collectors.registry import everything
 from marl_mm.commands.collect_dataset import CollectOptions, _about, collect_dataset
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import Location, locate
 from marl_mm.envs.rollout import EpisodePlan
+from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import Episode
 from marl_mm.errors import OtherConfigError, UsageError
 from marl_mm.files import only_here
@@ -56,7 +58,7 @@ def journal_holds(location: Location, episodes: int) -> None:
     while time.monotonic() < end:
         if (location.working / "episodes.sqlite").exists():
             with Journal(location.working) as journal:
-                if len(journal.episodes()) >= episodes:
+                if len(journal.episodes(REACH)) >= episodes:
                     return
         time.sleep(0.05)
     raise AssertionError("nothing was collected in two minutes")
@@ -89,7 +91,7 @@ def test_killed_parents_and_workers_cost_nothing_finished(
     assert not alive, "a worker outlived its parent"
     assert not location.folder.exists()
     with Journal(location.working) as journal:
-        finished = len(journal.episodes())
+        finished = len(journal.episodes(REACH))
     assert finished >= 1
 
     again = start(name)  # not overwritten, not resumed unasked
@@ -270,7 +272,7 @@ def test_nothing_to_resume_is_a_usage_error(datasets_home: Path) -> None:
     options = CollectOptions(steps=5, workers=1, resume=True)
     location = locate("marl_mm/reach/test-v0")
     with pytest.raises(UsageError, match="nothing was begun"):
-        collect_dataset(location, RandomConfig(), options)
+        collect_dataset(location, "random", RandomConfig(), options)
     assert not location.working.exists()
 
 
@@ -283,7 +285,7 @@ def test_another_seed_does_not_go_on(
         journal.add(make_episode(0))
     options = CollectOptions(steps=5, workers=1, resume=True)
     with pytest.raises(OtherConfigError, match=r"seed = 3 \(now 0\)"):
-        collect_dataset(location, RandomConfig(), options)
+        collect_dataset(location, "random", RandomConfig(), options)
 
 
 def test_another_agent_does_not_go_on(
@@ -293,16 +295,17 @@ def test_another_agent_does_not_go_on(
     location = locate("x")
     options = CollectOptions(steps=5, workers=1, resume=True)
     with Journal(location.working) as journal:
-        journal.begin(_about(PretrainedConfig(), options) | {"weights": "others"})
+        _, about = _about("pretrained", PretrainedConfig(), options)
+        journal.begin(about.to_json() | {"weights": "others"})
         journal.add(make_episode(0))
     with pytest.raises(OtherConfigError, match="weights = others"):
-        collect_dataset(location, PretrainedConfig(), options)
+        collect_dataset(location, "pretrained", PretrainedConfig(), options)
 
 
 def test_medium_leaves_the_agent_something(datasets_home: Path) -> None:
     options = CollectOptions(steps=5, workers=1, max_steps=10)
     with pytest.raises(UsageError, match="expected fewer than an episode's 10"):
-        collect_dataset(locate("x"), MediumConfig(), options)
+        collect_dataset(locate("x"), "medium", MediumConfig(), options)
 
 
 def test_attempts_that_come_in_any_order_are_kept_in_theirs(
@@ -319,7 +322,8 @@ def test_attempts_that_come_in_any_order_are_kept_in_theirs(
 
     known = {1: make_episode(1, steps=4), 2: None}
     collection = collect(
-        make_collector(RandomConfig()),
+        RandomPolicy(RandomConfig()),
+        everything,
         backwards,  # type: ignore[arg-type]
         20,
         seed=0,
@@ -337,7 +341,7 @@ def test_medium_is_random_first_and_then_the_agent() -> None:
     random = RandomPolicy(RandomConfig())
     agent = PretrainedPolicy(PretrainedConfig())
     for policy in (medium, random, agent):
-        policy.begin(np.random.default_rng(5))
+        policy.begin(np.random.default_rng(5), REACH)
     state = np.array([0.6, 0, 0.6, 0, 0, 0, 0.5, 1.2, 0, 0.6])
     for step in range(5):
         expected = (random if step < 3 else agent).act(state)
@@ -348,10 +352,10 @@ def test_noise_is_of_the_episode_and_clipped() -> None:
     state = np.array([0.6, 0, 0.6, 0, 0, 0, 0.5, 1.2, 0, 0.6])
     exact = PretrainedPolicy(PretrainedConfig())
     noisy = PretrainedPolicy(PretrainedConfig(noise=0.5))
-    exact.begin(np.random.default_rng(0))
+    exact.begin(np.random.default_rng(0), REACH)
     seen = []
     for seed in (1, 1, 2):
-        noisy.begin(np.random.default_rng(seed))
+        noisy.begin(np.random.default_rng(seed), REACH)
         seen.append(np.stack([noisy.act(state) for _ in range(200)]))
     np.testing.assert_array_equal(seen[0], seen[1])
     assert (seen[0] != seen[2]).any()

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,17 +14,16 @@ from marl_mm.algorithms.ddpg import Ddpg, DdpgConfig
 from marl_mm.algorithms.maddpg import Maddpg, MaddpgConfig
 from marl_mm.algorithms.networks import Actor, Critic
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
-from marl_mm.algorithms.presets import preset
+from marl_mm.algorithms.registry import preset
 from marl_mm.algorithms.replay import Batch
 from marl_mm.algorithms.statistics import RunningStatistics
-from marl_mm.envs.config import reach_config
-from marl_mm.envs.terms import judge
+from marl_mm.envs.registry import make_task
+from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
-from marl_mm.layout import AGENTS
 
 MakeEpisode = Callable[..., Episode]
-JUDGE = partial(judge, config=reach_config())
+JUDGE = make_task()
 SMALL = {"hidden": (16, 16), "batch_size": 32, "warm_up": 0, "capacity": 2000}
 KINDS = (
     (Ddpg, DdpgConfig(**SMALL)),  # type: ignore[arg-type]
@@ -43,7 +41,7 @@ def episodes(make_episode: MakeEpisode) -> list[Episode]:
 def taught(
     kind: type[Ddpg], config: DdpgConfig, episodes: list[Episode], seed: int = 0
 ) -> Ddpg:
-    algorithm = kind(config, JUDGE, seed)
+    algorithm = kind(config, JUDGE, seed, (), REACH)
     for episode in episodes:
         algorithm.observe(episode)
     return algorithm
@@ -80,7 +78,7 @@ def test_one_update_equals_the_hand_written_one(
     modules and optimisers; Adam's first step is lr g / (|g| + eps)."""
     algorithm = taught(kind, config, episodes)
     algorithm.learn(3)  # targets differ from networks, statistics are set
-    fresh = kind(config, JUDGE, 0)  # fresh optimisers
+    fresh = kind(config, JUDGE, 0, (), REACH)  # fresh optimisers
     state = algorithm.state()
     for name in ("actor_optimizer", "critic_optimizer"):
         state[name] = fresh.state()[name]
@@ -173,7 +171,7 @@ def test_an_actors_gradient_does_not_reach_what_it_cannot_see(
     algorithm.learn(2)
     state = batch_of(algorithm).observation.clone().requires_grad_()
     action = joint_action(algorithm.agents, state)
-    for layout in AGENTS:
+    for layout in REACH.agents:
         own = action[:, list(layout.action)].sum()
         (gradient,) = torch.autograd.grad(own, state, retain_graph=True)
         unseen = [i for i in range(10) if i not in layout.observation]
@@ -201,7 +199,7 @@ def test_with_replayed_actions_an_agents_loss_moves_nobody_else(
     assert isinstance(algorithm, Maddpg)
     algorithm.learn(2)
     batch = batch_of(algorithm)
-    names = list(algorithm.agents)
+    names = list(algorithm.agents, REACH)
     for name, other in (names, names[::-1]):
         loss = algorithm._agent_loss(name, batch)
         parameters = list(algorithm.agents[other].actor.parameters())
@@ -231,7 +229,7 @@ def test_critic_and_actor_solve_a_task_of_one_step(make_episode: MakeEpisode) ->
         action_penalty=0.0,
         actor_learning_rate=1e-4,  # the critic must lead
     )
-    algorithm = Ddpg(config, JUDGE, 0)
+    algorithm = Ddpg(config, JUDGE, 0, (), REACH)
     rng = np.random.default_rng(0)
     for i in range(600):
         episode = make_episode(i, steps=1, success=True)
@@ -246,7 +244,7 @@ def test_critic_and_actor_solve_a_task_of_one_step(make_episode: MakeEpisode) ->
             )
         )
     algorithm.learn(1500)
-    policy = LearnedPolicy("ddpg", algorithm.agents)
+    policy = LearnedPolicy("ddpg", algorithm.agents, REACH)
     np.testing.assert_allclose(policy.act(np.zeros(10)), best, atol=0.1)
 
 
@@ -258,7 +256,7 @@ def test_save_load_act_is_bit_equal(
     algorithm.learn(5)
     save_checkpoint(tmp_path / FILE, algorithm)
     save_policy(tmp_path / "best.pt", algorithm)
-    policy = LearnedPolicy(algorithm.name, algorithm.agents)
+    policy = LearnedPolicy(algorithm.name, algorithm.agents, REACH)
     for loaded in (load_policy(tmp_path), load_policy(tmp_path / "best.pt")):
         assert loaded.name == algorithm.name
         for state in np.random.default_rng(2).normal(size=(20, 10)):
@@ -274,7 +272,7 @@ def test_a_restored_algorithm_continues_bit_equally(
     algorithm.learn(4)
     save_checkpoint(tmp_path / FILE, algorithm)
     saved = torch.load(tmp_path / FILE, weights_only=True)
-    again = kind(config, JUDGE, seed=99)
+    again = kind(config, JUDGE, 99, (), REACH)
     again.load_state(saved["state"])
     for one in (algorithm, again):
         for episode in episodes[10:]:
@@ -310,7 +308,7 @@ def test_exploration_stays_in_the_action_space_and_is_its_episodes_own(
     state = np.random.default_rng(0).normal(size=10)
     runs = []
     for seed in (4, 4, 5):
-        explorer.begin(np.random.default_rng(seed))
+        explorer.begin(np.random.default_rng(seed), REACH)
         runs.append(np.array([explorer.act(state) for _ in range(50)]))
     np.testing.assert_array_equal(runs[0], runs[1])
     assert (runs[0] != runs[2]).any()
@@ -324,8 +322,8 @@ def test_noise_is_a_share_of_half_of_each_range(episodes: list[Episode]) -> None
     algorithm = taught(Ddpg, config, episodes)
     algorithm.learn(1)
     explorer, state = algorithm.behaviour(), np.zeros(10)
-    policy = LearnedPolicy("ddpg", algorithm.agents)
-    explorer.begin(np.random.default_rng(0))
+    policy = LearnedPolicy("ddpg", algorithm.agents, REACH)
+    explorer.begin(np.random.default_rng(0), REACH)
     errors = [explorer.act(state) - policy.act(state) for _ in range(4000)]
     half = np.array([1, 1, 1, 0.5])
     expected = 0.02 * half
@@ -334,8 +332,8 @@ def test_noise_is_a_share_of_half_of_each_range(episodes: list[Episode]) -> None
 
 
 def test_before_the_warm_up_is_over_actions_are_uniform() -> None:
-    explorer = Ddpg(DdpgConfig(), JUDGE, 0).behaviour()
-    explorer.begin(np.random.default_rng(0))
+    explorer = Ddpg(DdpgConfig(), JUDGE, 0, (), REACH).behaviour()
+    explorer.begin(np.random.default_rng(0), REACH)
     actions = np.array([explorer.act(np.zeros(10)) for _ in range(4000)])
     np.testing.assert_allclose(actions.mean(axis=0), [0, 0, 0, 0.5], atol=0.04)
     np.testing.assert_allclose(
@@ -356,7 +354,7 @@ def test_running_statistics_are_those_of_everything_at_once() -> None:
 
 
 def test_a_joint_actor_cannot_act_for_agents(episodes: list[Episode]) -> None:
-    policy = LearnedPolicy("ddpg", taught(Ddpg, KINDS[0][1], episodes).agents)
+    policy = LearnedPolicy("ddpg", taught(Ddpg, KINDS[0][1], episodes).agents, REACH)
     with pytest.raises(UsageError, match="one joint actor"):
         policy.act_agents({"end_effector": np.zeros(9), "balance": np.zeros(7)})
 
@@ -369,7 +367,7 @@ def test_presets_are_table_2_and_ours() -> None:
     assert (paper.episodes, paper.updates_per_episode) == (2_000, 25)
     assert not (paper.layer_norm or paper.clip_targets or paper.action_penalty)
     assert preset("ddpg", "paper").hindsight == 0
-    assert preset("maddpg", "paper").others == "replay"  # type: ignore[attr-defined]
+    assert preset("maddpg", "paper").others == "replay"
     assert preset("ddpg-her") == DdpgConfig()
     assert preset("maddpg-her") == MaddpgConfig()
 

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,14 +24,13 @@ from marl_mm.commands import train_offline
 from marl_mm.commands.offline_options import offline_options
 from marl_mm.datasets import load_dataset
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
-from marl_mm.envs.config import reach_config
-from marl_mm.envs.terms import judge
+from marl_mm.envs.registry import make_task
 from marl_mm.episode import Episode
 from marl_mm.errors import DivergedError
 from marl_mm.progress import Advance
 
 MakeEpisode = Callable[..., Episode]
-JUDGE = partial(judge, config=reach_config())
+JUDGE = make_task()
 SMALL: dict[str, Any] = {"hidden": (16, 16), "batch_size": 32}
 KINDS: tuple[tuple[Any, Any], ...] = (
     (Mabc, MabcConfig),
@@ -119,7 +117,7 @@ def test_unless_it_is_to_go_on_to_its_end(
     train(algorithm, [tmp_path], lambda policy: {}, 100, spoil, stop_unsound=False)
     assert algorithm.step == 300
     rows = read_metrics(tmp_path)
-    assert rows[-1]["q/largest"] > algorithm.sound["q/largest"]
+    assert rows[-1]["q/largest"] > algorithm.bounds["q/largest"]
 
 
 def test_weights_that_the_last_step_spoilt_are_not_kept(

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from marl_mm.envs import parallel_env
-from marl_mm.envs.config import TASKS
-from marl_mm.envs.core import ReachCore
-from marl_mm.envs.reach import ReachEnv
+from marl_mm.envs.core import EpisodeCore
+from marl_mm.envs.goal_env import GoalEnv
+from marl_mm.envs.registry import TASKS
 from marl_mm.errors import InvalidActionError, UsageError
 
 
@@ -20,14 +20,14 @@ from marl_mm.errors import InvalidActionError, UsageError
     ],
 )
 def test_bad_actions_are_refused(
-    core: ReachCore, action: np.ndarray, message: str
+    core: EpisodeCore, action: np.ndarray, message: str
 ) -> None:
     core.reset(np.random.default_rng(0))
     with pytest.raises(InvalidActionError, match=message):
         core.step(action)
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", TASKS.names())
 def test_bad_agent_actions_are_refused(task: str) -> None:
     env = parallel_env(task, overrides={"ticks_per_step": 24})
     env.reset(seed=0)
@@ -41,15 +41,15 @@ def test_bad_agent_actions_are_refused(task: str) -> None:
     env.close()
 
 
-def test_step_before_reset_and_bad_goals_are_refused(core: ReachCore) -> None:
+def test_step_before_reset_and_bad_goals_are_refused(core: EpisodeCore) -> None:
     with pytest.raises(UsageError, match="before reset"):
         core.step(np.zeros(4))
-    with pytest.raises(UsageError, match="three finite numbers"):
+    with pytest.raises(UsageError, match="3 finite numbers: goal_x"):
         core.reset(np.random.default_rng(0), np.array([1.0, np.nan, 0.5]))
 
 
 def test_bad_render_modes_and_early_states_are_refused() -> None:
-    for make in (ReachEnv, parallel_env):
+    for make in (GoalEnv, parallel_env):
         with pytest.raises(UsageError, match="expected rgb_array or None"):
             make(render_mode="ascii")
     env = parallel_env("Reach-v0")
@@ -58,9 +58,9 @@ def test_bad_render_modes_and_early_states_are_refused() -> None:
     env.close()
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", TASKS.names())
 def test_render_shows_the_robot(task: str) -> None:
-    env = ReachEnv(task, render_mode="rgb_array")
+    env = GoalEnv(task, render_mode="rgb_array")
     env.reset(seed=0)
     image = env.render()
     assert image is not None

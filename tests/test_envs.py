@@ -14,23 +14,24 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm.collectors.replay import ReplayPolicy
-from marl_mm.collectors.scripted import ScriptedConfig, ScriptedPolicy
+from marl_mm.collectors.scripted import ScriptedPolicy
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import SHIPPED
 from marl_mm.envs import parallel_env
-from marl_mm.envs.config import TASKS, reach_config
-from marl_mm.envs.core import ReachCore
-from marl_mm.envs.reach import ReachEnv
+from marl_mm.envs.core import EpisodeCore
+from marl_mm.envs.goal_env import GoalEnv
+from marl_mm.envs.registry import TASKS, make_task
 from marl_mm.envs.rollout import EpisodePlan, run_episode
+from marl_mm.envs.task import ScriptConfig
+from marl_mm.envs.tasks.grasp import LAYOUT as HANDLING
 from marl_mm.episode import INFO
 from marl_mm.errors import UsageError
-from marl_mm.layout import GRIP, HANDLING
 from marl_mm.robot.names import ARM_LINKS, FINGER_LINKS, HAND_LINK
 from marl_mm.sim.bullet import BulletWorld
 from marl_mm.sim.config import SimulationConfig
 from marl_mm.sim.engine import pybullet
 
-OpenWorld = Callable[..., ReachCore]
+OpenWorld = Callable[..., EpisodeCore]
 
 Act = Callable[[np.ndarray], np.ndarray]
 
@@ -51,9 +52,9 @@ def busy_actions(task: str, seed: int) -> tuple[dict[str, int], Act]:
 
     Where a block is to be taken, it is the script: random actions would soon miss it.
     """
-    layout = reach_config(task).layout
-    if layout is HANDLING:
-        return TAKEN, ScriptedPolicy(ScriptedConfig()).act
+    layout = make_task(task).layout
+    if layout == HANDLING:
+        return TAKEN, ScriptedPolicy(ScriptConfig(), make_task(task)).act
     rng = np.random.default_rng(seed)
     return SHORT, lambda _: rng.uniform(layout.low, layout.high).astype(np.float32)
 
@@ -82,7 +83,7 @@ def agents_hash(seed: int, task: str) -> str:
     """Hash of all that a parallel env returns over full episodes."""
     overrides, act = busy_actions(task, seed)
     env = parallel_env(task, overrides=overrides)
-    agents = reach_config(task).layout.agents
+    agents = make_task(task).layout.agents
     digest = hashlib.sha256()
     for episode in range(EPISODES):
         observations, _ = env.reset(seed=seed if episode == 0 else None)
@@ -120,10 +121,10 @@ def trajectory_hash(seed: int, task: str) -> str:
 
 def test_every_task_is_registered_and_nothing_else() -> None:
     found = {name for name in gymnasium.registry if name.startswith("marl_mm/")}
-    assert found == {f"marl_mm/{task}" for task in TASKS}
+    assert found == {f"marl_mm/{task}" for task in TASKS.names()}
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", TASKS.names())
 def test_gymnasium_check_env(task: str) -> None:
     env = gymnasium.make(f"marl_mm/{task}", overrides=QUICK, disable_env_checker=True)
     with warnings.catch_warnings():
@@ -132,26 +133,26 @@ def test_gymnasium_check_env(task: str) -> None:
     env.close()
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", TASKS.names())
 def test_pettingzoo_parallel_api(task: str) -> None:
     env = parallel_env(task, overrides=QUICK)
     parallel_api_test(env, num_cycles=60)
     env.close()
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", TASKS.names())
 def test_pettingzoo_parallel_seed(task: str) -> None:
     parallel_seed_test(lambda: parallel_env(task, overrides=QUICK))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("hash_of", [trajectory_hash, agents_hash])
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", TASKS.names())
 def test_same_seed_same_bytes_twice_in_a_process_and_in_another(
     hash_of: Callable[[int, str], str], task: str
 ) -> None:
     first = hash_of(3, task)
-    busy = ReachCore(TASKS["Reach-v0"])  # whatever ran before must not matter
+    busy = EpisodeCore(TASKS.get("Reach-v0"))  # whatever ran before must not matter
     busy.reset(np.random.default_rng(9))
     busy.step(np.array([1.0, -1.0, 0.5, 0.0]))
     again = hash_of(3, task)
@@ -172,7 +173,7 @@ def test_same_seed_same_bytes_twice_in_a_process_and_in_another(
 def test_an_empty_world_is_as_it_was_before_there_were_blocks() -> None:
     """The dataset that ships is older; to the last bit where processors round alike."""
     dataset = load_dataset(SHIPPED)
-    core = ReachCore(reach_config("Reach-v0"))
+    core = EpisodeCore(make_task("Reach-v0"))
     for number in (0, 1, 50):
         episode = dataset.arrays.episode(number)
         plan = EpisodePlan(episode.index, episode.seed)
@@ -204,24 +205,24 @@ def test_an_empty_world_has_nothing_of_a_block_to_spend_time_on(
     assert iterations == SimulationConfig().grasp_iterations
 
 
-@pytest.mark.parametrize("task", [task for task, one in TASKS.items() if one.load])
+@pytest.mark.parametrize("task", [t for t, one in TASKS.items() if one.fails])
 def test_an_episode_does_not_depend_on_the_one_before(
     task: str, open_world: OpenWorld
 ) -> None:
     fresh, used = open_world(task), open_world(task)
-    script, plan = ScriptedPolicy(ScriptedConfig()), EpisodePlan(0, 1)
+    script, plan = ScriptedPolicy(ScriptConfig(), make_task(task)), EpisodePlan(0, 1)
     run_episode(used, script, EpisodePlan(1, 5))  # ends with the block in the hand
     np.testing.assert_array_equal(
         run_episode(used, script, plan).states, run_episode(fresh, script, plan).states
     )
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", TASKS.names())
 def test_both_interfaces_tell_the_same_story(task: str) -> None:
     """One core: same seed and joint action, same state and reward."""
-    goal_env = ReachEnv(task, overrides=QUICK)
+    goal_env = GoalEnv(task, overrides=QUICK)
     agents_env = parallel_env(task, overrides=QUICK)
-    layout = goal_env.core.config.layout
+    layout = goal_env.core.task.layout
     low, high = layout.low, layout.high
     goal, _ = goal_env.reset(seed=5)
     agents, _ = agents_env.reset(seed=5)
@@ -244,9 +245,9 @@ def test_both_interfaces_tell_the_same_story(task: str) -> None:
     agents_env.close()
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", TASKS.names())
 def test_compute_reward_repeats_the_steps_reward(task: str) -> None:
-    env = ReachEnv(task, overrides=QUICK)
+    env = GoalEnv(task, overrides=QUICK)
     env.reset(seed=0)
     observations, rewards, infos = [], [], []
     for _ in range(3):
@@ -259,20 +260,20 @@ def test_compute_reward_repeats_the_steps_reward(task: str) -> None:
     np.testing.assert_array_equal(env.compute_reward(achieved, desired, infos), rewards)
     single = env.compute_reward(achieved[0], desired[0], infos[0])
     assert single == rewards[0]
-    handling = env.core.config.layout is HANDLING  # only what is held reaches a goal
+    handling = env.core.task.layout is HANDLING  # only what is held reaches a goal
     assert env.compute_terminated(achieved, achieved, infos).all() != handling
     assert not env.compute_truncated(achieved, desired, infos).any()
     env.close()
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", TASKS.names())
 def test_reaching_terminates_and_time_truncates(task: str) -> None:
-    load = {"load": {"hold_ticks": 24}} if TASKS[task].layout is HANDLING else {}
-    env = ReachEnv(task, overrides={**QUICK, **load, "max_steps": 2})
-    still = np.zeros(len(env.core.config.layout.action), np.float32)
-    still[env.core.config.layout.action.index("alpha")] = 1.0
-    if env.core.config.layout is HANDLING:
-        still[GRIP] = -1.0
+    load = {"load": {"hold_ticks": 24}} if TASKS.get(task).layout is HANDLING else {}
+    env = GoalEnv(task, overrides={**QUICK, **load, "max_steps": 2})
+    still = np.zeros(len(env.core.task.layout.action), np.float32)
+    still[env.core.task.layout.action_names.index("alpha")] = 1.0
+    if env.core.task.layout is HANDLING:
+        still[3] = -1.0
     else:
         observation, _ = env.reset(seed=0)
         env.reset(seed=0, options={"goal": observation["achieved_goal"]})
@@ -284,7 +285,7 @@ def test_reaching_terminates_and_time_truncates(task: str) -> None:
     env.close()
 
 
-def test_the_hand_goes_where_the_action_says(core: ReachCore) -> None:
+def test_the_hand_goes_where_the_action_says(core: EpisodeCore) -> None:
     """One full step of (1, 0.5, -0.5): 10, 5 and -5 cm, to 1 cm."""
     state = core.reset(np.random.default_rng(0))
     step = core.step(np.array([1.0, 0.5, -0.5, 1.0]))
@@ -295,16 +296,16 @@ def test_the_hand_goes_where_the_action_says(core: ReachCore) -> None:
 
 
 def test_a_switch_can_be_overridden_and_nothing_else_is_one() -> None:
-    config = reach_config("Reach-v0", {"controller": {"limits": {"zmp": True}}})
+    config = make_task("Reach-v0", {"controller": {"limits": {"zmp": True}}})
     assert config.controller.limits.zmp is True
     for wrong in ({"zmp": 1}, {"traction": True}):
         with pytest.raises(UsageError, match=r"controller\.limits\."):
-            reach_config("Reach-v0", {"controller": {"limits": wrong}})
+            make_task("Reach-v0", {"controller": {"limits": wrong}})
 
 
 def test_the_zmp_limit_runs_in_the_environment() -> None:
     limits = {"controller": {"limits": {"zmp": True, "zmp_margin": 0.05}}}
-    core = ReachCore(reach_config("Reach-v0", {**limits, **QUICK}))
+    core = EpisodeCore(make_task("Reach-v0", {**limits, **QUICK}))
     core.reset(np.random.default_rng(0))
     info = core.step(np.array([-1.0, 0.0, 0.0, 0.5])).info
     core.close()
@@ -312,17 +313,17 @@ def test_the_zmp_limit_runs_in_the_environment() -> None:
     assert info["qp_failures"] == 0
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", TASKS.names())
 def test_info_is_what_its_list_says_and_plausible(
     task: str, open_world: OpenWorld
 ) -> None:
     """At rest: upright, on its wheels, the model where the simulator is."""
     core = open_world(task)
     core.reset(np.random.default_rng(0))
-    still = np.zeros(len(core.config.layout.action))
+    still = np.zeros(len(core.task.layout.action))
     still[-1] = 1.0  # alpha
     info = core.step(still).info
-    of_a_block = ["reason", "held"] if TASKS[task].load else []
+    of_a_block = ["held", "reason"] if TASKS.get(task).fails else []
     assert list(info) == [*INFO, *of_a_block]
     assert 0.1 < info["zmp_margin"] < 0.25
     assert 0 <= abs(info["base_pitch"]) <= info["tilt"] < 1e-3
@@ -331,7 +332,7 @@ def test_info_is_what_its_list_says_and_plausible(
     assert info["qp_failures"] == info["safe_ticks"] == 0
 
 
-def test_alpha_decides_who_waits(core: ReachCore) -> None:
+def test_alpha_decides_who_waits(core: EpisodeCore) -> None:
     """Backwards, a stable base leaves the hand behind; an accurate hand, the base."""
     errors = {}
     for alpha in (0.0, 1.0):

@@ -8,7 +8,7 @@ import pytest
 
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
-from marl_mm.envs.config import ReachConfig
+from marl_mm.envs.tasks.reach import Reach
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate
@@ -34,9 +34,9 @@ def row(direction: str, success: bool, steps: int) -> dict[str, object]:
 
 
 def test_goals_alternate_lie_in_the_paper_s_boxes_and_extend() -> None:
-    config = ReachConfig()
+    config = Reach()
     plans = goal_set(config, 40, seed=3)
-    goals = np.array([plan.goal_w for plan in plans])
+    goals = np.array([plan.goal for plan in plans])
     ahead, behind = goals[::2], goals[1::2]
     assert ((ahead[:, 0] > 1.0) & (ahead[:, 0] < 1.5)).all()
     assert ((behind[:, 0] > -0.8) & (behind[:, 0] < -0.5)).all()
@@ -132,7 +132,7 @@ def test_a_film_has_the_frames_of_the_episode(tmp_path: Path, name: str) -> None
     import imageio_ffmpeg
 
     camera = Camera(width=96, height=64)
-    config = ReachConfig(max_steps=2)
+    config = Reach(max_steps=2)
     episode, frames = film_episode(
         config, PdPolicy(PdConfig()), goal_set(config, 1, 0)[0], camera, fps=8
     )
@@ -151,7 +151,7 @@ def test_a_film_has_the_frames_of_the_episode(tmp_path: Path, name: str) -> None
 @pytest.mark.slow
 @pytest.mark.parametrize("fps", [7, 25])
 def test_film_time_is_simulated_time(fps: int) -> None:
-    config = ReachConfig(max_steps=2)
+    config = Reach(max_steps=2)
     plan = goal_set(config, 1, 0)[0]
     camera = Camera(width=32, height=32)
     _, frames = film_episode(config, PdPolicy(PdConfig()), plan, camera, fps)

@@ -16,10 +16,9 @@ from marl_mm.algorithms.export import TOLERANCE, export_policy
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.pretrained import load_pretrained
 from marl_mm.cli import main
-from marl_mm.datasets.arrays import load_arrays
-from marl_mm.datasets.shipped import ARRAYS
+from marl_mm.datasets.shipped import shipped_arrays
+from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.errors import ExportError
-from marl_mm.layout import ACTION, AGENTS, STATE
 
 SMALL = (
     "mabc --dataset good-5k --updates 100 --hidden 8 --curve-every 100 "
@@ -39,7 +38,7 @@ def mabc(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def states() -> np.ndarray:
     """Those of the dataset that ships."""
-    states: np.ndarray = load_arrays(ARRAYS).states[::7].astype(np.float32)
+    states: np.ndarray = shipped_arrays().states[::7].astype(np.float32)
     return states
 
 
@@ -76,8 +75,8 @@ def test_onnx_of_one_agent_acts_on_its_own_observation(
     told = json.loads(capsys.readouterr().out)
     session = onnxruntime.InferenceSession(told["file"])
     inside = json.loads(session.get_modelmeta().custom_metadata_map["marl_mm"])
-    layout = AGENTS[1]
-    assert inside["observation"] == [STATE[i] for i in layout.observation]
+    layout = REACH.agents[1]
+    assert inside["observation"] == [REACH.state_names[i] for i in layout.observation]
     assert (inside["action"], inside["action_low"]) == (["alpha"], [0.0])
     own = states[:, list(layout.observation)]
     (found,) = session.run(None, {"observation": own})
@@ -89,7 +88,10 @@ def test_onnx_of_one_agent_acts_on_its_own_observation(
 def test_a_joint_policy_as_onnx(states: np.ndarray, tmp_path: Path) -> None:
     policy = load_pretrained()
     told = export_policy(policy, tmp_path / "p.onnx", "onnx")
-    assert (told["observation"], told["action"]) == (list(STATE), list(ACTION))
+    assert (told["observation"], told["action"]) == (
+        list(REACH.state_names),
+        list(REACH.action_names),
+    )
     session = onnxruntime.InferenceSession(tmp_path / "p.onnx")
     (found,) = session.run(None, {"observation": states[:50]})
     expected = [policy.act(state) for state in states[:50]]

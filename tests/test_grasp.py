@@ -11,22 +11,23 @@ import pytest
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.cli import main
-from marl_mm.collectors.scripted import ScriptedConfig, ScriptedPolicy
+from marl_mm.collectors.scripted import ScriptedPolicy
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.envs import parallel_env
-from marl_mm.envs.config import TASKS, reach_config
-from marl_mm.envs.core import ReachCore, Step
+from marl_mm.envs.core import EpisodeCore, Step
+from marl_mm.envs.registry import TASKS, make_task
 from marl_mm.envs.rollout import EpisodePlan, run_episode
-from marl_mm.envs.terms import judge
+from marl_mm.envs.task import ScriptConfig
+from marl_mm.envs.tasks.grasp import LAYOUT as HANDLING
 from marl_mm.eval import evaluate
-from marl_mm.layout import HANDLING
+from marl_mm.layout import Layout
 
-OpenWorld = Callable[..., ReachCore]
+OpenWorld = Callable[..., EpisodeCore]
 
 OPEN, CLOSE = -1.0, 1.0
 
-LOADED = [task for task, config in TASKS.items() if config.load]
-HANDLED = [task for task in LOADED if TASKS[task].layout is HANDLING]
+LOADED = [task for task, config in TASKS.items() if config.fails]
+HANDLED = [task for task in LOADED if TASKS.get(task).layout == HANDLING]
 
 
 def moved(x: float, y: float, z: float, grip: float) -> np.ndarray:
@@ -37,7 +38,9 @@ def towards(way: np.ndarray, grip: float) -> np.ndarray:
     return np.array([*np.clip(way / 0.1, -1, 1), grip, 0.0])
 
 
-def over_the_block(world: ReachCore, seed: int = 0, above: float = 0.09) -> np.ndarray:
+def over_the_block(
+    world: EpisodeCore, seed: int = 0, above: float = 0.09
+) -> np.ndarray:
     """The joint state with the open hand over the block, or around it."""
     state = world.reset(np.random.default_rng(seed))
     for height in (0.09, 0.09, 0.09, above):
@@ -50,7 +53,7 @@ def over_the_block(world: ReachCore, seed: int = 0, above: float = 0.09) -> np.n
 def test_the_script_takes_the_block_where_it_is_to_go(
     task: str, open_world: OpenWorld
 ) -> None:
-    policy = ScriptedPolicy(ScriptedConfig())
+    policy = ScriptedPolicy(ScriptConfig(), make_task(task))
     world = open_world(task)
     for seed in range(3):
         episode = run_episode(world, policy, EpisodePlan(seed, seed))
@@ -84,7 +87,7 @@ class _Impatient:
     def describe(self) -> dict[str, Any]:
         return {}
 
-    def begin(self, rng: np.random.Generator) -> None:
+    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
         pass
 
     def act(self, state: np.ndarray) -> np.ndarray:
@@ -105,7 +108,7 @@ def test_closing_on_nothing_is_a_missed_grasp(open_world: OpenWorld) -> None:
     assert step.reward < -9.9 and not step.info["is_success"]
 
 
-def lifted(world: ReachCore) -> Step:
+def lifted(world: EpisodeCore) -> Step:
     over_the_block(world, above=0.0)
     world.step(moved(0, 0, 0, CLOSE))
     return world.step(moved(0, 0, 1, CLOSE))
@@ -151,7 +154,7 @@ def test_a_block_stays_within_reach_of_a_base_that_drives_off(
     world.reset(np.random.default_rng(0))
     for _ in range(14):
         step = world.step(np.array([-1.0, 0.0, 0.0, OPEN, 0.0]))
-    assert step.state[HANDLING.state.index("base_x")] < -0.8
+    assert step.state[HANDLING.state_names.index("base_x")] < -0.8
     assert step.info["reason"] == ""
 
 
@@ -176,8 +179,8 @@ def test_a_block_beside_its_stand_is_held_and_can_be_dropped(
     for way in [(-1, -1, 0)] * 3 + [(0, 0, -1)] * 2:
         step = world.step(moved(*way, CLOSE))
         assert step.info["held"]
-    block = HANDLING.state.index("block_z")
-    top = HANDLING.state.index("stand_z")
+    block = HANDLING.state_names.index("block_z")
+    top = HANDLING.state_names.index("stand_z")
     assert step.state[block] < step.state[top]
     assert world.step(moved(0, 0, 0, OPEN)).info["reason"] == "dropped"
 
@@ -227,18 +230,18 @@ def test_agents_see_and_set_what_is_theirs() -> None:
 
 
 def test_hindsight_does_not_take_a_block_that_lies_for_one_that_is_held() -> None:
-    config = reach_config("Grasp-v0")
+    config = make_task("Grasp-v0")
     hit = np.ones((2, 3))
     costs = dict.fromkeys(("d_mm", "d_mp", "base_jerk_rms"), np.zeros(2))
     costs |= {"failed": np.zeros(2), "held": np.array([0, 1])}
-    rewards, terminated = judge(hit, hit, costs, config)
+    rewards, terminated = config.judge(hit, hit, costs)
     assert rewards.tolist() == [0.0, 10.0] and terminated.tolist() == [False, True]
 
 
 def test_the_environment_judges_as_the_step_did() -> None:
     env: Any = gymnasium.make("marl_mm/Grasp-v0")
     observation, _ = env.reset(seed=0)
-    policy = ScriptedPolicy(ScriptedConfig())
+    policy = ScriptedPolicy(ScriptConfig(), make_task("Grasp-v0"))
     for _ in range(20):
         state = np.concatenate(
             [observation["observation"], observation["desired_goal"]]

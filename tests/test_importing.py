@@ -15,9 +15,10 @@ from marl_mm.datasets.arrays import arrays_of, save_arrays
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.hdf5 import FILE
 from marl_mm.datasets.location import locate
+from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import cache_file, file_digest, write_dataset
+from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import Episode
-from marl_mm.layout import ACTION_HIGH, ACTION_LOW, GOAL, MODE
 
 MakeEpisode = Callable[..., Episode]
 ID = "marl_mm/reach/test-v0"
@@ -29,11 +30,10 @@ def dataset(datasets_home: Path, make_episode: MakeEpisode) -> Path:
     """Episodes that could be real: modes, goals and actions in their ranges."""
     episodes = [make_episode(i, steps=3 + i % 3, success=i != 2) for i in range(6)]
     for episode in episodes:
-        episode.states[:, MODE] = np.abs(np.tanh(episode.states[:, MODE]))
-        assert (episode.states[0, GOAL] == episode.states[-1, GOAL]).all()
-        np.clip(episode.actions, ACTION_LOW, ACTION_HIGH, out=episode.actions)
-    description = {"task": "Reach-v0", "origins": {ID: {}}, "complete": True}
-    write_dataset(locate(ID), arrays_of(episodes, ID), description)
+        assert (episode.states[0, 7:] == episode.states[-1, 7:]).all()
+        np.clip(episode.actions, REACH.low, REACH.high, out=episode.actions)
+    provenance = Provenance(task="Reach-v0", collector="pd")
+    write_dataset(locate(ID), arrays_of(episodes, ID), provenance)
     return datasets_home / ID
 
 
@@ -214,14 +214,14 @@ def test_verify_finds_what_only_it_looks_at(
     whole = load_dataset(ID)
     location, arrays = whole.location, whole.arrays
     assert run("datasets", "verify", ID) == 0
-    description = {"task": "Reach-v0", "origins": {ID: {}}, "complete": True}
+    provenance = Provenance(task="Reach-v0", collector="pd")
     arrays.info["zmp_margin"][5] = np.nan
-    write_dataset(location, arrays, description, overwrite=True)
+    write_dataset(location, arrays, provenance, overwrite=True)
     capsys.readouterr()
     assert run("datasets", "verify", ID) == 1
     assert "1 values of infos/zmp_margin are NaN" in capsys.readouterr().out
     arrays.info["zmp_margin"][5] = 0.0
-    write_dataset(location, arrays, description, overwrite=True)
+    write_dataset(location, arrays, provenance, overwrite=True)
     assert run("datasets", "verify", ID) == 0
     cached = cache_file(location.folder, file_digest(location.data / FILE))
     arrays.starts[2, 3] += 1.0

@@ -11,6 +11,7 @@ import pytest
 
 from marl_mm.datasets.journal import FILE, Journal, begun, noted
 from marl_mm.datasets.location import locate
+from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError
 
@@ -72,7 +73,7 @@ def test_reading_back_is_bit_equal(tmp_path: Path, make_episode: MakeEpisode) ->
             journal.add(make_episode(number))
     with Journal(tmp_path / "x") as journal:
         assert journal.about() == {"seed": 3}
-        found = journal.episodes()
+        found = journal.episodes(REACH)
         assert sorted(found) == [1, 4]
         for number, episode in found.items():
             expected = make_episode(number)
@@ -82,7 +83,7 @@ def test_reading_back_is_bit_equal(tmp_path: Path, make_episode: MakeEpisode) ->
             for key, values in expected.info.items():
                 np.testing.assert_array_equal(episode.info[key], values)
         journal.begin({"seed": 4})
-        assert journal.episodes() == {}
+        assert journal.episodes(REACH) == {}
 
 
 def test_a_killed_writer_loses_nothing_it_finished(tmp_path: Path) -> None:
@@ -90,7 +91,7 @@ def test_a_killed_writer_loses_nothing_it_finished(tmp_path: Path) -> None:
     assert killed.returncode == -signal.SIGKILL
     finished = [int(line) for line in killed.stdout.split()]
     with Journal(tmp_path / "x") as journal:
-        assert sorted(journal.episodes()) == finished == list(range(7))
+        assert sorted(journal.episodes(REACH)) == finished == list(range(7))
 
 
 def test_a_full_disk_is_named_and_costs_nothing_finished(tmp_path: Path) -> None:
@@ -101,8 +102,8 @@ def test_a_full_disk_is_named_and_costs_nothing_finished(tmp_path: Path) -> None
     finished = [int(line) for line in full.stdout.split()]
     assert 3 < len(finished) < 100
     with Journal(tmp_path / "x") as journal:
-        assert sorted(journal.episodes()) == finished
-        journal.add(journal.episodes()[0])
+        assert sorted(journal.episodes(REACH)) == finished
+        journal.add(journal.episodes(REACH)[0])
 
 
 def test_a_damaged_journal_is_named(tmp_path: Path) -> None:

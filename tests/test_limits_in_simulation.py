@@ -13,8 +13,8 @@ from marl_mm.control.config import ControllerConfig, Gains, LimitConfig
 from marl_mm.control.priorities import LEFT_OUT, REACHING_LEVELS, cumulative
 from marl_mm.control.tasks.task import Reference
 from marl_mm.control.wbc import Priorities
-from marl_mm.envs.config import reach_config
 from marl_mm.envs.drive import Drive, Motion, Tick, wheel_slip
+from marl_mm.envs.registry import make_task
 from marl_mm.eval.abuse import abuse
 from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig
 from marl_mm.robot.model import ACTUATED, RobotState, support_margin
@@ -280,7 +280,7 @@ def test_traction_rows_are_what_keeps_the_joints_accelerations() -> None:
     excess = {}
     for traction in (LimitConfig().traction, 1e6):
         limits = {"controller": {"limits": {"traction": traction}}}
-        result = abuse(reach_config("Reach-v0", limits), 12_000, seed=6)
+        result = abuse(make_task("Reach-v0", limits), 12_000, seed=6)
         worst = result["worst_excess"]
         excess[traction] = worst["measured_joint_acceleration_share"]
     assert excess[LimitConfig().traction] < 0.15

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,16 +16,15 @@ from marl_mm.algorithms.replay import normalized_actions
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.train import resume_seeds, train
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
-from marl_mm.envs.config import reach_config
 from marl_mm.envs.parallel import split_state
-from marl_mm.envs.terms import judge
+from marl_mm.envs.registry import make_task
+from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import Episode
 from marl_mm.errors import CheckpointError, DivergedError, UsageError
-from marl_mm.layout import ACTION_HIGH, ACTION_LOW, AGENTS
 
 MakeEpisode = Callable[..., Episode]
-JUDGE = partial(judge, config=reach_config())
-BALANCE = AGENTS[1]
+JUDGE = make_task()
+BALANCE = REACH.agents[1]
 CONFIG = MabcConfig(updates=300, batch_size=32, hidden=(16, 16))
 
 
@@ -54,7 +52,8 @@ def test_updates_are_those_by_hand(arrays: EpisodeArrays, future: float) -> None
     mean, std = states.mean(0), states.std(0, correction=0).clamp_min(0.01)
     names = [f"{layer}.{kind}" for layer in (0, 2, 4) for kind in ("weight", "bias")]
     members = {
-        agent.name: algorithm.actors.networks[agent.name].member for agent in AGENTS
+        agent.name: algorithm.actors.networks[agent.name].member
+        for agent in REACH.agents
     }
     weights = {
         name: [member(0)[part].requires_grad_() for part in names]
@@ -66,7 +65,7 @@ def test_updates_are_those_by_hand(arrays: EpisodeArrays, future: float) -> None
     }
     for _ in range(4):
         batch, losses = batches.next(), algorithm.update()
-        for agent in AGENTS:
+        for agent in REACH.agents:
             w1, b1, w2, b2, w3, b3 = weights[agent.name]
             own = ((batch.observation[0] - mean) / std)[:, agent.observation]
             hidden = torch.relu(torch.relu(own @ w1.T + b1) @ w2.T + b2)
@@ -98,7 +97,7 @@ def test_actors_learn_what_can_be_learnt(arrays: EpisodeArrays) -> None:
 def test_actors_are_decentralised(arrays: EpisodeArrays) -> None:
     """What an agent does not observe cannot change what it does."""
     algorithm = Mabc(CONFIG, arrays, JUDGE, [0])
-    policy = LearnedPolicy("mabc", algorithm.agents(0))
+    policy = LearnedPolicy("mabc", algorithm.agents(0), REACH)
     state = np.random.default_rng(0).normal(size=10)
     action = policy.act(state)
     other_goal, other_mode = state.copy(), state.copy()
@@ -113,14 +112,14 @@ def test_actors_are_decentralised(arrays: EpisodeArrays) -> None:
 def test_every_way_to_ask_a_policy_gives_one_answer(
     arrays: EpisodeArrays,
 ) -> None:
-    policy = LearnedPolicy("mabc", Mabc(CONFIG, arrays, JUDGE, [0]).agents(0))
+    policy = LearnedPolicy("mabc", Mabc(CONFIG, arrays, JUDGE, [0]).agents(0), REACH)
     state = np.random.default_rng(1).normal(size=10)
     joint = policy.act(state)
     goal = {"observation": state[:7], "achieved_goal": state[:3]}
     np.testing.assert_array_equal(
         policy.act({**goal, "desired_goal": state[7:]}), joint
     )
-    agents = policy.act_agents(split_state(state))
+    agents = policy.act_agents(split_state(state, REACH))
     np.testing.assert_array_equal(np.concatenate(list(agents.values())), joint)
     assert (joint >= [-1, -1, -1, 0]).all() and (joint <= 1).all()
     with pytest.raises(UsageError, match=r"shape \(9,\)"):
@@ -134,7 +133,7 @@ def test_a_loaded_policy_acts_equally_without_the_dataset(
     for _ in range(5):
         algorithm.update()
     save_seed(tmp_path / FILE, algorithm, 0)
-    policy = LearnedPolicy("mabc", algorithm.agents(0))
+    policy = LearnedPolicy("mabc", algorithm.agents(0), REACH)
     for loaded in (load_policy(tmp_path), load_policy(tmp_path / FILE)):
         for state in np.random.default_rng(2).normal(size=(20, 10)):
             np.testing.assert_array_equal(loaded.act(state), policy.act(state))
@@ -298,9 +297,9 @@ def test_normalizer_by_hand_and_its_floor() -> None:
 
 
 def test_actors_undo_what_batches_do_to_actions() -> None:
-    low, high = torch.tensor(ACTION_LOW), torch.tensor(ACTION_HIGH)
+    low, high = torch.tensor(REACH.low), torch.tensor(REACH.high)
     actions = low + torch.rand(8, len(low)) * (high - low)
-    scaled = torch.from_numpy(normalized_actions(actions.numpy()))
+    scaled = torch.from_numpy(normalized_actions(actions.numpy(), REACH))
     assert scaled.abs().max() <= 1
     back = ActionScale(low, high).denormalize(scaled)
     torch.testing.assert_close(back, actions)

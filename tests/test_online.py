@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,14 +18,14 @@ from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.maddpg import Maddpg, MaddpgConfig
 from marl_mm.algorithms.online import Schedule, is_flat, train_online
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
-from marl_mm.algorithms.presets import preset
 from marl_mm.algorithms.pretrained import load_pretrained, ship
+from marl_mm.algorithms.registry import preset
 from marl_mm.algorithms.runlog import RunLog, read_metrics
 from marl_mm.algorithms.train import resume
 from marl_mm.cli import main
-from marl_mm.envs.config import reach_config
 from marl_mm.envs.parallel import split_action
-from marl_mm.envs.terms import judge
+from marl_mm.envs.registry import make_task
+from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import Episode
 from marl_mm.errors import CheckpointError, DivergedError, UsageError
 from marl_mm.eval.alpha_study import ALPHAS, LEARNT, FixedAlpha, summarize_worth
@@ -41,11 +40,10 @@ from marl_mm.eval.online import (
 )
 from marl_mm.eval.online_tables import online_table
 from marl_mm.files import only_here
-from marl_mm.layout import MODE
 
 MakeEpisode = Callable[..., Episode]
 RunEpisodes = Callable[[Explorer, Iterable[int]], Iterator[Episode]]
-JUDGE = partial(judge, config=reach_config())
+JUDGE = make_task()
 SCHEDULE = Schedule(epoch=5, evaluate_every=1, patience=0)
 CONFIG = DdpgConfig(
     episodes=30,
@@ -64,7 +62,7 @@ def run_episodes(make_episode: MakeEpisode) -> RunEpisodes:
     def run(policy: Explorer, numbers: Iterable[int]) -> Iterator[Episode]:
         for number in numbers:
             episode = make_episode(number, steps=4)
-            policy.begin(np.random.default_rng(number))
+            policy.begin(np.random.default_rng(number), REACH)
             actions = np.stack([policy.act(state) for state in episode.states[:-1]])
             yield replace(episode, actions=actions)
 
@@ -129,7 +127,7 @@ def test_a_crash_between_log_and_checkpoint_leaves_no_double_rows(
     run_episodes: RunEpisodes, tmp_path: Path
 ) -> None:
     train_online(
-        Ddpg(replace(CONFIG, episodes=10), JUDGE, 0),
+        Ddpg(replace(CONFIG, episodes=10), JUDGE, 0, (), REACH),
         tmp_path,
         run_episodes,
         weighed,
@@ -139,7 +137,7 @@ def test_a_crash_between_log_and_checkpoint_leaves_no_double_rows(
         log.add({"episode": 15, "success/all": 1.0, "return/all": 0.0})
     with (tmp_path / "metrics.jsonl").open("a") as file:
         file.write('{"episode": 20, "succ')  # cut off
-    again = Ddpg(replace(CONFIG, episodes=20), JUDGE, 0)
+    again = Ddpg(replace(CONFIG, episodes=20), JUDGE, 0, (), REACH)
     resume(again, tmp_path, ("episodes",))
     train_online(again, tmp_path, run_episodes, weighed, SCHEDULE)
     assert [row["episode"] for row in read_metrics(tmp_path)] == [5, 10, 15, 20]
@@ -148,7 +146,7 @@ def test_a_crash_between_log_and_checkpoint_leaves_no_double_rows(
 def test_damaged_or_cut_metrics_are_named(
     run_episodes: RunEpisodes, tmp_path: Path
 ) -> None:
-    algorithm = Ddpg(replace(CONFIG, episodes=10), JUDGE, 0)
+    algorithm = Ddpg(replace(CONFIG, episodes=10), JUDGE, 0, (), REACH)
     train_online(algorithm, tmp_path, run_episodes, weighed, SCHEDULE)
     path = tmp_path / "metrics.jsonl"
     whole = path.read_text()
@@ -169,7 +167,9 @@ def test_the_best_policy_is_kept(run_episodes: RunEpisodes, tmp_path: Path) -> N
         seen.append(policy.act(np.ones(10)))
         return {"success/all": next(rates), "return/all": 0.0}
 
-    train_online(Ddpg(CONFIG, JUDGE, 0), tmp_path, run_episodes, rated, SCHEDULE)
+    train_online(
+        Ddpg(CONFIG, JUDGE, 0, (), REACH), tmp_path, run_episodes, rated, SCHEDULE
+    )
     np.testing.assert_array_equal(
         load_policy(tmp_path / BEST).act(np.ones(10)), seen[1]
     )
@@ -179,7 +179,9 @@ def test_the_best_policy_is_kept(run_episodes: RunEpisodes, tmp_path: Path) -> N
 def test_metrics_name_what_a_user_looks_for(
     run_episodes: RunEpisodes, tmp_path: Path
 ) -> None:
-    train_online(Ddpg(CONFIG, JUDGE, 0), tmp_path, run_episodes, weighed, SCHEDULE)
+    train_online(
+        Ddpg(CONFIG, JUDGE, 0, (), REACH), tmp_path, run_episodes, weighed, SCHEDULE
+    )
     first, *_, last = read_metrics(tmp_path)
     assert first["updates"] == 0 and "loss/critic" not in first  # warming up
     assert {
@@ -199,7 +201,9 @@ def test_metrics_name_what_a_user_looks_for(
 def test_tensorboard_shows_what_the_metrics_say(
     run_episodes: RunEpisodes, tmp_path: Path
 ) -> None:
-    train_online(Ddpg(CONFIG, JUDGE, 0), tmp_path, run_episodes, weighed, SCHEDULE)
+    train_online(
+        Ddpg(CONFIG, JUDGE, 0, (), REACH), tmp_path, run_episodes, weighed, SCHEDULE
+    )
     events = EventAccumulator(str(tmp_path))
     events.Reload()
     shown = [(event.step, event.value) for event in events.Scalars("success/all")]
@@ -225,7 +229,7 @@ def test_flat_is_no_better_success_rate_for_long_once_something_was_learnt() -> 
 
 
 def test_a_flat_run_ends_early(run_episodes: RunEpisodes, tmp_path: Path) -> None:
-    algorithm = Ddpg(CONFIG, JUDGE, 0)
+    algorithm = Ddpg(CONFIG, JUDGE, 0, (), REACH)
     flat = replace(SCHEDULE, patience=10)
     train_online(
         algorithm,
@@ -247,7 +251,7 @@ def test_a_diverging_run_ends_with_its_last_checkpoint(
             bad = episode.index == 22
             yield replace(episode, rewards=episode.rewards * (np.nan if bad else 1))
 
-    algorithm = Ddpg(replace(CONFIG, hindsight=0, batch_size=256), JUDGE, 0)
+    algorithm = Ddpg(replace(CONFIG, hindsight=0, batch_size=256), JUDGE, 0, (), REACH)
     with pytest.raises(DivergedError, match=r"loss/critic is nan .* episode 20"):
         train_online(algorithm, tmp_path, poisoned, weighed, SCHEDULE)
     assert np.isfinite(load_policy(tmp_path).act(np.ones(10))).all()
@@ -364,17 +368,17 @@ def test_the_worth_of_alpha_by_hand() -> None:
 
 def test_a_held_alpha_changes_nothing_else() -> None:
     """Nor does the agent see that it is held: its hand would move differently."""
-    policy = LearnedPolicy("ddpg", Ddpg(CONFIG, JUDGE, 0).agents)
+    policy = LearnedPolicy("ddpg", Ddpg(CONFIG, JUDGE, 0, (), REACH).agents, REACH)
     states = np.random.default_rng(0).normal(size=(2, 10))
     held = FixedAlpha(policy, 0.25)
     for _ in range(2):  # the second episode knows nothing of the first
-        held.begin(np.random.default_rng(0))
+        held.begin(np.random.default_rng(0), REACH)
         action = held.act(states[0])
         free = policy.act(states[0])
         assert action[3] == 0.25
         np.testing.assert_array_equal(action[:3], free[:3])
         unheld = states[1].copy()
-        unheld[MODE] = free[3]
+        unheld[6] = free[3]
         np.testing.assert_array_equal(held.act(states[1])[:3], policy.act(unheld)[:3])
 
 
@@ -453,7 +457,7 @@ def test_demonstrations_take_their_share_of_every_batch(
     theirs = {float(np.float32(x)) for e in others for x in e.states[:, 0]}
     for share in (0.0, 0.25, 1.0):
         config = replace(CONFIG, demonstration_share=share, batch_size=64)
-        algorithm = Ddpg(config, JUDGE, 0, others)
+        algorithm = Ddpg(config, JUDGE, 0, others, REACH)
         for episode in own:
             algorithm.observe(episode)
         for batch in algorithm._batches(3):
@@ -551,7 +555,7 @@ def test_the_pretrained_agent_is_small_whole_and_acts() -> None:
     assert action.shape == (4,) and np.isfinite(action).all()
     for name in ("pretrained", FOLDER):
         np.testing.assert_array_equal(load_policy(name).act(np.zeros(10)), action)
-    split = split_action(action)
+    split = split_action(action, REACH)
     np.testing.assert_array_equal(split["end_effector"], action[:3])
     np.testing.assert_array_equal(split["balance"], action[3:])
 
@@ -561,7 +565,7 @@ def test_a_shipped_run_acts_as_its_best_policy(
 ) -> None:
     run = tmp_path / "run"
     run.mkdir()
-    algorithm = Ddpg(CONFIG, JUDGE, 0)
+    algorithm = Ddpg(CONFIG, JUDGE, 0, (), REACH)
     (run / "config.json").write_text(json.dumps({"hidden": list(CONFIG.hidden)}))
     (run / "eval_best.json").write_text("{}")
     train_online(algorithm, run, run_episodes, weighed, SCHEDULE)

@@ -10,10 +10,10 @@ from marl_mm.control.qp import SolveQp, daqp, proxqp
 
 EPISODE = """
 import hashlib, numpy as np
-from marl_mm.envs.config import reach_config
-from marl_mm.envs.core import ReachCore
+from marl_mm.envs.registry import make_task
+from marl_mm.envs.core import EpisodeCore
 overrides = {"controller": {"solver": "proxqp"}, "ticks_per_step": 120}
-core = ReachCore(reach_config("Reach-v0", overrides))
+core = EpisodeCore(make_task("Reach-v0", overrides))
 for _ in range(2):
     core.reset(np.random.default_rng(0), np.array([-0.6, 0.1, 0.6]))
     for _ in range(4):

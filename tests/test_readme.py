@@ -10,12 +10,12 @@ import pytest
 from marl_mm.cli import main
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.location import locate
+from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.episode import Episode
 from marl_mm.eval.ablations import BLOCKS
 from marl_mm.eval.readme import TABLES, filled
 from marl_mm.eval.rows import read_rows, write_csv
-from marl_mm.layout import MODE
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
@@ -102,14 +102,11 @@ def test_commands_about_datasets_run_as_written(
         first = 20 * number
         episodes = [make_episode(i, steps=10) for i in range(first, first + 10)]
         for episode in episodes:
-            episode.states[:, MODE] = 0.5
-        description = {
-            "task": "Reach-v0",
-            "overrides": {"max_steps": 25},
-            "origins": {location.id: {}},
-            "complete": True,
-        }
-        write_dataset(location, arrays_of(episodes, location.id), description)
+            episode.states[:, 6] = 0.5
+        provenance = Provenance(
+            task="Reach-v0", overrides={"max_steps": 25}, collector=name
+        )
+        write_dataset(location, arrays_of(episodes, location.id), provenance)
     lines = [line for block in blocks("sh") for line in block.splitlines()]
     assert len(lines) == 9
     for line in lines[3:]:  # the first three collect what stands there already

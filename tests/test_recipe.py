@@ -4,6 +4,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from marl_mm.datasets.arrays import EpisodeArrays, arrays_of, joined
 from marl_mm.datasets.card import card, card_text
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import locate
+from marl_mm.datasets.provenance import Origin, Provenance
 from marl_mm.datasets.recipe import (
     Condition,
     Part,
@@ -28,9 +30,11 @@ from marl_mm.errors import UsageError
 MakeEpisode = Callable[..., Episode]
 
 
-def about(name: str, **changes: object) -> dict[str, object]:
+def about(name: str, **changes: Any) -> Provenance:
+    """Of a collection; changes replace fields, or those of its origin."""
+    origins = changes.pop("origins", {name: Origin(task="Reach-v0", seed=0)})
     ours = {"task": "Reach-v0", "overrides": {"max_steps": 25}, "seed": 0}
-    return {**ours, "origins": {name: {"seed": 0}}, "complete": True, **changes}
+    return Provenance(collector="pd", origins=origins, **{**ours, **changes})
 
 
 @pytest.fixture
@@ -100,7 +104,7 @@ def test_provenance_survives_two_generations(make: Callable[..., Dataset]) -> No
     write_mix(locate("marl_mm/reach/a-v0"), mix([Part(make("one"), 20)], seed=0))
     first, _ = split(load_dataset("a"), 0.5, seed=0)
     assert set(first.arrays.origins) == {"marl_mm/reach/one-v0"}
-    assert set(first.description["origins"]) == {"marl_mm/reach/one-v0"}
+    assert set(first.provenance.origins) == {"marl_mm/reach/one-v0"}
 
 
 def test_a_split_divides_without_loss(make: Callable[..., Dataset]) -> None:

@@ -1,23 +1,22 @@
 """Replay and hindsight: relabelled transitions against a brute-force recomputation."""
 
 from collections.abc import Callable, Mapping
-from functools import partial
 
 import numpy as np
 import pytest
 import torch
 
 from marl_mm.algorithms.demonstrations import Demonstrations
-from marl_mm.algorithms.replay import COSTS, Batch, Replay
-from marl_mm.envs.config import TASKS, reach_config
-from marl_mm.envs.reach import ReachEnv
-from marl_mm.envs.terms import judge
+from marl_mm.algorithms.replay import Batch, Replay
+from marl_mm.envs.goal_env import GoalEnv
+from marl_mm.envs.registry import TASKS, make_task
+from marl_mm.envs.tasks.carry import Carry
+from marl_mm.envs.tasks.reach import Reach
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
-from marl_mm.layout import EE
 
 MakeEpisode = Callable[..., Episode]
-JUDGE = partial(judge, config=reach_config("SmoothReach-v0"))
+JUDGE = make_task("SmoothReach-v0")
 
 
 def near(episode: Episode, scale: float = 0.05) -> Episode:
@@ -32,7 +31,7 @@ def some(make_episode: MakeEpisode) -> list[Episode]:
 
 
 def filled(episodes: list[Episode], hindsight: int, capacity: int = 1000) -> Replay:
-    replay = Replay(capacity, hindsight, JUDGE)
+    replay = Replay(capacity, hindsight, JUDGE, JUDGE.layout)
     for episode in episodes:
         replay.add(episode)
     return replay
@@ -49,21 +48,21 @@ def origin(batch: Batch, row: int, episodes: list[Episode]) -> tuple[Episode, in
     raise AssertionError("a transition of no episode")
 
 
-@pytest.mark.parametrize("task", [task for task, one in TASKS.items() if one.load])
+@pytest.mark.parametrize("task", [t for t, one in TASKS.items() if one.fails])
 def test_what_failed_has_failed_whatever_the_goal(
     make_episode: MakeEpisode, task: str
 ) -> None:
     """Also where the goal is where the block was when it was dropped."""
-    config = reach_config(task)
+    config = make_task(task)
     episode = near(make_episode(0, 6, layout=config.layout))
     episode.terminated[:] = np.arange(6) == 5
     episode.info["is_success"][:] = 0
-    replay = Replay(100, 4, partial(judge, config=config), config.layout)
+    replay = Replay(100, 4, config, config.layout)
     replay.add(episode)
     batch = replay.sample(400, np.random.default_rng(0))
     ends = [origin(batch, row, [episode])[1] == 5 for row in range(400)]
-    assert config.load is not None and 20 < sum(ends) < 120
-    costs = {name: episode.info[name][5] for name in COSTS}
+    assert isinstance(config, Carry) and 20 < sum(ends) < 120
+    costs = {name: episode.info[name][5] for name in config.needs if name != "held"}
     failed = config.load.failure_reward - (
         config.ee_error_weight * costs["d_mm"]
         + config.base_error_weight * costs["d_mp"]
@@ -76,17 +75,16 @@ def test_what_failed_has_failed_whatever_the_goal(
 
 
 @pytest.mark.parametrize("capacity", [1000, 23])
-@pytest.mark.parametrize("task", list(TASKS))
+@pytest.mark.parametrize("task", TASKS.names())
 def test_relabelled_transitions_equal_a_brute_force_recomputation(
     make_episode: MakeEpisode, task: str, capacity: int
 ) -> None:
     """Every goal is the original or where the same episode came to later; reward and
     termination are what the environment says of the step with that goal."""
-    config = reach_config(task)
-    layout, env = config.layout, ReachEnv(task)
+    config = make_task(task)
+    layout, env = config.layout, GoalEnv(task)
     some = [near(make_episode(i, 3 + i % 5, layout=layout)) for i in range(12)]
-    rewards = partial(judge, config=config)
-    replay = Replay(capacity, 4, rewards, layout)  # 23: a full ring
+    replay = Replay(capacity, 4, config, layout)  # 23: a full ring
     for episode in some:
         replay.add(episode)
     batch = replay.sample(2000, np.random.default_rng(0))
@@ -108,10 +106,10 @@ def test_relabelled_transitions_equal_a_brute_force_recomputation(
         relabelled += 1
         exact = episode.states[step + 1 + source[0], layout.achieved]
         hand = episode.states[step + 1, layout.achieved]
-        info = {name: episode.info[name][step] for name in COSTS}
+        info = {name: episode.info[name][step] for name in Reach.needs}
         info["held"] = True
-        if layout.held is not None:
-            info["held"] = episode.states[step + 1, layout.held]
+        if "held" in layout.state_names:
+            info["held"] = episode.states[step + 1, layout.columns("held")].item()
         info["reason"] = "dropped" if episode.failed[step] else ""
         reward = env.compute_reward(hand, exact, info)
         ends = env.compute_terminated(hand, exact, info)
@@ -169,7 +167,7 @@ def test_a_restored_replay_gives_the_same_batches(make_episode: MakeEpisode) -> 
     """After the ring has gone round, and for episodes that come later."""
     episodes = [make_episode(i, steps=5) for i in range(12)]
     replay = filled(episodes[:9], hindsight=4, capacity=23)
-    other = Replay(23, 4, JUDGE)
+    other = Replay(23, 4, JUDGE, JUDGE.layout)
     other.load_state(replay.state())
     for episode in episodes[9:]:
         replay.add(episode)
@@ -180,11 +178,15 @@ def test_a_restored_replay_gives_the_same_batches(make_episode: MakeEpisode) -> 
 
 def test_judge_is_the_environments_own(some: list[Episode]) -> None:
     """Bit-equal to what ``compute_reward`` and ``compute_terminated`` say."""
-    env = ReachEnv("SmoothReach-v0")
+    env = GoalEnv("SmoothReach-v0")
     for episode in some:
-        hands, goals = episode.states[1:, EE], episode.states[:-1, EE]
-        costs: Mapping[str, np.ndarray] = {name: episode.info[name] for name in COSTS}
-        reward, ends = JUDGE(hands, goals, costs)
+        hands, goals = episode.states[1:, slice(0, 3)], episode.states[:-1, slice(0, 3)]
+        costs: Mapping[str, np.ndarray] = {
+            name: episode.info[name] for name in JUDGE.needs
+        }
+        reward, ends = JUDGE.judge(
+            hands, goals, {**costs, "failed": np.zeros(len(hands))}
+        )
         np.testing.assert_array_equal(reward, env.compute_reward(hands, goals, costs))
         np.testing.assert_array_equal(ends, env.compute_terminated(hands, goals, costs))
     env.close()

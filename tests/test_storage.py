@@ -18,7 +18,9 @@ from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import find, known_ids, locate
+from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
+from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import Episode
 from marl_mm.errors import (
     DatasetError,
@@ -27,10 +29,9 @@ from marl_mm.errors import (
     UsageError,
 )
 from marl_mm.files import new_file, new_folder
-from marl_mm.layout import ACTION, AGENTS, STATE
 
 ID = "marl_mm/reach/test-v0"
-DESCRIPTION = {"task": "Reach-v0", "collector": "pd", "seed": 0, "complete": True}
+PROVENANCE = Provenance(task="Reach-v0", collector="pd", seed=0)
 
 
 @pytest.fixture
@@ -40,7 +41,7 @@ def written(datasets_home: Path, episodes: list[Episode]) -> Path:
 
 
 def write(name: str, episodes: list[Episode], overwrite: bool = False) -> None:
-    write_dataset(locate(name), arrays_of(episodes, ID), DESCRIPTION, overwrite)
+    write_dataset(locate(name), arrays_of(episodes, ID), PROVENANCE, overwrite)
 
 
 def test_reading_back_is_bit_equal(written: Path, episodes: list[Episode]) -> None:
@@ -87,10 +88,12 @@ def test_scores_normalise_between_random_and_the_best(written: Path) -> None:
 
 def test_metadata_says_where_each_agents_entries_are(written: Path) -> None:
     metadata = json.loads((written / "data" / "metadata.json").read_text())["marl_mm"]
-    assert metadata["state"] == list(STATE)
-    assert metadata["action"] == list(ACTION)
-    assert [agent["name"] for agent in metadata["agents"]] == [a.name for a in AGENTS]
-    assert metadata["agents"][1]["observation"] == list(AGENTS[1].observation)
+    assert metadata["state"] == list(REACH.state_names)
+    assert metadata["action"] == list(REACH.action_names)
+    assert [agent["name"] for agent in metadata["agents"]] == [
+        a.name for a in REACH.agents
+    ]
+    assert metadata["agents"][1]["observation"] == list(REACH.agents[1].observation)
     assert "pybullet" in metadata["packages"]
 
 

@@ -5,7 +5,6 @@ import shutil
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,21 +21,20 @@ from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
 from marl_mm.algorithms.networks import perceptron
 from marl_mm.algorithms.offline_batches import OfflineBatch
 from marl_mm.algorithms.policy import LearnedPolicy
-from marl_mm.algorithms.presets import offline_preset
+from marl_mm.algorithms.registry import preset
 from marl_mm.algorithms.replay import normalized_actions
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.speed import Precision, matrix_products, resolved
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
 from marl_mm.algorithms.train import resume_seeds, train
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
-from marl_mm.envs.config import reach_config
-from marl_mm.envs.terms import judge
+from marl_mm.envs.registry import make_task
+from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import Episode
 from marl_mm.errors import CheckpointError, DatasetError, UsageError
-from marl_mm.layout import ACTION_HIGH, ACTION_LOW, AGENTS, JOINT
 
 MakeEpisode = Callable[..., Episode]
-JUDGE = partial(judge, config=reach_config("Reach-v0"))
+JUDGE = make_task("Reach-v0")
 SMALL: dict[str, Any] = {"hidden": (16, 16), "batch_size": 32}
 PLAIN = {"future": 0.0, "elsewhere": 0.0, "layer_norm": False, "clip_targets": False}
 KINDS = (
@@ -56,7 +54,7 @@ class Reference:
 
     def __init__(self, algorithm: Td3Bc, actions: np.ndarray) -> None:
         self.config = config = algorithm.config
-        spread = np.maximum(normalized_actions(actions).std(axis=0), 0.1)
+        spread = np.maximum(normalized_actions(actions, REACH).std(axis=0), 0.1)
         self.spread = torch.from_numpy(spread) if config.imitation_scaled else 1.0
         self.layouts = algorithm.layouts
         self.mean = algorithm.normalizer.mean
@@ -268,7 +266,7 @@ def test_an_agents_gradient_does_not_reach_what_it_cannot_see(
         algorithm.update()
     state = torch.randn(1, 5, 10, requires_grad=True)
     action = algorithm.actors.joint(state)
-    for agent in AGENTS:
+    for agent in REACH.agents:
         (slope,) = torch.autograd.grad(
             action[..., list(agent.action)].sum(), state, retain_graph=True
         )
@@ -309,7 +307,8 @@ def test_goals_are_exchanged_as_by_hand(arrays: EpisodeArrays) -> None:
         if kind == "own":
             expected = arrays.rewards[step], arrays.terminated[step]
         else:
-            expected = JUDGE(hand, exact, costs)
+            failed = arrays.failed()[step]
+            expected = JUDGE.judge(hand, exact, {**costs, "failed": failed})
         np.testing.assert_allclose(batch.reward[0, i], expected[0][0], atol=1e-5)
         assert batch.terminated[0, i] == expected[1][0]
     assert abs(kinds["elsewhere"] - 150) < 50 and abs(kinds["future"] - 200) < 60
@@ -334,7 +333,7 @@ def test_unknown_costs_forbid_other_goals(arrays: EpisodeArrays) -> None:
 def test_episodes_that_failed_are_marked(arrays: EpisodeArrays) -> None:
     batch = Td3Bc(Td3BcConfig(**SMALL), arrays, JUDGE, [0])._batches.next()
     owners = arrays.step_episode()
-    taken = normalized_actions(arrays.actions)
+    taken = normalized_actions(arrays.actions, REACH)
     for action, successful in zip(batch.action[0], batch.successful[0], strict=True):
         (row,) = np.flatnonzero((taken == action.numpy()).all(axis=1))
         assert successful.item() == (owners[row] % 3 > 0)
@@ -343,7 +342,7 @@ def test_episodes_that_failed_are_marked(arrays: EpisodeArrays) -> None:
 def test_what_hardly_varies_is_imitated_most(arrays: EpisodeArrays) -> None:
     """A hundred times as much as what varies over its whole range, and no more."""
     actions = arrays.actions.copy()
-    actions[:, 0] = np.where(np.arange(len(actions)) % 2, ACTION_HIGH[0], ACTION_LOW[0])
+    actions[:, 0] = np.where(np.arange(len(actions)) % 2, REACH.high[0], REACH.low[0])
     actions[:, 3] = 0.7
     known = replace(arrays, actions=actions)
     weights = Td3Bc(Td3BcConfig(**SMALL), known, JUDGE, [0])._weights
@@ -356,7 +355,7 @@ def test_the_slope_that_is_logged_by_hand(arrays: EpisodeArrays) -> None:
     algorithm = Td3Bc(Td3BcConfig(**SMALL), arrays, JUDGE, [0])
     rows = np.flatnonzero(~arrays.is_last_state())
     state = torch.tensor(arrays.states[rows], dtype=torch.float32)
-    low, high = torch.tensor(ACTION_LOW), torch.tensor(ACTION_HIGH)
+    low, high = torch.tensor(REACH.low), torch.tensor(REACH.high)
     action = 2 * (torch.tensor(arrays.actions) - low) / (high - low) - 1
     there, back = action.clone(), action.clone()
     there[:, 0] = torch.sign(state[:, 7] - state[:, 0])
@@ -381,8 +380,8 @@ def test_shares_beyond_one_are_refused() -> None:
 
 def test_the_joint_actor_sees_everything(arrays: EpisodeArrays) -> None:
     config = Matd3BcConfig(**SMALL)
-    assert Td3Bc(config, arrays, JUDGE, [0]).layouts == (JOINT,)
-    assert Matd3Bc(config, arrays, JUDGE, [0]).layouts == AGENTS
+    assert Td3Bc(config, arrays, JUDGE, [0]).layouts == (REACH.joint,)
+    assert Matd3Bc(config, arrays, JUDGE, [0]).layouts == REACH.agents
 
 
 @pytest.mark.parametrize(("kind", "config"), KINDS)
@@ -480,7 +479,7 @@ def test_auto_is_medium_only_where_that_is_exact(
 
 def test_the_papers_preset_is_the_papers() -> None:
     """Table 3; Fujimoto & Gu 2021 and Fujimoto 2018 where it is silent."""
-    config = offline_preset("td3-bc", "paper")
+    config = preset("td3-bc", "paper")
     assert isinstance(config, Td3BcConfig)
     assert (config.updates, config.batch_size, config.discount) == (100_000, 256, 0.95)
     assert config.actor_learning_rate == config.critic_learning_rate == 5e-4
@@ -488,10 +487,10 @@ def test_the_papers_preset_is_the_papers() -> None:
     assert (config.q_weight, config.q_weight_end, config.policy_delay) == (2.5, None, 2)
     assert not (config.clip_targets or config.layer_norm)
     assert config.future == config.elsewhere == 0.0 and config.imitate == "all"
-    multi = offline_preset("matd3-bc", "paper")
+    multi = preset("matd3-bc", "paper")
     assert isinstance(multi, Matd3BcConfig)
     assert (multi.critics, multi.others) == ("own", "data")
-    cloning = offline_preset("mabc", "paper")
+    cloning = preset("mabc", "paper")
     assert isinstance(cloning, MabcConfig)
     assert (cloning.updates, cloning.learning_rate) == (100_000, 5e-4)
     assert cloning.future == 0.0

@@ -19,6 +19,7 @@ from marl_mm.algorithms.policy import load_policy
 from marl_mm.cli import main
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.location import locate
+from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.episode import Episode
 
@@ -169,8 +170,8 @@ def test_a_dataset_without_successes_is_refused(
 ) -> None:
     failures = [make_episode(i, steps=9, success=False) for i in range(3)]
     location = locate(str(tmp_path / "failures"))
-    description = {"task": "Reach-v0", "complete": True}
-    write_dataset(location, arrays_of(failures, "x"), description)
+    provenance = Provenance(task="Reach-v0", collector="pd")
+    write_dataset(location, arrays_of(failures, "x"), provenance)
     words = [*SMALL, "--out", str(tmp_path / "run"), "--dataset", str(location.folder)]
     assert main(["train", *words]) == 1
     said = capsys.readouterr().err
@@ -186,9 +187,9 @@ def test_a_run_of_a_dataset_without_successes_goes_on(
     """Without being told again; on another dataset it does not."""
     for name, count in (("failures", 3), ("others", 4)):
         failures = [make_episode(i, steps=9, success=False) for i in range(count)]
-        description = {"task": "Reach-v0", "complete": True}
+        provenance = Provenance(task="Reach-v0", collector="pd")
         location = locate(str(tmp_path / name))
-        write_dataset(location, arrays_of(failures, "x"), description)
+        write_dataset(location, arrays_of(failures, "x"), provenance)
     out = ["--out", str(tmp_path / "runs")]
     short = [word if word != "300" else "100" for word in SMALL]
     own = ["--dataset", str(tmp_path / "failures"), "--no-require-success"]

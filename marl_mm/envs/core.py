@@ -145,6 +145,12 @@ class EpisodeCore:
         info["is_success"] = success
         if task.fails:
             info["reason"] = reason
+        if missing := task.info.keys() - info.keys():
+            raise LayoutError(
+                f"{type(task).__name__}.measure tells no {', '.join(sorted(missing))}, "
+                "which own_info has"
+            )
+        info = {name: info[name] for name in task.info} | info
         reward = float(task.reward(*achieved, terms))
         ended = success or bool(reason)
         truncated = attempt.steps >= task.max_steps and not ended

@@ -20,11 +20,12 @@ torch 2.13, one thread each)::
 import json
 import sys
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from marl_mm.layout import Layout
 
 UPDATES = 10_000
 WEIGHTS = (2.5, 0.5)
@@ -49,7 +50,7 @@ def data(dataset: str, folder: Path) -> None:
     np.savez(
         folder / "data.npz",
         observations=((joint.observation - mean) / std).astype(np.float32),
-        actions=normalized_actions(joint.action),
+        actions=normalized_actions(joint.action, found.arrays.layout),
         rewards=joint.reward.astype(np.float32),
         terminals=joint.terminated,
         timeouts=joint.truncated,
@@ -114,20 +115,18 @@ class TheirPolicy:
     def describe(self) -> dict[str, Any]:
         return {}
 
-    def begin(self, rng: np.random.Generator) -> None:
-        pass
+    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
+        self._layout = layout
 
     def act(self, state: np.ndarray) -> np.ndarray:
         import torch
-
-        from marl_mm.layout import ACTION_HIGH, ACTION_LOW
 
         if self._policy is None:
             self._policy = torch.jit.load(self._path)  # type: ignore[no-untyped-call]
         inputs = ((state - self._mean) / self._std).astype(np.float32)[None]
         with torch.no_grad():
             action = self._policy(torch.from_numpy(inputs))[0].numpy()
-        low, high = np.array(ACTION_LOW), np.array(ACTION_HIGH)
+        low, high = np.array(self._layout.low), np.array(self._layout.high)
         scaled = low + (action.clip(-1, 1) + 1) / 2 * (high - low)
         return np.asarray(scaled, np.float32)
 
@@ -140,8 +139,7 @@ def ours(folder: Path) -> None:
     from marl_mm.algorithms.speed import matrix_products
     from marl_mm.algorithms.td3_bc import Td3Bc
     from marl_mm.datasets import load_dataset
-    from marl_mm.envs.config import reach_config
-    from marl_mm.envs.terms import judge
+    from marl_mm.envs.registry import make_task
     from marl_mm.eval.bench_offline import plain_config
     from marl_mm.eval.evaluate import evaluate
     from marl_mm.eval.intervals import success_interval
@@ -150,19 +148,18 @@ def ours(folder: Path) -> None:
     torch.set_num_threads(1)
     dataset = json.loads((folder / "config.json").read_text())["dataset"]
     arrays = load_dataset(dataset).arrays
-    rewards = partial(judge, config=reach_config())
     known = np.load(folder / "data.npz")
     for c in WEIGHTS:
         config = replace(plain_config(), q_weight=c, updates=UPDATES)
         rates: dict[str, list[float]] = {"ours": [], "d3rlpy": []}
         for seed in SEEDS:
-            algorithm = Td3Bc(config, arrays, rewards, [seed])
+            algorithm = Td3Bc(config, arrays, make_task(), [seed])
             with matrix_products("auto"):  # as by default
                 while algorithm.step < UPDATES:
                     algorithm.update()
             path = folder / f"theirs-{c}-{seed}.pt"
             policies: dict[str, Policy] = {
-                "ours": LearnedPolicy("ours", algorithm.agents(0)),
+                "ours": LearnedPolicy("ours", algorithm.agents(0), algorithm.layout),
                 "d3rlpy": TheirPolicy(path, known["mean"], known["std"]),
             }
             for name, policy in policies.items():
