@@ -19,6 +19,7 @@ from marl_mm.algorithms.runlog import METRICS
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import CheckpointError
 from marl_mm.files import new_folder
+from marl_mm.layout import Layout
 
 NAME = "pretrained"
 FOLDER = Path(__file__).parent / "pretrained_agent"
@@ -43,6 +44,7 @@ def ship(run: Path, folder: Path) -> None:
     config = json.loads((run / "config.json").read_text())
     if config.get("dataset"):
         del config["dataset"]["path"]  # of the machine it was trained on
+    config["layout"] = checkpoint["layout"].to_json()
     with new_folder(folder) as new:
         save_file(tensors, new / WEIGHTS)
         (new / WEIGHTS).chmod(0o644)  # it is written for the owner alone
@@ -66,7 +68,8 @@ def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
         for name, value in tensors.items():
             agent, _, key = name.partition("/")
             states.setdefault(agent, {})[key] = value
-        layout = make_task(config["task"]).layout
+        told = config.get("layout")  # the agent that ships has none: it is older
+        layout = Layout.from_json(told) if told else make_task(config["task"]).layout
         agents = actors_from(states, layout)
     except (OSError, ValueError, KeyError, RuntimeError, SafetensorError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]

@@ -2,6 +2,7 @@
 
 import difflib
 import importlib
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Generic, TypeVar
@@ -37,12 +38,18 @@ class Registry(Generic[T]):
 
     def __init__(self, kind: str, modules: Sequence[str] = ()) -> None:
         self.kind = kind
-        self._modules = list(modules)
+        self._modules, self._order = list(modules), tuple(modules)
         self._things: dict[str, T] = {}
         self._origins: dict[str, str] = {}
+        self._places: dict[str, int] = {}
 
-    def add(self, name: str, thing: T) -> T:
-        """Register a thing.
+    def add(self, name: str, thing: T, caller: int = 1) -> T:
+        """Register a thing, as coming from the plug-in or module that calls.
+
+        Args:
+            name: Name that nothing else of its kind has.
+            thing: The thing.
+            caller: Number of calls between here and the code that it comes from.
 
         Raises:
             UsageError: If the name makes no sense, or another thing has it.
@@ -51,7 +58,9 @@ class Registry(Generic[T]):
             raise UsageError(
                 f"{self.kind} {name!r}: expected a name without spaces and slashes"
             )
-        origin = _origin[-1] if _origin else _module_of(thing)
+        module = str(sys._getframe(caller).f_globals["__name__"])
+        inner = module.split(".")[0] == BUILT_IN
+        origin = BUILT_IN if inner else _origin[-1] if _origin else module
         before = self._origins.get(name)
         if before is not None and before != origin:
             raise UsageError(
@@ -59,6 +68,8 @@ class Registry(Generic[T]):
                 "give it another name"
             )
         self._things[name], self._origins[name] = thing, origin
+        places = [*self._order, module]
+        self._places[name] = places.index(module)
         return thing
 
     def names(self) -> tuple[str, ...]:
@@ -97,12 +108,10 @@ class Registry(Generic[T]):
         return self._origins[name]
 
     def _load(self) -> None:
+        if not self._modules:
+            return
         while self._modules:
-            module = self._modules.pop(0)
-            with registered_by(BUILT_IN):
-                importlib.import_module(module)
-
-
-def _module_of(thing: object) -> str:
-    module = getattr(thing, "__module__", None) or type(thing).__module__
-    return BUILT_IN if module.split(".")[0] == BUILT_IN else str(module)
+            importlib.import_module(self._modules.pop(0))
+        # In the order of the modules, whichever of them was imported first.
+        names = sorted(self._things, key=self._places.__getitem__)
+        self._things = {name: self._things[name] for name in names}

@@ -404,7 +404,9 @@ from marl_mm.errors import UsageError
 if os.geteuid() == 0:  # root may write anywhere
     os.setreuid(65534, 65534)
 try:
-    collect_dataset(locate(sys.argv[1]), RandomConfig(), CollectOptions(steps=5))
+    collect_dataset(
+        locate(sys.argv[1]), "random", RandomConfig(), CollectOptions(steps=5)
+    )
 except UsageError as error:
     print(error)
 """

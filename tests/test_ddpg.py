@@ -199,7 +199,7 @@ def test_with_replayed_actions_an_agents_loss_moves_nobody_else(
     assert isinstance(algorithm, Maddpg)
     algorithm.learn(2)
     batch = batch_of(algorithm)
-    names = list(algorithm.agents, REACH)
+    names = list(algorithm.agents)
     for name, other in (names, names[::-1]):
         loss = algorithm._agent_loss(name, batch)
         parameters = list(algorithm.agents[other].actor.parameters())

@@ -246,7 +246,21 @@ def test_a_checkpoint_of_another_algorithm_is_named(
     checkpoint = torch.load(tmp_path / FILE, weights_only=True)
     torch.save({**checkpoint, "algorithm": "cql"}, tmp_path / FILE)
     with pytest.raises(CheckpointError, match="'cql', expected 'mabc'"):
-        load_policy(tmp_path)
+        read_checkpoint(tmp_path, "mabc")
+
+
+def test_a_checkpoint_acts_whatever_has_learnt_it(
+    arrays: EpisodeArrays, tmp_path: Path
+) -> None:
+    """Actors and layout are enough: neither the algorithm nor its config is needed."""
+    algorithm = Mabc(CONFIG, arrays, JUDGE, [0])
+    save_seed(tmp_path / FILE, algorithm, 0)
+    checkpoint = torch.load(tmp_path / FILE, weights_only=True)
+    other = {"algorithm": "not-installed", "config": {"whatever": 1}}
+    torch.save({**checkpoint, **other}, tmp_path / FILE)
+    policy = LearnedPolicy("mabc", algorithm.agents(0), REACH)
+    state = arrays.states[0]
+    np.testing.assert_array_equal(load_policy(tmp_path).act(state), policy.act(state))
 
 
 def test_damaged_and_missing_checkpoints_are_named(
@@ -266,10 +280,18 @@ def test_damaged_and_missing_checkpoints_are_named(
     torch.save([1, 2], tmp_path / FILE)
     with pytest.raises(CheckpointError, match="is not a"):
         read_checkpoint(tmp_path)
-    swapped = {**whole["layout"], "agents": whole["layout"]["agents"][::-1]}
+    unknown = {**whole["layout"], "desired": ["goal_x", "goal_y", "nothing"]}
+    blind = {**whole["layout"], "agents": [["balance", ["base_x"], ["alpha"]]]}
+    fewer = {**whole["layout"], "agents": whole["layout"]["agents"][:1]}
+    narrow = {**whole["layout"], "state": whole["layout"]["state"][:9]}
+    seen = [[name, sees[1:], sets] for name, sees, sets in whole["layout"]["agents"]]
     for broken, message in (
-        ({"layout": swapped}, "another agent layout"),
-        ({"config": {**whole["config"], "hidden": [8, 8]}}, "damaged"),
+        ({"layout": unknown}, "desired has nothing, which the state has not"),
+        ({"layout": blind}, "expected each of delta_x"),
+        ({"layout": fewer}, "expected each of delta_x"),
+        ({"layout": narrow}, "goal_z, which the state has not"),
+        ({"layout": {**whole["layout"], "agents": seen}}, "damaged"),
+        ({"layout": 5}, "no layout"),
         ({"state": {}}, "damaged"),
     ):
         torch.save({**whole, **broken}, tmp_path / FILE)

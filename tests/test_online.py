@@ -104,7 +104,9 @@ def test_an_interrupted_and_resumed_run_equals_an_uninterrupted_one(
     whole, stopped = tmp_path / "whole", tmp_path / "stopped"
     whole.mkdir()
     stopped.mkdir()
-    train_online(kind(config, JUDGE, 3), whole, run_episodes, weighed, SCHEDULE)
+    train_online(
+        kind(config, JUDGE, 3, (), REACH), whole, run_episodes, weighed, SCHEDULE
+    )
 
     def interrupted(policy: Explorer, numbers: Iterable[int]) -> Iterator[Episode]:
         for episode in run_episodes(policy, numbers):
@@ -112,11 +114,11 @@ def test_an_interrupted_and_resumed_run_equals_an_uninterrupted_one(
                 raise KeyboardInterrupt
             yield episode
 
-    cut = kind(config, JUDGE, 3)
+    cut = kind(config, JUDGE, 3, (), REACH)
     with pytest.raises(KeyboardInterrupt, match="episode 15: go on with --resume"):
         train_online(cut, stopped, interrupted, weighed, SCHEDULE)
     assert cut.episodes > 15  # it had gone further than its checkpoint
-    again = kind(config, JUDGE, 3)
+    again = kind(config, JUDGE, 3, (), REACH)
     resume(again, stopped)
     assert again.episodes == 15
     train_online(again, stopped, run_episodes, weighed, SCHEDULE)
@@ -566,7 +568,7 @@ def test_a_shipped_run_acts_as_its_best_policy(
     run = tmp_path / "run"
     run.mkdir()
     algorithm = Ddpg(CONFIG, JUDGE, 0, (), REACH)
-    (run / "config.json").write_text(json.dumps({"hidden": list(CONFIG.hidden)}))
+    (run / "config.json").write_text(json.dumps({"task": "Reach-v0"}))
     (run / "eval_best.json").write_text("{}")
     train_online(algorithm, run, run_episodes, weighed, SCHEDULE)
     ship(run, tmp_path / "shipped")

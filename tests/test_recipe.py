@@ -153,7 +153,7 @@ def test_recipes_refuse_what_makes_no_sense(make: Callable[..., Dataset]) -> Non
         filtered(one, Condition(min_return=1e9))
     with pytest.raises(UsageError, match="no condition"):
         filtered(one, Condition())
-    impostor = make("two", origins={"marl_mm/reach/one-v0": {"seed": 7}})
+    impostor = make("two", origins={"marl_mm/reach/one-v0": Origin(seed=7)})
     with pytest.raises(UsageError, match="two different datasets are called"):
         mix([Part(one, 2), Part(impostor, 2)], seed=0)
 
@@ -180,8 +180,7 @@ def test_a_part_with_shorter_names_is_as_it_should_be(
     write_mix(locate("both"), mix([Part(one, 10), Part(two, 10)], seed=0))
     both = load_dataset("both")
     short = both.arrays.select(np.flatnonzero(both.arrays.origins == one.location.id))
-    description = both.metadata["marl_mm"] | {"origins": {}}
-    write_dataset(locate("short"), short, description)
+    write_dataset(locate("short"), short, replace(both.provenance, recipe=None))
     assert not [p for p in verify(locate("short")) if "is not what the data" in p]
 
 

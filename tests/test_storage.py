@@ -21,7 +21,7 @@ from marl_mm.datasets.location import find, known_ids, locate
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
-from marl_mm.episode import Episode
+from marl_mm.episode import INFO, Episode
 from marl_mm.errors import (
     DatasetError,
     OutputExistsError,
@@ -29,6 +29,7 @@ from marl_mm.errors import (
     UsageError,
 )
 from marl_mm.files import new_file, new_folder
+from marl_mm.layout import Layout
 
 ID = "marl_mm/reach/test-v0"
 PROVENANCE = Provenance(task="Reach-v0", collector="pd", seed=0)
@@ -88,12 +89,12 @@ def test_scores_normalise_between_random_and_the_best(written: Path) -> None:
 
 def test_metadata_says_where_each_agents_entries_are(written: Path) -> None:
     metadata = json.loads((written / "data" / "metadata.json").read_text())["marl_mm"]
-    assert metadata["state"] == list(REACH.state_names)
-    assert metadata["action"] == list(REACH.action_names)
-    assert [agent["name"] for agent in metadata["agents"]] == [
-        a.name for a in REACH.agents
-    ]
-    assert metadata["agents"][1]["observation"] == list(REACH.agents[1].observation)
+    layout = metadata["layout"]
+    assert layout["state"][5] == ["base_yaw", "rad", None, None]
+    assert layout["action"][3] == ["alpha", "1", 0.0, 1.0]
+    assert layout["agents"][1][0] == "balance" and layout["agents"][1][2] == ["alpha"]
+    assert "goal_x" not in layout["agents"][1][1]
+    assert Layout.from_json(layout) == REACH and metadata["info"] == list(INFO)
     assert "pybullet" in metadata["packages"]
 
 
@@ -349,6 +350,7 @@ from conftest import build_episode
 from marl_mm.datasets import hdf5
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.location import locate
+from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
 
 written = []
@@ -362,7 +364,7 @@ def killing(arrays, number):
 
 hdf5._attributes = killing
 arrays = arrays_of([build_episode(i) for i in range(5)], "marl_mm/reach/test-v0")
-write_dataset(locate("marl_mm/reach/test-v0"), arrays, {"task": "Reach-v0"})
+write_dataset(locate("marl_mm/reach/test-v0"), arrays, Provenance(task="Reach-v0", collector="pd"))
 """
     killed = subprocess.run(
         [sys.executable, "-c", code, str(Path(__file__).parent)],

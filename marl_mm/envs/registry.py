@@ -30,7 +30,7 @@ def register_task(name: str, task: Task) -> None:
         raise UsageError(
             f"task {name!r} is {task!r}, expected a marl_mm.envs.task.Task"
         )
-    TASKS.add(name, task)
+    TASKS.add(name, task, caller=2)
     gymnasium.register(
         id=f"marl_mm/{name}",
         entry_point="marl_mm.envs.goal_env:GoalEnv",
