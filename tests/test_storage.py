@@ -364,7 +364,8 @@ def killing(arrays, number):
 
 hdf5._attributes = killing
 arrays = arrays_of([build_episode(i) for i in range(5)], "marl_mm/reach/test-v0")
-write_dataset(locate("marl_mm/reach/test-v0"), arrays, Provenance(task="Reach-v0", collector="pd"))
+provenance = Provenance(task="Reach-v0", collector="pd")
+write_dataset(locate("marl_mm/reach/test-v0"), arrays, provenance)
 """
     killed = subprocess.run(
         [sys.executable, "-c", code, str(Path(__file__).parent)],

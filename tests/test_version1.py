@@ -1,0 +1,167 @@
+"""Files that version 1 wrote still load, resume to the same bits, and evaluate."""
+
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from marl_mm.algorithms.checkpoint import FILE, read_checkpoint
+from marl_mm.algorithms.policy import load_policy
+from marl_mm.algorithms.pretrained import load_pretrained
+from marl_mm.cli import main
+from marl_mm.collectors.replay import replay
+from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.datasets.location import locate
+from marl_mm.datasets.storage import read_arrays, read_metadata
+from marl_mm.datasets.verify import verify
+from marl_mm.envs.tasks import grasp, reach
+
+MADE = Path(__file__).parent / "fixtures" / "version1"
+"""Datasets, runs (offline after 200 updates, online after 4 episodes) and what the runs
+were like when they had gone on (300 updates, 6 episodes); see further/."""
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    """Copies: reading a dataset leaves a cache beside it, going on changes a run."""
+    return Path(shutil.copytree(MADE, tmp_path / "files"))
+
+
+@pytest.mark.parametrize(
+    ("name", "layout"), [("mix", reach.LAYOUT), ("grasp", grasp.LAYOUT)]
+)
+def test_datasets_load_with_the_layout_of_their_entries(
+    files: Path, name: str, layout: object
+) -> None:
+    dataset = load_dataset(files / name)
+    assert dataset.arrays.layout == layout and dataset.episodes[0].layout == layout
+    assert dataset.metadata["marl_mm"]["schema"] == 2
+    assert verify(dataset.location) == []
+    assert {one.task for one in dataset.provenance.origins.values()} == {
+        dataset.provenance.task
+    }
+
+
+def test_a_dataset_of_version_1_is_mixed_and_filtered(files: Path) -> None:
+    out = str(files / "reached")
+    assert main(["datasets", "filter", str(files / "mix"), "--out", out,
+                 "--outcome", "reached"]) == 0  # fmt: skip
+    made = load_dataset(locate(out))
+    assert made.arrays.layout == reach.LAYOUT and made.arrays.successes().all()
+    assert made.metadata["marl_mm"]["schema"] == 3
+
+
+def test_the_shipped_data_replay_to_the_bit(datasets_home: Path) -> None:
+    """Some of them; ``datasets verify good-5k --replay`` does all."""
+    whole = load_dataset("good-5k")
+    some = Dataset(
+        whole.location, whole.metadata, whole.arrays.select(range(0, 504, 63))
+    )
+    assert list(replay(some)) == [None] * 8
+
+
+def _flat(state: Any, path: str = "") -> dict[str, Any]:
+    if isinstance(state, Mapping):
+        parts = [(f"{path}/{key}", value) for key, value in state.items()]
+    elif isinstance(state, list | tuple):
+        parts = [(f"{path}/{number}", value) for number, value in enumerate(state)]
+    else:
+        return {path: state}
+    return {key: value for at, one in parts for key, value in _flat(one, at).items()}
+
+
+def assert_same(one: Any, other: Any) -> None:
+    """Every tensor and number of two states, to the bit.
+
+    But for new steps' lengths, and rewards that come of them: version 1 let BLAS sum
+    them, whose last bit is the processor's.
+    """
+    here, there = _flat(one), _flat(other)
+    assert here.keys() == there.keys()
+    for key, value in here.items():
+        if key in ("/replay/d_mm", "/replay/d_mp", "/replay/reward"):
+            torch.testing.assert_close(value, there[key], rtol=1e-14, atol=1e-17)
+        elif isinstance(value, torch.Tensor):
+            assert torch.equal(value, there[key]), key
+        else:
+            assert value == there[key], key
+
+
+@pytest.mark.parametrize("algorithm", ["mabc", "td3-bc", "matd3-bc"])
+def test_offline_runs_go_on_to_the_same_bits(files: Path, algorithm: str) -> None:
+    words = ["train", algorithm, "--out", str(files / "runs" / algorithm), "--resume"]
+    words += ["--dataset", str(files / "mix"), "--updates", "300", "--workers", "1"]
+    assert main([*words, "--eval-episodes", "2"]) == 0
+    gone_on = read_checkpoint(files / "runs" / algorithm / "0", algorithm)
+    before = read_checkpoint(MADE / "further" / algorithm / FILE, algorithm)
+    assert_same(gone_on["state"], before["state"])
+    assert gone_on["layout"] == before["layout"] == reach.LAYOUT
+
+
+def test_an_online_run_goes_on_to_the_same_weights(files: Path) -> None:
+    words = ["train", "maddpg-her", "--out", str(files / "runs/maddpg-her"), "--resume"]
+    assert main([*words, "--episodes", "6", "--workers", "1"]) == 0
+    gone_on = read_checkpoint(files / "runs/maddpg-her/0", "maddpg-her")["state"]
+    before = read_checkpoint(MADE / "further/maddpg-her" / FILE)["state"]
+    assert_same(gone_on, before)
+
+
+@pytest.mark.parametrize("name", ["mabc", "td3-bc", "matd3-bc", "maddpg-her", "grasp"])
+def test_runs_act_and_evaluate(
+    files: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = files / "runs" / name / "0"
+    layout = grasp.LAYOUT if name == "grasp" else reach.LAYOUT
+    assert load_policy(run).layout == layout
+    words = ["eval", str(run), "--episodes", "2", "--max-steps", "2", "--json"]
+    assert main([*words, "--workers", "1"]) == 0
+    (evaluation,) = json.loads(capsys.readouterr().out)
+    assert len(evaluation["episodes"]) == 2
+
+
+def test_the_shipped_agent_acts_as_it_did() -> None:
+    """On 1,000 states of its own data; to the bit where products of matrices are those
+    of the processor that the fixture was made on, else to the last digits."""
+    stored = np.load(MADE / "shipped_actions.npz")
+    policy = load_pretrained()
+    actions = np.array([policy.act(state) for state in stored["states"]])
+    assert actions.dtype == stored["actions"].dtype
+    np.testing.assert_allclose(actions, stored["actions"], atol=2e-6)
+    assert np.mean(actions == stored["actions"]) == 1.0 or not _same_products()
+
+
+def _same_products() -> bool:
+    """Whether a product has the bits that it had where the fixture was made."""
+    draw = torch.Generator().manual_seed(0)
+    left, right = (
+        torch.randn(1, 10, generator=draw),
+        torch.randn(10, 128, generator=draw),
+    )
+    return (left @ right).numpy().tobytes().hex().startswith(CANARY)
+
+
+CANARY = "813adc40444491c0bb2f4fc016c6b9406bf9b040908bf73f591b9e3ff1148840"
+"""First bytes of a product on the processor that the fixture was made on."""
+
+
+def test_layouts_that_version_1_had_not_are_refused(
+    files: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = files / "runs/mabc/0" / FILE
+    checkpoint = torch.load(path, weights_only=True)
+    checkpoint["layout"]["agents"][1][1] = [0, 1]
+    torch.save(checkpoint, path)
+    assert main(["eval", str(path.parent), "--episodes", "2"]) == 1
+    assert "no layout of version 1" in capsys.readouterr().err
+    location = locate(str(files / "mix"))
+    metadata = read_metadata(location)
+    metadata["marl_mm"]["state"] = metadata["marl_mm"]["state"][::-1]
+    with pytest.raises(
+        Exception, match="no layout of version 1 has the entries goal_z"
+    ):
+        read_arrays(location, metadata, cached=False)
