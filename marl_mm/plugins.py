@@ -56,6 +56,8 @@ def load(source: str | Path) -> Plugin:
         PluginError: If its code fails.
     """
     text = str(source)
+    if not text:
+        raise UsageError("no plug-in named: expected a file, or a module's name")
     is_file = text.endswith(".py")
     name = Path(text).name if is_file else text
     if is_file:

@@ -1,0 +1,400 @@
+"""Plug-ins: the examples work from everywhere, and what is not trusted is not run."""
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from marl_mm import plugins
+from marl_mm.algorithms.checkpoint import FILE, read_checkpoint
+from marl_mm.algorithms.policy import load_policy
+from marl_mm.algorithms.registry import ALGORITHMS
+from marl_mm.cli import main
+from marl_mm.collectors.registry import COLLECTORS
+from marl_mm.datasets.dataset import load_dataset
+from marl_mm.envs import make_task, parallel_env
+from marl_mm.envs.registry import TASKS
+from marl_mm.errors import PluginError, UsageError
+from marl_mm.eval import evaluate
+from marl_mm.eval.metrics import METRICS
+from marl_mm.registry import Registry
+
+EXAMPLES = Path(__file__).parents[1] / "examples" / "plugins"
+
+REGISTRIES: tuple[Registry[Any], ...] = (ALGORITHMS, TASKS, COLLECTORS, METRICS)
+
+FEW = ["--eval-episodes", "2", "--curve-episodes", "1", "--workers", "1"]
+SMALL = [*FEW, "--updates", "20", "--curve-every", "20", "--hidden", "8"]
+
+
+@pytest.fixture(autouse=True)
+def as_before() -> Iterator[None]:
+    """No plug-in stays loaded after a test."""
+    for registry in REGISTRIES:
+        registry.names()
+    kept = [(dict(one._things), dict(one._origins)) for one in REGISTRIES]
+    loaded = dict(plugins._loaded)
+    yield
+    for registry, (things, origins) in zip(REGISTRIES, kept, strict=True):
+        registry._things, registry._origins = things, origins
+    plugins._loaded.clear()
+    plugins._loaded.update(loaded)
+
+
+def run(*words: object) -> int:
+    try:
+        return main([str(word) for word in words])
+    except SystemExit as end:
+        return int(end.code or 0)
+
+
+def plugged(*names: str) -> list[object]:
+    return [word for name in names for word in ("--plugin", EXAMPLES / f"{name}.py")]
+
+
+# --- An algorithm ------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_an_algorithm_of_ones_own_is_trained_resumed_evaluated_and_exported(
+    datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, iql = tmp_path / "iql", plugged("iql")
+    train = ["train", "iql", "--dataset", "good-5k", *SMALL, *iql, "--seeds", 0, 1]
+    assert run(*train, "--out", out) == 0
+    config = json.loads((out / "0" / "config.json").read_text())
+    assert (
+        list(config["plugins"]) == ["iql.py"] and len(config["plugins"]["iql.py"]) == 64
+    )
+    assert run(*train, "--out", tmp_path / "whole", "--updates", 40) == 0
+    assert run(*train, "--out", out, "--updates", 40, "--resume") == 0
+    for seed in ("0", "1"):
+        went_on, whole = (read_checkpoint(p / seed) for p in (out, tmp_path / "whole"))
+        for name, value in whole["state"]["actors"]["joint"].items():
+            assert torch.equal(value, went_on["state"]["actors"]["joint"][name])
+    capsys.readouterr()
+    # Acting needs no plug-in; going on does.
+    assert (
+        run("eval", out / "0", "--episodes", 2, "--workers", 1, "--max-steps", 2) == 0
+    )
+    assert run("export", out / "0", "--out", tmp_path / "p.ts") == 0
+    assert run("play", out / "0", "--max-steps", 1, "--video", tmp_path / "x.gif") == 0
+
+
+def test_seeds_in_processes_of_their_own_find_the_plugin(
+    datasets_home: Path, tmp_path: Path
+) -> None:
+    train = ["train", "iql", "--dataset", "good-5k", *SMALL, *plugged("iql")]
+    one, two = tmp_path / "one", tmp_path / "two"
+    assert run(*train, "--seeds", 0, 1, "--out", one) == 0
+    assert run(*train, "--seeds", 0, 1, "--out", two, "--workers", 2) == 0
+    for seed in ("0", "1"):
+        here, there = (load_policy(path / seed) for path in (one, two))
+        assert here.fingerprint == there.fingerprint
+
+
+@pytest.mark.slow
+def test_a_changed_plugin_is_refused_unless_allowed(
+    datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = Path(shutil.copy(EXAMPLES / "iql.py", tmp_path / "iql.py"))
+    words = ["train", "iql", "--dataset", "good-5k", *SMALL, "--out", tmp_path / "r"]
+
+    def fresh(*more: object) -> "subprocess.CompletedProcess[str]":
+        """In a process of its own, as a changed file needs."""
+        told = [str(word) for word in (*words, *more)]
+        return subprocess.run(
+            [sys.executable, "-m", "marl_mm", *told],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    assert fresh("--plugin", mine).returncode == 0
+    further = ["--updates", "40", "--resume"]
+    unnamed = fresh(*further)
+    assert unnamed.returncode == 2 and "--plugin" in unnamed.stderr
+    mine.write_text(mine.read_text() + "\n# changed\n")
+    refused = fresh(*further, "--plugin", mine)
+    assert refused.returncode == 2, refused.stderr
+    assert "was made with another iql.py" in refused.stderr
+    assert "--allow-changed-plugin" in refused.stderr
+    allowed = fresh(*further, "--plugin", mine, "--allow-changed-plugin")
+    assert allowed.returncode == 0, allowed.stderr
+    config = json.loads((tmp_path / "r" / "0" / "config.json").read_text())
+    (before,) = config["plugins_before"]
+    assert before["iql.py"] != config["plugins"]["iql.py"]
+
+
+@pytest.mark.slow
+def test_a_study_of_two_settings_with_an_algorithm_of_ones_own(
+    datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Declared in a file that names the plug-in itself, run in two processes."""
+    shutil.copy(EXAMPLES / "iql.py", tmp_path)
+    (tmp_path / "study.py").write_text(
+        "from pathlib import Path\n"
+        "from marl_mm.eval import Ablation, Setting\n"
+        "from marl_mm.plugins import load\n"
+        'load(Path(__file__).with_name("iql.py"))\n'
+        'few = {"updates": 20, "hidden": (8,)}\n'
+        'settings = Setting("own", "IQL", "iql", changes=few, goals=2),\\\n'
+        '    Setting("clone", "MABC", "mabc", changes=few, goals=2)\n'
+        'MINE = Ablation("Mine", [("marl_mm/reach/good-5k-v0", s) for s in settings])\n'
+    )
+    words = ["ablate", f"{tmp_path / 'study.py'}:MINE", "--budget", "smoke"]
+    words += ["--runs", str(tmp_path / "runs"), "--out", str(tmp_path / "results")]
+    assert run(*words, "--seeds", 0, "--workers", 2, "--json") == 0
+    (table,) = json.loads(capsys.readouterr().out).values()
+    assert len(table) == 2
+
+
+# --- Tasks -------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("plugin", "task", "collector"),
+    [
+        ("timed_reach", "TimedReach-v0", "pd"),
+        ("three_agents", "ThreeReach-v0", "scripted"),
+    ],
+)
+def test_a_task_of_ones_own_goes_through_everything(
+    plugin: str,
+    task: str,
+    collector: str,
+    datasets_home: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    own, data = plugged(plugin), str(tmp_path / "data-v0")
+    collect = ["collect", collector, "--task", task, "--steps", 12, "--dataset", data]
+    assert run(*collect, "--workers", 2, *own) == 0
+    assert run("datasets", "show", data) == 0
+    assert run("datasets", "verify", data, "--replay", *own) == 0
+    plugins.load(EXAMPLES / f"{plugin}.py")
+    layout = make_task(task).layout
+    assert load_dataset(data).arrays.layout == layout
+    for algorithm in ("mabc", "td3-bc", "matd3-bc"):
+        out = tmp_path / algorithm
+        train = ["train", algorithm, "--dataset", data, "--out", out, *SMALL]
+        assert run(*train, "--max-steps", 2, *own) == 0
+        policy = load_policy(out / "0")
+        assert policy.layout == layout
+        assert run("export", out / "0") == 0
+        evaluation = evaluate(policy, 2, task=task, overrides={"max_steps": 2})
+        assert len(evaluation.rows) == 2
+    online = ["train", "maddpg-her", "--task", task, "--episodes", 2, "--warm-up", 2]
+    few = ["--updates-per-episode", 2, "--max-steps", 2, "--hidden", 8, *FEW, *own]
+    assert run(*online, *few, "--out", tmp_path / "online") == 0
+    env = parallel_env(task)
+    observations, _ = env.reset(seed=0)
+    mabc = load_policy(tmp_path / "mabc" / "0")
+    actions = mabc.act_agents(observations)
+    assert {n: a.shape for n, a in actions.items()} == {
+        agent.name: (len(agent.sets),) for agent in layout.team
+    }
+    env.step(actions)
+    env.close()
+
+
+def test_two_layouts_of_equal_width_never_pass_for_each_other(
+    datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Data, runs and films of one are refused where the other is meant, before the
+    first step, by the entries that differ."""
+    own = plugged("timed_reach")
+    data: dict[str, str] = {}
+    for task in ("TimedReach-v0", "PacedReach-v0"):
+        data[task] = str(tmp_path / f"{task[:-3]}-v0")
+        words: list[object] = ["collect", "pd", "--task", task, "--steps", "8"]
+        words += ["--dataset", data[task]]
+        assert run(*words, "--workers", 1, *own) == 0
+    train = ["train", "mabc", "--dataset", data["TimedReach-v0"], *SMALL, *own]
+    assert run(*train, "--max-steps", 2, "--out", tmp_path / "run") == 0
+    capsys.readouterr()
+    other = ["--task", "PacedReach-v0", *own]
+    refused = [
+        ["eval", tmp_path / "run/0", "--episodes", 2, "--workers", 1, *other],
+        ["play", tmp_path / "run/0", "--video", tmp_path / "x.gif", *other],
+        [*train, "--task", "PacedReach-v0", "--out", tmp_path / "other"],
+        ["collect", "pretrained", "--agent", tmp_path / "run/0", "--steps", 4,
+         "--workers", 1, "--dataset", tmp_path / "y-v0", *other],
+    ]  # fmt: skip
+    for refusal in refused:
+        assert run(*refusal) == 2, refusal
+        told = capsys.readouterr().err.splitlines()[-1]
+        assert "state time_left" in told and "state tempo" in told
+    assert not (tmp_path / "x.gif").exists() and not (tmp_path / "other").exists()
+    mixed = [
+        "datasets",
+        "mix",
+        f"{data['TimedReach-v0']}:4",
+        f"{data['PacedReach-v0']}:4",
+    ]
+    assert run(*mixed, "--out", tmp_path / "both-v0") == 2
+    swapped = json.loads(
+        (Path(data["PacedReach-v0"]) / "data/metadata.json").read_text()
+    )
+    timed = load_dataset(data["TimedReach-v0"]).arrays.layout.to_json()
+    assert swapped["marl_mm"]["layout"] != timed
+
+
+def test_a_joint_policy_acts_for_another_team(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["eval", "pretrained", "--episodes", 2, "--max-steps", 2, "--workers", 1]
+    assert run(*words, "--task", "ThreeReach-v0", *plugged("three_agents")) == 0
+
+
+# --- A collector -------------------------------------------------------------
+
+
+def test_a_collector_of_ones_own_collects_replays_and_plays(
+    datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = plugged("noisy_pd")
+    words = [
+        "collect",
+        "noisy-pd",
+        "--steps",
+        30,
+        "--max-steps",
+        6,
+        "--noise",
+        0.5,
+        *own,
+    ]
+    for workers, name in ((1, "one-v0"), (2, "two-v0")):
+        where = ["--dataset", tmp_path / name, "--workers", workers]
+        assert run(*words, *where) == 0
+    one, two = (load_dataset(tmp_path / name) for name in ("one-v0", "two-v0"))
+    assert one.fingerprint == two.fingerprint
+    assert list(one.provenance.own_origin.plugins) == ["noisy_pd.py"]
+    assert run("datasets", "verify", tmp_path / "one-v0", "--replay") == 0
+    more = ["--dataset", tmp_path / "one-v0", "--workers", 1, "--resume"]
+    assert run("collect", "noisy-pd", "--steps", 40, *more, *own) == 0
+    assert load_dataset(tmp_path / "one-v0").arrays.steps >= 40
+    few = ["--episodes", 2, "--max-steps", 2, "--workers", 1]
+    assert run("eval", "noisy-pd", *few, "--noisy-pd.noise", 1.0, *own) == 0
+
+
+# --- From Python -------------------------------------------------------------
+
+
+def test_from_python_a_plugin_is_loaded_or_registered() -> None:
+    plugin = plugins.load(EXAMPLES / "timed_reach.py")
+    assert plugins.load(EXAMPLES / "timed_reach.py") is plugin
+    assert (plugin.name, len(plugin.sha256)) == ("timed_reach.py", 64)
+    assert TASKS.origin("TimedReach-v0") == "timed_reach.py"
+    assert plugins.record("timed_reach.py", "marl_mm") == {plugin.name: plugin.sha256}
+    task, pd = make_task("TimedReach-v0"), COLLECTORS.get("pd")
+    policy = pd.policy(pd.config(), task)
+    result = evaluate(policy, 2, task="TimedReach-v0", overrides={"max_steps": 2})
+    assert len(result.rows) == 2 and {row["direction"] for row in result.rows} == {
+        "forward",
+        "backward",
+    }
+
+
+def test_what_a_script_registers_works_in_workers(tmp_path: Path) -> None:
+    """A guarded script of one's own, which workers import as their main module."""
+    script = tmp_path / "mine.py"
+    script.write_text(
+        "from marl_mm.envs import make_task, register_task\n"
+        "from marl_mm.envs.tasks.reach import Reach\n"
+        "from marl_mm.collectors.random import RandomConfig, RandomPolicy\n"
+        "from marl_mm.eval import evaluate\n"
+        "class Mine(Reach):\n    pass\n"
+        "register_task('Mine-v0', Mine(max_steps=2))\n"
+        "if __name__ == '__main__':\n"
+        "    policy = RandomPolicy(RandomConfig())\n"
+        "    print(len(evaluate(policy, 4, task='Mine-v0', workers=2).rows))\n"
+    )
+    told = subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, check=False
+    )
+    assert told.stdout == "4\n", told.stderr
+
+
+# --- Mistakes ----------------------------------------------------------------
+
+
+def test_plugins_that_are_none_or_fail_are_told_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broken = tmp_path / "broken.py"
+    broken.write_text("x = 1\nraise KeyError('oh')\n")
+    (tmp_path / "syntax.py").write_text("def f(:\n")
+    (tmp_path / "taken.py").write_text(
+        "from marl_mm.envs import register_task\n"
+        "from marl_mm.envs.tasks.reach import Reach\n"
+        "register_task('Reach-v0', Reach())\n"
+    )
+    other = tmp_path / "other"
+    other.mkdir()
+    shutil.copy(EXAMPLES / "iql.py", other)
+    for code, words, message in (
+        (2, ["--plugin", tmp_path / "no.py"], "no plug-in"),
+        (
+            2,
+            ["--plugin", "no_such_module_at_all"],
+            "no plug-in 'no_such_module_at_all'",
+        ),
+        (2, ["--plugin"], "--plugin has no value"),
+        (2, ["--plugin", "--json"], "--plugin has no value"),
+        (1, ["--plugin", broken], "broken.py fails: KeyError: 'oh' (line 2)"),
+        (1, ["--plugin", tmp_path / "syntax.py"], "syntax.py fails: SyntaxError"),
+        (1, ["--plugin", tmp_path / "taken.py"], "'Reach-v0' of taken.py exists alrea"),
+        (2, [*plugged("iql"), "--plugin", other / "iql.py"], "two plug-ins are called"),
+    ):
+        assert run("tasks", *words) == code, words
+        (line,) = capsys.readouterr().err.splitlines()
+        assert message in line
+    with pytest.raises(PluginError):
+        plugins.load(broken)
+    with pytest.raises(UsageError):
+        plugins.load("")
+
+
+def test_lists_tell_what_there_is_and_whose(capsys: pytest.CaptureFixture[str]) -> None:
+    for kind, name, plugin in (
+        ("algorithms", "iql", "iql"),
+        ("tasks", "ThreeReach-v0", "three_agents"),
+        ("collectors", "noisy-pd", "noisy_pd"),
+    ):
+        assert run(kind, "--json", *plugged(plugin)) == 0
+        rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
+        assert rows[name]["from"] == f"{plugin}.py"
+        assert {row["from"] for row in rows.values()} == {"marl_mm", f"{plugin}.py"}
+    for kind in ("formats", "metrics"):
+        assert run(kind) == 0
+    assert "[m]" in capsys.readouterr().out, "units are shown, not taken for markup"
+
+
+def test_nothing_in_a_file_loads_a_plugin(
+    datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Names and paths of plug-ins in runs and data are told, never imported."""
+    trap = tmp_path / "trap.py"
+    trap.write_text("raise SystemExit('a file has run code')\n")
+    out = tmp_path / "run"
+    assert run("train", "mabc", "--dataset", "good-5k", *SMALL, "--out", out) == 0
+    config = json.loads((out / "0/config.json").read_text())
+    config["plugins"] = {str(trap): "0" * 64}
+    (out / "0/config.json").write_text(json.dumps(config))
+    checkpoint = torch.load(out / "0" / FILE, weights_only=True)
+    checkpoint |= {"algorithm": str(trap), "plugins": {str(trap): "0" * 64}}
+    torch.save(checkpoint, out / "0" / FILE)
+    few = ["--episodes", 2, "--max-steps", 1, "--workers", 1]
+    assert run("eval", out / "0", *few) == 0
+    assert np.isfinite(load_policy(out / "0").act(np.zeros(10))).all()
+    assert "trap.py" not in plugins._loaded
