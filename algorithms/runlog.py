@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from marl_mm.errors import CheckpointError
 from marl_mm.files import new_file
@@ -11,6 +11,25 @@ from marl_mm.files import new_file
 METRICS = "metrics.jsonl"
 
 Row = dict[str, Any]
+"""A line of a run's metrics."""
+
+CurvePoint = TypedDict(
+    "CurvePoint",
+    {
+        "success/all": float,
+        "return/all": float,
+        "alpha/all": float,
+        "success/forward": float,
+        "return/forward": float,
+        "alpha/forward": float,
+        "success/backward": float,
+        "return/backward": float,
+        "alpha/backward": float,
+    },
+    total=False,
+)
+"""What a learning curve keeps of an evaluation, by direction; nothing of what was not
+measured."""
 
 
 class RunLog:

@@ -23,14 +23,14 @@ from marl_mm.algorithms.checkpoint import (
     save_seeds_policy,
 )
 from marl_mm.algorithms.policy import LearnedPolicy
-from marl_mm.algorithms.runlog import Row, RunLog, is_best
+from marl_mm.algorithms.runlog import CurvePoint, Row, RunLog, is_best
 from marl_mm.algorithms.speed import matrix_products, prepare_for_small_networks
 from marl_mm.differences import refuse_difference
 from marl_mm.errors import CheckpointError, DivergedError
 from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.progress import Advance, silent
 
-Evaluate = Callable[[LearnedPolicy], dict[str, float]]
+Evaluate = Callable[[LearnedPolicy], CurvePoint]
 """Measures a policy; the loop knows nothing of environments."""
 
 LOG_EVERY = 100

@@ -207,7 +207,7 @@ def read_metadata(location: Location) -> dict[str, Any]:
     return metadata
 
 
-def layout_of(metadata: dict[str, Any]) -> Layout:
+def layout_in(metadata: dict[str, Any]) -> Layout:
     """The layout of a dataset's states and actions.
 
     Raises:
@@ -262,7 +262,7 @@ def read_arrays(
             f"were written; marl-mm datasets delete {location.name} removes it, and "
             "what made it makes it again"
         )
-    layout, ours = layout_of(metadata), metadata["marl_mm"]
+    layout, ours = layout_in(metadata), metadata["marl_mm"]
     if cached and (found := _read_cache(location.folder, digest, layout)) is not None:
         return found
     arrays = read_hdf5(path, ours["episodes"], layout, ours.get("info", list(INFO)))

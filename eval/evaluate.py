@@ -8,7 +8,7 @@ from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import UsageError
 from marl_mm.eval.goals import goal_set
-from marl_mm.eval.metrics import Row, episode_row, summarize_directions
+from marl_mm.eval.metrics import EvaluationRow, episode_row, summarize_directions
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
 
@@ -24,7 +24,7 @@ class Evaluation:
     """Of the task's ``Task``."""
 
     seed: int
-    rows: list[Row]
+    rows: list[EvaluationRow]
     """One per episode, raw; see ``episode_row``."""
 
     @property
@@ -100,7 +100,7 @@ def evaluate_with(
         raise UsageError(f"episodes is {episodes}, expected >= 1")
     if seed < 0:
         raise UsageError(f"seed is {seed}, expected >= 0")
-    rows: list[Row] = []
+    rows: list[EvaluationRow] = []
     plans = goal_set(make_task(task, overrides), episodes, seed)
     for episode in rollouts.run(policy, plans):
         rows.append(episode_row(episode))

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Required, TypedDict, cast
 
 import numpy as np
 
@@ -12,6 +12,33 @@ from marl_mm.eval.intervals import success_interval
 from marl_mm.registry import Registry
 
 Row = dict[str, Any]
+"""A line of a table."""
+
+EvaluationRow = TypedDict(
+    "EvaluationRow",
+    {
+        "index": Required[int],
+        "seed": Required[int],
+        "goal": Required[list[float]],
+        "direction": str,
+        "success": Required[bool],
+        "steps": Required[int],
+        "return": Required[float],
+        "final_distance": float,
+        "d_mm": float,
+        "d_mp": float,
+        "base_jerk_rms": float,
+        "zmp_margin": float,
+        "alpha": float,
+        "qp_failures": int,
+        "reason": str,
+    },
+    total=False,
+)
+"""An episode as numbers; metrics that plug-ins add stand beside these."""
+
+Rows = Sequence[Mapping[str, Any]]
+"""Rows that are only read."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +109,7 @@ _add(
 )
 
 
-def episode_row(episode: Episode) -> Row:
+def episode_row(episode: Episode) -> EvaluationRow:
     """One episode as numbers.
 
     ``direction`` where the layout has one; ``reason``, why it failed or nothing, where
@@ -91,7 +118,7 @@ def episode_row(episode: Episode) -> Row:
     told = {} if episode.reason is None else {"reason": episode.reason}
     direction = episode.direction
     measured = {name: one.value(episode) for name, one in METRICS.items()}
-    return {
+    row = {
         "index": episode.index,
         "seed": episode.seed,
         "goal": episode.states[0, episode.layout.goal].tolist(),
@@ -102,9 +129,10 @@ def episode_row(episode: Episode) -> Row:
         **{name: value for name, value in measured.items() if value is not None},
         **told,
     }
+    return cast(EvaluationRow, row)
 
 
-def summarize(rows: Sequence[Row]) -> dict[str, Any]:
+def summarize(rows: Rows) -> dict[str, Any]:
     """Success rate with interval, and means over episodes; steps over successes."""
     successes = [row for row in rows if row["success"]]
     steps = [row["steps"] for row in successes]
@@ -122,7 +150,7 @@ def summarize(rows: Sequence[Row]) -> dict[str, Any]:
     return summary if failures is None else {**summary, "failures": failures}
 
 
-def count_failures(rows: Sequence[Row]) -> dict[str, int] | None:
+def count_failures(rows: Rows) -> dict[str, int] | None:
     """How many episodes ended for which reason; None if that is not known."""
     if not any("reason" in row for row in rows):
         return None
@@ -136,7 +164,7 @@ def failures_in_words(failures: Mapping[str, int]) -> str:
     return ", ".join(f"{reason} {n}" for reason, n in failures.items()) or "none"
 
 
-def summarize_directions(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
+def summarize_directions(rows: Rows) -> dict[str, dict[str, Any]]:
     """Summaries of all rows, of those ahead and of those behind."""
     parts = {"all": list(rows)}
     for direction in ("forward", "backward"):

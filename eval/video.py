@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import imageio_ffmpeg
 import numpy as np
@@ -18,7 +18,6 @@ from marl_mm.eval.goals import goal_set
 from marl_mm.files import new_file
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
-from marl_mm.sim.bullet import BulletWorld
 from marl_mm.sim.config import RATE, Camera
 
 FORMATS = (".mp4", ".gif")
@@ -36,6 +35,13 @@ def check_format(path: Path) -> None:
         )
 
 
+class Rendered(Protocol):
+    """A world, or several side by side."""
+
+    def render(self, camera: Camera) -> np.ndarray:
+        """A picture, shape (height, width, 3), uint8."""
+
+
 class Film:
     """Frames of a world, taken tick by tick at a rate of simulated time.
 
@@ -45,7 +51,7 @@ class Film:
         fps: Frames per simulated second; 0 takes none.
     """
 
-    def __init__(self, world: BulletWorld, camera: Camera, fps: int) -> None:
+    def __init__(self, world: Rendered, camera: Camera, fps: int) -> None:
         self._world, self._camera, self._fps = world, camera, fps
         self._elapsed = 0
         self.frames: list[np.ndarray] = []
@@ -53,7 +59,7 @@ class Film:
 
     def __call__(self, tick: Tick) -> None:
         """Take a frame if one is due after this tick."""
-        self._elapsed += 1
+        self._elapsed += tick.robot == 0
         if self._fps and self._elapsed * self._fps > len(self.frames) * RATE:
             self.frames.append(self._world.render(self._camera))
 
@@ -87,11 +93,11 @@ def film_episode(
         The episode, and frames of shape (height, width, 3), uint8.
     """
     core = EpisodeCore(config, visual=True, gui=gui)
-    film = Film(core.drive.world, camera, fps)
+    film = Film(core, camera, fps)
 
     def watch(tick: Tick) -> None:
         film(tick)
-        if tick.number == config.ticks_per_step - 1:
+        if (tick.number, tick.robot) == (config.ticks_per_step - 1, 0):
             advance(1, "")
 
     try:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ MakeEpisode = Callable[..., Episode]
 QUICK = {"ticks_per_step": 24, "max_steps": 3}
 
 
-def row(direction: str, success: bool, steps: int) -> dict[str, object]:
+def row(direction: str, success: bool, steps: int) -> Any:
     numbers = dict.fromkeys(("return", "d_mm", "d_mp", "base_jerk_rms", "alpha"), 1.0)
     return {"direction": direction, "success": success, "steps": steps, **numbers}
 

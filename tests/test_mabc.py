@@ -13,7 +13,7 @@ from marl_mm.algorithms.mabc import Mabc, MabcConfig
 from marl_mm.algorithms.networks import ActionScale, Normalizer
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.replay import normalized_actions
-from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.algorithms.runlog import CurvePoint, read_metrics
 from marl_mm.algorithms.train import resume_seeds, train
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
 from marl_mm.envs.parallel import split_state
@@ -28,7 +28,7 @@ BALANCE = REACH.agents[1]
 CONFIG = MabcConfig(updates=300, batch_size=32, hidden=(16, 16))
 
 
-def no_evaluation(policy: LearnedPolicy) -> dict[str, float]:
+def no_evaluation(policy: LearnedPolicy) -> CurvePoint:
     return {}
 
 
@@ -160,7 +160,7 @@ def test_resume_continues_bit_equally(arrays: EpisodeArrays, tmp_path: Path) -> 
     reference = Mabc(CONFIG, arrays, JUDGE, [3])
     train(reference, [whole], no_evaluation, 100)
 
-    def interrupt(policy: LearnedPolicy) -> dict[str, float]:
+    def interrupt(policy: LearnedPolicy) -> CurvePoint:
         if cut.step == 200:
             raise KeyboardInterrupt
         return {}
@@ -199,7 +199,7 @@ def test_the_best_policy_is_kept(arrays: EpisodeArrays, tmp_path: Path) -> None:
     rates = iter([0.1, 0.5, 0.5, 0.4])
     acted: list[np.ndarray] = []
 
-    def evaluate(policy: LearnedPolicy) -> dict[str, float]:
+    def evaluate(policy: LearnedPolicy) -> CurvePoint:
         acted.append(policy.act(np.ones(10)))
         return {"success/all": next(rates), "return/all": 0.0}
 

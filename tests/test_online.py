@@ -20,7 +20,7 @@ from marl_mm.algorithms.online import Schedule, is_flat, train_online
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.pretrained import load_pretrained, ship
 from marl_mm.algorithms.registry import preset
-from marl_mm.algorithms.runlog import RunLog, read_metrics
+from marl_mm.algorithms.runlog import CurvePoint, RunLog, read_metrics
 from marl_mm.algorithms.train import resume
 from marl_mm.cli import main
 from marl_mm.envs.parallel import split_action
@@ -69,7 +69,7 @@ def run_episodes(make_episode: MakeEpisode) -> RunEpisodes:
     return run
 
 
-def weighed(policy: LearnedPolicy) -> dict[str, float]:
+def weighed(policy: LearnedPolicy) -> CurvePoint:
     """A deterministic function of the policy in place of an evaluation."""
     action = policy.act(np.ones(10))
     rate = float(abs(action[0]))
@@ -165,7 +165,7 @@ def test_the_best_policy_is_kept(run_episodes: RunEpisodes, tmp_path: Path) -> N
     rates = iter([0.2, 0.9, 0.9, 0.3, 0.9, 0.1])
     seen: list[np.ndarray] = []
 
-    def rated(policy: LearnedPolicy) -> dict[str, float]:
+    def rated(policy: LearnedPolicy) -> CurvePoint:
         seen.append(policy.act(np.ones(10)))
         return {"success/all": next(rates), "return/all": 0.0}
 

@@ -23,7 +23,7 @@ from marl_mm.algorithms.offline_batches import OfflineBatch
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.registry import preset
 from marl_mm.algorithms.replay import normalized_actions
-from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.algorithms.runlog import CurvePoint, read_metrics
 from marl_mm.algorithms.speed import Precision, matrix_products, resolved
 from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
 from marl_mm.algorithms.train import resume_seeds, train
@@ -437,7 +437,7 @@ def test_precision_is_of_updates_only(arrays: EpisodeArrays, tmp_path: Path) -> 
 
         algorithm.update = noted  # type: ignore[method-assign]
 
-        def evaluate(policy: LearnedPolicy) -> dict[str, float]:
+        def evaluate(policy: LearnedPolicy) -> CurvePoint:
             assert torch.get_float32_matmul_precision() == "highest"
             return {}
 

@@ -66,7 +66,8 @@ def keep_made_of(options: Ablate, names: Sequence[str]) -> None:
     path = options.results(MADE_OF)
     known = json.loads(path.read_text()) if path.exists() else {}
     for name in names:
-        config = read_config(options.runs_folder() / name / str(options.seeds[0]))
+        run = options.runs_folder() / name / str(options.seeds[0])
+        config = read_config(run).to_json()
         del config["seed"]
         packages = config.pop("packages")
         if config.get("dataset"):

@@ -11,6 +11,7 @@ import tyro
 from marl_mm.algorithms.algorithm import OfflineAlgorithm
 from marl_mm.algorithms.checkpoint import FILE
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
+from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.speed import resolved
 from marl_mm.commands.options import REGISTERED, check_positive
@@ -135,7 +136,7 @@ def _check_end(options: Offline[Any], run: Path) -> None:
     done = rows[-1]["step"] if rows else 0
     if done > asked:
         raise UsageError(f"{run} has {done} updates already, --updates is {asked}")
-    before = read_config(run)["updates"]
+    before = read_config(run).settings["updates"]
     if asked != before and getattr(options.config, "q_weight_end", None) is not None:
         raise UsageError(
             f"{run} was to end at {before} updates, and --q-weight-end with it: "
@@ -168,23 +169,21 @@ CONTINUED = ("updates",)
 end stays in the learning curve.)"""
 
 
-def offline_config(
-    dataset: Dataset, options: Offline[Any], seed: int
-) -> dict[str, Any]:
-    """What a run is made of; ``config.json``."""
-    return {
-        "algorithm": options.algorithm,
-        "preset": options.preset,
-        "seed": seed,
-        "device": options.device,
-        "task": task_of(dataset, options),
-        "max_steps": options.max_steps,
-        "dataset": dataset.identity(),
-        "curve_every": options.curve_every,
-        "curve_episodes": options.curve_episodes,
-        "eval_episodes": options.eval_episodes,
-        "eval_seed": options.eval_seed,
-        "packages": versions(),
-        **plugins_of(options.algorithm, task_of(dataset, options)),
-        **asdict(options.config),
-    }
+def offline_config(dataset: Dataset, options: Offline[Any], seed: int) -> RunConfig:
+    """What a run is made of."""
+    task = task_of(dataset, options)
+    own = "device", "max_steps", "curve_every", "curve_episodes"
+    evaluated = "eval_episodes", "eval_seed"
+    return RunConfig(
+        algorithm=options.algorithm,
+        preset=options.preset,
+        seed=seed,
+        task=task,
+        dataset=dataset.identity(),
+        packages=versions(),
+        plugins=plugins_of(options.algorithm, task),
+        settings={
+            **{name: getattr(options, name) for name in (*own, *evaluated)},
+            **asdict(options.config),
+        },
+    )

@@ -140,7 +140,7 @@ def main(arguments: Sequence[str]) -> None:
             own,
             policy,
             plan,
-            options.camera,
+            own.camera if options.camera == Camera() else options.camera,
             0 if options.gui else options.fps,
             options.gui,
             advance,

@@ -4,13 +4,14 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.export import POLICY_FORMATS
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.registry import ALGORITHMS
-from marl_mm.algorithms.runlog import METRICS
+from marl_mm.algorithms.run_config import RunConfig
+from marl_mm.algorithms.runlog import METRICS, CurvePoint
 from marl_mm.commands.options import (
     check_positive,
     check_seed,
@@ -108,7 +109,7 @@ def check_options(options: TrainOptions, out: Path) -> None:
 
 def check_run(
     run: Path,
-    config: dict[str, Any],
+    config: RunConfig,
     options: TrainOptions,
     ignored: Sequence[str] = (),
 ) -> None:
@@ -138,13 +139,13 @@ def check_run(
     refuse_other(run, config, (*ignored, "plugins"))
 
 
-def _refuse_other_plugins(run: Path, config: dict[str, Any], allowed: bool) -> None:
+def _refuse_other_plugins(run: Path, config: RunConfig, allowed: bool) -> None:
     """Raise if a plug-in is not the one that the run was made with.
 
     Raises:
         OtherConfigError: Naming it.
     """
-    before, now = read_config(run).get("plugins", {}), config.get("plugins", {})
+    before, now = read_config(run).plugins, config.plugins
     for name in sorted({*before, *now} if not allowed else ()):
         if before.get(name) != now.get(name):
             raise OtherConfigError(
@@ -154,17 +155,14 @@ def _refuse_other_plugins(run: Path, config: dict[str, Any], allowed: bool) -> N
             )
 
 
-def refuse_other(
-    run: Path, config: dict[str, Any], ignored: Sequence[str] = ()
-) -> None:
+def refuse_other(run: Path, config: RunConfig, ignored: Sequence[str] = ()) -> None:
     """Raise if a run was made of something else than this config.
 
     Raises:
         OtherConfigError: Naming what differs.
         CheckpointError: If its config cannot be read.
     """
-    theirs = read_config(run)
-    mine = as_json(config)
+    theirs, mine = read_config(run).to_json(), as_json(config.to_json())
     for key in ("packages", *ignored):
         mine.pop(key, None)
     for one in (theirs, mine):  # a dataset may have moved
@@ -173,17 +171,16 @@ def refuse_other(
     refuse_difference(run, theirs, mine)
 
 
-def plugins_of(algorithm: str, task: str) -> dict[str, Any]:
-    """What a run's config says of the plug-ins that it was made with, if any."""
-    found = record(ALGORITHMS.origin(algorithm), TASKS.origin(task))
-    return {"plugins": found} if found else {}
+def plugins_of(algorithm: str, task: str) -> dict[str, str]:
+    """Hashes of the plug-ins that an algorithm and a task come from, if any."""
+    return record(ALGORITHMS.origin(algorithm), TASKS.origin(task))
 
 
-def start_run(run: Path, config: dict[str, Any]) -> None:
+def start_run(run: Path, config: RunConfig) -> None:
     """A run folder with its config; what an older run left there goes."""
     run.mkdir(parents=True, exist_ok=True)
     _remove(run, FILE, BEST, METRICS, CURVE, SB3_BEST, "events.out.tfevents.*", *_MADE)
-    write_json(run / CONFIG, config)
+    write_json(run / CONFIG, config.to_json())
 
 
 def saved_options(options: T, out: Path) -> T:
@@ -202,36 +199,35 @@ def saved_options(options: T, out: Path) -> T:
     )
     if not runs:
         return options
-    config = read_config(runs[0])
-    dataset = (config.get("dataset") or {}).get("path")
+    config = read_config(runs[0]).to_json()
+    dataset = (config["dataset"] or {}).get("path")
     seeds = [int(run.name) for run in runs]
     known = {"seeds": seeds, "dataset": dataset, "demonstrations": dataset}
     resumed: T = with_values(options, config | known)
     return resumed
 
 
-def read_config(run: Path) -> dict[str, Any]:
+def read_config(run: Path) -> RunConfig:
     """What a run is made of.
 
     Raises:
         CheckpointError: If it cannot be read.
     """
     try:
-        config: dict[str, Any] = json.loads((run / CONFIG).read_text())
-    except (OSError, ValueError) as error:
+        return RunConfig.from_json(json.loads((run / CONFIG).read_text()))
+    except (OSError, ValueError, AttributeError) as error:
         raise CheckpointError(f"cannot read {run / CONFIG}: {error}") from error
-    return config
 
 
-def continue_run(run: Path, changes: dict[str, Any]) -> None:
-    """Note in a run's config what it goes on with."""
+def continue_run(
+    run: Path, plugins: Mapping[str, str], settings: Mapping[str, Any]
+) -> None:
+    """Note in a run's config which plug-ins and settings it goes on with."""
     config = read_config(run)
-    before = config.get("plugins", {})
-    if changes.get("plugins", before) != before:
-        changes["plugins_before"] = [*config.get("plugins_before", []), before]
-    if config | changes != config:  # what was made of where it ended before goes
+    further = config.continued(plugins, settings)
+    if further != config:  # what was made of where it ended before goes
         _remove(run, *_MADE)
-        write_json(run / CONFIG, config | changes)
+        write_json(run / CONFIG, further.to_json())
 
 
 def _remove(run: Path, *patterns: str) -> None:
@@ -282,14 +278,15 @@ def evaluate_run(
     return evaluation
 
 
-def curve_point(evaluation: Evaluation) -> dict[str, float]:
+def curve_point(evaluation: Evaluation) -> CurvePoint:
     """What a learning curve keeps of an evaluation."""
     point: dict[str, float] = {}
     for name, part in evaluation.summary.items():
         point[f"success/{name}"] = part["success_rate"]
         point[f"return/{name}"] = part["return"]
-        point[f"alpha/{name}"] = part["alpha"]
-    return point
+        if "alpha" in part:
+            point[f"alpha/{name}"] = part["alpha"]
+    return cast(CurvePoint, point)
 
 
 def told(run: Path, evaluation: Evaluation, best: Evaluation | None = None) -> str:

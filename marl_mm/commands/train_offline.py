@@ -9,7 +9,7 @@ from typing import Any
 
 from marl_mm.algorithms.checkpoint import FILE, read_checkpoint
 from marl_mm.algorithms.policy import LearnedPolicy
-from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.algorithms.runlog import CurvePoint, read_metrics
 from marl_mm.algorithms.speed import prepare_for_small_networks
 from marl_mm.algorithms.train import resume_seeds, train
 from marl_mm.commands.offline_options import (
@@ -98,7 +98,7 @@ def _begin(dataset: Dataset, options: Offline[Any], runs: Mapping[int, Path]) ->
     for seed, run in runs.items():
         if options.resume and (run / FILE).exists():
             plugins = plugins_of(options.algorithm, task_of(dataset, options))
-            continue_run(run, {"updates": options.config.updates, **plugins})
+            continue_run(run, plugins, {"updates": options.config.updates})
         else:
             start_run(run, offline_config(dataset, options, seed))
 
@@ -192,7 +192,7 @@ def _train(
     own = make_task(task, options.overrides)
     with Rollouts(own, options.workers) as rollouts:
 
-        def point(policy: LearnedPolicy) -> dict[str, float]:
+        def point(policy: LearnedPolicy) -> CurvePoint:
             goals = options.eval_seed + 1  # not those of the final evaluation
             count = options.curve_episodes
             return curve_point(

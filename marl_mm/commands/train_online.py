@@ -12,7 +12,8 @@ from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.online import OnlineAlgorithm, Schedule, is_flat, train_online
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
-from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.algorithms.run_config import RunConfig
+from marl_mm.algorithms.runlog import CurvePoint, read_metrics
 from marl_mm.algorithms.train import resume
 from marl_mm.commands.options import REGISTERED, check_positive
 from marl_mm.commands.runs import (
@@ -121,7 +122,7 @@ def _check_end(options: Online[Any], run: Path) -> None:
     if done > asked:
         raise UsageError(f"{run} has {done} episodes already, --episodes is {asked}")
     patience = options.schedule.patience
-    if asked != read_config(run)["episodes"] and is_flat(rows, patience):
+    if asked != read_config(run).settings["episodes"] and is_flat(rows, patience):
         raise UsageError(
             f"{run} ended at episode {done}, as its success rate had been flat for "
             f"{patience}: --patience 0 goes on to --episodes {asked} all the same"
@@ -175,8 +176,8 @@ def _train(options: Online[Any], seed: int, run: Path) -> None:
     if options.resume and (run / FILE).exists():
         resume(algorithm, run, ("episodes",))
         config = _run_config(options, demonstrations, seed)
-        kept = (*_CONTINUED, "plugins")
-        continue_run(run, {name: config[name] for name in kept if name in config})
+        further = {name: config.settings[name] for name in _CONTINUED}
+        continue_run(run, config.plugins, further)
     else:
         start_run(run, _run_config(options, demonstrations, seed))
 
@@ -186,7 +187,7 @@ def _train(options: Online[Any], seed: int, run: Path) -> None:
             plans = [EpisodePlan(i, episode_seed(seed, i, "train")) for i in numbers]
             return rollouts.run(policy, plans)
 
-        def point(policy: LearnedPolicy) -> dict[str, float]:
+        def point(policy: LearnedPolicy) -> CurvePoint:
             goals = options.eval_seed + 1  # not those of the final evaluation
             count, overrides = options.curve_episodes, options.overrides
             return curve_point(
@@ -213,20 +214,21 @@ def _demonstrations(options: Online[Any]) -> Dataset | None:
 
 def _run_config(
     options: Online[Any], demonstrations: Dataset | None, seed: int
-) -> dict[str, Any]:
-    """What a run is made of; ``config.json``."""
-    return {
-        "algorithm": options.algorithm,
-        "preset": options.preset,
-        "seed": seed,
-        "task": options.task,
-        **options.overrides,
-        "dataset": demonstrations.identity() if demonstrations else None,
-        "curve_episodes": options.curve_episodes,
-        "eval_episodes": options.eval_episodes,
-        "eval_seed": options.eval_seed,
-        "packages": versions(),
-        **plugins_of(options.algorithm, options.task),
-        **asdict(options.schedule),
-        **asdict(options.config),
-    }
+) -> RunConfig:
+    """What a run is made of."""
+    own = ("curve_episodes", "eval_episodes", "eval_seed")
+    return RunConfig(
+        algorithm=options.algorithm,
+        preset=options.preset,
+        seed=seed,
+        task=options.task,
+        dataset=demonstrations.identity() if demonstrations else None,
+        packages=versions(),
+        plugins=plugins_of(options.algorithm, options.task),
+        settings={
+            **options.overrides,
+            **{name: getattr(options, name) for name in own},
+            **asdict(options.schedule),
+            **asdict(options.config),
+        },
+    )

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from marl_mm.algorithms.online import is_flat
+from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.algorithms.runlog import RunLog, is_best
 from marl_mm.commands.runs import (
     BEST_EVALUATION,
@@ -109,18 +110,20 @@ _UNUSED = (
 """Of our hyper-parameters: SB3 has no such thing."""
 
 
-def _run_config(options: Online[Any], seed: int) -> dict[str, Any]:
+def _run_config(options: Online[Any], seed: int) -> RunConfig:
     config = asdict(options.config)
     for name in _UNUSED:
         del config[name]
-    return {
-        "algorithm": SB3,
-        "seed": seed,
-        "task": options.task,
-        **options.overrides,
-        "curve_episodes": options.curve_episodes,
-        "eval_seed": options.eval_seed,
-        "packages": versions("stable-baselines3"),
-        **asdict(options.schedule),
-        **config,
-    }
+    return RunConfig(
+        algorithm=SB3,
+        seed=seed,
+        task=options.task,
+        packages=versions("stable-baselines3"),
+        settings={
+            **options.overrides,
+            "curve_episodes": options.curve_episodes,
+            "eval_seed": options.eval_seed,
+            **asdict(options.schedule),
+            **config,
+        },
+    )
