@@ -164,12 +164,11 @@ def _each_seeds(
 
 
 def _evaluated(algorithm: OfflineAlgorithm, evaluate: Evaluate) -> list[Row]:
-    return [
-        evaluate(
-            LearnedPolicy(algorithm.name, algorithm.agents(number), algorithm.layout)
-        )
+    policies = (
+        LearnedPolicy(algorithm.name, algorithm.agents(number), algorithm.layout)
         for number in range(len(algorithm.seeds))
-    ]
+    )
+    return [dict(evaluate(policy)) for policy in policies]
 
 
 def _keep_best(

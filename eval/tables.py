@@ -43,13 +43,18 @@ def table_rows(evaluations: Sequence[Evaluation]) -> list[tuple[str, ...]]:
                     f"{100 * summary['success_rate']:.1f} [{low:.1f}, {high:.1f}]",
                     "-" if steps is None else f"{steps:.1f}",
                     f"{summary['return']:.2f}",
-                    f"{summary['d_mm']:.3f}",
-                    f"{summary['d_mp']:.3f}",
-                    f"{summary['base_jerk_rms']:.2f}",
-                    f"{summary['alpha']:.2f}",
+                    *(_number(summary.get(name), form) for name, form in _MEANS),
                 )
             )
     return rows
+
+
+_MEANS = ("d_mm", ".3f"), ("d_mp", ".3f"), ("base_jerk_rms", ".2f"), ("alpha", ".2f")
+"""Metrics of the table, and how they are written."""
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -78,7 +78,7 @@ def test_the_block_goes_where_the_hand_goes(grasp: str, open_world: OpenWorld) -
         step = core.step(policy.act(state))
         state = step.state
         block_w, _ = core.drive.world.handling.block_w()
-        assert np.linalg.norm(block_w - state[slice(0, 3)]) < 0.005
+        assert np.linalg.norm(block_w - state[:3]) < 0.005
         if step.terminated or step.truncated:
             break
     assert step.info["is_success"] and step.info["reason"] == ""
@@ -261,22 +261,35 @@ def test_an_empty_hand_has_nothing_to_feel(open_world: OpenWorld) -> None:
     assert "reason" not in core.step(STAY).info
 
 
+@pytest.mark.parametrize("task", ["CarryReach-v0", "Grasp-v0"])
 @pytest.mark.parametrize(
     ("load", "complaint"),
     [
         ({"mass": (0.0, 1.0)}, "load.mass is 0.0 to 1.0, expected 0 < low <= high"),
         ({"edge": (0.06, 0.04)}, "load.edge is 0.06 to 0.04"),
+        ({"grasp": "magic"}, "load.grasp is 'magic', expected friction, weld"),
+        ({"knowledge": "all"}, "load.knowledge is 'all', expected estimated, given"),
+    ],
+)
+def test_loads_that_make_no_sense_are_refused(
+    task: str, load: dict[str, Any], complaint: str, open_world: OpenWorld
+) -> None:
+    with pytest.raises(UsageError, match=complaint):
+        open_world(task, **load)
+
+
+@pytest.mark.parametrize(
+    ("load", "complaint"),
+    [
         ({"stand_x": (0.8, 0.6)}, "load.stand_x is 0.8 to 0.6, expected low <= high"),
         ({"stand_edge": 0.0}, "load.stand_edge is 0.0, expected >= load.edge, 0.06"),
         (
             {"hold_ticks": 10**5},
             "load.hold_ticks is 100000, expected at most an episode's 4800",
         ),
-        ({"grasp": "magic"}, "load.grasp is 'magic', expected friction, weld"),
-        ({"knowledge": "all"}, "load.knowledge is 'all', expected estimated, given"),
     ],
 )
-def test_loads_that_make_no_sense_are_refused(
+def test_stands_that_make_no_sense_are_refused(
     load: dict[str, Any], complaint: str, open_world: OpenWorld
 ) -> None:
     with pytest.raises(UsageError, match=complaint):

@@ -308,7 +308,8 @@ def test_a_checkpoint_of_another_algorithm_fails_with_1(
     path = run_folder / "checkpoint.pt"
     checkpoint = torch.load(path, weights_only=True)
     torch.save({**checkpoint, "algorithm": "cql"}, path)
-    assert run("eval", str(run_folder)) == 1
+    train = ["train", "mabc", "--out", str(run_folder.parent), "--resume"]
+    assert run(*train, "--updates", "200") == 1
     assert "'cql', expected 'mabc'" in one_line(capsys)
     path.write_bytes(b"not a checkpoint")
     assert run("play", str(run_folder)) == 1

@@ -67,6 +67,26 @@ def test_members_come_and_go_without_touching_others() -> None:
     torch.testing.assert_close(ensemble(inputs(3))[1], alone(inputs(3)[1]))
 
 
+def test_a_state_stays_as_it_was_when_learning_goes_on() -> None:
+    """What was kept to go back to is not what goes on."""
+    ensemble = Ensemble(members(2, True))
+    learner = Learner(ensemble, 1e-2)
+
+    def learn() -> None:
+        learner.descend(ensemble(inputs(2)).square().sum())
+
+    learn()
+    kept = ensemble.member(1), learner.member(1)
+    known = copy.deepcopy(kept)
+    learn()
+    for name, value in known[0].items():
+        assert torch.equal(kept[0][name], value)
+        assert not torch.equal(ensemble.member(1)[name], value)
+    for moment in ("exp_avg", "exp_avg_sq"):
+        for name, value in known[1][moment].items():
+            assert torch.equal(kept[1][moment][name], value)
+
+
 def test_what_a_learner_knows_comes_back() -> None:
     one, other = (Ensemble(members(2)) for _ in range(2))
     learners = Learner(one, 1e-2), Learner(other, 1e-2)

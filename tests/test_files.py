@@ -2,12 +2,14 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import textwrap
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -65,6 +67,49 @@ def test_a_folder_takes_the_others_place_with_all_that_is_in_it(tmp_path: Path) 
         assert names(path) == [content] and names(tmp_path) == ["folder"]
 
 
+@pytest.mark.parametrize("writer", [new_file, new_folder])
+def test_what_does_not_reach_the_disk_replaces_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writer: Callable[..., Any]
+) -> None:
+    """It is forced there before its name is given away."""
+    path, part = tmp_path / "out", Path("part" if writer is new_folder else "")
+    with writer(path) as temporary:
+        (temporary / part).write_text("old")
+
+    def full(descriptor: int) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="no space"), writer(path) as temporary:
+        (temporary / part).write_text("new")
+    assert (path / part).read_text() == "old" and names(tmp_path) == ["out"]
+
+
+def test_who_reads_the_old_file_reads_it_to_its_end(tmp_path: Path) -> None:
+    path = tmp_path / "values.json"
+    write_json(path, "old")
+    with path.open() as reading:
+        write_json(path, "new")
+        assert json.load(reading) == "old" and json.loads(path.read_text()) == "new"
+
+
+def test_an_old_folder_goes_when_the_new_one_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At no time is there none."""
+    path, found, remove = tmp_path / "folder", [], shutil.rmtree
+
+    def watched(folder: Path, **options: Any) -> None:
+        remove(folder, **options)
+        found.append(names(path))
+
+    monkeypatch.setattr(shutil, "rmtree", watched)
+    for content in ("first", "second"):
+        with new_folder(path) as temporary:
+            (temporary / content).write_text(content)
+    assert found == [["first"], ["second"]]
+
+
 KILLED = """
     import os, signal, sys
     from pathlib import Path
@@ -76,23 +121,24 @@ KILLED = """
 """
 
 
-@pytest.mark.parametrize(
-    ("writer", "again"), [("new_file", new_file), ("new_folder", new_folder)]
-)
+@pytest.mark.parametrize("before", [False, True])
+@pytest.mark.parametrize("writer", [new_file, new_folder])
 def test_a_killed_writer_is_as_if_it_had_not_begun(
-    tmp_path: Path, writer: str, again: Callable[..., object]
+    tmp_path: Path, writer: Callable[..., Any], before: bool
 ) -> None:
     """What it leaves beside goes with the next writer of that name."""
-    path = tmp_path / "out"
-    process = in_a_process(KILLED.format(writer=writer), path)
+    path, part = tmp_path / "out", Path("part" if writer is new_folder else "")
+    if before:
+        with writer(path) as temporary:
+            (temporary / part).write_text("old")
+    process = in_a_process(KILLED.format(writer=writer.__name__), path)
     process.communicate()
     assert process.returncode == -signal.SIGKILL
-    assert not path.exists()
-    with again(path) as temporary:  # type: ignore[attr-defined]
-        (temporary / "part" if temporary.is_dir() else temporary).write_text("whole")
-    assert names(tmp_path) == ["out"]
-    found = path / "part" if path.is_dir() else path
-    assert found.read_text() == "whole"
+    assert path.exists() == before and len(names(tmp_path)) == 1 + before
+    assert not before or (path / part).read_text() == "old"
+    with writer(path) as temporary:
+        (temporary / part).write_text("whole")
+    assert names(tmp_path) == ["out"] and (path / part).read_text() == "whole"
 
 
 HOLDER = """
@@ -131,13 +177,15 @@ def test_who_waits_comes_in_when_the_other_leaves(tmp_path: Path) -> None:
     with only_here(folder):
         process = in_a_process(waiting, folder)
         assert process.stdout is not None and process.stdout.readline() == "before\n"
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(0.5)
         (folder / "left").write_text("by the first")
     told, _ = process.communicate(timeout=60)
     assert told == "by the first\n"
 
 
 def test_outputs_that_exist_or_cannot_be_are_refused_before_work(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     there = tmp_path / "there"
     there.write_text("")
@@ -147,6 +195,9 @@ def test_outputs_that_exist_or_cannot_be_are_refused_before_work(
     refuse_existing(tmp_path / "not" / "yet", overwrite=False)
     with pytest.raises(UsageError, match="is no folder open to you"):
         refuse_existing(there / "below-a-file", overwrite=True)
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)
+    with pytest.raises(UsageError, match=f"{tmp_path} is no folder open to you"):
+        refuse_existing(tmp_path / "not" / "yet", overwrite=True)
 
 
 def test_json_is_whole_or_as_before(tmp_path: Path) -> None:

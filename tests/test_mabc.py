@@ -185,7 +185,7 @@ def test_evaluation_comes_when_it_was_asked_for(
 ) -> None:
     """At 0, every 130 and the end, whatever the rhythm of the log is."""
     algorithm = Mabc(CONFIG, arrays, JUDGE, [0])
-    point = {"success/all": 0.5, "return/all": 0.0}
+    point: CurvePoint = {"success/all": 0.5, "return/all": 0.0}
     train(algorithm, [tmp_path], lambda policy: point, 130)
     rows = read_metrics(tmp_path)
     measured = [row["step"] for row in rows if "success/all" in row]

@@ -108,6 +108,21 @@ def test_goals_elsewhere_are_goals_of_steps(arrays: EpisodeArrays) -> None:
     np.testing.assert_allclose(counts / counts.sum(), steps / steps.sum(), atol=0.03)
 
 
+def test_goals_elsewhere_have_nothing_to_do_with_the_step(
+    arrays: EpisodeArrays,
+) -> None:
+    """Every episode's steps get every episode's goal, as often as chance has it."""
+    states, owner = arrays.states.copy(), np.cumsum(arrays.is_first_state()) - 1
+    states[:, LAYOUT.goal] = owner[:, None]
+    batch = drawn(replace(arrays, states=states), future=0.0, elsewhere=1.0)
+    counts = np.zeros((len(arrays), len(arrays)))
+    goals = batch.observation[:, LAYOUT.goal][:, 0].numpy().astype(int)
+    np.add.at(counts, (arrays.step_episode()[rows_of(arrays, batch)], goals), 1)
+    expected = np.outer(arrays.lengths, arrays.lengths) / arrays.steps**2
+    assert counts.all()
+    np.testing.assert_allclose(counts / counts.sum(), expected, atol=0.006)
+
+
 def test_rewards_of_other_goals_are_the_tasks_own(arrays: EpisodeArrays) -> None:
     batch = drawn(arrays, future=0.5, elsewhere=0.3)
     rows = rows_of(arrays, batch)
@@ -146,7 +161,15 @@ def test_each_seed_draws_from_a_stream_of_its_own(arrays: EpisodeArrays) -> None
             assert all(
                 torch.equal(a, b) for a, b in zip(parts, alone[seed], strict=True)
             )
-    assert not torch.equal(alone[3][0], alone[4][0])
+    for mine, others in ((3, 4), (4, 7)):
+        assert not torch.equal(alone[mine][0], alone[others][0])
+        assert not torch.equal(alone[mine][-1], alone[others][-1])  # the noise
+
+
+def test_noise_is_standard_normal(arrays: EpisodeArrays) -> None:
+    noise = drawn(arrays, 0.0).noise
+    assert noise.shape == (4000, 4) and noise.dtype == torch.float32
+    assert noise.mean(0).abs().max() < 0.06 and (noise.std(0) - 1).abs().max() < 0.05
 
 
 @pytest.mark.parametrize("taken", [0, 1, DRAWN_TOGETHER - 1, DRAWN_TOGETHER, 95])
@@ -155,7 +178,9 @@ def test_streams_go_on_where_they_stood(arrays: EpisodeArrays, taken: int) -> No
     for _ in range(taken):
         one.next()
     other = OfflineBatches(arrays, 4, (0.3, 0.3), TASK, [8, 9])
+    other.next()  # it had begun something else
     other.load_states([one.state(number) for number in range(2)])
+    assert [other.state(n) for n in range(2)] == [one.state(n) for n in range(2)]
     for _ in range(DRAWN_TOGETHER + 2):
         pairs = zip(one.next(), other.next(), strict=True)
         assert all(torch.equal(a, b) for a, b in pairs)

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from torch import nn
 
-from marl_mm.algorithms.networks import Normalizer
+from marl_mm.algorithms.networks import Normalizer, perceptron
 from marl_mm.algorithms.seeded import (
     SeededActors,
     SeededCritics,
@@ -71,6 +72,44 @@ def test_seeds_side_by_side_learn_what_each_learns_alone(layout: Layout) -> None
         torch.testing.assert_close(both, alone.joint(state)[0], atol=1e-6, rtol=0)
 
 
+def valued(made: SeededCritics, state: torch.Tensor, action: torch.Tensor) -> None:
+    """One step of all critics towards 0."""
+    made.descend(made.values(state, action).square().mean(dim=(1, 2, 3)))
+
+
+def test_critics_side_by_side_learn_what_each_learns_alone() -> None:
+    """Every seed from transitions of its own."""
+    draw = torch.Generator().manual_seed(1)
+    state, action = (torch.randn(3, 16, n, generator=draw) for n in (10, 4))
+    together = critics(SEEDS, 2)
+    for _ in range(5):
+        valued(together, state, action)
+    every = together.values(state, action)
+    for number, seed in enumerate(SEEDS):
+        alone, own = critics((seed,), 2), slice(number, number + 1)
+        for _ in range(5):
+            valued(alone, state[own], action[own])
+        torch.testing.assert_close(
+            every[own], alone.values(state[own], action[own]), atol=1e-5, rtol=0
+        )
+        for mine, theirs in zip(together.state(number), alone.state(0), strict=True):
+            for name, value in theirs.items():
+                torch.testing.assert_close(mine[name], value, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("layer_norm", [False, True])
+def test_critics_are_perceptrons_of_state_and_action(layer_norm: bool) -> None:
+    made = SeededCritics(14, 1, [8], layer_norm, 1e-2, SEEDS, "cpu")
+    state, action = inputs(6, len(SEEDS))
+    values = made.values(state, action)
+    for number in range(len(SEEDS)):
+        for twin, weights in enumerate(made.state(number)):
+            alone = nn.Sequential(*perceptron((14, 8, 1), layer_norm=layer_norm))
+            alone.load_state_dict(weights)
+            expected = alone(torch.cat([state[0], action[0]], dim=-1)).squeeze(-1)
+            torch.testing.assert_close(values[number, 0, twin], expected)
+
+
 def test_the_joint_action_is_in_the_layouts_order() -> None:
     """However the agents share its entries."""
     made = actors(SEEDS, SPLIT)
@@ -98,13 +137,14 @@ def test_states_come_back_and_learning_goes_on_equally() -> None:
         "actors": actors(SEEDS),
         "critics": critics(SEEDS, 2),
     }
+    parts |= {f"target_{name}": part.copy() for name, part in parts.items()}
     state, action = inputs(16, len(SEEDS))
 
     def learn(some: dict[str, SeededActors | SeededCritics]) -> None:
         made, judges = some["actors"], some["critics"]
         assert isinstance(made, SeededActors) and isinstance(judges, SeededCritics)
         cloned(made, state, action)
-        judges.descend(judges.values(state, action).square().mean(dim=(1, 2, 3)))
+        valued(judges, state, action)
 
     learn(parts)
     kept = copy.deepcopy([parts_state(parts, n) for n in range(len(SEEDS))])
@@ -112,6 +152,7 @@ def test_states_come_back_and_learning_goes_on_equally() -> None:
         "actors": actors((7, 8, 9)),
         "critics": critics((7, 8, 9), 2),
     }
+    fresh |= {f"target_{name}": part.copy() for name, part in fresh.items()}
     load_parts(fresh, kept)
     learn(parts)
     learn(fresh)
@@ -120,23 +161,36 @@ def test_states_come_back_and_learning_goes_on_equally() -> None:
         assert (
             one.keys()
             == other.keys()
-            == {*("actors", "actor_learners", "critics", "critic_learners")}
+            == {"target_actors", "target_critics"}  # which do not learn
+            | {"actors", "actor_learners", "critics", "critic_learners"}
         )
-        for name, weights in one["actors"]["balance"].items():
-            assert torch.equal(weights, other["actors"]["balance"][name])
-        for mine, theirs in zip(one["critics"], other["critics"], strict=True):
-            assert all(torch.equal(mine[key], theirs[key]) for key in mine)
+        for part in ("actors", "target_actors"):
+            for name, weights in one[part]["balance"].items():
+                assert torch.equal(weights, other[part]["balance"][name])
+        for part in ("critics", "target_critics"):
+            for mine, theirs in zip(one[part], other[part], strict=True):
+                assert all(torch.equal(mine[key], theirs[key]) for key in mine)
 
 
 def test_targets_stay_until_they_are_told_to_follow() -> None:
     made, judges = actors(SEEDS), critics(SEEDS)
     targets, judged = made.copy(), judges.copy()
     state, action = inputs(8, len(SEEDS))
-    before, valued = made.joint(state), judges.values(state, action)
+    before, worth = made.joint(state), judges.values(state, action)
     cloned(made, state, action)
-    judges.descend(judges.values(state, action).square().mean(dim=(1, 2, 3)))
+    valued(judges, state, action)
     assert torch.equal(targets.joint(state), before)
-    assert torch.equal(judged.values(state, action), valued)
+    assert torch.equal(judged.values(state, action), worth)
+    flats = [
+        (targets.networks["balance"].flat, made.networks["balance"].flat),
+        (judged.networks.flat, judges.networks.flat),
+    ]
+    expected = [(0.75 * old + 0.25 * new) for old, new in flats]
+    targets.follow(made, 0.25)
+    judged.follow(judges, 0.25)
+    for (found, new), value in zip(flats, expected, strict=True):
+        assert not torch.equal(value, new)
+        torch.testing.assert_close(found, value, atol=1e-7, rtol=0)
     targets.follow(made, 1.0)
     judged.follow(judges, 1.0)
     assert torch.equal(targets.joint(state), made.joint(state))
@@ -165,6 +219,16 @@ def test_weights_follow_from_the_seed_alone() -> None:
     before = torch.get_rng_state()
     assert torch.equal(actors((3,)).joint(inputs(4)[0]), one)
     assert torch.equal(torch.get_rng_state(), before)
+
+
+def test_no_actor_begins_with_a_critics_weights() -> None:
+    """Nor with those of another seed: all first layers, of the same shape, differ."""
+    blank, seeds = Normalizer.blank(10), range(4)
+    made = SeededActors((LAYOUT.joint,), blank, [8], 1e-2, seeds, "cpu")
+    judges = SeededCritics(10, 1, [8], False, 1e-2, seeds, "cpu")
+    first = [made.networks["joint"].member(n)["0.weight"] for n in seeds]
+    first += [one["0.weight"] for n in seeds for one in judges.state(n)]
+    assert len({tuple(weight.flatten().tolist()) for weight in first}) == 12
 
 
 def test_imitation_errors_are_by_entry_and_worked_by_hand() -> None:
