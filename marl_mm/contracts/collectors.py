@@ -3,7 +3,7 @@
 import json
 import tempfile
 from contextlib import closing
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,9 @@ from marl_mm.policy import Policy
 
 LONG = 12
 """Steps of an episode in which a collector is looked at."""
+
+ASKED = 4
+"""How often it is asked whether it keeps an episode, and one that was read again."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +77,8 @@ def _same(one: Episode, other: Episode, what: str) -> None:
 
 def _settings(one: Named) -> None:
     config, policy = one.collector.config(), one.policy()
-    demand(is_dataclass(config), "its config is no dataclass")
+    how = getattr(config, "__dataclass_params__", None)
+    demand(how is not None and how.frozen, "its config is no frozen dataclass")
     json.dumps(asdict(config))
     json.dumps(policy.describe())
     demand(config == one.collector.config(), "two default configs differ")
@@ -104,9 +108,9 @@ def _seeds(one: Named) -> None:
 
 
 def _remembers_nothing(one: Named) -> None:
-    all_of_them = _episodes(one, _plans())
-    (alone,) = _episodes(one, _plans(range(EPISODES - 1, EPISODES)))
-    _same(all_of_them[-1], alone, "an episode after others")
+    for number, after in enumerate(_episodes(one, _plans())):
+        (alone,) = _episodes(one, _plans(range(number, number + 1)))
+        _same(after, alone, "an episode after others")
 
 
 def _workers(one: Named) -> None:
@@ -119,9 +123,12 @@ def _workers(one: Named) -> None:
 
 def _keeps(one: Named) -> None:
     for episode in _episodes(one, _plans()):
-        kept = [one.collector.keeps(episode) for _ in range(2)]
-        demand(kept[0] == kept[1], "keeps says something else of the same episode")
-        demand(isinstance(kept[0], bool), f"keeps says {kept[0]!r}, expected a bool")
+        read = arrays_of([episode], "contract").episode(0)  # as from a file
+        kept = [one.collector.keeps(which) for which in (episode, read) * ASKED]
+        for said in kept:
+            truth = isinstance(said, bool | np.bool_)
+            demand(truth, f"keeps says {said!r}, expected a bool")
+        demand(len(set(kept)) == 1, "keeps says something else of the same episode")
 
 
 def _replay(one: Named) -> None:
