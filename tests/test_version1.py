@@ -75,17 +75,25 @@ def _flat(state: Any, path: str = "") -> dict[str, Any]:
     return {key: value for at, one in parts for key, value in _flat(one, at).items()}
 
 
-def assert_same(one: Any, other: Any) -> None:
-    """Every tensor and number of two states, to the bit.
+SUMMED = ("/replay/d_mm", "/replay/d_mp", "/replay/reward")
+"""Steps' lengths, and rewards that come of them: version 1 let BLAS sum them, whose
+last bit is the processor's."""
 
-    But for new steps' lengths, and rewards that come of them: version 1 let BLAS sum
-    them, whose last bit is the processor's.
+
+def assert_same(one: Any, other: Any, old_steps: int = 0) -> None:
+    """Every tensor and number of two states, to the bit; of new steps but ``SUMMED``.
+
+    Args:
+        one: What went on with this version.
+        other: What went on with version 1.
+        old_steps: Of the replay, from before.
     """
     here, there = _flat(one), _flat(other)
     assert here.keys() == there.keys()
     for key, value in here.items():
-        if key in ("/replay/d_mm", "/replay/d_mp", "/replay/reward"):
+        if key in SUMMED:
             torch.testing.assert_close(value, there[key], rtol=1e-14, atol=1e-17)
+            assert torch.equal(value[:old_steps], there[key][:old_steps]), key
         elif isinstance(value, torch.Tensor):
             assert torch.equal(value, there[key]), key
         else:
@@ -104,11 +112,14 @@ def test_offline_runs_go_on_to_the_same_bits(files: Path, algorithm: str) -> Non
 
 
 def test_an_online_run_goes_on_to_the_same_weights(files: Path) -> None:
+    begun = read_checkpoint(files / "runs/maddpg-her/0")["state"]["replay"]
+    assert begun["oldest"] == 0 < begun["total"]
     words = ["train", "maddpg-her", "--out", str(files / "runs/maddpg-her"), "--resume"]
     assert main([*words, "--episodes", "6", "--workers", "1"]) == 0
     gone_on = read_checkpoint(files / "runs/maddpg-her/0", "maddpg-her")["state"]
     before = read_checkpoint(MADE / "further/maddpg-her" / FILE)["state"]
-    assert_same(gone_on, before)
+    assert begun["total"] < before["replay"]["total"]
+    assert_same(gone_on, before, begun["total"])
 
 
 @pytest.mark.parametrize("name", ["mabc", "td3-bc", "matd3-bc", "maddpg-her", "grasp"])

@@ -30,11 +30,11 @@ from marl_mm.policy import Policy
 UPDATES = 7
 """Updates between the points that claims compare: of no rhythm that may be lost."""
 
-SHOWN = {True: 100, False: 20}
-"""Updates after which an algorithm that learns online, or not, has seen a bias."""
+SHOWN, SHOWN_ONLINE = 20, 100
+"""Updates after which it shows which way data draw an action."""
 
 PAY = 4.0
-"""Reward of an action at its bounds, where each entry has its own."""
+"""What an entry of the action at its bound is paid, to see whether that is learnt."""
 
 _CLOSE = 1e-5
 """Largest difference of weights that learnt alone and beside others."""
@@ -388,7 +388,7 @@ def _own_entries(one: Named) -> None:
     set_to = []
     for data in (_shown(one, arrays, way), _shown(one, arrays, -way)):
         made = _fresh(one, data)
-        _go_on(one, made, SHOWN[one.algorithm.online])
+        _go_on(one, made, SHOWN_ONLINE if one.algorithm.online else SHOWN)
         policy = _policy(one, made)
         set_to.append(np.mean([policy.act(state) for state in data.states], axis=0))
     for name, rise in zip(
