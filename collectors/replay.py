@@ -73,7 +73,7 @@ _cores: dict[str, EpisodeCore] = {}
 
 def _difference(item: tuple[Task, Episode]) -> str | None:
     task, episode = item
-    key = repr(task)
+    key = f"{id(type(task))} {task!r}"
     if key not in _cores:
         _cores[key] = EpisodeCore(task)
     plan = EpisodePlan(episode.index, episode.seed)

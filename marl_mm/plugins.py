@@ -134,7 +134,7 @@ def _run(name: str, source: str, is_file: bool) -> ModuleType:
     except MarlMmError as error:
         raise PluginError(f"plug-in {name}: {error}") from error
     except ModuleNotFoundError as error:
-        if error.name == source:
+        if error.name and (source == error.name or source.startswith(f"{error.name}.")):
             raise UsageError(
                 f"no plug-in {source!r}: expected a file that ends in .py, or a module "
                 "that can be imported"
@@ -142,7 +142,7 @@ def _run(name: str, source: str, is_file: bool) -> ModuleType:
         raise PluginError(f"plug-in {name} fails: {error}") from error
     except Exception as error:
         line = traceback.extract_tb(error.__traceback__)[-1].lineno
-        reason = f"{type(error).__name__}: {error}"
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise PluginError(
             f"plug-in {name} fails: {reason:.300} (line {line})"
         ) from error

@@ -133,11 +133,9 @@ class EpisodeCore:
         task, layout = self.task, self.task.layout
         state = self._state(attempt)
         terms = {name: np.asarray(info[name]) for name in task.needs if name in info}
-        terms |= {
-            name: state[layout.state_names.index(name)]
-            for name in task.needs
-            if name not in info
-        }
+        for name in task.needs:
+            if name not in info:
+                terms[name] = np.asarray(state[layout.columns(name)][0])
         terms[FAILED] = np.asarray(bool(reason))
         achieved = state[layout.achieved], attempt.goal
         success = bool(task.reached(*achieved, terms)) and not reason
