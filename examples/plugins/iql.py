@@ -28,9 +28,6 @@ from marl_mm.algorithms.speed import Precision
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.layout import JOINT_NAME
 
-MOST_WEIGHT = 100.0
-"""Largest weight of an action in the actor's loss (the source's code)."""
-
 
 @dataclass(frozen=True)
 class IqlConfig:
@@ -121,7 +118,8 @@ class Iql:
         critic_loss = errors.square().mean(dim=3).sum(dim=(1, 2))
         self.critics.descend(critic_loss)
 
-        weight = (config.temperature * advantage.detach()).exp().clamp_max(MOST_WEIGHT)
+        weight = (config.temperature * advantage.detach()).exp()
+        weight.clamp_max_(100.0)  # as in the source's code
         error = (self.actors.joint(state) - action).square().mean(dim=2)
         actor_loss = (weight * error).mean(dim=1)
         self.actors.descend(JOINT_NAME, actor_loss)
