@@ -496,7 +496,7 @@ class SilentInfo(Reach):
 LEFT_OUT = "LayoutError: Forgets.observe tells no 'base_yaw'"
 NOT_TOLD = "LayoutError: SilentInfo.measure tells no mood"
 ENDLESS = "an episode goes on after 5 steps"
-NO_NAME = "not in tuple"
+NO_NAME = "it is asked for temper, which the state has not"
 
 TASKS_MISTAKEN: list[tuple[Reach, Broken]] = [
     (
