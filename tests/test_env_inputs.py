@@ -1,5 +1,7 @@
 """What environments refuse, and what they show."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from marl_mm.envs import parallel_env
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.goal_env import GoalEnv
 from marl_mm.envs.registry import TASKS
+from marl_mm.envs.tasks.reach import Reach
 from marl_mm.errors import InvalidActionError, UsageError
 
 
@@ -46,6 +49,19 @@ def test_step_before_reset_and_bad_goals_are_refused(core: EpisodeCore) -> None:
         core.step(np.zeros(4))
     with pytest.raises(UsageError, match="3 finite numbers: goal_x"):
         core.reset(np.random.default_rng(0), np.array([1.0, np.nan, 0.5]))
+
+
+class HeightFirst(Reach):
+    """Its goal has another order than the state."""
+
+    layout = replace(Reach.layout, desired=("goal_z", "goal_x", "goal_y"))
+
+
+def test_what_a_goal_should_be_is_told_in_its_own_order() -> None:
+    core = EpisodeCore(HeightFirst(max_steps=1))
+    with pytest.raises(UsageError, match=r"goal_z .*, goal_x .*, goal_y"):
+        core.reset(np.random.default_rng(0), np.zeros(2))
+    core.close()
 
 
 def test_bad_render_modes_and_early_states_are_refused() -> None:

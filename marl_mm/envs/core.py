@@ -14,6 +14,7 @@ from marl_mm.envs.drive import Drive, Motion, Watch
 from marl_mm.envs.task import Attempt, Task
 from marl_mm.episode import FAILED
 from marl_mm.errors import InvalidActionError, LayoutError, UsageError
+from marl_mm.layout import places
 from marl_mm.sim.config import RATE, Camera
 
 RENDER_MODES = ("rgb_array",)
@@ -167,11 +168,8 @@ class EpisodeCore:
             ) from None
 
     def _checked_goal(self, goal: np.ndarray) -> np.ndarray:
-        entries = [
-            one
-            for one in self.task.layout.state
-            if one.name in self.task.layout.desired
-        ]
+        layout = self.task.layout
+        entries = [layout.state[i] for i in places(layout.state_names, layout.desired)]
         try:
             values = np.array(goal, dtype=np.float64)
         except (TypeError, ValueError):

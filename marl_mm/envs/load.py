@@ -15,6 +15,13 @@ Interval = tuple[float, float]
 WIDEST = 0.075
 """Edge of a block that open pads, 0.08 apart, can go around [m]."""
 
+FAR = 1.3
+"""Farthest along an axis that a base can take a block [m]: the arm's foot is 0.22 ahead
+of the base, and it reaches 0.855 (Franka data sheet)."""
+
+HIGH = 1.4
+"""Highest that it can [m]: the arm's shoulder is at 0.68."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class LoadConfig:
@@ -108,6 +115,12 @@ class StandConfig(LoadConfig):
                 f"load.hold_ticks is {self.hold_ticks} and load.lift {self.lift}, "
                 "expected >= 0, and lift <= 0.5"
             )
+
+
+def in_reach(block_w: tuple[float, float, float], travel: float) -> bool:
+    """Whether a block can be taken by a hand whose base goes ``travel`` metres."""
+    x, y, z = block_w
+    return max(abs(x), abs(y)) <= FAR + travel and z <= HIGH
 
 
 def _check_positive(load: LoadConfig, *names: str) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, names
 from marl_mm.envs.grasping import grasping
-from marl_mm.envs.load import StandConfig
+from marl_mm.envs.load import StandConfig, in_reach
 from marl_mm.envs.order import Order
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Terms, Values
@@ -48,13 +48,6 @@ LAYOUT = Layout(
 )
 """The end-effector's agent sees the block, its stand and the gripper's opening; both
 see whether the block is held."""
-
-FAR = 1.3
-"""Farthest along an axis that a base can take a block [m]: the arm's foot is 0.22 ahead
-of the base, and it reaches 0.855 (Franka data sheet)."""
-
-HIGH = 1.4
-"""Highest that it can [m]: the arm's shoulder is at 0.68."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,8 +92,7 @@ class Grasp(Carry):
         self.place(attempt, (goal_mark,), scene)
         hand = attempt.drives[0].handle(scene, load.knowledge)
         hand.grip(False)
-        travel = self.action_scale * self.max_steps  # of the hand
-        if max(abs(x), abs(y)) > FAR + travel or block_w[2] > HIGH:
+        if not in_reach(block_w, travel=self.action_scale * self.max_steps):
             hand.lose_reach()
         self.wander(attempt, rng)
 
