@@ -148,10 +148,7 @@ def _version1_action(state: np.ndarray) -> np.ndarray:
     """What it did in version 1, operation by operation."""
     file = load_file(FOLDER / WEIGHTS)
     one = {name.removeprefix("joint/"): value for name, value in file.items()}
-    low, high = (
-        torch.tensor([-0.1, -0.1, -0.1, 0.0]),
-        torch.tensor([0.1, 0.1, 0.1, 1.0]),
-    )
+    low, high = torch.tensor([-1.0, -1.0, -1.0, 0.0]), torch.ones(4)
     seen = torch.as_tensor(state, dtype=torch.float32)
     unit = (seen - one["normalizer.mean"]) / one["normalizer.std"]
     for layer in (0, 2, 4):
