@@ -1,7 +1,7 @@
 """Datasets of others, brought into ours: Minari's episodes or flat HDF5 arrays."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,9 @@ from marl_mm.datasets.verify import problems_of
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.episode import IMPORTED, Episode
 from marl_mm.errors import DatasetError, UsageError, WorkerDiedError
-from marl_mm.layout import Layout
+from marl_mm.layout import Layout, refuse_other_layout
 from marl_mm.registry import Registry
+from marl_mm.version1 import dataset_layout
 from marl_mm.workers import apart
 
 _SHARED = (
@@ -84,6 +85,9 @@ class ImportForm:
     """Reads the episodes of an open file, of a layout and with step numbers of these
     names."""
 
+    by_agent: bool = False
+    """Whether actions stand agent by agent, so that the agents have to be the same."""
+
 
 IMPORTS: Registry[ImportForm] = Registry("form")
 """Ways in which files of others are read, the last one added first."""
@@ -108,7 +112,8 @@ def read_foreign(path: Path, dataset_id: str, task: str | None = None) -> Foreig
             where it says nothing.
 
     Raises:
-        UsageError: If there is no such file or task.
+        UsageError: If there is no such file or task, or the file tells of other entries
+            than the task's.
         DatasetError: If it cannot be read, or is not what a dataset must be; naming the
             key, what was got and what was expected.
     """
@@ -126,8 +131,7 @@ def read_foreign(path: Path, dataset_id: str, task: str | None = None) -> Foreig
     seconds = _PATIENCE + path.stat().st_size / _SLOWEST
     try:
         said = task or apart(_said, path, seconds) or DEFAULT
-        own = make_task(said)
-        arrays = apart(_read, (path, dataset_id, own.layout, list(own.info)), seconds)
+        arrays = apart(_read, (path, dataset_id, said), seconds)
     except UsageError as error:
         way_out = "" if task else ", or give --task"
         raise UsageError(f"{path}: {error}{way_out}") from error
@@ -143,27 +147,41 @@ def read_foreign(path: Path, dataset_id: str, task: str | None = None) -> Foreig
 def _said(path: Path) -> str | None:
     """The task that a file names; damaged ones can crash the library, or never end."""
     with open_hdf5(path) as file:
-        task = file.attrs.get("task") or _said_beside(path)
+        task = _told(path, file).get("task")
     return task if isinstance(task, str) else None
 
 
-def _read(what: tuple[Path, str, Layout, list[str]]) -> EpisodeArrays:
+def _read(what: tuple[Path, str, str]) -> EpisodeArrays:
     """The episodes of a file."""
-    path, dataset_id, layout, info = what
+    path, dataset_id, name = what
+    task = make_task(name)
     with open_hdf5(path) as file:
         forms = [form for _, form in reversed(IMPORTS.items()) if form.fits(file)]
-        episodes = forms[0].episodes(path, file, layout, info)
+        theirs = _layout(_told(path, file))
+        if theirs is not None:
+            agents = forms[0].by_agent
+            refuse_other_layout("its data", theirs, name, task.layout, agents)
+        episodes = forms[0].episodes(path, file, task.layout, list(task.info))
     return arrays_of(episodes, dataset_id)
 
 
-def _said_beside(path: Path) -> Any:
-    """The task that our own metadata name, in a dataset's folder."""
+def _told(path: Path, file: Any) -> Mapping[str, Any]:
+    """What a file says of itself, or our own metadata beside it say."""
+    if "task" in file.attrs:
+        return dict(file.attrs)
     try:
-        return json.loads((path.parent / "metadata.json").read_text())["marl_mm"][
-            "task"
-        ]
+        told = json.loads((path.parent / "metadata.json").read_text())["marl_mm"]
     except (OSError, ValueError, KeyError, TypeError):
-        return None
+        return {}
+    return told if isinstance(told, dict) else {}
+
+
+def _layout(told: Mapping[str, Any]) -> Layout | None:
+    """The layout that is told, or that version 1 had with the entries that are."""
+    layout = told.get("layout")
+    if layout is None:
+        return dataset_layout(told) if "state" in told else None
+    return Layout.from_json(json.loads(layout) if isinstance(layout, str) else layout)
 
 
 def _episode(
@@ -303,6 +321,7 @@ IMPORTS.add(
         about="One group per agent, state and next_state, as export writes them.",
         fits=lambda file: "state" in file and "observations" not in file,
         episodes=_agents,
+        by_agent=True,
     ),
 )
 IMPORTS.add(

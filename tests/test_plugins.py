@@ -241,11 +241,18 @@ def test_two_layouts_of_equal_width_never_pass_for_each_other(
         f"{data['PacedReach-v0']}:4",
     ]
     assert run(*mixed, "--out", tmp_path / "both-v0") == 2
-    swapped = json.loads(
-        (Path(data["PacedReach-v0"]) / "data/metadata.json").read_text()
-    )
-    timed = load_dataset(data["TimedReach-v0"]).arrays.layout.to_json()
-    assert swapped["marl_mm"]["layout"] != timed
+    sources: list[object] = [data["TimedReach-v0"]]
+    for form in ("flat", "agents"):
+        sources.append(tmp_path / f"{form}.hdf5")
+        export = ["datasets", "export", data["TimedReach-v0"], "--layout", form]
+        assert run(*export, "--out", sources[-1], *own) == 0
+    for number, source in enumerate(sources):
+        words = ["datasets", "import", source, "--out", tmp_path / f"z{number}-v0"]
+        capsys.readouterr()
+        assert run(*words, *other) == 2, source
+        told = capsys.readouterr().err
+        assert "state time_left" in told and "state tempo" in told
+        assert run(*words, "--task", "TimedReach-v0", *own) == 0
 
 
 def test_a_joint_policy_acts_for_another_team(
