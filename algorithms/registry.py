@@ -1,9 +1,11 @@
 """Algorithms by name: what learns, from what, and with which hyper-parameters."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
+from marl_mm.algorithms.run_config import RunConfig
+from marl_mm.declared import check_settings
 from marl_mm.errors import UsageError
 from marl_mm.registry import Registry
 
@@ -14,9 +16,21 @@ PAPER = "paper"
 """Preset of the source paper's tables."""
 
 
+_NEEDED = {
+    False: ("updates", "precision"),
+    True: ("episodes", "episodes_per_cycle", "updates_per_episode"),
+}
+"""Hyper-parameters that every run has, offline and online."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Algorithm:
-    """A way to learn."""
+    """A way to learn.
+
+    Raises:
+        UsageError: If it has no tuned preset, or hyper-parameters lack what every run
+            needs, a default or a name of their own.
+    """
 
     about: str
     """What it is, in a sentence for helps."""
@@ -41,6 +55,9 @@ class Algorithm:
     def __post_init__(self) -> None:
         if TUNED not in self.presets:
             raise UsageError(f"an algorithm has no preset {TUNED!r}: {self.about!r}")
+        recorded = [one.name for one in fields(RunConfig)]
+        for config in self.presets.values():
+            check_settings(config, _NEEDED[self.online], recorded)
 
 
 ALGORITHMS: Registry[Algorithm] = Registry(

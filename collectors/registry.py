@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from marl_mm.declared import defaults
 from marl_mm.envs.task import Task
 from marl_mm.episode import Episode
 from marl_mm.policy import Policy
@@ -22,7 +23,11 @@ def everything(episode: Episode) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class Collector:
-    """A way to collect episodes."""
+    """A way to collect episodes.
+
+    Raises:
+        UsageError: If a setting of its config has no default.
+    """
 
     about: str
     """What it does, in a sentence for helps."""
@@ -43,6 +48,9 @@ class Collector:
     dataset: str | None = None
     """Name of its datasets where nobody says another; None: the collector's."""
 
+    def __post_init__(self) -> None:
+        defaults(self.config)
+
 
 COLLECTORS: Registry[Collector] = Registry(
     "collector",
@@ -50,5 +58,6 @@ COLLECTORS: Registry[Collector] = Registry(
         f"marl_mm.collectors.{name}"
         for name in ("pretrained", "pd", "medium", "random", "scripted")
     ],
+    taken=("paper",),  # marl-mm collect paper: all of the paper's datasets
 )
 """Collectors that there are."""

@@ -55,7 +55,9 @@ class Metric:
     """Whether summaries have its mean over episodes."""
 
 
-METRICS: Registry[Metric] = Registry("metric")
+METRICS: Registry[Metric] = Registry(
+    "metric", taken=(*EvaluationRow.__required_keys__, "direction", "reason")
+)
 """Metrics that evaluations have beside success, steps and return."""
 
 
@@ -144,8 +146,8 @@ def summarize(rows: Rows) -> dict[str, Any]:
     }
     averaged = [name for name, one in METRICS.items() if one.averaged]
     for key in ("return", *averaged):
-        if key in rows[0]:
-            summary[key] = float(np.mean([row[key] for row in rows]))
+        if values := [row[key] for row in rows if key in row]:
+            summary[key] = float(np.mean(values))
     failures = count_failures(rows)
     return summary if failures is None else {**summary, "failures": failures}
 

@@ -17,8 +17,11 @@ from marl_mm.errors import LayoutError
 JOINT_NAME = "joint"
 """Name of the single actor of algorithms that do not know agents."""
 
-_RESERVED = (JOINT_NAME, "actor", "critic", "imitation")
-"""Names that agents may not have, as logs and checkpoints use them."""
+_RESERVED = (
+    *(JOINT_NAME, "actor", "critic", "imitation"),
+    *("state", "next_state", "rewards", "terminals", "timeouts", "episodes"),
+)
+"""Names that agents may not have, as logs, checkpoints and exported files use them."""
 
 MOST_AGENTS = 8
 """Largest number of agents of a layout."""
@@ -59,6 +62,9 @@ class Agent:
 
     sets: tuple[str, ...]
     """Names of entries of the joint action; no two agents set the same."""
+
+    def __post_init__(self) -> None:
+        _make_tuples(self, "sees", "sets")
 
     def __str__(self) -> str:
         return f"{self.name} (sees {', '.join(self.sees)}; sets {', '.join(self.sets)})"
@@ -108,6 +114,7 @@ class Layout:
     """Names of the state's entries that are the goal, as many, in the same order."""
 
     def __post_init__(self) -> None:
+        _make_tuples(self, "state", "action", "team", "compared", "desired")
         _check_names("state", self.state_names)
         _check_names("action", self.action_names)
         _check_names("agents", [agent.name for agent in self.team])
@@ -336,6 +343,12 @@ def in_order(agents: Iterable[AgentLayout]) -> list[int] | None:
     placed = [place for agent in agents for place in agent.action]
     order = sorted(range(len(placed)), key=placed.__getitem__)
     return None if order == list(range(len(placed))) else order
+
+
+def _make_tuples(one: Any, *names: str) -> None:
+    """Lists become tuples, so that they compare equal and can be hashed."""
+    for name in names:
+        object.__setattr__(one, name, tuple(getattr(one, name)))
 
 
 def _check_names(part: str, names: Sequence[str]) -> None:

@@ -2,8 +2,9 @@
 
 import difflib
 import importlib
+import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Generic, TypeVar
 
@@ -34,10 +35,13 @@ class Registry(Generic[T]):
     Args:
         kind: What they are, in the singular, for messages.
         modules: Modules that add the built-in ones when they are imported.
+        taken: Names that mean something else where these are used.
     """
 
-    def __init__(self, kind: str, modules: Sequence[str] = ()) -> None:
-        self.kind = kind
+    def __init__(
+        self, kind: str, modules: Sequence[str] = (), taken: Collection[str] = ()
+    ) -> None:
+        self.kind, self._taken = kind, taken
         self._modules, self._order = list(modules), tuple(modules)
         self._things: dict[str, T] = {}
         self._origins: dict[str, str] = {}
@@ -54,9 +58,11 @@ class Registry(Generic[T]):
         Raises:
             UsageError: If the name makes no sense, or another thing has it.
         """
-        if not name or any(mark in name for mark in " /\\\n\t"):
+        if not re.fullmatch(r"[^\W\d][\w.-]*", name) or name in self._taken:
+            but = f", other than {', '.join(sorted(self._taken))}" * bool(self._taken)
             raise UsageError(
-                f"{self.kind} {name!r}: expected a name without spaces and slashes"
+                f"{self.kind} {name!r}: expected a letter and then letters, digits, "
+                f"'-', '_' and '.'{but}"
             )
         module = str(sys._getframe(caller).f_globals["__name__"])
         inner = module.split(".")[0] == BUILT_IN

@@ -10,6 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from marl_mm.commands.parser import parse_options
+from marl_mm.declared import defaults
 from marl_mm.envs.registry import config_dict
 
 Row = dict[str, Any]
@@ -114,7 +115,8 @@ _ROWS = {
 
 def _changed(task: Any) -> dict[str, Any]:
     """A task's numbers that are not those of its kind."""
-    usual, own = config_dict(type(task)()), config_dict(task)
+    usual = {name: config_dict(one) for name, one in defaults(type(task)).items()}
+    own = config_dict(task)
     return {name: value for name, value in _differences(usual, own)}
 
 

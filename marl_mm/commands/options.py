@@ -1,12 +1,14 @@
 """What several commands share: defaults, and policies by name."""
 
 import json
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import field, fields, make_dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
+import tyro
 from rich.console import Console
 
 import marl_mm
@@ -41,7 +43,11 @@ def policy_names() -> tuple[str, ...]:
 def with_policies(options: type[T]) -> type[T]:
     """A class of options with the settings of every collector's policy, by its name."""
     settings = [
-        (_attribute(name), one.config, field(default_factory=one.config))
+        (
+            _attribute(name),
+            Annotated[one.config, tyro.conf.arg(name=name)],
+            field(default_factory=one.config),
+        )
         for name, one in COLLECTORS.items()
         if name != AGENT and fields(one.config)
     ]
@@ -85,7 +91,8 @@ def named_policy(
 
 
 def _attribute(name: str) -> str:
-    return name.replace("-", "_")
+    """Field of a collector's settings, which is an identifier, and no option's name."""
+    return "policy_" + re.sub(r"\W", "_", name)
 
 
 def own_task(policies: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar, Union
 import tyro
 
 from marl_mm.cli import ABOUT_PLUGINS
+from marl_mm.declared import refuse_taken
 from marl_mm.errors import UsageError
 
 T = TypeVar("T")
@@ -104,6 +105,15 @@ def with_values(options: Any, values: Mapping[str, Any]) -> Any:
 def _kind(name: str, command: type | Subcommand) -> Any:
     if isinstance(command, type):
         return Annotated[command, tyro.conf.subcommand(name)]
+    taken: list[str] = []
+    for one in fields(command.default):
+        value = getattr(command.default, one.name)
+        if is_dataclass(value) and not isinstance(value, type):
+            names = [inner.name for inner in fields(value)]
+            refuse_taken(type(value), names, taken)
+        else:
+            names = [one.name]
+        taken += names
     about = tyro.conf.subcommand(
         name, default=command.default, description=command.description
     )

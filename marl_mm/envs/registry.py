@@ -7,8 +7,10 @@ from typing import Any
 
 import gymnasium
 
+from marl_mm.declared import defaults
 from marl_mm.envs.task import Task
 from marl_mm.errors import UsageError
+from marl_mm.layout import Layout
 from marl_mm.registry import Registry
 
 TASKS: Registry[Task] = Registry(
@@ -24,12 +26,16 @@ def register_task(name: str, task: Task) -> None:
     """Make a task known by name, to Gymnasium as ``marl_mm/NAME``, too.
 
     Raises:
-        UsageError: If it is no task, or the name is another task's.
+        UsageError: If it is no task, has no layout or a number without a default, or
+            the name is another task's.
     """
     if not isinstance(task, Task):
         raise UsageError(
             f"task {name!r} is {task!r}, expected a marl_mm.envs.task.Task"
         )
+    defaults(type(task))
+    if not isinstance(getattr(task, "layout", None), Layout):
+        raise UsageError(f"task {name!r}: {type(task).__name__} has no layout")
     TASKS.add(name, task, caller=2)
     gymnasium.register(
         id=f"marl_mm/{name}",
