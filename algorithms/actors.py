@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from marl_mm.algorithms.networks import ActionScale, Actor, Normalizer
+from marl_mm.errors import UsageError
 from marl_mm.layout import JOINT_NAME, AgentLayout, Layout, in_order
 
 
@@ -17,9 +18,17 @@ class AgentActor:
     Args:
         layout: What the agent sees and sets.
         actor: Its network.
+
+    Raises:
+        UsageError: If it is of another kind.
     """
 
     def __init__(self, layout: AgentLayout, actor: Actor) -> None:
+        if not isinstance(actor, Actor):
+            raise UsageError(
+                f"the network of {layout.name!r} is {type(actor).__name__}, expected "
+                "marl_mm.algorithms.networks.Actor, which checkpoints can hold"
+            )
         self.layout = layout
         self.actor = actor
         self._entries = torch.tensor(layout.observation)

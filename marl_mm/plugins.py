@@ -140,8 +140,9 @@ def _run(name: str, source: str, is_file: bool) -> ModuleType:
                 "that can be imported"
             ) from error
         raise PluginError(f"plug-in {name} fails: {error}") from error
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         line = traceback.extract_tb(error.__traceback__)[-1].lineno
+        line = error.lineno if isinstance(error, SyntaxError) else line
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise PluginError(
             f"plug-in {name} fails: {reason:.300} (line {line})"

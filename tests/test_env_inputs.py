@@ -8,9 +8,10 @@ import pytest
 from marl_mm.envs import parallel_env
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.goal_env import GoalEnv
-from marl_mm.envs.registry import TASKS
+from marl_mm.envs.registry import TASKS, register_task
+from marl_mm.envs.task import Terms
 from marl_mm.envs.tasks.reach import Reach
-from marl_mm.errors import InvalidActionError, UsageError
+from marl_mm.errors import InvalidActionError, MarlMmError, UsageError
 
 
 @pytest.mark.parametrize(
@@ -61,6 +62,45 @@ def test_what_a_goal_should_be_is_told_in_its_own_order() -> None:
     core = EpisodeCore(HeightFirst(max_steps=1))
     with pytest.raises(UsageError, match=r"goal_z .*, goal_x .*, goal_y"):
         core.reset(np.random.default_rng(0), np.zeros(2))
+    core.close()
+
+
+class NeedsYaw(Reach):
+    """Its reward depends on an entry of the state, which info tells for hindsight."""
+
+    needs = (*Reach.needs, "base_yaw")
+
+    def reward(
+        self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
+    ) -> np.ndarray:
+        return np.asarray(super().reward(achieved, desired, terms) - terms["base_yaw"])
+
+
+def test_rewards_of_a_state_entry_are_computed_again() -> None:
+    register_task("NeedsYaw-v0", NeedsYaw(max_steps=2))
+    env = GoalEnv("NeedsYaw-v0")
+    env.reset(seed=0)
+    seen, reward, _, _, info = env.step(np.ones(4, np.float32))
+    assert info["base_yaw"] == seen["observation"][5] != 0.0
+    again = env.compute_reward(seen["achieved_goal"], seen["desired_goal"], info)
+    assert again == reward
+    env.close()
+
+
+class PaysNothing(Reach):
+    """Its reward is no number."""
+
+    def reward(
+        self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
+    ) -> np.ndarray:
+        return np.full(np.shape(terms["d_mm"]), np.nan)
+
+
+def test_a_reward_that_is_no_number_ends_the_episode_at_once() -> None:
+    core = EpisodeCore(PaysNothing(max_steps=2))
+    core.reset(np.random.default_rng(0))
+    with pytest.raises(MarlMmError, match=r"PaysNothing\.reward is nan"):
+        core.step(np.zeros(4))
     core.close()
 
 

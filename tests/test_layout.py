@@ -172,6 +172,7 @@ def test_every_agent_acts_on_what_it_sees_alone(layout: Layout, seed: int) -> No
             "'balance' sees wind, which the state has not",
         ),
         ({"team": (HAND, replace(BALANCE, name="joint"))}, "expected another name"),
+        ({"team": (HAND, replace(BALANCE, name="rewards"))}, "expected another name"),
         ({"team": (HAND, replace(BALANCE, sees=()))}, "sees or sets no entry"),
         ({"team": (HAND, replace(BALANCE, name="a/b"))}, "the name 'a/b'"),
         ({"desired": ("goal_x", "goal_y", "wind")}, "desired has wind"),
@@ -187,6 +188,17 @@ def test_layouts_that_make_no_sense_are_refused(
 ) -> None:
     with pytest.raises(LayoutError, match=complaint):
         replace(REACH, **change)
+
+
+def test_a_layout_of_lists_is_one_of_tuples() -> None:
+    lists: dict[str, Any] = {
+        "state": list(REACH.state),
+        "action": list(REACH.action),
+        "team": [Agent(a.name, [*a.sees], [*a.sets]) for a in REACH.team],  # type: ignore[arg-type]
+        "compared": list(REACH.compared),
+        "desired": list(REACH.desired),
+    }
+    assert Layout(**lists) == REACH and hash(Layout(**lists)) == hash(REACH)
 
 
 def test_nine_agents_are_too_many() -> None:

@@ -1,14 +1,23 @@
 """Registries: names, order, origins, and what they refuse."""
 
+import json
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import pytest
 
-from marl_mm.algorithms.registry import ALGORITHMS, names, preset
-from marl_mm.collectors.registry import COLLECTORS
-from marl_mm.envs.registry import TASKS
+from marl_mm.algorithms.mabc import Mabc, MabcConfig
+from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, names, preset
+from marl_mm.cli import main
+from marl_mm.collectors.random import RandomConfig, RandomPolicy
+from marl_mm.collectors.registry import COLLECTORS, Collector
+from marl_mm.envs.registry import TASKS, register_task
+from marl_mm.envs.tasks.reach import Reach
 from marl_mm.errors import UsageError
+from marl_mm.eval.metrics import METRICS, Metric, summarize
 from marl_mm.registry import BUILT_IN, Registry, registered_by
 
 
@@ -37,9 +46,9 @@ def test_a_name_belongs_to_who_came_first() -> None:
     assert registry.get("one") == 10
 
 
-@pytest.mark.parametrize("name", ["", "a b", "a/b", "a\nb"])
+@pytest.mark.parametrize("name", ["", "a b", "a/b", "a\nb", "2nd", "-a"])
 def test_names_that_make_no_sense_are_refused(name: str) -> None:
-    with pytest.raises(UsageError, match="expected a name without spaces"):
+    with pytest.raises(UsageError, match="expected a letter and then letters"):
         Registry[int]("number").add(name, 1)
 
 
@@ -85,3 +94,105 @@ def test_a_preset_that_an_algorithm_has_not_is_refused() -> None:
 def test_every_collectors_config_has_defaults() -> None:
     for _, collector in COLLECTORS.items():
         assert collector.config() == collector.config()
+
+
+# --- Declarations ------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Demanding:
+    """One of its settings has no default."""
+
+    period: float
+
+
+@dataclass(frozen=True)
+class Records(MabcConfig):
+    """One of its settings has the name of what a run records."""
+
+    plugins: int = 9
+
+
+@dataclass(frozen=True)
+class Steps:
+    """One of its settings has the name of an option of every collection."""
+
+    steps: int = 9
+
+
+def collector(config: type) -> Collector:
+    return Collector(
+        about="x", config=config, policy=lambda config, task: RandomPolicy(config)
+    )
+
+
+def algorithm(config: Any, online: bool = False) -> Algorithm:
+    return Algorithm(
+        about="x", source="x", learner=Mabc, presets={TUNED: config}, online=online
+    )
+
+
+@pytest.mark.parametrize(
+    ("declare", "complaint"),
+    [
+        (lambda: collector(Demanding), r"Demanding\.period has no default"),
+        (lambda: collector(dict), "no dataclass, expected a frozen one"),
+        (lambda: algorithm({"updates": 1}), "no dataclass, expected a frozen one"),
+        (lambda: algorithm(Steps()), "Steps has no updates, precision"),
+        (lambda: algorithm(MabcConfig(), online=True), "has no episodes, episodes_per"),
+        (lambda: algorithm(Records()), r"Records\.plugins has the name of something"),
+        (lambda: COLLECTORS.add("paper", collector(RandomConfig)), "other than paper"),
+        (
+            lambda: METRICS.add("success", Metric(about="x", value=len)),
+            "other than direction, goal, index, reason, return, seed, steps, success",
+        ),
+    ],
+)
+def test_declarations_that_would_break_something_later_are_refused(
+    declare: Callable[[], object], complaint: str
+) -> None:
+    with pytest.raises(UsageError, match=complaint):
+        declare()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Undecided(Reach):
+    """One of its numbers has no default."""
+
+    width: float
+
+
+def test_tasks_need_defaults_and_a_layout() -> None:
+    with pytest.raises(UsageError, match=r"Undecided\.width has no default"):
+        register_task("Undecided-v0", Undecided(max_steps=2, width=1.0))
+    assert "Undecided-v0" not in TASKS
+
+
+def test_options_of_the_same_name_are_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "clash" not in COLLECTORS
+    monkeypatch.setitem(COLLECTORS._things, "clash", collector(Steps))
+    assert main(["collect", "clash"]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("marl-mm: Steps.steps has the name of something else")
+
+
+def test_a_collector_may_be_called_as_an_option_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "task" not in COLLECTORS
+    monkeypatch.setitem(COLLECTORS._things, "task", collector(RandomConfig))
+    words = ["eval", "task", "--episodes", "2", "--max-steps", "1", "--workers", "1"]
+    assert main([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)[0]["policy"] == "task"
+
+
+def test_what_few_episodes_have_is_averaged_over_these(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    some = Metric(about="x", value=len, averaged=True)
+    monkeypatch.setitem(METRICS._things, "some", some)
+    rows = [{"success": True, "steps": 1, "return": 0.0} for _ in range(3)]
+    rows[1]["some"] = 4.0
+    assert summarize(rows)["some"] == 4.0

@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 import torch
 
+from marl_mm.algorithms.algorithm import OfflineAlgorithm
 from marl_mm.algorithms.checkpoint import read_checkpoint, save_checkpoint, save_seed
 from marl_mm.algorithms.export import TOLERANCE, export_policy
+from marl_mm.algorithms.online import OnlineAlgorithm
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm
 from marl_mm.algorithms.speed import prepare_for_small_networks
@@ -174,10 +176,18 @@ def _names(one: Named) -> None:
             how is not None and how.frozen, f"preset {preset} is no frozen dataclass"
         )
         json.dumps(asdict(config))
-        wanted = "episodes" if one.algorithm.online else "updates"
-        demand(hasattr(config, wanted), f"preset {preset} does not tell {wanted}")
     made = _fresh(one, _data())
+    missing = _members(OnlineAlgorithm if one.algorithm.online else OfflineAlgorithm)
+    missing = {name for name in missing if not hasattr(made, name)}
+    demand(not missing, f"the learner has no {', '.join(sorted(missing))}")
     demand(made.name == one.name, f"the learner calls itself {made.name!r}")
+
+
+def _members(protocol: type) -> set[str]:
+    """What those have that keep to a protocol."""
+    parts = (one for one in protocol.__mro__ if getattr(one, "_is_protocol", False))
+    names = {name for one in parts for name in {*vars(one), *one.__annotations__}}
+    return {name for name in names if not name.startswith("_")}
 
 
 def _seeds(one: Named) -> None:

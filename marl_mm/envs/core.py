@@ -5,6 +5,7 @@ whole-body controller follows for 240 ticks. What an action means, what is seen 
 is rewarded is the task's affair.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -13,7 +14,12 @@ import numpy as np
 from marl_mm.envs.drive import Drive, Motion, Watch
 from marl_mm.envs.task import Attempt, Task
 from marl_mm.episode import FAILED
-from marl_mm.errors import InvalidActionError, LayoutError, UsageError
+from marl_mm.errors import (
+    InvalidActionError,
+    LayoutError,
+    MarlMmError,
+    UsageError,
+)
 from marl_mm.layout import places
 from marl_mm.sim.config import RATE, Camera
 
@@ -133,10 +139,14 @@ class EpisodeCore:
     def _judged(self, attempt: Attempt, info: dict[str, Any], reason: str) -> Step:
         task, layout = self.task, self.task.layout
         state = self._state(attempt)
-        terms = {name: np.asarray(info[name]) for name in task.needs if name in info}
-        for name in task.needs:
-            if name not in info:
-                terms[name] = np.asarray(state[layout.columns(name)][0])
+        known = dict(zip(layout.state_names, state.tolist(), strict=True)) | info
+        if unknown := set(task.needs) - known.keys():
+            raise LayoutError(
+                f"{type(task).__name__}.needs has {', '.join(sorted(unknown))}, which "
+                "neither measure nor the layout's state tells"
+            )
+        info |= {name: known[name] for name in task.needs}
+        terms = {name: np.asarray(info[name]) for name in task.needs}
         terms[FAILED] = np.asarray(bool(reason))
         achieved = state[layout.achieved], attempt.goal
         success = bool(task.reached(*achieved, terms)) and not reason
@@ -151,6 +161,8 @@ class EpisodeCore:
             )
         info = {name: info[name] for name in task.info} | info
         reward = float(task.reward(*achieved, terms))
+        if not math.isfinite(reward):
+            raise MarlMmError(f"{type(task).__name__}.reward is {reward}, not finite")
         ended = success or bool(reason)
         truncated = attempt.steps >= task.max_steps and not ended
         return Step(state, reward, ended, truncated, info)
@@ -159,13 +171,17 @@ class EpisodeCore:
         layout = self.task.layout
         seen = dict(self.task.observe(attempt))
         seen.update(zip(layout.desired, attempt.goal, strict=True))
+        whose = f"{type(self.task).__name__}.observe"
         try:
-            return np.array([seen[name] for name in layout.state_names], np.float64)
+            state = np.array([seen[name] for name in layout.state_names], np.float64)
         except KeyError as error:
             raise LayoutError(
-                f"{type(self.task).__name__}.observe tells no {error.args[0]!r}, "
-                "which the task's layout has"
+                f"{whose} tells no {error.args[0]!r}, which the task's layout has"
             ) from None
+        if not np.isfinite(state).all():
+            odd = np.flatnonzero(~np.isfinite(state))[0]
+            raise MarlMmError(f"{whose}: {layout.state[odd]} is {state[odd]}")
+        return state
 
     def _checked_goal(self, goal: np.ndarray) -> np.ndarray:
         layout = self.task.layout
