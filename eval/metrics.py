@@ -54,6 +54,13 @@ class Metric:
     averaged: bool = False
     """Whether summaries have its mean over episodes."""
 
+    column: str = ""
+    """Head of its column in tables, with its unit in brackets; empty where tables
+    leave it out. It has to be averaged."""
+
+    form: str = ".3g"
+    """How tables write it, a format specification."""
+
 
 METRICS: Registry[Metric] = Registry(
     "metric", taken=(*EvaluationRow.__required_keys__, "direction", "reason")
@@ -68,8 +75,12 @@ def _of_info(name: str, reduce: Callable[[np.ndarray], Any]) -> Any:
     return value
 
 
-def _add(name: str, about: str, value: Any, averaged: bool = False) -> None:
-    METRICS.add(name, Metric(about=about, value=value, averaged=averaged))
+def _add(name: str, about: str, value: Any, column: str = "", form: str = "") -> None:
+    averaged = bool(column)
+    METRICS.add(
+        name,
+        Metric(about=about, value=value, averaged=averaged, column=column, form=form),
+    )
 
 
 _add(
@@ -77,13 +88,18 @@ _add(
     "distance to the goal at the end [m]",
     _of_info("distance", lambda values: values[-1]),
 )
-_add("d_mm", "end-effector to its target, mean [m]", _of_info("d_mm", np.mean), True)
-_add("d_mp", "base to its plan, mean [m]", _of_info("d_mp", np.mean), True)
+_add(
+    "d_mm",
+    "end-effector to its target, mean [m]",
+    _of_info("d_mm", np.mean),
+    *("d_mm [m]", ".3f"),
+)
+_add("d_mp", "base to its plan, mean [m]", _of_info("d_mp", np.mean), "d_mp [m]", ".3f")
 _add(
     "base_jerk_rms",
     "jerk of the base, mean over steps [m/s^3]",
     _of_info("base_jerk_rms", np.mean),
-    True,
+    *("jerk [m/s^3]", ".2f"),
 )
 _add("zmp_margin", "least margin of stability [m]", _of_info("zmp_margin", np.min))
 
@@ -103,7 +119,12 @@ def _mean_alpha(episode: Episode) -> float | None:
     return float(alphas(episode).mean())
 
 
-_add("alpha", "alpha, mean: 0 accurate hand ... 1 stable base", _mean_alpha, True)
+_add(
+    "alpha",
+    "alpha, mean: 0 accurate hand ... 1 stable base",
+    _mean_alpha,
+    *("alpha", ".2f"),
+)
 _add(
     "qp_failures",
     "levels of the hierarchy without a solution",

@@ -10,20 +10,20 @@ from rich.markup import escape
 from rich.table import Table
 
 from marl_mm.eval.evaluate import Evaluation
+from marl_mm.eval.metrics import METRICS, Metric
 
-HEADER = (
-    "policy",
-    "goals",
-    "success % [95 % interval]",
-    "steps",
-    "return",
-    "d_mm [m]",
-    "d_mp [m]",
-    "jerk [m/s^3]",
-    "alpha",
-)
+_HEADER = ("policy", "goals", "success % [95 % interval]", "steps", "return")
 
 _DIRECTIONS = ("all", "forward", "backward")
+
+
+def header() -> tuple[str, ...]:
+    """Heads of the columns: those of every evaluation, and of metrics that have one."""
+    return *_HEADER, *(one.column for one in _columns().values())
+
+
+def _columns() -> dict[str, Metric]:
+    return {name: one for name, one in METRICS.items() if one.column}
 
 
 def table_rows(evaluations: Sequence[Evaluation]) -> list[tuple[str, ...]]:
@@ -43,14 +43,13 @@ def table_rows(evaluations: Sequence[Evaluation]) -> list[tuple[str, ...]]:
                     f"{100 * summary['success_rate']:.1f} [{low:.1f}, {high:.1f}]",
                     "-" if steps is None else f"{steps:.1f}",
                     f"{summary['return']:.2f}",
-                    *(_number(summary.get(name), form) for name, form in _MEANS),
+                    *(
+                        _number(summary.get(name), one.form)
+                        for name, one in _columns().items()
+                    ),
                 )
             )
     return rows
-
-
-_MEANS = ("d_mm", ".3f"), ("d_mp", ".3f"), ("base_jerk_rms", ".2f"), ("alpha", ".2f")
-"""Metrics of the table, and how they are written."""
 
 
 def _number(value: float | None, form: str) -> str:
@@ -117,7 +116,7 @@ def _in_latex(text: str) -> str:
 
 def evaluation_markdown(evaluations: Sequence[Evaluation]) -> str:
     """Evaluations as a Markdown table."""
-    return markdown_table(HEADER, table_rows(evaluations))
+    return markdown_table(header(), table_rows(evaluations))
 
 
 def evaluation_table(evaluations: Sequence[Evaluation], width: int = 80) -> Table:
@@ -125,14 +124,20 @@ def evaluation_table(evaluations: Sequence[Evaluation], width: int = 80) -> Tabl
 
     What does not fit is the beginning of a policy's name, never a number.
     """
-    room = max(width, 80) - _NUMBERS_WIDTH
+    heads = [name.split(" [")[0] for name in header()]
+    rows = [
+        (name, goals.replace("forward", "ahead").replace("backward", "behind"), *rest)
+        for name, goals, *rest in table_rows(evaluations)
+    ]
+    rest = (
+        max(map(len, column)) + 1 for column in list(zip(heads, *rows, strict=True))[1:]
+    )
+    room = max(width, 80) - 2 - sum(rest)  # the edges
     table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=escape(_CAPTION))
-    for column, name in enumerate(HEADER):
-        short = name.split(" [")[0]
-        table.add_column(short, justify="left" if column < 2 else "right", no_wrap=True)
-    for name, goals, *numbers in table_rows(evaluations):
+    for column, head in enumerate(heads):
+        table.add_column(head, justify="left" if column < 2 else "right", no_wrap=True)
+    for name, goals, *numbers in rows:
         short = name if len(name) <= room else "…" + name[1 - room :]
-        goals = goals.replace("forward", "ahead").replace("backward", "behind")
         table.add_row(short, goals, *numbers, end_section=goals.endswith("behind"))
     return table
 
@@ -141,6 +146,3 @@ _CAPTION = (
     "steps: of successes; d_mm, d_mp [m]: hand and base off their targets, mean over "
     "steps; jerk [m/s^3]: of the base"
 )
-
-_NUMBERS_WIDTH = 70
-"""Of all columns but the policy's, and of the gaps."""
