@@ -59,6 +59,8 @@ def load(source: str | Path) -> Plugin:
     if not text:
         raise UsageError("no plug-in named: expected a file, or a module's name")
     is_file = text.endswith(".py")
+    if not is_file and not all(map(str.isidentifier, text.split("."))):
+        raise UsageError(f"no plug-in {text}: expected FILE.py, or a module's name")
     name = Path(text).name if is_file else text
     if is_file:
         path = Path(text).resolve()

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from marl_mm.algorithms.actors import AgentActor, blank_actor
+from marl_mm.algorithms.actors import AgentActor, blank_actor, joint_action
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import load_dataset
@@ -155,6 +156,11 @@ def test_every_agent_acts_on_what_it_sees_alone(layout: Layout, seed: int) -> No
         other[list(agent.observation)] = state[list(agent.observation)]
         sets = list(agent.action)
         np.testing.assert_array_equal(policy.act(other)[sets], action[sets])
+    states = torch.tensor(random_episode(layout, seed).states, dtype=torch.float32)
+    joint = joint_action(actors, states)
+    for agent in layout.agents:
+        network, seen = actors[agent.name].actor, states[:, list(agent.observation)]
+        assert torch.equal(joint[:, list(agent.action)], network(seen))
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,9 @@ from marl_mm.collectors.registry import COLLECTORS, Collector
 from marl_mm.envs.registry import TASKS, register_task
 from marl_mm.envs.tasks.reach import Reach
 from marl_mm.errors import UsageError
+from marl_mm.eval.evaluate import evaluate
 from marl_mm.eval.metrics import METRICS, Metric, summarize
+from marl_mm.eval.tables import header, table_rows
 from marl_mm.registry import BUILT_IN, Registry, registered_by
 
 
@@ -31,6 +33,13 @@ def test_things_come_in_the_order_of_adding_with_their_origin() -> None:
     assert registry.origin("one") == "plugin.py"
     assert registry.origin("two") == __name__
     assert "one" in registry and "three" not in registry
+
+
+def test_what_a_plugin_loads_itself_is_not_its_own() -> None:
+    registry: Registry[int] = Registry("number")
+    with registered_by("outer.py"), registered_by("inner.py"):
+        registry.add("one", 1)
+    assert registry.origin("one") == "inner.py"
 
 
 def test_a_name_belongs_to_who_came_first() -> None:
@@ -196,3 +205,16 @@ def test_what_few_episodes_have_is_averaged_over_these(
     rows = [{"success": True, "steps": 1, "return": 0.0} for _ in range(3)]
     rows[1]["some"] = 4.0
     assert summarize(rows)["some"] == 4.0
+
+
+def test_a_metric_with_a_column_stands_in_tables(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    short = evaluate(RandomPolicy(RandomConfig()), 2, overrides={"max_steps": 1})
+    assert header()[-1] == "alpha"
+    length = Metric(about="x", value=len, averaged=True, column="length", form=".1f")
+    monkeypatch.setitem(METRICS._things, "length", length)
+    again = evaluate(RandomPolicy(RandomConfig()), 2, overrides={"max_steps": 1})
+    assert header()[-1] == "length"
+    assert [row[-1] for row in table_rows([again])] == ["1.0", "1.0", "1.0"]
+    assert [row[-1] for row in table_rows([short])] == ["-", "-", "-"]

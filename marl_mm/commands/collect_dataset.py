@@ -74,7 +74,7 @@ class CollectOptions:
     task: Annotated[str, tyro.conf.arg(help=f"{REGISTERED}.")] = DEFAULT
 
     max_steps: int | None = None
-    """Steps per episode; default the task's (25 for Reach-v0), for pd 50."""
+    """Steps per episode; default the collector's, where it has one, or the task's."""
 
     resume: bool = False
     """Go on where a collection was stopped, or with more --steps where it ended;

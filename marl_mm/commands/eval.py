@@ -36,7 +36,7 @@ class Eval:
     """Run folders, checkpoint files, "pretrained" or names of collectors."""
 
     episodes: int = 100
-    """Goals, half ahead and half behind; in Grasp-v0 all are ahead."""
+    """Goals: half ahead and half behind, where the task does not draw its own."""
 
     seed: int = 0
     """Of the goals and of random policies."""
@@ -47,7 +47,7 @@ class Eval:
     ] = None
 
     max_steps: int | None = None
-    """Steps per episode; default the task's: 25 for Reach-v0, the paper's."""
+    """Steps per episode; default the task's."""
 
     workers: int = field(default_factory=available_cores)
     """Processes; the result does not depend on it."""

@@ -55,8 +55,8 @@ class Play:
     """Where to write six pictures of the episode, side by side: a PNG."""
 
     direction: Literal["forward", "backward"] | None = None
-    """On which side of the robot the goal is; default backward. In Grasp-v0 it is where
-    the block is, ahead."""
+    """On which side of the robot the goal is, where the task does not draw its own;
+    default backward."""
 
     seed: int = 0
     """Of the goal and of random policies."""
@@ -67,8 +67,7 @@ class Play:
     ] = None
 
     max_steps: int | None = None
-    """Steps of one second until the episode is cut off; default the task's: 25 for
-    Reach-v0, the paper's."""
+    """Steps of one second until the episode is cut off; default the task's."""
 
     fps: int = 10
     """Frames per second of film and of simulated time."""
