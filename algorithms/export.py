@@ -48,7 +48,7 @@ class PolicyFormat:
     """Modules that it needs, of the optional extra of its name."""
 
 
-POLICY_FORMATS: Registry[PolicyFormat] = Registry("format")
+POLICY_FORMATS: Registry[PolicyFormat] = Registry("format", of=PolicyFormat)
 """Kinds of files that policies can be written as."""
 
 TOLERANCE = 1e-5

@@ -66,6 +66,7 @@ ALGORITHMS: Registry[Algorithm] = Registry(
         f"marl_mm.algorithms.{name}"
         for name in ("mabc", "td3_bc", "matd3_bc", "ddpg", "maddpg")
     ],
+    of=Algorithm,
 )
 """Algorithms that there are."""
 

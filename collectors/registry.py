@@ -58,6 +58,7 @@ COLLECTORS: Registry[Collector] = Registry(
         f"marl_mm.collectors.{name}"
         for name in ("pretrained", "pd", "medium", "random", "scripted")
     ],
+    of=Collector,
     taken=("paper",),  # marl-mm collect paper: all of the paper's datasets
 )
 """Collectors that there are."""

@@ -25,7 +25,7 @@ class DatasetForm:
     """The arrays by key."""
 
 
-DATASET_FORMS: Registry[DatasetForm] = Registry("form")
+DATASET_FORMS: Registry[DatasetForm] = Registry("form", of=DatasetForm)
 """Ways to write datasets as one HDF5 file."""
 
 

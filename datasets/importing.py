@@ -89,7 +89,7 @@ class ImportForm:
     """Whether actions stand agent by agent, so that the agents have to be the same."""
 
 
-IMPORTS: Registry[ImportForm] = Registry("form")
+IMPORTS: Registry[ImportForm] = Registry("form", of=ImportForm)
 """Ways in which files of others are read, the last one added first."""
 
 

@@ -8,6 +8,7 @@ from typing import Any, Required, TypedDict, cast
 import numpy as np
 
 from marl_mm.episode import Episode
+from marl_mm.errors import MarlMmError
 from marl_mm.eval.intervals import success_interval
 from marl_mm.registry import Registry
 
@@ -55,15 +56,29 @@ class Metric:
     """Whether summaries have its mean over episodes."""
 
     column: str = ""
-    """Head of its column in tables, with its unit in brackets; empty where tables
-    leave it out. It has to be averaged."""
+    """Head of its column in tables of means, with its unit in brackets; empty where
+    they leave it out."""
 
     form: str = ".3g"
     """How tables write it, a format specification."""
 
+    def measure(self, name: str, episode: Episode) -> float | int | None:
+        """Its value, for rows.
+
+        Raises:
+            MarlMmError: If it is no number; naming the metric.
+        """
+        value = self.value(episode)
+        value = value.item() if isinstance(value, np.generic) else value
+        if value is None or isinstance(value, int | float):
+            return value
+        raise MarlMmError(
+            f"metric {name!r} is {value!r:.80}, expected a number or None"
+        )
+
 
 METRICS: Registry[Metric] = Registry(
-    "metric", taken=(*EvaluationRow.__required_keys__, "direction", "reason")
+    "metric", of=Metric, taken=(*EvaluationRow.__required_keys__, "direction", "reason")
 )
 """Metrics that evaluations have beside success, steps and return."""
 
@@ -76,11 +91,7 @@ def _of_info(name: str, reduce: Callable[[np.ndarray], Any]) -> Any:
 
 
 def _add(name: str, about: str, value: Any, column: str = "", form: str = "") -> None:
-    averaged = bool(column)
-    METRICS.add(
-        name,
-        Metric(about=about, value=value, averaged=averaged, column=column, form=form),
-    )
+    METRICS.add(name, Metric(about=about, value=value, column=column, form=form))
 
 
 _add(
@@ -140,7 +151,7 @@ def episode_row(episode: Episode) -> EvaluationRow:
     """
     told = {} if episode.reason is None else {"reason": episode.reason}
     direction = episode.direction
-    measured = {name: one.value(episode) for name, one in METRICS.items()}
+    measured = {name: one.measure(name, episode) for name, one in METRICS.items()}
     row = {
         "index": episode.index,
         "seed": episode.seed,
@@ -165,7 +176,7 @@ def summarize(rows: Rows) -> dict[str, Any]:
         "interval": success_interval(len(successes), len(rows)),
         "steps_to_success": float(np.mean(steps)) if steps else None,
     }
-    averaged = [name for name, one in METRICS.items() if one.averaged]
+    averaged = [name for name, one in METRICS.items() if one.averaged or one.column]
     for key in ("return", *averaged):
         if values := [row[key] for row in rows if key in row]:
             summary[key] = float(np.mean(values))

@@ -48,6 +48,8 @@ _loaded: dict[str, Plugin] = {}
 def load(source: str | Path) -> Plugin:
     """Load a plug-in: its code is run.
 
+    A file with the same bytes as a plug-in that has been loaded is that plug-in.
+
     Args:
         source: A file, ``FILE.py``, or a module that can be imported.
 
@@ -67,6 +69,10 @@ def load(source: str | Path) -> Plugin:
         if not path.is_file():
             raise UsageError(f"no plug-in {text}: expected a file, or a module's name")
         text = str(path)
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        for one in _loaded.values():
+            if one.sha256 == digest:  # such as an installed copy
+                return one
     before = _loaded.get(name)
     if before is not None:
         if before.source != text:
@@ -145,7 +151,8 @@ def _run(name: str, source: str, is_file: bool) -> ModuleType:
     except (Exception, SystemExit) as error:
         line = traceback.extract_tb(error.__traceback__)[-1].lineno
         line = error.lineno if isinstance(error, SyntaxError) else line
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        told = error.msg if isinstance(error, SyntaxError) else error
+        reason = " ".join(f"{type(error).__name__}: {told}".split())
         raise PluginError(
             f"plug-in {name} fails: {reason:.300} (line {line})"
         ) from error

@@ -35,13 +35,18 @@ class Registry(Generic[T]):
     Args:
         kind: What they are, in the singular, for messages.
         modules: Modules that add the built-in ones when they are imported.
+        of: Class that all of them are of.
         taken: Names that mean something else where these are used.
     """
 
     def __init__(
-        self, kind: str, modules: Sequence[str] = (), taken: Collection[str] = ()
+        self,
+        kind: str,
+        modules: Sequence[str] = (),
+        of: type = object,
+        taken: Collection[str] = (),
     ) -> None:
-        self.kind, self._taken = kind, taken
+        self.kind, self._of, self._taken = kind, of, taken
         self._modules, self._order = list(modules), tuple(modules)
         self._things: dict[str, T] = {}
         self._origins: dict[str, str] = {}
@@ -56,8 +61,14 @@ class Registry(Generic[T]):
             caller: Number of calls between here and the code that it comes from.
 
         Raises:
-            UsageError: If the name makes no sense, or another thing has it.
+            UsageError: If the name makes no sense, or another thing has it, or the
+                thing is of another class.
         """
+        if not isinstance(thing, self._of):
+            kind = f"{self._of.__module__}.{self._of.__qualname__}"
+            raise UsageError(
+                f"{self.kind} {name!r} is {thing!r:.80}, expected a {kind}"
+            )
         if not re.fullmatch(r"[^\W\d][\w.-]*", name) or name in self._taken:
             but = f", other than {', '.join(sorted(self._taken))}" * bool(self._taken)
             raise UsageError(

@@ -119,6 +119,9 @@ def test_a_changed_plugin_is_refused_unless_allowed(
 
     assert fresh("--plugin", mine).returncode == 0
     further = ["--updates", "40", "--resume"]
+    renamed = Path(shutil.copy(mine, tmp_path / "same.py"))
+    same = fresh("--updates", "30", "--resume", "--plugin", renamed, "--plugin", mine)
+    assert same.returncode == 0, same.stderr
     unnamed = fresh(*further)
     assert unnamed.returncode == 2 and "--plugin" in unnamed.stderr
     mine.write_text(mine.read_text() + "\n# changed\n")
@@ -129,8 +132,8 @@ def test_a_changed_plugin_is_refused_unless_allowed(
     allowed = fresh(*further, "--plugin", mine, "--allow-changed-plugin")
     assert allowed.returncode == 0, allowed.stderr
     config = json.loads((tmp_path / "r" / "0" / "config.json").read_text())
-    (before,) = config["plugins_before"]
-    assert before["iql.py"] != config["plugins"]["iql.py"]
+    *_, before = config["plugins_before"]
+    assert before["same.py"] != config["plugins"]["iql.py"]
 
 
 @pytest.mark.slow
@@ -348,7 +351,8 @@ def test_plugins_that_are_none_or_fail_are_told_in_one_line(
     )
     other = tmp_path / "other"
     other.mkdir()
-    shutil.copy(EXAMPLES / "iql.py", other)
+    (other / "iql.py").write_text((EXAMPLES / "iql.py").read_text() + "\n# changed\n")
+    (tmp_path / "quits.py").write_text("import sys\nsys.exit(0)\n")
     for code, words, message in (
         (2, ["--plugin", tmp_path / "no.py"], "no plug-in"),
         (
@@ -359,7 +363,17 @@ def test_plugins_that_are_none_or_fail_are_told_in_one_line(
         (2, ["--plugin"], "--plugin has no value"),
         (2, ["--plugin", "--json"], "--plugin has no value"),
         (1, ["--plugin", broken], "broken.py fails: KeyError: 'oh' (line 2)"),
-        (1, ["--plugin", tmp_path / "syntax.py"], "syntax.py fails: SyntaxError"),
+        (
+            1,
+            ["--plugin", tmp_path / "syntax.py"],
+            "SyntaxError: invalid syntax (line 1)",
+        ),
+        (
+            1,
+            ["--plugin", tmp_path / "quits.py"],
+            "quits.py fails: SystemExit: 0 (line 2",
+        ),
+        (2, ["--plugin", tmp_path], "expected FILE.py, or a module's name"),
         (1, ["--plugin", tmp_path / "taken.py"], "'Reach-v0' of taken.py exists alrea"),
         (2, [*plugged("iql"), "--plugin", other / "iql.py"], "two plug-ins are called"),
     ):
@@ -385,6 +399,30 @@ def test_lists_tell_what_there_is_and_whose(capsys: pytest.CaptureFixture[str]) 
     for kind in ("formats", "metrics"):
         assert run(kind) == 0
     assert "[m]" in capsys.readouterr().out, "units are shown, not taken for markup"
+
+
+def test_a_metric_is_checked_and_measured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = tmp_path / "length.py"
+    mine.write_text(
+        "from marl_mm.eval.metrics import METRICS, Metric\n"
+        "METRICS.add('length', Metric(about='steps', value=len, column='length'))\n"
+    )
+    assert run("check", mine) == 0
+    eval_two = ["eval", "random", "--episodes", 2, "--max-steps", 1, "--workers", 1]
+    capsys.readouterr()
+    assert run(*eval_two, "--plugin", mine) == 0
+    assert "length" in capsys.readouterr().out
+    wrong = tmp_path / "wrong.py"
+    wrong.write_text(
+        "from marl_mm.eval.metrics import METRICS, Metric\n"
+        "METRICS.add('way', Metric(about='x', value=lambda one: one.states[0]))\n"
+    )
+    assert run("check", wrong) == 1
+    assert "broken" in capsys.readouterr().out
+    assert run(*eval_two, "--plugin", wrong) == 1
+    assert "metric 'way' is array" in capsys.readouterr().err
 
 
 def test_nothing_in_a_file_loads_a_plugin(

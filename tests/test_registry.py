@@ -150,6 +150,10 @@ def algorithm(config: Any, online: bool = False) -> Algorithm:
         (lambda: algorithm(Steps()), "Steps has no updates, precision"),
         (lambda: algorithm(MabcConfig(), online=True), "has no episodes, episodes_per"),
         (lambda: algorithm(Records()), r"Records\.plugins has the name of something"),
+        (
+            lambda: METRICS.add("some", len),  # type: ignore[arg-type]
+            "expected a marl_mm.eval.metrics.Metric",
+        ),
         (lambda: COLLECTORS.add("paper", collector(RandomConfig)), "other than paper"),
         (
             lambda: METRICS.add("success", Metric(about="x", value=len)),

@@ -14,10 +14,11 @@ from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.commands.options import REGISTERED
 from marl_mm.commands.parser import parse_options
-from marl_mm.contracts import algorithms, collectors, tasks
+from marl_mm.contracts import algorithms, collectors, metrics, tasks
 from marl_mm.contracts.claims import Claim, Finding, examine
 from marl_mm.envs.registry import DEFAULT, TASKS
 from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.eval.metrics import METRICS
 from marl_mm.plugins import load
 from marl_mm.progress import progress_bar
 from marl_mm.registry import Registry
@@ -27,17 +28,18 @@ from marl_mm.registry import Registry
 class Check:
     """Check whether plug-ins keep to what the package promises of its own.
 
-    Each of their tasks, algorithms and collectors is put through the package's own
-    contract tests, in short: seeds, resuming, several seeds at once, shapes and ranges,
-    exports, PettingZoo's and Gymnasium's tests, replays, hindsight, workers, NaN. Exit
-    code 1 if a claim does not hold.
+    Each of their tasks, algorithms, collectors and metrics is put through the package's
+    own contract tests, in short: seeds, resuming, several seeds at once, shapes and
+    ranges, exports, PettingZoo's and Gymnasium's tests, replays, hindsight, workers,
+    NaN. Exit code 1 if a claim does not hold.
     """
 
     what: tyro.conf.Positional[tuple[str, ...]]
-    """Plug-ins, FILE.py or module, or names of tasks, algorithms and collectors."""
+    """Plug-ins, FILE.py or module, or names of what is registered."""
 
     task: Annotated[
-        str, tyro.conf.arg(help=f"That collectors act in: {REGISTERED}.")
+        str,
+        tyro.conf.arg(help=f"Where collectors act and metrics measure: {REGISTERED}."),
     ] = DEFAULT
 
     json: bool = False
@@ -76,11 +78,11 @@ def main(arguments: Sequence[str]) -> None:
 
 def _subjects(what: str, task: str) -> Iterator[Subject]:
     """What a plug-in has registered, or what has a name."""
-    named = partial(collectors.named, task=task)
     kinds: tuple[tuple[Registry[Any], Any, Any], ...] = (
         (TASKS, tasks.short, tasks.task_claims),
         (ALGORITHMS, algorithms.named, algorithms.algorithm_claims),
-        (COLLECTORS, named, collectors.collector_claims),
+        (COLLECTORS, partial(collectors.named, task=task), collectors.collector_claims),
+        (METRICS, partial(metrics.named, task=task), metrics.metric_claims),
     )
     known = [kind for kind in kinds if what in kind[0]]
     chosen = [(*kind, what) for kind in known]
@@ -93,7 +95,9 @@ def _subjects(what: str, task: str) -> Iterator[Subject]:
             if kind[0].origin(name) == origin
         ]
         if not chosen:
-            raise UsageError(f"{what} registers no task, algorithm or collector")
+            raise UsageError(
+                f"{what} registers no task, algorithm, collector or metric"
+            )
     for registry, make, claims, name in chosen:
         about = make(name)
         yield Subject(f"{registry.kind} {name}", about, claims(about))

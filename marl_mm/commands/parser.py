@@ -1,5 +1,6 @@
 """Options from dataclasses, through tyro, with its complaints brought to one line."""
 
+import difflib
 import io
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -62,9 +63,11 @@ def parse_subcommand(
     """
     word = arguments[0] if arguments else ""
     if word and not word.startswith("-") and word not in commands:
+        close = difflib.get_close_matches(word, commands, 1)
+        hint = f"; did you mean {close[0]}?" if close else "."
         raise UsageError(
-            f"{prog} knows no {word!r}, expected one of {', '.join(commands)}. What a "
-            "plug-in adds needs --plugin"
+            f"{prog} knows no {word!r}, expected one of {', '.join(commands)}{hint} "
+            "What a plug-in adds needs --plugin"
         )
     kinds = [_kind(name, command) for name, command in commands.items()]
     union: Any = Union[tuple(kinds)]  # noqa: UP007

@@ -140,13 +140,15 @@ def check_run(
 
 
 def _refuse_other_plugins(run: Path, config: RunConfig, allowed: bool) -> None:
-    """Raise if a plug-in is not the one that the run was made with.
+    """Raise if a plug-in is not the one that the run was made with, by whatever name.
 
     Raises:
         OtherConfigError: Naming it.
     """
     before, now = read_config(run).plugins, config.plugins
-    for name in sorted({*before, *now} if not allowed else ()):
+    if allowed or {*before.values()} == {*now.values()}:
+        return
+    for name in sorted({*before, *now}):
         if before.get(name) != now.get(name):
             raise OtherConfigError(
                 f"{run} was made with another {name} (SHA-256 "

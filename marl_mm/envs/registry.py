@@ -14,7 +14,9 @@ from marl_mm.layout import Layout
 from marl_mm.registry import Registry
 
 TASKS: Registry[Task] = Registry(
-    "task", [f"marl_mm.envs.tasks.{kind}" for kind in ("reach", "carry", "grasp")]
+    "task",
+    [f"marl_mm.envs.tasks.{kind}" for kind in ("reach", "carry", "grasp")],
+    of=Task,
 )
 """Tasks that there are."""
 
@@ -29,13 +31,10 @@ def register_task(name: str, task: Task) -> None:
         UsageError: If it is no task, has no layout or a number without a default, or
             the name is another task's.
     """
-    if not isinstance(task, Task):
-        raise UsageError(
-            f"task {name!r} is {task!r}, expected a marl_mm.envs.task.Task"
-        )
-    defaults(type(task))
-    if not isinstance(getattr(task, "layout", None), Layout):
-        raise UsageError(f"task {name!r}: {type(task).__name__} has no layout")
+    if isinstance(task, Task):
+        defaults(type(task))
+        if not isinstance(getattr(task, "layout", None), Layout):
+            raise UsageError(f"task {name!r}: {type(task).__name__} has no layout")
     TASKS.add(name, task, caller=2)
     gymnasium.register(
         id=f"marl_mm/{name}",
