@@ -66,8 +66,8 @@ class Setting:
             UsageError: Saying what could.
         """
         _check_name(self.name)
-        _check_choice("algorithm", self.algorithm, names(online=False))
         preset(self.algorithm, self.preset)  # raises
+        _check_choice("algorithm", self.algorithm, names(online=False))
         if self.goals < 2 or self.goals % 2:
             raise UsageError(f"goals is {self.goals}, expected 2, 4, 6 ...: each way")
         known = {one.name for one in fields(preset(self.algorithm))}
