@@ -21,7 +21,7 @@ from marl_mm.errors import DatasetError
 
 
 def verify(location: Location) -> list[str]:
-    """Problems of a dataset: schema, hashes, finiteness, ranges, ends, cache.
+    """Problems of a dataset: schema, hashes, finiteness, ranges, ends, cache, card.
 
     Returns:
         One line each; none if all is well.
@@ -40,6 +40,7 @@ def verify(location: Location) -> list[str]:
         *_infos(arrays),
         *_achieved(arrays, location),
         *_cache(arrays, location),
+        *_card(location),
     ]
 
 
@@ -128,6 +129,17 @@ def _cache(arrays: EpisodeArrays, location: Location) -> list[str]:
     pairs += [(arrays.info[key], cached.info.get(key)) for key in arrays.info]
     equal = all(other is not None and _same(one, other) for one, other in pairs)
     return [] if equal else [f"{path} is not what the data are: delete it"]
+
+
+def _card(location: Location) -> list[str]:
+    path = location.folder / "card.json"
+    try:
+        if path.exists():
+            json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        again = f"marl-mm datasets show {location.name} writes it again"
+        return [f"{path} is damaged ({error}): {again}"]
+    return []
 
 
 def _same(one: np.ndarray, other: np.ndarray) -> bool:

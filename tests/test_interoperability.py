@@ -8,10 +8,13 @@ from pathlib import Path
 import minari
 import numpy as np
 import pytest
+import stable_baselines3
 
 from marl_mm.datasets import shipped
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import SHIPPED, locate
+from marl_mm.envs.goal_env import GoalEnv
+from marl_mm.errors import UsageError
 
 
 @pytest.fixture
@@ -82,3 +85,19 @@ def test_torchrl_samples_from_it(good: Dataset, tmp_path: Path) -> None:
     assert seen.shape == (256, 7)
     known = {row.tobytes() for row in good.joint().observation[:, :7]}
     assert {row.tobytes() for row in seen} <= known
+
+
+@pytest.mark.slow
+def test_stable_baselines3_is_told_to_keep_infos() -> None:
+    """Its replay drops them by default, and rewards depend on them."""
+    env = GoalEnv(overrides={"ticks_per_step": 24, "max_steps": 4})
+    model = stable_baselines3.DDPG(
+        "MultiInputPolicy",
+        env,
+        replay_buffer_class=stable_baselines3.HerReplayBuffer,
+        learning_starts=4,
+        batch_size=8,
+    )
+    with pytest.raises(UsageError, match="copy_info_dict=True"):
+        model.learn(12)
+    env.close()

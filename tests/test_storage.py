@@ -14,12 +14,14 @@ import numpy as np
 import pytest
 
 import marl_mm  # noqa: F401  registers the environments
+from marl_mm.cli import main
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import find, known_ids, locate
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
+from marl_mm.datasets.verify import verify
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import INFO, Episode
 from marl_mm.errors import (
@@ -61,6 +63,14 @@ def test_reading_back_is_bit_equal(written: Path, episodes: list[Episode]) -> No
             other.index,
             other.source,
         )
+
+
+def test_a_card_that_was_cut_off_is_named_and_made_again(written: Path) -> None:
+    assert main(["datasets", "show", ID]) == 0
+    path = written / "card.json"
+    path.write_bytes(path.read_bytes()[:100])
+    assert [line.split(" is damaged")[0] for line in verify(locate(ID))] == [str(path)]
+    assert main(["datasets", "show", ID]) == 0 and verify(locate(ID)) == []
 
 
 def test_minari_reads_it_without_us(written: Path, episodes: list[Episode]) -> None:

@@ -11,6 +11,7 @@ from marl_mm.envs.core import RENDER_MODES, EpisodeCore, check_render_mode
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.envs.task import Terms
 from marl_mm.episode import FAILED
+from marl_mm.errors import UsageError
 from marl_mm.layout import Layout
 from marl_mm.spaces import action_space, goal_observation_space
 
@@ -114,6 +115,13 @@ class GoalEnv(gymnasium.Env[GoalObservation, np.ndarray]):
 
 
 def _gathered(info: Infos, key: str) -> np.ndarray:
-    if isinstance(info, Mapping):
-        return np.asarray(info[key])
-    return np.array([single[key] for single in info])
+    try:
+        if isinstance(info, Mapping):
+            return np.asarray(info[key])
+        return np.array([single[key] for single in info])
+    except KeyError:
+        raise UsageError(
+            f"info lacks {key!r}, which the reward depends on: pass the step's own; "
+            "Stable-Baselines3 keeps it with HerReplayBuffer(copy_info_dict=True), "
+            "replay_buffer_kwargs={'copy_info_dict': True}"
+        ) from None

@@ -36,6 +36,9 @@ def register_task(name: str, task: Task) -> None:
         if not isinstance(getattr(task, "layout", None), Layout):
             raise UsageError(f"task {name!r}: {type(task).__name__} has no layout")
     TASKS.add(name, task, caller=2)
+    gymnasium.registry.pop(
+        f"marl_mm/{name}", None
+    )  # of the task that this one replaces
     gymnasium.register(
         id=f"marl_mm/{name}",
         entry_point="marl_mm.envs.goal_env:GoalEnv",
