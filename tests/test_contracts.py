@@ -1439,4 +1439,4 @@ def test_check_of_a_plug_in_that_registers_nothing_ends_with_2(
 ) -> None:
     path = plug_in("planted = 1")
     assert run(path) == 2
-    assert "registers no task, algorithm or collector" in complaint(capsys)
+    assert "registers no task, algorithm, collector or metric" in complaint(capsys)
