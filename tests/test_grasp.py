@@ -19,6 +19,7 @@ from marl_mm.envs.registry import TASKS, make_task
 from marl_mm.envs.rollout import EpisodePlan, run_episode
 from marl_mm.envs.task import ScriptConfig
 from marl_mm.envs.tasks.grasp import LAYOUT as HANDLING
+from marl_mm.errors import UsageError
 from marl_mm.eval import evaluate
 from marl_mm.layout import Layout
 
@@ -270,7 +271,8 @@ def test_infos_are_judged_one_by_one_and_together() -> None:
     for info in (infos, together):
         assert env.compute_reward(at, at, info).tolist() == rewards
         assert env.compute_terminated(at, at, info).tolist() == ended
-    with pytest.raises(KeyError):  # what is not told is not taken for no
+    # What is not told is not taken for no.
+    with pytest.raises(UsageError, match="info lacks 'held'"):
         env.compute_reward(at[0], at[0], base)
     env.close()
 
