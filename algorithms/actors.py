@@ -20,7 +20,7 @@ class AgentActor:
         actor: Its network.
 
     Raises:
-        UsageError: If it is of another kind.
+        UsageError: If the network is no ``Actor``, which checkpoints rebuild.
     """
 
     def __init__(self, layout: AgentLayout, actor: Actor) -> None:

@@ -108,19 +108,27 @@ def with_values(options: Any, values: Mapping[str, Any]) -> Any:
 def _kind(name: str, command: type | Subcommand) -> Any:
     if isinstance(command, type):
         return Annotated[command, tyro.conf.subcommand(name)]
-    taken: list[str] = []
-    for one in fields(command.default):
-        value = getattr(command.default, one.name)
-        if is_dataclass(value) and not isinstance(value, type):
-            names = [inner.name for inner in fields(value)]
-            refuse_taken(type(value), names, taken)
-        else:
-            names = [one.name]
-        taken += names
+    _refuse_clashes(command.default)
     about = tyro.conf.subcommand(
         name, default=command.default, description=command.description
     )
     return Annotated[command.kind or type(command.default), about]
+
+
+def _refuse_clashes(options: Any) -> None:
+    """Raise if settings that stand among a command's options have one's name.
+
+    Raises:
+        UsageError: Naming the setting.
+    """
+    taken: list[str] = []
+    for one in fields(options):
+        value = getattr(options, one.name)
+        names = [one.name]
+        if is_dataclass(value) and not isinstance(value, type):
+            names = [inner.name for inner in fields(value)]
+            refuse_taken(type(value), names, taken)
+        taken += names
 
 
 def _in_one_line(parse: Callable[[], T], prog: str) -> T:

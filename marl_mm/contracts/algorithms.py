@@ -184,7 +184,7 @@ def _names(one: Named) -> None:
 
 
 def _members(protocol: type) -> set[str]:
-    """What those have that keep to a protocol."""
+    """Names of a protocol's public members, inherited ones included."""
     parts = (one for one in protocol.__mro__ if getattr(one, "_is_protocol", False))
     names = {name for one in parts for name in {*vars(one), *one.__annotations__}}
     return {name for name in names if not name.startswith("_")}
