@@ -378,7 +378,7 @@ provenance = Provenance(task="Reach-v0", collector="pd")
 write_dataset(locate("marl_mm/reach/test-v0"), arrays, provenance)
 """
     killed = subprocess.run(
-        [sys.executable, "-c", code, str(Path(__file__).parent)],
+        [sys.executable, "-c", code, str(Path(__file__).parents[1])],
         env={**os.environ, "MINARI_DATASETS_PATH": str(datasets_home)},
         capture_output=True,
         check=False,

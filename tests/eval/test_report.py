@@ -15,7 +15,7 @@ from marl_mm.cli import main
 from marl_mm.eval.report import report_page
 from marl_mm.eval.video import write_video
 
-RESULTS = Path(__file__).resolve().parents[1] / "eval/results"
+RESULTS = Path(__file__).resolve().parents[2] / "eval/results"
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
 PHONE, DESK = {"width": 375, "height": 812}, {"width": 1280, "height": 800}
 

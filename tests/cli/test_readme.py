@@ -17,7 +17,7 @@ from marl_mm.eval.ablations import BLOCKS
 from marl_mm.eval.readme import TABLES, filled
 from marl_mm.eval.rows import read_rows, write_csv
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text()
 
 SMALL = {"steps": "60", "episodes": "2"}

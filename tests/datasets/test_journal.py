@@ -38,7 +38,7 @@ with Journal(Path(sys.argv[2])) as journal:
 
 
 def write(folder: Path, how: str) -> "subprocess.CompletedProcess[str]":
-    tests = str(Path(__file__).parent)
+    tests = str(Path(__file__).parents[1])
     return subprocess.run(
         [sys.executable, "-c", WRITER, tests, str(folder), how],
         capture_output=True,

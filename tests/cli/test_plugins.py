@@ -26,7 +26,7 @@ from marl_mm.eval import evaluate
 from marl_mm.eval.metrics import METRICS
 from marl_mm.registry import Registry
 
-EXAMPLES = Path(__file__).parents[1] / "examples" / "plugins"
+EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
 
 REGISTRIES: tuple[Registry[Any], ...] = (ALGORITHMS, TASKS, COLLECTORS, METRICS)
 

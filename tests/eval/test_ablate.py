@@ -15,7 +15,7 @@ from marl_mm.errors import CheckpointError, DivergedError
 from marl_mm.eval.online import MADE_OF, SETTINGS
 from marl_mm.eval.rows import read_rows
 
-RESULTS = Path(__file__).resolve().parents[1] / "eval/results/online"
+RESULTS = Path(__file__).resolve().parents[2] / "eval/results/online"
 
 
 @pytest.fixture(scope="module")

@@ -52,7 +52,7 @@ from marl_mm.layout import AgentLayout, Layout
 from marl_mm.policy import Policy
 from marl_mm.registry import BUILT_IN, Registry
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 PLUGINS = sorted((ROOT / "examples" / "plugins").glob("*.py"))
 
 Output = pytest.CaptureFixture[str]

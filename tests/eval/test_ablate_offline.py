@@ -81,7 +81,7 @@ TINY = Ablation(
 """
 """An ablation of one's own, of the dataset that ships."""
 
-RESULTS = Path(__file__).resolve().parents[1] / "eval/results/offline"
+RESULTS = Path(__file__).resolve().parents[2] / "eval/results/offline"
 COMMITTED = sorted(path.stem for path in RESULTS.glob("*.md"))
 
 OURS = Setting("ours", "ours")
@@ -481,7 +481,7 @@ class Deadly(Job):
 def test_a_run_that_kills_its_process_takes_no_other_along(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1]))  # for the processes
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2]))  # for the processes
     options = offline_options("mabc", dataset="good-5k")
     jobs = [
         kind(str(number), 0, tmp_path / str(number), "good-5k", options, [LAST])
