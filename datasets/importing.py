@@ -24,7 +24,8 @@ from marl_mm.datasets.verify import problems_of
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.episode import IMPORTED, Episode
 from marl_mm.errors import DatasetError, UsageError, WorkerDiedError
-from marl_mm.layout import Layout, refuse_other_layout
+from marl_mm.layout import Layout
+from marl_mm.layout_diff import refuse_other_layout
 from marl_mm.registry import Registry
 from marl_mm.version1 import dataset_layout
 from marl_mm.workers import apart
