@@ -134,7 +134,7 @@ def read_foreign(path: Path, dataset_id: str, task: str | None = None) -> Foreig
         said = task or apart(_said, path, seconds) or DEFAULT
         arrays = apart(_read, (path, dataset_id, said), seconds)
     except UsageError as error:
-        way_out = "" if task else ", or give --task"
+        way_out = "" if task else ", or give `task`"
         raise UsageError(f"{path}: {error}{way_out}") from error
     except WorkerDiedError as error:
         raise DatasetError(
