@@ -6,6 +6,7 @@ import signal
 import sys
 from collections.abc import Sequence
 
+from marl_mm.commands.wording import as_options
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.interrupts import end_on_signals
 
@@ -131,7 +132,7 @@ def _print(text: str) -> None:
 
 
 def _complain(text: str) -> None:
-    sys.stderr.write(f"marl-mm: {text}\n")
+    sys.stderr.write(f"marl-mm: {as_options(text)}\n")
 
 
 if __name__ == "__main__":

@@ -16,8 +16,6 @@ from marl_mm.envs.registry import make_task
 from marl_mm.progress import Bar, progress_bars
 from marl_mm.versions import versions
 
-_FROM_ZERO = ("seed", "env_steps")
-
 
 @dataclass(frozen=True)
 class _Bench:
@@ -32,8 +30,7 @@ class _Bench:
 class BenchControl(_Bench):
     """Time the parts of a controller tick in closed loop, PyBullet's step included.
 
-    Beside them, on the same states: the readable numpy form with ProxQP and with DAQP,
-    and Pink with the same tasks as one weighted QP (optional extra "bench").
+    On the same states: numpy with ProxQP and DAQP, and Pink's weighted QP if installed.
     """
 
     steps: int = 40
@@ -90,7 +87,7 @@ class BenchTrain(_Bench):
     """Environment steps of a comparison of success; 3,000 take 3 min, 0 skips it."""
 
     seeds: int = 3
-    """Seeds of "marl-mm train", compared with one; 2,000 updates take 3 min, 1 skips."""
+    """Seeds of "marl-mm train", timed beside one; 2,000 updates take 3 min, 1 skips."""
 
     def measure(self, bar: Bar) -> dict[str, Any]:
         """The benchmark of these options."""
@@ -103,8 +100,7 @@ class BenchTrain(_Bench):
 class BenchData(_Bench):
     """Count collected steps per second, and time loading; sizes on disk.
 
-    Beside them: the bare environment, blocks welded to the hand in place of held by
-    friction, and Minari's own reader and writer.
+    Beside the bare environment, welded blocks, and Minari's own reader and writer.
     """
 
     episodes: int = 8
@@ -134,8 +130,8 @@ def main(arguments: Sequence[str]) -> None:
     )
     check_seed(options.seed)
     values = {k: v for k, v in asdict(options).items() if k != "json"}
-    counts = [k for k in values if isinstance(values[k], int) and k not in _FROM_ZERO]
-    check_positive(**{k: values[k] for k in counts})
+    counts = [k for k, v in values.items() if isinstance(v, int)]
+    check_positive(**{k: values[k] for k in counts if k not in ("seed", "env_steps")})
     with progress_bars() as bar:
         result = options.measure(bar) | {"options": values}
     if options.json:

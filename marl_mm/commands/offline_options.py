@@ -24,7 +24,7 @@ from marl_mm.commands.runs import (
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import DatasetError, UsageError
-from marl_mm.layout import refuse_other_layout
+from marl_mm.layout_diff import refuse_other_layout
 from marl_mm.versions import versions
 
 C = TypeVar("C")

@@ -18,7 +18,7 @@ from marl_mm.commands.options import (
     check_seeds,
 )
 from marl_mm.commands.parser import with_values
-from marl_mm.differences import as_json, refuse_difference
+from marl_mm.config_diff import as_json, refuse_other_config
 from marl_mm.envs.registry import TASKS
 from marl_mm.errors import (
     CheckpointError,
@@ -170,7 +170,7 @@ def refuse_other(run: Path, config: RunConfig, ignored: Sequence[str] = ()) -> N
     for one in (theirs, mine):  # a dataset may have moved
         if one.get("dataset"):
             one["dataset"].pop("path", None)
-    refuse_difference(run, theirs, mine)
+    refuse_other_config(run, theirs, mine)
 
 
 def plugins_of(algorithm: str, task: str) -> dict[str, str]:
