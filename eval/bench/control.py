@@ -214,7 +214,7 @@ def _references(core: EpisodeCore, samples: list[Sample]) -> dict[str, np.ndarra
         daqp = replace(config, solver="daqp")
         found["numpy_daqp"] = _solve_times(core, daqp, samples)
     if find_spec("pink") and find_spec("qpsolvers"):
-        from marl_mm.eval.pink_reference import PinkReference
+        from marl_mm.eval.bench.pink_reference import PinkReference
 
         reference = PinkReference(core.drive.model.pinocchio)
         found["pink_weighted_qp"] = _times(
