@@ -15,7 +15,7 @@ from markupsafe import Markup
 from marl_mm.errors import UsageError
 from marl_mm.eval.ablation import cell_name
 from marl_mm.eval.ablations import ABLATIONS, NOTE
-from marl_mm.eval.bench_tables import (
+from marl_mm.eval.bench.tables import (
     abuse_table,
     bench_table,
     data_table,

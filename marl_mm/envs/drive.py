@@ -12,7 +12,8 @@ import numpy as np
 
 from marl_mm.control.config import ControllerConfig, Knowledge
 from marl_mm.control.limits import WHEEL_ARM
-from marl_mm.control.wbc import Command, Priorities, WholeBodyController
+from marl_mm.control.records import Command, Priorities
+from marl_mm.control.wbc import WholeBodyController
 from marl_mm.envs.hand import Hand
 from marl_mm.envs.order import Order, ReferenceAt
 from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig

@@ -17,10 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from marl_mm.control.config import HierarchyConfig
-from marl_mm.control.limits import Bounds
-from marl_mm.control.priorities import handled_tasks
-from marl_mm.control.qp import NO_CAUSE, SolveQp, proxqp
-from marl_mm.control.tasks.task import VARIABLES, Task
+from marl_mm.control.priorities import HANDLED
+from marl_mm.control.records import VARIABLES
+from marl_mm.control.reference.limits import Bounds
+from marl_mm.control.reference.qp import NO_CAUSE, SolveQp, proxqp
+from marl_mm.control.reference.tasks.task import Task
 
 
 @dataclass(frozen=True)
@@ -109,6 +110,13 @@ def solve_hierarchy(
         u = u + projector @ x
         projector = next_projector(tasks, handled, psi[level], projector, config)
     return Solution(u, levels, qps, failures, cause, feasible)
+
+
+def handled_tasks(psi: np.ndarray, level: int) -> list[int]:
+    """Tasks whose psi rises at a level, highest psi first; ties in Table 1's order."""
+    above = psi[level - 1] if level else np.zeros(psi.shape[1])
+    risen = [k for k in range(psi.shape[1]) if abs(psi[level, k] - above[k]) > HANDLED]
+    return sorted(risen, key=lambda k: -psi[level, k])
 
 
 def level_objective(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from marl_mm.control.limits import WHEEL_ARM
-from marl_mm.control.wbc import Command
+from marl_mm.control.records import Command
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.drive import Drive, Tick
 from marl_mm.envs.task import Task

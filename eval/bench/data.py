@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from multiprocessing import get_context
 from pathlib import Path
 from shutil import rmtree
+from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import Any, get_args
 
@@ -32,11 +33,36 @@ from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import EpisodePlan, Rollouts, episode_seed, run_episode
 from marl_mm.envs.task import ScriptConfig
 from marl_mm.episode import Episode
-from marl_mm.progress import Advance, silent
+from marl_mm.progress import Advance, Bar, silent
 from marl_mm.sim.scene import Grasp
 
 TASK, HANDLED = "Reach-v0", "GraspReach-v0"
 _TURNS = 3
+
+
+def bench_data(
+    episodes: int, workers: Sequence[int], load_steps: int, seed: int, bar: Bar
+) -> dict[str, Any]:
+    """Rates of collection, of grasps by how they are held, and costs of storage.
+
+    Args:
+        episodes: Episodes per turn and number of workers, and per kind of grasp.
+        workers: Numbers of processes to compare.
+        load_steps: Steps of the dataset whose loading is timed.
+        seed: Seed of the episodes.
+        bar: Progress of each part.
+    """
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        advance = bar("bench collection", (1 + _TURNS) * episodes * (1 + len(workers)))
+        result, collected = bench_collection(
+            episodes, workers, seed, folder / "journal", advance
+        )
+        advance = bar("bench grasps", len(get_args(Grasp)) * (1 + _TURNS * episodes))
+        result["grasps"] = bench_grasps(episodes, seed, advance)
+        advance = bar("bench storage", 4)
+        result["storage"] = bench_storage(collected, load_steps, folder, advance)
+    return result
 
 
 def bench_collection(

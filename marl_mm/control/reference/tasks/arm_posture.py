@@ -3,7 +3,8 @@
 import numpy as np
 
 from marl_mm.control.config import Gains
-from marl_mm.control.tasks.task import VARIABLES, Reference, Task
+from marl_mm.control.records import VARIABLES, Reference
+from marl_mm.control.reference.tasks.task import Task
 from marl_mm.robot.model import RobotState
 
 

@@ -25,7 +25,7 @@ from marl_mm.datasets.location import SHIPPED
 from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import MarlMmError
-from marl_mm.eval.td3_bc_reference import PlainTd3Bc
+from marl_mm.eval.bench.td3_bc_reference import PlainTd3Bc
 from marl_mm.progress import Advance, silent
 from marl_mm.workers import available_cores
 

@@ -12,7 +12,7 @@ from pink import Configuration, solve_ik
 from pink.limits import VelocityLimit
 from pink.tasks import FrameTask, PostureTask
 
-from marl_mm.control.tasks.task import Reference
+from marl_mm.control.records import Reference
 from marl_mm.robot.model import RobotState
 from marl_mm.robot.names import GRASP_FRAME
 from marl_mm.sim.config import RATE

@@ -16,8 +16,8 @@ import numpy as np
 from marl_mm.control.compiled.parts import repeat_assembly, repeat_levels
 from marl_mm.control.config import ControllerConfig
 from marl_mm.control.limits import UNBOUNDED
-from marl_mm.control.tasks.task import Reference
-from marl_mm.control.wbc import Priorities, WholeBodyController
+from marl_mm.control.records import Priorities, Reference
+from marl_mm.control.wbc import WholeBodyController
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.drive import Drive
 from marl_mm.envs.task import Task
@@ -214,7 +214,7 @@ def _references(core: EpisodeCore, samples: list[Sample]) -> dict[str, np.ndarra
         daqp = replace(config, solver="daqp")
         found["numpy_daqp"] = _solve_times(core, daqp, samples)
     if find_spec("pink") and find_spec("qpsolvers"):
-        from marl_mm.eval.pink_reference import PinkReference
+        from marl_mm.eval.bench.pink_reference import PinkReference
 
         reference = PinkReference(core.drive.model.pinocchio)
         found["pink_weighted_qp"] = _times(

@@ -36,7 +36,7 @@ _TURN = 100
 """Updates until it is the other's turn."""
 
 
-def bench_train(
+def bench_online(
     updates: int,
     seed: int = 0,
     sb3: bool = True,
@@ -158,7 +158,7 @@ def _sb3_taught(
     hyper: DdpgConfig, env_steps: int, seed: int, advance: Advance
 ) -> Policy:
     """Stable-Baselines3's, after so many steps."""
-    from marl_mm.eval.sb3_reference import Sb3Policy, learn_sb3, sb3_model
+    from marl_mm.eval.bench.sb3_reference import Sb3Policy, learn_sb3, sb3_model
 
     model, told = sb3_model(TASK, hyper, seed), 0
 
@@ -181,7 +181,7 @@ def _maddpg(task: Task, seed: int) -> Maddpg:
 def _sb3(seed: int, episodes: int) -> Any:
     from stable_baselines3.common.logger import configure
 
-    from marl_mm.eval.sb3_reference import sb3_model
+    from marl_mm.eval.bench.sb3_reference import sb3_model
 
     config = preset("ddpg-her")
     model = sb3_model(TASK, replace(config, warm_up=config.capacity), seed)

@@ -7,7 +7,8 @@ along the heading; across it a differential drive cannot move.
 import numpy as np
 
 from marl_mm.control.config import Gains
-from marl_mm.control.tasks.task import VARIABLES, Reference, Task
+from marl_mm.control.records import VARIABLES, Reference
+from marl_mm.control.reference.tasks.task import Task
 from marl_mm.robot.model import RobotState
 
 

@@ -6,11 +6,10 @@ the arm: all braking is scaled alike, since a clipped torque would throw other j
 
 import numpy as np
 
-from marl_mm.control.limits import BOX, BOX_ROWS, TORQUE, Bounds
+from marl_mm.control.config import BRAKING_RATE
+from marl_mm.control.limits import BOX, BOX_ROWS, TORQUE
+from marl_mm.control.reference.limits import Bounds
 from marl_mm.robot.model import ACTUATED, RobotState
-
-BRAKING_RATE = 10.0
-"""Speed to deceleration [1/s]."""
 
 
 def braking_acceleration(state: RobotState, limits: Bounds) -> np.ndarray:

@@ -7,7 +7,8 @@ half of the frame's, without the lateral column.
 import numpy as np
 
 from marl_mm.control.config import Gains
-from marl_mm.control.tasks.task import Reference, Task
+from marl_mm.control.records import Reference
+from marl_mm.control.reference.tasks.task import Task
 from marl_mm.robot.model import ACTUATED, ModelTerms
 
 

@@ -7,15 +7,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from marl_mm.control.config import Gains
-from marl_mm.control.tasks.arm_posture import arm_posture
-from marl_mm.control.tasks.base_orientation import base_orientation
-from marl_mm.control.tasks.base_velocity import base_velocity
-from marl_mm.control.tasks.manipulator_orientation import (
+from marl_mm.control.records import Reference
+from marl_mm.control.reference.tasks.arm_posture import arm_posture
+from marl_mm.control.reference.tasks.base_orientation import base_orientation
+from marl_mm.control.reference.tasks.base_velocity import base_velocity
+from marl_mm.control.reference.tasks.manipulator_orientation import (
     manipulator_orientation,
     rotation_error,
 )
-from marl_mm.control.tasks.manipulator_position import manipulator_position
-from marl_mm.control.tasks.task import Reference, Task
+from marl_mm.control.reference.tasks.manipulator_position import manipulator_position
+from marl_mm.control.reference.tasks.task import Task
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.model import ACTUATED, ModelTerms, RobotModel, RobotState
 
