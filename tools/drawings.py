@@ -9,6 +9,7 @@ from typing import Any
 
 from svg import COLOURS, FAINT, INK, Plot, Point, arrow, box, drawing, line, words
 
+from marl_mm.datasets.dataset import load_dataset
 from marl_mm.envs.tasks.reach import LAYOUT
 from marl_mm.eval.rows import read_rows
 
@@ -106,7 +107,15 @@ def loop() -> str:
             "priorities by alpha",
             f"{_tick():.0f} us a tick with simulation",
         ),
-        box(660, 40, 200, 110, "simulator, 240 Hz", "PyBullet: base on its", "wheels, arm"),
+        box(
+            660,
+            40,
+            200,
+            110,
+            "simulator, 240 Hz",
+            "PyBullet: base on its",
+            "wheels, arm",
+        ),
         arrow((210, 80), (298, 80)),
         words(216, 72, "order", size=12),
         arrow((570, 80), (658, 80)),
@@ -151,7 +160,9 @@ def dataset() -> str:
         arrow((120, 135), (120, 185)),
         arrow((300, 135), (300, 185)),
         arrow((690, 155), (690, 185)),
-        box(20, 188, 190, 80, "data.joint()", "all entries, as one", "learner sees them"),
+        box(
+            20, 188, 190, 80, "data.joint()", "all entries, as one", "learner sees them"
+        ),
         box(
             *(225, 188, 240, 80),
             'data.agents()["balance"]',
@@ -253,11 +264,37 @@ CURVES: dict[str, Callable[[], str]] = {
 }
 """Learning curves by algorithm."""
 
+
+def _card(name: str) -> str:
+    """Returns of a dataset's episodes, and alphas of its steps."""
+    card = load_dataset(name).card()
+    parts: list[str] = []
+    for left, what, label in (
+        (80, "return_histogram", "return"),
+        (500, "alpha_histogram", "alpha"),
+    ):
+        found = card[what]
+        counts, low, high = found["counts"], found["low"], found["high"]
+        most = max(counts)
+        plot = Plot((left, 30, 300, 150), (low, high), (0, most), (label, "count"))
+        width = (high - low) / len(counts)
+        for number, count in enumerate(counts):
+            x0, y0 = plot.at(low + number * width, count)
+            x1, y1 = plot.at(low + (number + 1) * width, 0)
+            parts.append(
+                f'<rect x="{x0 + 1:.1f}" y="{y0:.1f}" width="{x1 - x0 - 2:.1f}" '
+                f'height="{y1 - y0:.1f}" fill="{HAND}" fill-opacity="0.7"/>'
+            )
+        parts += plot.parts
+    return drawing(840, 235, parts, f"Returns and alphas of {name}")
+
+
 DRAWINGS: dict[str, Callable[[], str]] = {
     "images/agents.svg": agents,
     "images/loop.svg": loop,
     "images/dataset.svg": dataset,
     "images/tradeoff.svg": tradeoff,
     **{f"images/curve-{name}.svg": draw for name, draw in CURVES.items()},
+    "images/card-good-5k.svg": partial(_card, "good-5k"),
 }
 """Path below docs/, and what draws it."""

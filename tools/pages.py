@@ -29,11 +29,10 @@ def filled(text: str) -> str:
 
 def pages() -> dict[Path, str]:
     """Every page that is made, or has tables, as it should be."""
-    made = {
-        ROOT / "docs" / name: make() for name, make in (PAGES | DRAWINGS).items()
-    }
+    made = {ROOT / "docs" / name: make() for name, make in (PAGES | DRAWINGS).items()}
     written = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-    return made | {p: filled(p.read_text()) for p in written if p not in made}
+    made |= {p: p.read_text() for p in written if p not in made}
+    return {path: filled(text) for path, text in made.items()}
 
 
 def main() -> int:

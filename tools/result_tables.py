@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from marl_mm.cli import COMMANDS, LISTS
 from marl_mm.envs.load import StandConfig
 from marl_mm.envs.registry import TASKS
 from marl_mm.envs.tasks.carry import Carry
@@ -209,7 +210,17 @@ _NOT_HELD = ("every seed", "d_mm [m]", "d_mp [m]", _PAPER, _DIFFERENCE)
 _NOT_CURED = ("dataset", _PAPER, _DIFFERENCE, "d_mm [m]", "d_mp [m]", "alpha")
 """Columns that tell nothing of why learning fails."""
 
+
+def _commands() -> str:
+    """The commands, and those that list what there is."""
+    lines = [(f"`marl-mm {name}`", about) for name, about in COMMANDS.items()]
+    lists = ", ".join(f"`{name}`" for name in LISTS)
+    lines.append((lists, "what there is of a kind, and where it comes from"))
+    return markdown_table(("command", "what it does"), lines)
+
+
 TABLES: dict[str, Callable[[], str]] = {
+    "commands": _commands,
     "entries": _entries,
     "drawn": _drawn,
     "alpha": _alpha,
