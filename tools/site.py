@@ -63,7 +63,9 @@ def _output(output: Any) -> str:
         return _text(output.text)
     data = output.data
     if "text/html" in data:
-        text = "\n".join(line for line in data["text/html"].splitlines() if line.strip())
+        text = "\n".join(
+            line for line in data["text/html"].splitlines() if line.strip()
+        )
         return f'<div class="output">{text}</div>'
     if "image/png" in data:
         return f'<img alt="" src="data:image/png;base64,{data["image/png"].strip()}">'

@@ -66,7 +66,14 @@ def _page(browser: Any, size: dict[str, int], complaints: list[str], home: str) 
     page = browser.new_context(viewport=size).new_page()
     page.on("console", lambda message: complaints.append(message.text))
     page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.on("requestfailed", lambda request: complaints.append(request.url[:80]))
+    page.on(
+        "requestfailed",  # not those that ended as the next page was opened
+        lambda request: (
+            None
+            if request.failure == "net::ERR_ABORTED"
+            else complaints.append(request.url[:80])
+        ),
+    )
     page.on(
         "request",
         lambda request: (
