@@ -13,7 +13,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.loggers import CSV, LOGGERS, check_loggers
-from marl_mm.algorithms.mabc import Mabc, MabcConfig
+from marl_mm.algorithms.mabc import Mabc
+from marl_mm.algorithms.mabc_config import MabcConfig
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.runlog import METRICS, CurvePoint, RunLog, read_metrics
 from marl_mm.algorithms.train import resume_seeds, train
