@@ -12,7 +12,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from marl_mm.algorithms.mabc import MabcConfig
+from marl_mm.algorithms.mabc_config import MabcConfig
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy

@@ -25,7 +25,8 @@ from marl_mm import plugins
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.ddpg import Ddpg
 from marl_mm.algorithms.explore import Explorer
-from marl_mm.algorithms.mabc import Mabc, MabcConfig
+from marl_mm.algorithms.mabc import Mabc
+from marl_mm.algorithms.mabc_config import MabcConfig
 from marl_mm.algorithms.maddpg import Maddpg
 from marl_mm.algorithms.matd3_bc import Matd3Bc
 from marl_mm.algorithms.networks import Actor
@@ -1328,7 +1329,8 @@ def test_a_collectors_mistake_breaks_its_claims(
 # --- The command line --------------------------------------------------------
 
 PLUGIN = """
-from marl_mm.algorithms.mabc import Mabc, MabcConfig
+from marl_mm.algorithms.mabc import Mabc
+from marl_mm.algorithms.mabc_config import MabcConfig
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm
 
 class Planted(Mabc):

@@ -16,7 +16,8 @@ from marl_mm.envs.drive import Drive, Motion, Tick, wheel_slip
 from marl_mm.envs.registry import make_task
 from marl_mm.eval.bench.abuse import abuse
 from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig
-from marl_mm.robot.model import ACTUATED, RobotState, support_margin
+from marl_mm.robot.model import ACTUATED, RobotState
+from marl_mm.robot.support import support_margin
 from marl_mm.sim.bullet import BulletWorld
 from marl_mm.sim.config import RATE, SimulationConfig
 
