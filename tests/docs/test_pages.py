@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 import marl_mm
-
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.envs.registry import TASKS
 from marl_mm.eval.ablations import ABLATIONS
