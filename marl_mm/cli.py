@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import re
 import signal
 import sys
 from collections.abc import Sequence
@@ -131,7 +132,21 @@ def _print(text: str) -> None:
 
 
 def _complain(text: str) -> None:
-    sys.stderr.write(f"marl-mm: {text}\n")
+    sys.stderr.write(f"marl-mm: {spelled_as_options(text)}\n")
+
+
+def spelled_as_options(text: str) -> str:
+    """A message whose settings, in backquotes as in Python, are spelled as options.
+
+    ``resume=True`` becomes ``--resume``, ``stop_unsound=False`` ``--no-stop-unsound``
+    and ``max_steps`` ``--max-steps``.
+    """
+
+    def option(found: re.Match[str]) -> str:
+        no = "no-" if found[2] == "=False" else ""
+        return f"--{no}{found[1].replace('_', '-')}"
+
+    return re.sub(r"`([a-z]\w*)(=True|=False)?`", option, text)
 
 
 if __name__ == "__main__":

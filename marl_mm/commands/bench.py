@@ -12,7 +12,6 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from marl_mm.commands.options import check_positive, check_seed
 from marl_mm.commands.parser import parse_subcommand
 from marl_mm.control.config import Form, Solver
 from marl_mm.envs.registry import make_task
@@ -20,6 +19,7 @@ from marl_mm.errors import UsageError
 from marl_mm.eval.abuse import abuse
 from marl_mm.eval.bench import bench_control
 from marl_mm.progress import progress_bar
+from marl_mm.runs.settings import check_positive, check_seed
 from marl_mm.versions import versions
 
 
