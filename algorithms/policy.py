@@ -11,7 +11,8 @@ import numpy as np
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.checkpoint import read_checkpoint, restored_agents
 from marl_mm.errors import UsageError
-from marl_mm.layout import JOINT_NAME, Layout, refuse_other_layout
+from marl_mm.layout import JOINT_NAME, Layout
+from marl_mm.layout_diff import refuse_other_layout
 
 
 class LearnedPolicy:

@@ -25,7 +25,7 @@ from marl_mm.algorithms.checkpoint import (
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.runlog import CurvePoint, Row, RunLog, is_best
 from marl_mm.algorithms.speed import matrix_products, prepare_for_small_networks
-from marl_mm.differences import refuse_difference
+from marl_mm.config_diff import refuse_other_config
 from marl_mm.errors import CheckpointError, DivergedError
 from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.progress import Advance, silent
@@ -227,6 +227,6 @@ def _state(
     mine = asdict(algorithm.config)
     for name in ignored:
         del mine[name]
-    refuse_difference(run, checkpoint["config"], mine)
+    refuse_other_config(run, checkpoint["config"], mine)
     state: dict[str, Any] = checkpoint["state"]
     return state

@@ -89,8 +89,8 @@ def collect(
                 return Collection(kept, tried, complete=True)
             if rejected >= _HOPELESS:
                 raise HopelessError(
-                    f"{policy.name} reached no goal in {rejected} episodes "
-                    "in a row: allow more steps with --max-steps, or change what acts"
+                    f"{policy.name} reached no goal in {rejected} episodes in a row: "
+                    "allow more steps with `max_steps`, or change the policy"
                 )
     except KeyboardInterrupt:
         return Collection(kept, tried, complete=False)

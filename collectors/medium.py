@@ -63,7 +63,7 @@ class MediumPolicy:
 def _medium(config: MediumConfig, task: Task) -> MediumPolicy:
     if config.random_steps >= task.max_steps:
         raise UsageError(
-            f"--random-steps is {config.random_steps}, expected fewer than an "
+            f"`random_steps` is {config.random_steps}, expected fewer than an "
             f"episode's {task.max_steps}: the agent has the rest"
         )
     return MediumPolicy(config)

@@ -12,7 +12,8 @@ from marl_mm.envs.rollout import EpisodePlan, run_episode
 from marl_mm.envs.task import Task
 from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError
-from marl_mm.layout import Layout, refuse_other_layout
+from marl_mm.layout import Layout
+from marl_mm.layout_diff import refuse_other_layout
 from marl_mm.workers import ordered_map
 
 

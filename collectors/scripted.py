@@ -7,7 +7,8 @@ import numpy as np
 
 from marl_mm.collectors.registry import COLLECTORS, Collector, successes
 from marl_mm.envs.task import ScriptConfig, Task
-from marl_mm.layout import Layout, refuse_other_layout
+from marl_mm.layout import Layout
+from marl_mm.layout_diff import refuse_other_layout
 
 
 class ScriptedPolicy:

@@ -14,6 +14,7 @@ import numpy as np
 from marl_mm.episode import Episode, directions, failures, reward_terms
 from marl_mm.errors import DatasetError
 from marl_mm.layout import Layout
+from marl_mm.layout_diff import layout_diff
 
 
 @dataclass(frozen=True)
@@ -228,7 +229,7 @@ def _refuse_unlike(
     if other != layout:
         raise DatasetError(
             "episodes of two layouts cannot be one dataset: "
-            f"{'; '.join(layout.differences(other))}"
+            f"{'; '.join(layout_diff(layout, other))}"
         )
     if set(keys) != info.keys():
         differ = sorted(set(keys) ^ info.keys())

@@ -24,7 +24,8 @@ from marl_mm.datasets.verify import problems_of
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.episode import IMPORTED, Episode
 from marl_mm.errors import DatasetError, UsageError, WorkerDiedError
-from marl_mm.layout import Layout, refuse_other_layout
+from marl_mm.layout import Layout
+from marl_mm.layout_diff import refuse_other_layout
 from marl_mm.registry import Registry
 from marl_mm.version1 import dataset_layout
 from marl_mm.workers import apart
@@ -133,7 +134,7 @@ def read_foreign(path: Path, dataset_id: str, task: str | None = None) -> Foreig
         said = task or apart(_said, path, seconds) or DEFAULT
         arrays = apart(_read, (path, dataset_id, said), seconds)
     except UsageError as error:
-        way_out = "" if task else ", or give --task"
+        way_out = "" if task else ", or give `task`"
         raise UsageError(f"{path}: {error}{way_out}") from error
     except WorkerDiedError as error:
         raise DatasetError(

@@ -130,7 +130,8 @@ class Journal:
             }
         except DatasetError as error:
             raise DatasetError(
-                f"an episode in {self._path} is damaged: start anew with --overwrite"
+                f"an episode in {self._path} is damaged: start anew with "
+                "`overwrite=True`"
             ) from error
 
     @contextmanager
@@ -140,9 +141,9 @@ class Journal:
         except sqlite3.OperationalError as error:  # disk full, no permission
             raise MarlMmError(
                 f"cannot write {self._path}: {error}; finished episodes are kept: make "
-                "room and go on with --resume"
+                "room and go on with `resume=True`"
             ) from error
         except sqlite3.DatabaseError as error:
             raise DatasetError(
-                f"{self._path} is damaged ({error}): start anew with --overwrite"
+                f"{self._path} is damaged ({error}): start anew with `overwrite=True`"
             ) from error

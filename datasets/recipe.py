@@ -117,7 +117,7 @@ def filtered(dataset: Dataset, condition: Condition) -> Recipe:
     asked = {key: value for key, value in vars(condition).items() if value is not None}
     if not asked:
         raise UsageError(
-            "no condition: give --outcome, --direction, --min-return or --max-return"
+            "no condition: expected an outcome, a direction or a bound of the return"
         )
     keep = np.ones(len(arrays), bool)
     if condition.success is not None:

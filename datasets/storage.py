@@ -123,7 +123,7 @@ def write_alone(
         if any(location.working.iterdir()):
             raise UsageError(
                 f"a collection was begun at {location.folder}: finish it with "
-                "marl-mm collect --resume, or delete it"
+                "`marl_mm.collect(..., resume=True)`, or delete it"
             )
         try:
             write_dataset(location, arrays, provenance, overwrite)
@@ -227,7 +227,7 @@ def _why_unknown(location: Location) -> str:
     if (location.working / JOURNAL).exists():
         return (
             f"the collection into {name} was begun and not finished: go on with "
-            "marl-mm collect ... --resume"
+            "`marl_mm.collect(..., resume=True)`"
         )
     ids = {known: Path(known).name for known in (SHIPPED, *known_ids())}
     close = difflib.get_close_matches(location.folder.name, set(ids.values()), 3, 0.7)

@@ -1,11 +1,13 @@
-"""Figures of runs and episodes, as PNG, and those of the paper as SVG, too."""
+"""Figures of runs and episodes, as PNG."""
 
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
+from PIL import Image
 
 from marl_mm.episode import Episode
 from marl_mm.eval.metrics import Row, alphas
@@ -133,7 +135,7 @@ def alpha_response(summaries: Sequence[Row], path: Path) -> None:
     for axis in axes[1]:
         axis.set_xlabel("alpha", fontsize=8)
     axes[0][0].legend(frameon=False, fontsize=7)
-    save(figure, path)
+    save_small(figure, path)
 
 
 def alpha_pareto(summaries: Sequence[Row], path: Path) -> None:
@@ -162,7 +164,7 @@ def alpha_pareto(summaries: Sequence[Row], path: Path) -> None:
             ylabel="hand behind its target, d_mm [cm]",
         )
     axes[0][0].legend(frameon=False)
-    save(figure, path)
+    save_small(figure, path)
 
 
 def load_response(summaries: Sequence[Row], path: Path) -> None:
@@ -189,7 +191,7 @@ def load_response(summaries: Sequence[Row], path: Path) -> None:
         axis.set_title(label, fontsize=9)
         axis.set_xlabel("alpha")
     axes[-1].legend(frameon=False, fontsize=8)
-    save(figure, path)
+    save_small(figure, path)
 
 
 def _first_task(summaries: Sequence[Row]) -> str:
@@ -213,12 +215,12 @@ def _over_alpha(
     return sorted(rows, key=lambda row: float(row["alpha"]))
 
 
-def save_both(figure: Figure, stem: Path) -> None:
-    """Write a figure as PNG and as SVG, with the same bytes each time."""
-    with matplotlib.rc_context({"svg.hashsalt": stem.name, "svg.fonttype": "none"}):
-        for end, metadata in ((".png", {"Software": None}), (".svg", {"Date": None})):
-            with new_file(stem.with_suffix(end)) as temporary:
-                figure.savefig(temporary, dpi=130, metadata=metadata)
+def save_small(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG of few colors, which is a third as large."""
+    drawn = BytesIO()
+    figure.savefig(drawn, dpi=130)
+    with new_file(path) as temporary, Image.open(drawn) as picture:
+        picture.convert("RGB").quantize(128).save(temporary, "png", optimize=True)
 
 
 def save(figure: Figure, path: Path) -> None:

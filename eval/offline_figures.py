@@ -9,22 +9,22 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from marl_mm.eval.ablation import Ablation, Cell
-from marl_mm.eval.figures import save_both
+from marl_mm.eval.figures import save_small
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.online_figures import PAPER_COLORS
 
 
 def curves_figure(
-    ablation: Ablation, read: Callable[[Cell], Sequence[Row]], stem: Path
+    ablation: Ablation, read: Callable[[Cell], Sequence[Row]], path: Path
 ) -> None:
     """Success over updates: mean and standard deviation over seeds.
 
-    A panel per preset, a line per cell; as PNG and as SVG.
+    A panel per preset, a line per cell.
 
     Args:
         ablation: Whose cells are drawn.
         read: Gives a cell's rows: ``seed``, ``step``, ``success_all``.
-        stem: Of the two files.
+        path: PNG file.
     """
     presets = list(dict.fromkeys(setting.preset for _, setting in ablation.cells))
     figure = Figure(figsize=(1.2 + 4.2 * len(presets), 3.8), layout="constrained")
@@ -36,7 +36,7 @@ def curves_figure(
         axis.set(title=f"{preset} preset", xlabel="updates [thousands]", ylim=(-3, 103))
         axis.legend(frameon=False, fontsize=8)
     axes[0][0].set_ylabel("goals reached [%]")
-    save_both(figure, stem)
+    save_small(figure, path)
 
 
 def _draw(axis: Any, rows: Sequence[Row], label: str, color: str) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from marl_mm.algorithms.runlog import read_metrics
-from marl_mm.differences import as_json, refuse_difference
+from marl_mm.config_diff import as_json, refuse_other_config
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.ablation import LAST, Cell, Probe
 from marl_mm.eval.metrics import Row
@@ -95,7 +95,7 @@ class RowStore:
         known = json.loads(path.read_text())
         ways = {probe.name: probe_way(probe) for probe in probes}
         there = {name: ways[name] for name in ways if name in known["probes"]}
-        refuse_difference(path, known, {**made_of, "probes": there})
+        refuse_other_config(path, known, {**made_of, "probes": there})
         pairs = {(row["seed"], row["probe"]) for row in self._rows(cell)}
         return [seed for seed in seeds if not pairs >= set(product([seed], ways))]
 
@@ -108,7 +108,7 @@ class RowStore:
         path = self._path(cell, ".json")
         if path.exists():
             known = json.loads(path.read_text())
-            refuse_difference(path, known, {"dataset": _bytes_of(identity)})
+            refuse_other_config(path, known, {"dataset": _bytes_of(identity)})
 
     def keep(
         self, cell: Cell, runs: Mapping[int, Path], probes: Sequence[Probe]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from marl_mm.eval.figures import COLORS, save_both
+from marl_mm.eval.figures import COLORS, save_small
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.online import on_a_grid
 
@@ -20,7 +20,7 @@ def seed_curves(
     panels: Mapping[str, Mapping[str, str]],
     key: str,
     ylabel: str,
-    stem: Path,
+    path: Path,
     scale: float = 1.0,
     bottom: float | None = None,
     top: float | None = None,
@@ -32,7 +32,7 @@ def seed_curves(
         panels: By title, settings to draw and what to call them.
         key: Column to draw.
         ylabel: Its name and unit.
-        stem: Of the PNG and the SVG.
+        path: PNG file.
         scale: Factor of the values.
         bottom: Where the figure cuts off; None shows everything.
         top: Likewise.
@@ -56,15 +56,15 @@ def seed_curves(
             axis.set_ylim(bottom, top)
         axis.legend(frameon=False)
     axes[0][0].set_ylabel(ylabel)
-    save_both(figure, stem)
+    save_small(figure, path)
 
 
 def alpha_figure(
-    steps: Sequence[Row], worth: Sequence[Row], labels: Mapping[str, str], stem: Path
+    steps: Sequence[Row], worth: Sequence[Row], labels: Mapping[str, str], path: Path
 ) -> None:
     """Above: alpha over time by direction. Below: the return with alpha held.
 
-    A column per setting, a line per seed; as PNG and SVG.
+    A column per setting, a line per seed.
     """
     settings = list(dict.fromkeys(row["setting"] for row in steps))
     figure = Figure(figsize=(4.4 * len(settings), 6.0), layout="constrained")
@@ -99,4 +99,4 @@ def alpha_figure(
     axes[0][0].set_ylabel("learnt alpha (1 = stable base)")
     axes[0][0].legend(frameon=False)
     axes[1][0].legend(frameon=False)
-    save_both(figure, stem)
+    save_small(figure, path)

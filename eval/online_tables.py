@@ -136,16 +136,15 @@ def updates_table(result: Mapping[str, Any], settings: Sequence[OnlineSetting]) 
     return markdown_table(header, lines)
 
 
-def online_markdown(
+def online_text(
     summary: Sequence[Row], settings: Sequence[OnlineSetting], curves: Sequence[Row]
 ) -> str:
     """The tables with what their columns mean."""
-    return f"""# Online learning
-
-Made by `marl-mm ablate online`. Success: mean and standard deviation over seeds of the
-share of goals reached, the same for all, and the wider of two 95 % intervals: Student's
-over seeds, Wilson's over goals. IQM: interquartile mean over seeds and directions,
-with its 95 % stratified bootstrap interval, which is too narrow for so few seeds.
+    return f"""Made by `marl-mm ablate online`. Success: mean and deviation over
+seeds of the share of goals reached, the same for all, and the wider of two 95 %
+intervals: Student's over seeds, Wilson's over goals. IQM: interquartile mean over seeds
+and directions, with its 95 % stratified bootstrap interval, which is too narrow for so
+few seeds.
 Paper: of its learning curves, on a task of its own. Episodes: until an evaluation on
 other goals first had the rate, mean over seeds, its 95 % interval and every seed's
 count (-: not within the run). The interval is Student's, from the evaluation before to

@@ -4,6 +4,7 @@
 test holds that this changes nothing.
 """
 
+import gzip
 import json
 import re
 from collections.abc import Callable
@@ -17,7 +18,7 @@ from marl_mm.envs.tasks.carry import Carry
 from marl_mm.envs.tasks.grasp import LAYOUT as HANDLING
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.eval.ablations import ABLATIONS, BLOCKS
-from marl_mm.eval.bench_tables import (
+from marl_mm.eval.bench.tables import (
     abuse_table,
     bench_table,
     data_table,
@@ -153,7 +154,8 @@ def _script() -> str:
     """The script on the goals that those who learn from it are evaluated on."""
     lines = []
     for task in BLOCKS.values():
-        (found,) = json.loads((RESULTS / f"script/{task}.json").read_text())
+        packed = (RESULTS / f"script/{task}.json.gz").read_bytes()
+        (found,) = json.loads(gzip.decompress(packed))
         every = found["summary"]["all"]
         row = {"success": found["success_rate"], "success_interval": found["interval"]}
         reached = rate_with_interval({**row, "seeds": 1})

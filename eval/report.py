@@ -3,7 +3,7 @@
 import json
 from base64 import b64encode
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from mimetypes import guess_type
 from pathlib import Path
 from typing import Any
@@ -13,17 +13,26 @@ from markdown_it import MarkdownIt
 from markupsafe import Markup
 
 from marl_mm.errors import UsageError
-from marl_mm.eval.ablations import ABLATIONS, BLOCKS, made_by
-from marl_mm.eval.bench_tables import (
+from marl_mm.eval.ablation import cell_name
+from marl_mm.eval.ablations import ABLATIONS, NOTE
+from marl_mm.eval.bench.tables import (
     abuse_table,
     bench_table,
     data_table,
     offline_speed_table,
 )
-from marl_mm.eval.offline import goals_table
+from marl_mm.eval.offline import ablation_table, goals_table
 from marl_mm.eval.online import MADE_OF, SETTINGS, OnlineSetting
-from marl_mm.eval.online_tables import alpha_worth_table, steps_table, updates_table
+from marl_mm.eval.online_tables import (
+    alpha_worth_table,
+    online_text,
+    steps_table,
+    updates_table,
+)
 from marl_mm.eval.rows import read_rows
+from marl_mm.eval.sweep import responses
+from marl_mm.eval.sweep_tables import sweep_markdown
+from marl_mm.eval.tables import rows_table
 from marl_mm.versions import versions
 
 _TEMPLATE = Path(__file__).with_name("report.html")
@@ -85,7 +94,6 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
         *_offline(_drawn(results / "offline")),
         *_online(_drawn(results / "online")),
         *_alpha(results / "alpha"),
-        *_cards(_drawn(results / "offline") / "cards"),
         *_benchmarks(results),
         *_videos(videos),
     ]
@@ -114,19 +122,26 @@ def _drawn(folder: Path) -> Path:
 
 
 def _offline(folder: Path) -> Iterator[Section]:
-    pages = {path.stem: path for path in sorted(folder.glob("*.md"))}
-    order = [name for name in ABLATIONS if name in pages]
-    for name in (*order, *(name for name in pages if name not in ABLATIONS)):
-        title, text = _page(pages[name])
-        figure = folder / f"{name}.svg"
-        media = [_media(figure)] if figure.exists() else []
+    paths = {path.stem: path for path in sorted(folder.glob("*.csv"))}
+    order = [name for name in ABLATIONS if name in paths]
+    for name in (*order, *(name for name in paths if name not in ABLATIONS)):
+        rows = read_rows(paths[name])
         whole = name.removesuffix("-part")  # of some --datasets or --settings
-        target = name if name in ABLATIONS else "FILE.py:NAME"
+        if whole in ABLATIONS:
+            own = {(row["dataset"], row["setting"]) for row in rows}
+            cells = [c for c in ABLATIONS[whole].cells if cell_name(c) in own]
+            ablation = replace(ABLATIONS[whole], cells=cells)
+            title, text = ablation.about, f"{ablation_table(ablation, rows)}\n{NOTE}"
+        else:
+            title, text = name, rows_table(rows)
+        figure = folder / f"{name}.png"
+        media = [_media(figure)] if figure.exists() else []
+        target = whole if whole in ABLATIONS else "FILE.py:NAME"
         if whole in ABLATIONS and whole != name:
             target = f"{whole} --datasets ... --settings ..."
         command = f"marl-mm ablate {target} --out {folder} --overwrite"
-        yield Section(name, title, command, text, media)
-    if pages:
+        yield Section(name, title, command, _html(text), media)
+    if paths:
         text = _html(goals_table())
         command = "python -m marl_mm.eval.readme"
         yield Section("goals", "Goals for an interval of +- 5 points", command, text)
@@ -139,11 +154,12 @@ def _offline(folder: Path) -> Iterator[Section]:
 
 
 def _online(folder: Path) -> Iterator[Section]:
-    for page in (folder / "online.md", folder / "online-part.md"):
-        if page.exists():
-            title, text = _page(page)
-            yield Section(page.stem, title, _redrawn("online", folder), text)
-    page = folder / "online.md"
+    curves = folder / "curves.csv.gz"
+    for stem in ("online", "online-part"):
+        if (folder / f"{stem}.csv").exists():
+            summary = read_rows(folder / f"{stem}.csv")
+            text = _html(online_text(summary, SETTINGS, read_rows(curves)))
+            yield Section(stem, "Online learning", _redrawn("online", folder), text)
     for name, (target, about, table) in _TABLES.items():
         if (folder / name).exists():
             text = _html(table(read_rows(folder / name), SETTINGS))
@@ -155,7 +171,7 @@ def _online(folder: Path) -> Iterator[Section]:
             target = name.removesuffix(".png")
             title, command = f"Online: {target}", _redrawn(target, folder)
             yield Section(f"online-{name}", title, command, media=media)
-    if page.exists():
+    if (folder / "online.csv").exists():
         path = folder / MADE_OF
         made_of = json.loads(path.read_text()) if path.exists() else {}
         details = [
@@ -178,22 +194,17 @@ def _redrawn(target: str, folder: Path) -> str:
 
 
 def _alpha(folder: Path) -> Iterator[Section]:
-    page = folder / "alpha.md"
-    if page.exists():
-        title, text = _page(page)
+    if (folder / "alpha.csv").exists():
+        summary, worth, loads = (
+            read_rows(folder / f"{name}.csv")
+            if (folder / f"{name}.csv").exists()
+            else []
+            for name in ("alpha", "worth", "loads")
+        )
+        text = _html(sweep_markdown(summary, responses(summary), worth, loads))
         media = [_media(path) for path in sorted(folder.glob("*.png"))]
         command = f"marl-mm sweep-alpha --out {folder} --overwrite"
-        yield Section("alpha", title, command, text, media)
-
-
-def _cards(folder: Path) -> Iterator[Section]:
-    ids = {name.replace("/", "-"): name for name in BLOCKS}
-    for path in sorted(folder.glob("*.md")):
-        title, text = _page(path, pictures=False)
-        figure = path.with_suffix(".png")
-        media = [_media(figure)] if figure.exists() else []
-        command = made_by(ids.get(path.stem, path.stem))
-        yield Section(f"card-{path.stem}", f"Dataset {title}", command, text, media)
+        yield Section("alpha", "What alpha does", command, text, media)
 
 
 def _benchmarks(results: Path) -> Iterator[Section]:
@@ -237,14 +248,6 @@ def _media(path: Path) -> Media:
     except FileNotFoundError:
         raise UsageError(f"there is no {path}") from None
     return Media(path.name, kind, f"data:{kind};base64,{data}")
-
-
-def _page(path: Path, pictures: bool = True) -> tuple[str, Markup]:
-    """Title and text of a Markdown page; its pictures would be other files."""
-    first, _, rest = path.read_text().partition("\n")
-    if not pictures:
-        rest = "\n".join(line for line in rest.split("\n") if line[:2] != "![")
-    return first.removeprefix("# "), _html(rest)
 
 
 def _html(text: str) -> Markup:

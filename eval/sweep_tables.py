@@ -159,9 +159,8 @@ def sweep_markdown(
     worth: Sequence[Row],
     loads: Sequence[Row],
 ) -> str:
-    """Everything of an alpha sweep as one Markdown file."""
+    """Everything of an alpha sweep as one Markdown text."""
     parts = [
-        "# What alpha does\n",
         "The PD agent at fixed alphas, half of the goals ahead and half behind. "
         "d_mm and d_mp: how far hand and base are from their targets at the end of a "
         "step. Steps to the goal, 50 where it was missed; the return is that of the "

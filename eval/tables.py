@@ -1,7 +1,6 @@
 """Evaluations side by side, as Markdown or on the terminal."""
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -62,6 +61,19 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
+def rows_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Rows as they are, as Markdown: a column a key."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    lines = [[_text(row.get(name, "")) for name in names] for row in rows]
+    return markdown_table(names, lines)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_text, value))}]"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
 def without(
     header: Sequence[str], rows: Sequence[Sequence[str]], names: Sequence[str]
 ) -> tuple[list[str], list[list[str]]]:
@@ -87,31 +99,6 @@ def rate_with_interval(row: Mapping[str, Any], name: str = "success") -> str:
     """The same, with its interval."""
     low, high = (100 * bound for bound in row[f"{name}_interval"])
     return f"{rate_with_deviation(row, name)} [{low:.1f}, {high:.1f}]"
-
-
-def latex_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """The same as LaTeX, for the package booktabs."""
-
-    def line(words: Sequence[str]) -> str:
-        return " & ".join(map(_in_latex, words)) + r" \\"
-
-    return "\n".join(
-        (
-            rf"\begin{{tabular}}{{{'l' * len(header)}}}",
-            r"\toprule",
-            line(header),
-            r"\midrule",
-            *map(line, rows),
-            r"\bottomrule",
-            r"\end{tabular}",
-            "",
-        )
-    )
-
-
-def _in_latex(text: str) -> str:
-    text = text.replace("+-", r"$\pm$")
-    return re.sub(r"[%_&#]", lambda found: f"\\{found[0]}", text)
 
 
 def evaluation_markdown(evaluations: Sequence[Evaluation]) -> str:

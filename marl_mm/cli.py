@@ -2,11 +2,11 @@
 
 import importlib
 import os
-import re
 import signal
 import sys
 from collections.abc import Sequence
 
+from marl_mm.commands.wording import as_options
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.interrupts import end_on_signals
 
@@ -132,21 +132,7 @@ def _print(text: str) -> None:
 
 
 def _complain(text: str) -> None:
-    sys.stderr.write(f"marl-mm: {spelled_as_options(text)}\n")
-
-
-def spelled_as_options(text: str) -> str:
-    """A message whose settings, in backquotes as in Python, are spelled as options.
-
-    ``resume=True`` becomes ``--resume``, ``stop_unsound=False`` ``--no-stop-unsound``
-    and ``max_steps`` ``--max-steps``.
-    """
-
-    def option(found: re.Match[str]) -> str:
-        no = "no-" if found[2] == "=False" else ""
-        return f"--{no}{found[1].replace('_', '-')}"
-
-    return re.sub(r"`([a-z]\w*)(=True|=False)?`", option, text)
+    sys.stderr.write(f"marl-mm: {as_options(text)}\n")
 
 
 if __name__ == "__main__":

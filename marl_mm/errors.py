@@ -18,7 +18,7 @@ class UsageError(MarlMmError, ValueError):
 
 
 class OutputExistsError(UsageError):
-    """The output is there already and ``--overwrite`` was not given."""
+    """The output exists already and may not be overwritten."""
 
 
 class OtherConfigError(UsageError):

@@ -25,7 +25,7 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
         raise UsageError(f"cannot write {path}: {folder} is no folder open to you")
     if path.exists() and not overwrite:
         raise OutputExistsError(
-            f"{path} exists already; choose another name or add --overwrite"
+            f"{path} exists already; choose another name or add `overwrite=True`"
         )
 
 

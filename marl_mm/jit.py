@@ -21,7 +21,6 @@ _SOURCES = (
     "jit.py",
     "control/*.py",
     "control/compiled/*.py",
-    "control/tasks/task.py",
     "robot/*.py",
     "sim/planar.py",
 )

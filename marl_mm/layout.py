@@ -274,54 +274,11 @@ class Layout:
         except (KeyError, TypeError, ValueError) as error:
             raise LayoutError(f"no layout of marl_mm ({error!r:.80})") from error
 
-    def differences(self, other: "Layout", agents: bool = True) -> list[str]:
-        """What another layout has otherwise, in words; none if they are equal.
-
-        Args:
-            other: The one to compare with.
-            agents: Whether the agents matter, or only the entries and the goal.
-        """
-        found = [
-            *_different("state", self.state, other.state),
-            *_different("action", self.action, other.action),
-        ]
-        for part in ("compared", "desired"):
-            own, theirs = getattr(self, part), getattr(other, part)
-            if own != theirs:
-                found.append(f"{part} {', '.join(own)} (there {', '.join(theirs)})")
-        if agents:
-            found += _different("agent", self.team, other.team)
-        return found
-
     def _placed(
         self, name: str, seen: tuple[int, ...], sets: tuple[int, ...]
     ) -> AgentLayout:
         low, high = (tuple(one[i] for i in sets) for one in (self.low, self.high))
         return AgentLayout(name, seen, sets, low, high)
-
-
-def refuse_other_layout(
-    what: str, own: Layout, where: str, met: Layout, agents: bool = True
-) -> None:
-    """Raise if two layouts that have to be the same are not.
-
-    Args:
-        what: What brings a layout of its own, in words.
-        own: Its layout.
-        where: What it meets, in words.
-        met: That one's layout.
-        agents: Whether the agents matter, or only the entries and the goal.
-
-    Raises:
-        LayoutError: Naming the entries that differ.
-    """
-    if own is met:
-        return
-    if differences := own.differences(met, agents):
-        raise LayoutError(
-            f"{what} is made for another layout than {where} has: "
-            f"{'; '.join(differences)}"
-        )
 
 
 def columns(entries: Sequence[int]) -> Columns:
@@ -372,35 +329,6 @@ def _check_known(
             f"{who} {', '.join(unknown)}, which the {part} has not: expected some of "
             f"{', '.join(known)}"
         )
-
-
-def _different(part: str, own: Sequence[Any], others: Sequence[Any]) -> list[str]:
-    """Things by name that are missing on one side, differ, or stand elsewhere."""
-    here, there = ({one.name: one for one in side} for side in (own, others))
-    found = [f"{part} {one}: not there" for n, one in here.items() if n not in there]
-    found += [f"{part} {one}: only there" for n, one in there.items() if n not in here]
-    for name in (one.name for one in own if one.name in there):
-        found += _unequal(part, here[name], there[name])
-    if not found and list(here) != list(there):
-        found = [f"order of the {part}: {', '.join(here)} (there {', '.join(there)})"]
-    return found
-
-
-def _unequal(part: str, own: Any, other: Any) -> list[str]:
-    if own == other:
-        return []
-    if not isinstance(own, Agent):
-        return [f"{part} {own} (there {other})"]
-    found = []
-    for verb in ("sees", "sets"):
-        mine, theirs = getattr(own, verb), getattr(other, verb)
-        lost = [f"{name} (not there)" for name in mine if name not in theirs]
-        new = [f"{name} (only there)" for name in theirs if name not in mine]
-        if changed := lost + new:
-            found.append(f"{part} {own.name} {verb} {', '.join(changed)}")
-        elif mine != theirs:
-            found.append(f"{part} {own.name} {verb} the same in another order")
-    return found
 
 
 def _entry_to_json(entry: Entry) -> list[Any]:

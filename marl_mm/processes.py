@@ -1,6 +1,6 @@
-"""Processes that begin as copies of one that has imported what they need.
+"""Worker processes that are forked from a server with the imports done.
 
-They begin in milliseconds instead of seconds, and share the libraries' memory.
+They start in milliseconds instead of seconds, and share the libraries' memory.
 """
 
 import json
@@ -14,23 +14,23 @@ from pathlib import Path
 from marl_mm.interrupts import deaf_to_interrupts
 
 _CHANGED = ("PYTHONSAFEPATH", "PYTHONPATH")
-"""Variables that are others while the server begins."""
+"""Environment variables that are changed while the server starts."""
 
-BEFORE = "MARL_MM_VARIABLES"
-"""One that tells it what they were."""
+SAVED = "MARL_MM_VARIABLES"
+"""Environment variable that tells the server their former values, as JSON."""
 
-_LAST = "marl_mm.copied"
+_PRELOAD = "marl_mm.preload"
 
 
 def process_context(module: str) -> ForkServerContext:
-    """A context of ``multiprocessing`` that makes them.
+    """A ``multiprocessing`` context whose processes are forked from the server.
 
     Args:
-        module: That the one which is copied imports, if this is the first call; it
-            ends with this process.
+        module: Module that the fork server preloads; only the first call counts. The
+            server ends with this process.
     """
     context = get_context("forkserver")
-    context.set_forkserver_preload([module, _LAST])
+    context.set_forkserver_preload([module, _PRELOAD])
     resource_tracker.ensure_running()  # which would let interrupts in, if begun below
     with deaf_to_interrupts(), _of_this_package():
         forkserver.ensure_running()
@@ -39,20 +39,20 @@ def process_context(module: str) -> ForkServerContext:
 
 @contextmanager
 def _of_this_package() -> Iterator[None]:
-    """A server started here imports this package, not one that lies where we are."""
+    """A server started here imports this package, not one in the working folder."""
     package = str(Path(__file__).resolve().parents[1])
-    before = {name: os.environ.get(name) for name in (*_CHANGED, BEFORE)}
+    saved = {name: os.environ.get(name) for name in (*_CHANGED, SAVED)}
     path = filter(None, (package, os.environ.get("PYTHONPATH")))
     changed = dict(zip(_CHANGED, ("1", os.pathsep.join(path)), strict=True))
-    set_variables({**changed, BEFORE: json.dumps(before)})
+    set_variables({**changed, SAVED: json.dumps(saved)})
     try:
         yield
     finally:
-        set_variables(before)
+        set_variables(saved)
 
 
 def set_variables(values: Mapping[str, str | None]) -> None:
-    """Set some of the environment, and remove those that are None."""
+    """Set environment variables by name, and remove those that are None."""
     for name, value in values.items():
         if value is None:
             os.environ.pop(name, None)

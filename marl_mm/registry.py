@@ -115,7 +115,8 @@ class Registry(Generic[T]):
             hint = f"; did you mean {close[0]}?" if close else "."
             raise UsageError(
                 f"unknown {self.kind} {name!r}, expected one of "
-                f"{', '.join(self._things)}{hint} What a plug-in adds needs --plugin"
+                f"{', '.join(self._things)}{hint} What a plug-in adds needs "
+                "`marl_mm.plugins.load(...)`"
             )
         return self._things[name]
 

@@ -232,7 +232,7 @@ def _broken_pools_named(pending: Collection[Future[Any]]) -> Iterator[None]:
         yield
     except BrokenProcessPool as error:
         raise WorkerDiedError(
-            "a worker process died; if memory ran out, use fewer --workers"
+            "a worker process died; if memory ran out, use fewer `workers`"
         ) from error
     finally:
         for future in pending:

@@ -230,5 +230,6 @@ def _check_several(
                 attempt(partial(_offline, offline, {name: ablation}))
             else:
                 print(f"{offline.results() / name}: no results yet")
-        for name in targets:
-            attempt(partial(ablate_online, online, name))
+        for name, target in targets.items():
+            if any(file.endswith(".csv") for file in target.files):
+                attempt(partial(ablate_online, online, name))

@@ -1,19 +1,11 @@
-"""Whether committed tables and figures are what their rows give, to the byte."""
+"""Whether committed tables are what their rows give, to the byte."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import matplotlib
-
 from marl_mm.errors import FailedRunsError, MarlMmError, UsageError
-from marl_mm.files import new_file
-
-_FIGURES = (".png", ".svg")
-
-_DRAWN_WITH = "drawn_with.txt"
-"""In a folder of results: the version of Matplotlib that drew the figures there."""
 
 
 @contextmanager
@@ -43,16 +35,12 @@ def every_failure(
         raise FailedRunsError("; ".join(failures))
 
 
-def note_artist(results: Path) -> None:
-    """Write down what draws the figures in a folder."""
-    with new_file(results / _DRAWN_WITH) as temporary:
-        temporary.write_text(_artist())
-
-
-def check_drawings(
+def check_tables(
     results: Path, files: Sequence[str], draw: Callable[[Path], object]
 ) -> None:
-    """Print of every file whether it is what is drawn now.
+    """Print of every table whether it is what its rows give now.
+
+    Figures are drawn again at will, and not compared.
 
     Args:
         results: Folder of the files.
@@ -60,32 +48,22 @@ def check_drawings(
         draw: Draws them into another folder, from the rows in ``results``.
 
     Raises:
-        MarlMmError: If one is another. Figures may be that another Matplotlib drew.
+        MarlMmError: If one is another.
     """
-    known_artist = results / _DRAWN_WITH
-    artist = known_artist.read_text() if known_artist.exists() else _artist()
     wrong = []
     with TemporaryDirectory() as folder:
         draw(Path(folder))
         for name in files:
             there, here = results / name, Path(folder, name)
-            if not there.exists():
-                told = "missing"
-            elif there.read_bytes() == here.read_bytes():
-                told = "the same"
-            elif there.suffix in _FIGURES and artist != _artist():
-                told = f"not compared, drawn with {artist.strip()}"
-            else:
-                told = "another"
-            print(f"{there}: {told}")
-            if told in ("missing", "another"):
+            state = "missing"
+            if there.exists():
+                same = there.read_bytes() == here.read_bytes()
+                state = "the same" if same else "another"
+            print(f"{there}: {state}")
+            if state != "the same":
                 wrong.append(str(there))
     if wrong:
         raise MarlMmError(
             f"{', '.join(wrong)}: not what the rows there give; draw again with "
             "--overwrite"
         )
-
-
-def _artist() -> str:
-    return f"matplotlib {matplotlib.__version__}\n"

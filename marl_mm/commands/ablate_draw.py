@@ -3,22 +3,18 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from marl_mm.commands.ablate_check import note_artist
 from marl_mm.eval.ablation import Ablation, Cell
-from marl_mm.eval.ablations import NOTE
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.offline import ablation_lines, summarize_ablation
 from marl_mm.eval.offline_figures import curves_figure
 from marl_mm.eval.offline_rows import RowStore
 from marl_mm.eval.rows import write_csv
-from marl_mm.eval.tables import latex_table, markdown_table
-from marl_mm.files import new_file
+from marl_mm.eval.tables import markdown_table
 
 
 def drawings(name: str, ablation: Ablation) -> list[str]:
     """Files that an ablation is drawn to."""
-    tables = [f"{name}{end}" for end in (".csv", ".md", ".tex")]
-    return tables + [f"{name}{end}" for end in (".png", ".svg") if ablation.figure]
+    return [f"{name}.csv", *[f"{name}.png"] * ablation.figure]
 
 
 def draw(
@@ -41,11 +37,6 @@ def draw(
     lines = ablation_lines(ablation, summary)
     text = markdown_table(*lines)
     write_csv(results / f"{name}.csv", summary)
-    about = f"# {ablation.about}\n\n{text}\n{NOTE}\n"
-    for end, contents in ((".md", about), (".tex", latex_table(*lines))):
-        with new_file(results / f"{name}{end}") as temporary:
-            temporary.write_text(contents)
     if ablation.figure:
-        curves_figure(ablation, curves, results / name)
-        note_artist(results)
+        curves_figure(ablation, curves, results / f"{name}.png")
     return summary, text

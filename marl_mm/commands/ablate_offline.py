@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from marl_mm.commands.ablate_check import check_drawings, every_failure
+from marl_mm.commands.ablate_check import check_tables, every_failure
 from marl_mm.commands.ablate_draw import draw, drawings
 from marl_mm.commands.ablate_jobs import Complaint, Job, do_jobs
 from marl_mm.commands.ablate_options import AblateOffline
@@ -17,8 +17,6 @@ from marl_mm.commands.ablate_plan import (
     missing_cells,
     plan_table,
 )
-from marl_mm.datasets.card import card, write_card
-from marl_mm.datasets.dataset import load_dataset
 from marl_mm.errors import FailedRunsError, UsageError
 from marl_mm.eval.ablation import Ablation, cell_name
 from marl_mm.eval.metrics import Row
@@ -86,8 +84,7 @@ def _check(
     with every_failure() as attempt:
         for name, ablation in chosen.items():
             again = partial(_draw, options, name, ablation)
-            files = drawings(name, ablation)
-            attempt(partial(check_drawings, options.results(), files, again))
+            attempt(partial(check_tables, options.results(), [f"{name}.csv"], again))
 
 
 def _draw(
@@ -119,8 +116,6 @@ def _make_rows(
     def done(job: Job) -> None:
         keep_if_done(cell_of[job.run])
 
-    for one in {one.cell[0]: one for one in wanted}.values():
-        _keep_card(options.results() / "cards", one)
     for one in wanted:
         keep_if_done(one)
     jobs = [job for one in wanted for job in one.jobs]
@@ -137,12 +132,6 @@ def _make_rows(
         raise KeyboardInterrupt(
             f"stopped in {options.runs_folder()}: go on with --resume"
         ) from None
-
-
-def _keep_card(folder: Path, one: Wanted) -> None:
-    """The card of a cell's dataset, beside the tables."""
-    dataset = load_dataset(one.jobs[0].dataset)
-    write_card(dataset, card(dataset), folder / one.cell[0].replace("/", "-"))
 
 
 def _chosen(ablation: Ablation, options: AblateOffline) -> Ablation:

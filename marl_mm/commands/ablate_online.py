@@ -8,7 +8,7 @@ from pathlib import Path
 from marl_mm.algorithms.checkpoint import BEST
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.pretrained import FOLDER, load_pretrained, ship
-from marl_mm.commands.ablate_check import check_drawings, note_artist
+from marl_mm.commands.ablate_check import check_tables
 from marl_mm.commands.ablate_rows import (
     CURVES,
     best_run,
@@ -31,13 +31,11 @@ from marl_mm.eval.online import (
 from marl_mm.eval.online_figures import alpha_figure, seed_curves
 from marl_mm.eval.online_tables import (
     alpha_worth_table,
-    online_lines,
-    online_markdown,
+    online_text,
 )
 from marl_mm.eval.rows import as_read, read_rows, to_json, write_csv
-from marl_mm.eval.tables import latex_table
 from marl_mm.eval.video import film_both_ways, film_strip
-from marl_mm.files import new_file, refuse_existing
+from marl_mm.files import refuse_existing
 from marl_mm.policy import Policy
 from marl_mm.progress import progress_bar
 
@@ -107,15 +105,16 @@ def ablate_online(options: Ablate, name: str) -> Sequence[Row] | None:
     if not options.check:
         again = options.overwrite or options.resume
         return target.make(replace(options, overwrite=again))
-    if not target.files:
-        raise UsageError(f"--check is not for {name}, which is not drawn of rows")
+    tables = [file for file in target.files if file.endswith(".csv")]
+    if not tables:
+        raise UsageError(f"--check is for tables, and {name} has none")
 
     def draw(folder: Path) -> None:
         rows = options.results_folder()
         quiet = replace(options, out=folder, rows=rows, check=False, quiet=True)
         target.make(quiet)
 
-    check_drawings(options.results_folder(), target.files, draw)
+    check_tables(options.results_folder(), tables, draw)
     return None
 
 
@@ -149,21 +148,16 @@ def _runs(options: Ablate) -> None:
 def _online(options: Ablate) -> list[Row]:
     settings = _settings(options)
     stem = "online" if len(settings) == len(SETTINGS) else "online-part"
-    table, page, latex = f"{stem}.csv", f"{stem}.md", f"{stem}.tex"
-    _refuse(options, table, page, latex)
+    _refuse(options, f"{stem}.csv")
     names = [setting.name for setting in settings]
     curves = curves_of(options, names)
     evaluations = rows_of(options, EVALUATIONS, names, evaluation_rows)
     summary = summarize_settings(curves, evaluations, names)
-    text = online_markdown(summary, settings, curves)
+    text = online_text(summary, settings, curves)
     keep_made_of(options, names)
     keep_rows(options.results(CURVES), curves)
     keep_rows(options.results(EVALUATIONS), evaluations)
-    write_csv(options.results(table), summary)
-    in_latex = latex_table(*online_lines(summary, settings))
-    for name, contents in ((page, text), (latex, in_latex)):
-        with new_file(options.results(name)) as temporary:
-            temporary.write_text(contents)
+    write_csv(options.results(f"{stem}.csv"), summary)
     _print(options, summary, text)
     return summary
 
@@ -191,16 +185,15 @@ def _compare(
     names: Mapping[str, Sequence[str]] = COMPARED,
 ) -> None:
     """Draw one column of the learning curves of some settings."""
-    _refuse(options, f"{name}.png", f"{name}.svg")
+    _refuse(options, f"{name}.png")
     panels = {
         title: {one.name: one.about for one in SETTINGS if one.name in own}
         for title, own in names.items()
     }
     curves = curves_of(options, _flat(names))
-    seed_curves(curves, panels, key, label, options.results(name), **look)
-    note_artist(options.results_folder())
+    seed_curves(curves, panels, key, label, options.results(f"{name}.png"), **look)
     drawn = (label for labels in panels.values() for label in labels.values())
-    _tell(options, f"{options.results(name)}.png, .svg: {', '.join(drawn)}")
+    _tell(options, f"{options.results(name)}.png: {', '.join(drawn)}")
 
 
 def _flat(names: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
@@ -218,13 +211,12 @@ def _fig6(options: Ablate) -> None:
     with progress_bar("fig6", 2 * config.max_steps) as advance:
         both = film_both_ways(config, policy, 0, FPS, advance)
     film_strip(options.results("fig6.png"), both.strips)
-    note_artist(options.results_folder())
     told = [f"{len(one)} steps {one.direction}" for one in both.episodes]
     _tell(options, f"{options.results('fig6.png')}: {run}, {', '.join(told)}")
 
 
 def _alpha(options: Ablate) -> list[Row]:
-    _refuse(options, "alpha.png", "alpha.svg", GOALS, STEPS, "alpha_worth.csv")
+    _refuse(options, "alpha.png", GOALS, STEPS, "alpha_worth.csv")
     if options.rows is None:
         rows, steps = map(as_read, _held(options))
     else:
@@ -234,8 +226,7 @@ def _alpha(options: Ablate) -> list[Row]:
     write_csv(options.results(STEPS), steps)
     write_csv(options.results("alpha_worth.csv"), summary)
     labels = {setting.name: setting.about for setting in SETTINGS}
-    alpha_figure(steps, summary, labels, options.results("alpha"))
-    note_artist(options.results_folder())
+    alpha_figure(steps, summary, labels, options.results("alpha.png"))
     _print(options, summary, alpha_worth_table(summary, SETTINGS))
     return summary
 
@@ -287,18 +278,18 @@ TARGETS = {
     "online": Target(
         "Table: success, and episodes to 70 and 95 %, per setting.",
         _online,
-        ("online.csv", "online.md", "online.tex"),
+        ("online.csv",),
     ),
     "fig4": Target(
         "Fig. 4: return over episodes, with and without hindsight.",
         _fig4,
-        ("fig4.png", "fig4.svg"),
+        ("fig4.png",),
         _flat(COMPARED),
     ),
     "fig5": Target(
         "Fig. 5: success over episodes, with and without hindsight.",
         _fig5,
-        ("fig5.png", "fig5.svg"),
+        ("fig5.png",),
         _flat(COMPARED),
     ),
     "fig6": Target(
@@ -310,13 +301,13 @@ TARGETS = {
     "demonstrations": Target(
         "Success over episodes with a dataset beside.",
         _demonstrated,
-        ("demonstrations.png", "demonstrations.svg"),
+        ("demonstrations.png",),
         _flat(DEMONSTRATED),
     ),
     "alpha": Target(
         "What alpha the trained agents choose, and what it is worth.",
         _alpha,
-        ("alpha.png", "alpha.svg", "alpha_worth.csv"),
+        ("alpha.png", "alpha_worth.csv"),
         CHOOSING,
     ),
     "pretrained": Target(

@@ -50,7 +50,7 @@ class AblateOffline:
     that are missing, too, are told; to collect them is not counted."""
 
     check: bool = False
-    """Only say whether files in OUT are what is drawn from its rows, to the byte."""
+    """Only say whether tables in OUT are what its rows give, to the byte."""
 
     precision: Precision = "auto"
     """Of matrix products; see "marl-mm train td3-bc --help"."""

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from marl_mm.commands.ablate_runs import Ablate, train_missing
-from marl_mm.differences import refuse_difference
+from marl_mm.config_diff import refuse_other_config
 from marl_mm.errors import OtherConfigError, UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.online import MADE_OF, SETTINGS, curve_rows
@@ -73,7 +73,9 @@ def keep_made_of(options: Ablate, names: Sequence[str]) -> None:
         if config.get("dataset"):
             del config["dataset"]["path"]
         try:
-            refuse_difference(options.results(CURVES), known.get(name, config), config)
+            refuse_other_config(
+                options.results(CURVES), known.get(name, config), config
+            )
         except OtherConfigError as error:
             advice = "name another folder with --out"
             raise OtherConfigError(error.difference, advice) from error

@@ -66,7 +66,7 @@ class Ablate:
     """Draw from the rows in this folder, such as curves.csv.gz, and not from runs."""
 
     check: bool = False
-    """Only say whether files in OUT are what is drawn from its rows, to the byte."""
+    """Only say whether tables in OUT are what its rows give, to the byte."""
 
     budget: Literal["full", "smoke"] = "full"
     """"smoke": hardly any training, to see that everything works."""

@@ -24,6 +24,7 @@ from marl_mm.commands.datasets_make import (
 )
 from marl_mm.commands.options import read_dataset, warn_if_stopped
 from marl_mm.commands.parser import parse_subcommand
+from marl_mm.commands.wording import as_options
 from marl_mm.datasets import shipped
 from marl_mm.datasets.card import card, card_markdown, card_text, keep_card
 from marl_mm.datasets.dataset import existing, load_dataset
@@ -187,7 +188,12 @@ def _entry(name: str) -> dict[str, Any]:
     try:
         ours = read_metadata(Location(name, datasets_root() / name))["marl_mm"]
     except MarlMmError as error:
-        return {"id": name, "steps": None, "episodes": None, "note": str(error)}
+        return {
+            "id": name,
+            "steps": None,
+            "episodes": None,
+            "note": as_options(str(error)),
+        }
     return {
         "id": name,
         "steps": ours["steps"],
@@ -233,7 +239,7 @@ def _verify(command: Verify) -> None:
             try:
                 problems = _replayed(name, command.workers)
             except DatasetError as error:  # imported
-                problems = [str(error)]
+                problems = [as_options(str(error))]
         found[name] = problems
         if not problems:
             warn_if_stopped(location, read_metadata(location))

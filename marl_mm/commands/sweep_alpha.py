@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from marl_mm.collectors.pd import PdConfig
-from marl_mm.commands.ablate_check import check_drawings, note_artist
+from marl_mm.commands.ablate_check import check_tables
 from marl_mm.commands.parser import parse_options
 from marl_mm.control.config import FORMS, Form
 from marl_mm.envs.registry import config_dict, make_task
@@ -52,9 +52,9 @@ FINE = 0.05
 class SweepAlpha:
     """Run the PD agent at fixed alphas, with rules that choose alpha, and with loads.
 
-    Writes alpha.md, figures (response.png, pareto.png, loads.png), means (alpha.csv,
-    worth.csv, loads.csv) and every episode (episodes.csv.gz, load_episodes.csv.gz).
-    Takes about twenty minutes on two cores, and some more for the loads.
+    Writes figures (response.png, pareto.png, loads.png), means (alpha.csv, worth.csv,
+    loads.csv) and every episode (episodes.csv.gz, load_episodes.csv.gz). Takes about
+    twenty minutes on two cores, and some more for the loads.
     """
 
     out: Path = Path("runs/alpha")
@@ -91,7 +91,7 @@ class SweepAlpha:
     """Replace OUT if it exists."""
 
     check: bool = False
-    """Only say whether files in OUT are what is drawn from its rows, to the byte."""
+    """Only say whether tables in OUT are what its rows give, to the byte."""
 
     json: bool = False
     """Print the means as JSON."""
@@ -127,7 +127,6 @@ def main(arguments: Sequence[str]) -> None:
             write_csv(folder / LOAD_EPISODES, load_rows)
         result, text = _draw(folder, rows, load_rows)
         write_json(folder / "config.json", _described(options))
-        note_artist(folder)
     shutil.rmtree(_cells_folder(options.out), ignore_errors=True)
     print(json.dumps(result, indent=2) if options.json else f"{text}\n{options.out}")
 
@@ -141,13 +140,13 @@ def check_sweep(out: Path) -> None:
     """
     loads = out / LOAD_EPISODES
     rows, load_rows = read_rows(out / EPISODES), []
-    files = ["alpha.csv", "alpha.md", "response.png", "pareto.png"]
+    files = ["alpha.csv"]
     if any(row["max_steps"] == SHORT_EPISODE for row in rows):
         files.append("worth.csv")
     if loads.exists():
         load_rows = read_rows(loads)
-        files += ["loads.csv", "loads.png"]
-    check_drawings(out, files, lambda folder: _draw(folder, rows, load_rows))
+        files.append("loads.csv")
+    check_tables(out, files, lambda folder: _draw(folder, rows, load_rows))
 
 
 def _draw(
@@ -165,7 +164,6 @@ def _draw(
     write_csv(folder / "alpha.csv", summary)
     alpha_response(summary, folder / "response.png")
     alpha_pareto(summary, folder / "pareto.png")
-    (folder / "alpha.md").write_text(text)
     if worth:
         write_csv(folder / "worth.csv", worth)
     if loads:

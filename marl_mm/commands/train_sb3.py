@@ -55,7 +55,7 @@ def train_sb3_run(options: Online, seed: int, run: Path) -> None:
 
 
 def _train(options: Online, seed: int, run: Path) -> None:
-    from marl_mm.eval.sb3_reference import Sb3Policy, learn_sb3, sb3_model
+    from marl_mm.eval.bench.sb3_reference import Sb3Policy, learn_sb3, sb3_model
 
     config, schedule = options.config, options.schedule
     start_run(run, _run_config(options, seed))

@@ -3,13 +3,13 @@
 import shutil
 from typing import Any
 
+from marl_mm.config_diff import refuse_other_config
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import FILE as JOURNAL
 from marl_mm.datasets.journal import Journal, noted
 from marl_mm.datasets.location import Location
 from marl_mm.datasets.provenance import Origin, Provenance
 from marl_mm.datasets.storage import read_metadata
-from marl_mm.differences import refuse_difference
 from marl_mm.episode import Episode
 from marl_mm.errors import OtherConfigError
 
@@ -46,7 +46,7 @@ def refuse_other(location: Location, theirs: dict[str, Any], about: Origin) -> N
             f"{location.name} was collected by {who}, now asked for {about.collector}",
             "choose another `dataset` or add `overwrite=True`",
         )
-    refuse_difference(location.folder, theirs, about.to_json())
+    refuse_other_config(location.folder, theirs, about.to_json())
 
 
 def is_complete(location: Location, steps: int) -> bool:

@@ -11,7 +11,7 @@ from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.algorithms.runlog import METRICS, CurvePoint
-from marl_mm.differences import as_json, refuse_difference
+from marl_mm.config_diff import as_json, refuse_other_config
 from marl_mm.envs.registry import TASKS
 from marl_mm.errors import (
     CheckpointError,
@@ -120,7 +120,7 @@ def refuse_other(run: Path, config: RunConfig, ignored: Sequence[str] = ()) -> N
     for one in (theirs, mine):  # a dataset may have moved
         if one.get("dataset"):
             one["dataset"].pop("path", None)
-    refuse_difference(run, theirs, mine)
+    refuse_other_config(run, theirs, mine)
 
 
 def plugins_of(algorithm: str, task: str) -> dict[str, str]:

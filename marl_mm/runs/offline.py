@@ -20,7 +20,7 @@ from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import DatasetError, UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate_with
 from marl_mm.files import only_here
-from marl_mm.layout import refuse_other_layout
+from marl_mm.layout_diff import refuse_other_layout
 from marl_mm.progress import Bar
 from marl_mm.runs.folder import (
     CURVE,

@@ -364,7 +364,7 @@ def test_runs_are_evaluated_on_their_own_task(tmp_path: Path) -> None:
     a, b, c = (str(tmp_path / name) for name in "abc")
     assert own_task([a, b, "pd"]) == own_task([f"{a}/best.pt"]) == "Grasp-v0"
     assert own_task([c]) == own_task(["pd", "pretrained"]) == "Reach-v0"
-    with pytest.raises(UsageError, match="choose one with --task"):
+    with pytest.raises(UsageError, match="choose one with `task`"):
         own_task([a, c])
 
 

@@ -189,7 +189,7 @@ def test_outputs_that_exist_or_cannot_be_are_refused_before_work(
 ) -> None:
     there = tmp_path / "there"
     there.write_text("")
-    with pytest.raises(OutputExistsError, match="--overwrite"):
+    with pytest.raises(OutputExistsError, match="`overwrite=True`"):
         refuse_existing(there, overwrite=False)
     refuse_existing(there, overwrite=True)
     refuse_existing(tmp_path / "not" / "yet", overwrite=False)

@@ -66,7 +66,9 @@ def test_an_unknown_name_is_told_all_and_the_nearest() -> None:
         ALGORITHMS.get("mabs")
     told = str(refused.value)
     assert told.startswith("unknown algorithm 'mabs', expected one of mabc, td3-bc, ")
-    assert "did you mean mabc?" in told and told.endswith("needs --plugin")
+    assert "did you mean mabc?" in told and told.endswith(
+        "needs `marl_mm.plugins.load(...)`"
+    )
 
 
 def test_what_is_built_in_comes_in_one_order_whatever_was_imported_first() -> None:

@@ -124,5 +124,5 @@ def test_results_come_in_order_or_as_they_are_ready() -> None:
         assert sorted(pool.completed(function, range(9))) == [2**i for i in range(9)]
         with pytest.raises(ZeroDivisionError):
             list(pool.completed(partial(divmod, 1), [1, 0]))
-        with pytest.raises(WorkerDiedError, match="fewer --workers"):
+        with pytest.raises(WorkerDiedError, match="fewer `workers`"):
             list(pool.completed(os._exit, [1]))

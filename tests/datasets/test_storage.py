@@ -165,7 +165,7 @@ def test_an_empty_name_is_refused() -> None:
 
 def test_nothing_is_overwritten_unasked(written: Path, episodes: list[Episode]) -> None:
     before = (written / "data" / "main_data.hdf5").read_bytes()
-    with pytest.raises(OutputExistsError, match="--overwrite"):
+    with pytest.raises(OutputExistsError, match="`overwrite=True`"):
         write(ID, episodes[:2])
     assert (written / "data" / "main_data.hdf5").read_bytes() == before
     write(ID, episodes[:2], overwrite=True)

@@ -47,7 +47,6 @@ from marl_mm.eval.offline import (
 from marl_mm.eval.offline_rows import RowStore, probe_file, probe_way
 from marl_mm.eval.online import SETTINGS
 from marl_mm.eval.rows import read_rows
-from marl_mm.eval.tables import latex_table
 from marl_mm.runs.training import offline_training
 
 WorkersOf = Callable[[int], list[psutil.Process]]
@@ -82,11 +81,11 @@ TINY = Ablation(
 """An ablation of one's own, of the dataset that ships."""
 
 RESULTS = Path(__file__).resolve().parents[2] / "eval/results/offline"
-COMMITTED = sorted(path.stem for path in RESULTS.glob("*.md"))
+COMMITTED = sorted(path.stem for path in RESULTS.glob("*.csv"))
 
 OURS = Setting("ours", "ours")
 
-FILES = [f"widths{end}" for end in (".csv", ".md", ".tex", ".png", ".svg")]
+FILES = ["widths.csv", "widths.png"]
 
 
 @pytest.fixture
@@ -138,13 +137,6 @@ def test_the_papers_runs_have_its_budget() -> None:
         assert set(presets) == {"paper", "tuned"}  # side by side
         for _, setting in ablation.cells:
             assert setting.config.updates == 180_000
-
-
-def test_latex_holds_the_same_table() -> None:
-    assert latex_table(("setting", "reached [%]"), [("a_b & c", "1.0 +- 0.5")]) == (
-        "\\begin{tabular}{ll}\n\\toprule\nsetting & reached [\\%] \\\\\n\\midrule\n"
-        "a\\_b \\& c & 1.0 $\\pm$ 0.5 \\\\\n\\bottomrule\n\\end{tabular}\n"
-    )
 
 
 def test_the_papers_figures_stand_beside_its_own_settings_only() -> None:
@@ -331,8 +323,7 @@ def test_an_ablation_of_ones_own_is_made_once_and_checked(
     assert all((results / file).stat().st_size > 200 for file in FILES)
 
     assert main(words(own, runs, "--check")) == 0
-    told = capsys.readouterr().out.splitlines()
-    assert [line.rpartition(": ")[2] for line in told] == ["the same"] * len(FILES)
+    assert capsys.readouterr().out == f"{results / 'widths.csv'}: the same\n"
 
     # From the rows alone, without any run: the same bytes.
     drawn = contents(results)
@@ -371,8 +362,8 @@ def test_a_run_that_fails_does_not_stop_the_others(
     assert "huge/1: " in complaint and "MemoryError" in complaint
     assert (tmp_path / "runs/results/rows/good-5k/width-16.csv.gz").exists()
     assert main([*asked, "--settings", "width-16"]) == 0
-    assert (tmp_path / "runs/results/fails-part.md").exists()
-    assert not (tmp_path / "runs/results/fails.md").exists()
+    assert (tmp_path / "runs/results/fails-part.csv").exists()
+    assert not (tmp_path / "runs/results/fails.csv").exists()
     assert main([*asked, "--settings", "width-16", "--check"]) == 2
 
 
@@ -386,7 +377,6 @@ def test_runs_that_diverged_are_marked(own: Path, tmp_path: Path) -> None:
     assert main(alone) == 0
     assert main([*asked, "--resume"]) == 0
     results = tmp_path / "runs/results"
-    assert "; diverged: 0 after 0, 1 after 0 |" in (results / "diverges.md").read_text()
     (row,) = read_rows(results / "diverges.csv")
     assert row["diverged"] == "0 after 0, 1 after 0" and np.isnan(row["q_slope"])
 
@@ -440,7 +430,7 @@ def test_ctrl_c_in_the_middle_of_a_run_loses_nothing(own: Path, tmp_path: Path) 
     _, complaint = process.communicate(timeout=60)
     assert process.returncode == 130
     assert b"go on with --resume" in complaint and b"Traceback" not in complaint
-    assert not (tmp_path / "stopped/results/widths.md").exists()
+    assert not (tmp_path / "stopped/results/widths.csv").exists()
     assert main([*asked, "--resume"]) == 0
     results = (tmp_path / name / "results" for name in ("stopped", "whole"))
     assert contents(next(results)) == contents(next(results))
@@ -568,10 +558,10 @@ def test_a_small_budget_learns_from_the_task_s_own_data(
     assert main(asked) == 0
     results = tmp_path / "runs/results"
     for row in read_rows(results / "blocks-part.csv"):
+        assert "failed" in row
         name = row["dataset"].replace("/", "-")
         made_of = json.loads((results / f"rows/{name}/mabc.json").read_text())
         assert made_of["task"] == BLOCKS[row["dataset"]]
-    assert "failed" in (results / "blocks-part.md").read_text()
     assert not list(tmp_path.glob("datasets/*"))  # its home
 
 

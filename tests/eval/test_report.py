@@ -122,14 +122,14 @@ def test_films_are_within_the_page(tmp_path: Path) -> None:
 def test_results_among_runs_are_found(tmp_path: Path) -> None:
     folder = tmp_path / "offline" / "results"
     folder.mkdir(parents=True)
-    (folder / "own.md").write_text("# Mine\n\n| a |\n| --- |\n")
+    (folder / "own.csv").write_text("setting\nMine\n")
     assert "Mine" in report_page(tmp_path)
 
 
 def test_names_are_text_and_not_html(tmp_path: Path) -> None:
     folder = tmp_path / "offline"
     folder.mkdir()
-    (folder / "own.md").write_text("# <b>Mine</b>\n\n| <script>x</script> |\n| --- |\n")
+    (folder / "own.csv").write_text("setting\n<b>Mine</b>\n<script>x</script>\n")
     page = report_page(tmp_path)
     assert "&lt;b&gt;Mine" in page
     assert "<script>" not in page

@@ -1,0 +1,56 @@
+"""Comparison of the config that a folder was begun with and the one of now."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from marl_mm.errors import OtherConfigError
+
+_LISTED = 6
+"""Largest number of differing values that a message lists."""
+
+
+def refuse_other_config(
+    folder: Path, theirs: dict[str, Any], mine: dict[str, Any]
+) -> None:
+    """Raise if a folder was begun with other values than those that continue it.
+
+    Args:
+        folder: The folder.
+        theirs: The config it was begun with, JSON-serialisable.
+        mine: The config of now; keys that only ``theirs`` has are ignored.
+
+    Raises:
+        OtherConfigError: Listing the values that differ.
+    """
+    changes = list(_changes(as_json(theirs), as_json(mine)))
+    if len(changes) > _LISTED:
+        changes[_LISTED:] = [f"{len(changes) - _LISTED} more"]
+    if changes:
+        raise OtherConfigError(
+            f"{folder} was made with {', '.join(changes)}",
+            "go on with the same, or start anew in another folder or with "
+            "`overwrite=True`",
+        )
+
+
+def _changes(
+    theirs: dict[str, Any], mine: dict[str, Any], path: str = ""
+) -> Iterator[str]:
+    for key, value in mine.items():
+        before = theirs.get(key)
+        if isinstance(value, dict) and isinstance(before, dict):
+            yield from _changes(before, value, f"{path}{key}.")
+        elif before != value:
+            yield f"{path}{key} = {_short(before)} (now {_short(value)})"
+
+
+def _short(value: Any) -> str:
+    return f"{{{len(value)} values}}" if isinstance(value, dict) else str(value)
+
+
+def as_json(values: dict[str, Any]) -> dict[str, Any]:
+    """Values as JSON returns them: tuples become lists."""
+    returned: dict[str, Any] = json.loads(json.dumps(values))
+    return returned
