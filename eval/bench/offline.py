@@ -16,11 +16,14 @@ from typing import Any
 import numpy as np
 import psutil
 
-from marl_mm.algorithms.mabc import Mabc, MabcConfig
-from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
+from marl_mm.algorithms.mabc import Mabc
+from marl_mm.algorithms.mabc_config import MabcConfig
+from marl_mm.algorithms.matd3_bc import Matd3Bc
+from marl_mm.algorithms.matd3_bc_config import Matd3BcConfig
 from marl_mm.algorithms.registry import preset
 from marl_mm.algorithms.speed import matrix_products, prepare_for_small_networks
-from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
+from marl_mm.algorithms.td3_bc import Td3Bc
+from marl_mm.algorithms.td3_bc_config import Td3BcConfig
 from marl_mm.datasets.location import SHIPPED
 from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.registry import make_task

@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from marl_mm.algorithms.ddpg import Ddpg, DdpgConfig
+from marl_mm.algorithms.ddpg import Ddpg
+from marl_mm.algorithms.ddpg_config import DdpgConfig
 from marl_mm.algorithms.explore import Explorer
-from marl_mm.algorithms.maddpg import Maddpg, MaddpgConfig
+from marl_mm.algorithms.maddpg import Maddpg
+from marl_mm.algorithms.maddpg_config import MaddpgConfig
 from marl_mm.algorithms.online import run_cycle
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.registry import preset

@@ -15,7 +15,7 @@ from stable_baselines3 import DDPG, HerReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import NormalActionNoise
 
-from marl_mm.algorithms.ddpg import DdpgConfig
+from marl_mm.algorithms.ddpg_config import DdpgConfig
 from marl_mm.envs.goal_env import goal_observation
 from marl_mm.envs.tasks.reach import LAYOUT
 from marl_mm.eval.online import SB3

@@ -12,7 +12,7 @@ from torch import nn
 from torch.nn import functional
 
 from marl_mm.algorithms.replay import normalized_actions
-from marl_mm.algorithms.td3_bc import Td3BcConfig
+from marl_mm.algorithms.td3_bc_config import Td3BcConfig
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.envs.tasks.reach import LAYOUT
 

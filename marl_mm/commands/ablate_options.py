@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from marl_mm.algorithms.speed import Precision
+from marl_mm.algorithms.config_checks import Precision
 from marl_mm.commands.options import COMMITTED
 from marl_mm.eval.ablation import Ablation
 from marl_mm.eval.offline_rows import RowStore

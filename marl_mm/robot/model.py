@@ -11,10 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from marl_mm.robot.description import (
-    RobotConfig,
-    urdf_xml,
-)
+from marl_mm.robot.description import RobotConfig, urdf_xml
 from marl_mm.robot.names import FINGER_JOINTS, GRASP_FRAME, WHEEL_JOINTS
 
 GRAVITY = 9.81

@@ -1,4 +1,4 @@
-"""The support polygon: where the robot touches the ground."""
+"""The support polygon: where the base's wheels and casters touch the ground."""
 
 import numpy as np
 
@@ -20,7 +20,6 @@ _EDGE = np.roll(SUPPORT_B, -1, axis=0) - SUPPORT_B
 _NORMAL = np.stack([-_EDGE[:, 1], _EDGE[:, 0]], axis=1)
 SUPPORT_INWARD_B = _NORMAL / np.linalg.norm(_NORMAL, axis=1, keepdims=True)
 """Inward normals of the edges from each corner to the next, shape (6, 2)."""
-
 
 _OFFSET_B = (SUPPORT_B * SUPPORT_INWARD_B).sum(axis=1)
 

@@ -1,12 +1,14 @@
 """A run's folder: its config, its evaluations, and whether a run may go on there."""
 
 import json
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.export import POLICY_FORMATS
+from marl_mm.algorithms.loggers import LOGGED
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.algorithms.run_config import RunConfig
@@ -131,7 +133,7 @@ def plugins_of(algorithm: str, task: str) -> dict[str, str]:
 def start_run(run: Path, config: RunConfig) -> None:
     """A run folder with its config; what an older run left there goes."""
     run.mkdir(parents=True, exist_ok=True)
-    _remove(run, FILE, BEST, METRICS, CURVE, SB3_BEST, "events.out.tfevents.*", *_MADE)
+    _remove(run, FILE, BEST, METRICS, CURVE, SB3_BEST, *LOGGED, *_MADE)
     write_json(run / CONFIG, config.to_json())
 
 
@@ -185,7 +187,7 @@ def continue_run(
 def _remove(run: Path, *patterns: str) -> None:
     for pattern in patterns:
         for path in run.glob(pattern):
-            path.unlink()
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 def evaluate_run(

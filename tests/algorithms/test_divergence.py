@@ -12,12 +12,15 @@ import torch
 
 from marl_mm.algorithms.algorithm import OfflineAlgorithm
 from marl_mm.algorithms.checkpoint import read_checkpoint
-from marl_mm.algorithms.mabc import Mabc, MabcConfig
-from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
+from marl_mm.algorithms.mabc import Mabc
+from marl_mm.algorithms.mabc_config import MabcConfig
+from marl_mm.algorithms.matd3_bc import Matd3Bc
+from marl_mm.algorithms.matd3_bc_config import Matd3BcConfig
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.speed import resolved
-from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
+from marl_mm.algorithms.td3_bc import Td3Bc
+from marl_mm.algorithms.td3_bc_config import Td3BcConfig
 from marl_mm.algorithms.train import train
 from marl_mm.cli import main
 from marl_mm.datasets import load_dataset

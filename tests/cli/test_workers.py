@@ -93,7 +93,7 @@ def test_a_server_that_is_killed_while_it_imports_is_told(tmp_path: Path) -> Non
         "    threading.Timer(0.3, os.kill, (server, signal.SIGKILL)).start()\n"
         "    list(pool.map(abs, [1]))"
     )
-    assert "WorkerDiedError: the process that workers are copies of died" in (
+    assert "WorkerDiedError: the process that starts the workers died" in (
         run_script(tmp_path, body).stderr
     )
 
