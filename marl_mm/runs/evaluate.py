@@ -23,6 +23,7 @@ def evaluate(
     task: str | None = None,
     max_steps: int | None = None,
     workers: int = 1,
+    config: Any = None,
     progress: Bar = silent_bar,
     **settings: Any,
 ) -> Evaluation:
@@ -36,8 +37,9 @@ def evaluate(
         task: Registered name of the task; default the run's own, or Reach-v0.
         max_steps: Steps per episode; default the task's.
         workers: Processes; the result does not depend on their number.
+        config: Settings of a collector's policy; default the collector's.
         progress: Begins a bar of progress.
-        **settings: Settings of a collector's policy.
+        **settings: Settings of a collector's policy, by name.
 
     Raises:
         UsageError: If a setting makes no sense, or there is no such policy.
@@ -47,7 +49,7 @@ def evaluate(
     check_seed(seed)
     overrides = task_overrides(max_steps)
     name = task or own_task([policy])
-    actor = load_policy(policy, make_task(name, overrides), **settings)
+    actor = load_policy(policy, make_task(name, overrides), config, **settings)
     called = actor.name if policy is actor else str(getattr(policy, "folder", policy))
     advance = progress(f"eval {Path(called).name}", episodes)
     found = evaluate_policy(actor, episodes, seed, name, overrides, workers, advance)

@@ -100,6 +100,7 @@ def play(
     fps: int = 10,
     gui: bool = False,
     camera: Camera | None = None,
+    config: Any = None,
     progress: Bar = silent_bar,
     **settings: Any,
 ) -> Film:
@@ -116,8 +117,9 @@ def play(
         fps: Pictures per second of film and of simulated time.
         gui: Open PyBullet's window and take no pictures; needs a screen.
         camera: Place of the camera; default the task's.
+        config: Settings of a collector's policy; default the collector's.
         progress: Begins a bar of progress.
-        **settings: Settings of a collector's policy.
+        **settings: Settings of a collector's policy, by name.
 
     Raises:
         UsageError: If a setting makes no sense, or there is no such policy.
@@ -127,7 +129,7 @@ def play(
     check_seed(seed)
     name = task or own_task([policy])
     own = make_task(name, task_overrides(max_steps))
-    actor = load_policy(policy, own, **settings)
+    actor = load_policy(policy, own, config, **settings)
     ahead, behind = goal_set(own, 2, seed)
     if direction is not None and ahead.goal is None:
         raise UsageError(f"`direction` is not for {name}: its seed draws the goal")

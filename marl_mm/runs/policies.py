@@ -21,14 +21,17 @@ def policy_names() -> tuple[str, ...]:
     return AGENT, *(name for name in COLLECTORS.names() if name != AGENT)
 
 
-def load_policy(source: Any, task: str | Task = DEFAULT, **settings: Any) -> Policy:
+def load_policy(
+    source: Any, task: str | Task = DEFAULT, config: Any = None, **settings: Any
+) -> Policy:
     """A policy of a run, of the agent that ships, or of a collector.
 
     Args:
         source: Run, run folder, checkpoint file, ``pretrained``, a collector's name, or
             a policy, which is returned.
         task: Task that a collector's policy is to act in.
-        **settings: Settings of a collector's policy.
+        config: Settings of a collector's policy; default the collector's.
+        **settings: Settings of a collector's policy, by name.
 
     Raises:
         UsageError: If it is none of these, or has no such setting.
@@ -36,7 +39,8 @@ def load_policy(source: Any, task: str | Task = DEFAULT, **settings: Any) -> Pol
     """
     if isinstance(source, str) and source != AGENT and source in COLLECTORS:
         collector = COLLECTORS.get(source)
-        config = with_settings(f"collector {source}", collector.config(), settings)
+        config = collector.config() if config is None else config
+        config = with_settings(f"collector {source}", config, settings)
         own = make_task(task) if isinstance(task, str) else task
         return collector.policy(config, own)
     if settings:
