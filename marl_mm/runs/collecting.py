@@ -2,25 +2,11 @@
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field, replace
-from typing import Annotated, Any
-
-import tyro
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 from marl_mm.collectors.collect import Collection, collect
 from marl_mm.collectors.registry import COLLECTORS
-from marl_mm.commands.collect_resume import (
-    clear,
-    is_complete,
-    known_attempts,
-    refuse_other,
-    remove_if_empty,
-)
-from marl_mm.commands.options import (
-    REGISTERED,
-    check_positive,
-    check_seed,
-)
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.journal import FILE as JOURNAL
 from marl_mm.datasets.journal import Journal
@@ -43,65 +29,69 @@ from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.layout import Layout
 from marl_mm.plugins import record
 from marl_mm.policy import Policy
-from marl_mm.progress import progress_bar
-from marl_mm.workers import Executor, available_cores
+from marl_mm.progress import Bar, silent_bar
+from marl_mm.runs.collect_resume import (
+    clear,
+    is_complete,
+    known_attempts,
+    refuse_other,
+    remove_if_empty,
+)
+from marl_mm.runs.settings import check_positive, check_seed, refuse_both
+from marl_mm.workers import Executor
 
 _STEPS = 10_000
 
 
 @dataclass(frozen=True)
-class CollectOptions:
-    """What every collector needs."""
+class Collecting:
+    """Settings of every collection."""
 
     steps: int | None = None
-    """Least number of steps; the last episode is kept whole. Default 10,000; with
-    --resume as many as were asked for."""
+    """Least number of steps; the last episode is kept whole. Default 10,000; when
+    resuming as many as were asked for."""
 
     seed: int = 0
-    """Of the dataset: attempt i is seeded from (seed, i)."""
+    """Seed of the dataset: attempt i is seeded from (seed, i)."""
 
-    workers: int = field(default_factory=available_cores)
-    """Processes; the dataset does not depend on it."""
+    workers: int = 1
+    """Processes; the dataset does not depend on their number."""
 
     executor: Executor = "local"
     """Processes of this machine, or of the Ray cluster that $RAY_ADDRESS names or of
     one that is started here (pip install 'marl-mm[ray]')."""
 
-    dataset: str | None = None
-    """Id below $MINARI_DATASETS_PATH, or path; default marl_mm/TASK/COLLECTOR-v0, of
-    pretrained marl_mm/TASK/good-v0. A word is short for marl_mm/reach/WORD-v0."""
-
-    task: Annotated[str, tyro.conf.arg(help=f"{REGISTERED}.")] = DEFAULT
+    task: str = DEFAULT
+    """Task to collect episodes of."""
 
     max_steps: int | None = None
-    """Steps per episode; default the collector's, where it has one, or the task's."""
+    """Steps per episode; default the collector's, where it has some, or the task's."""
 
     resume: bool = False
-    """Go on where a collection was stopped, or with more --steps where it ended;
-    options that are left out are as they were."""
+    """Go on where a collection was stopped, or with more steps where it ended. Settings
+    that are left out are as they were."""
 
     overwrite: bool = False
     """Replace the dataset if it exists."""
-
-    json: bool = False
-    """Print the dataset's card as JSON."""
 
 
 def collect_dataset(
     location: Location,
     collector: str,
     config: Any,
-    options: CollectOptions,
+    options: Collecting,
     first: Location | None = None,
+    bar: Bar = silent_bar,
 ) -> Collection:
     """Collect and write one dataset; Ctrl-C leaves the episodes until then.
 
     Args:
-        location: Where.
+        location: Where the dataset is written.
         collector: Name of a registered collector.
-        config: Its settings.
-        options: How much, and how.
+        config: Settings of the collector.
+        options: Settings of the collection.
         first: A shorter dataset of the same policy, task and seed to begin with.
+        bar: Begins a bar of progress.
 
     Raises:
         UsageError: If an argument makes no sense, the dataset exists, or another
@@ -113,14 +103,13 @@ def collect_dataset(
     if options.steps is not None:
         check_positive(steps=options.steps)
     check_seed(options.seed)
-    if options.resume and options.overwrite:
-        raise UsageError("--resume and --overwrite contradict each other: choose one")
+    refuse_both(options.resume, options.overwrite)
     task, about = _about(collector, config, options)
     _refuse_existing(location, options)
     nothing = not location.folder.exists() and not location.working.exists()
     if options.resume and nothing:
         raise UsageError(
-            f"nothing was begun at {location.folder}: leave out --resume to start"
+            f"nothing was begun at {location.folder}: leave out `resume` to start"
         )
     policy = COLLECTORS.get(collector).policy(config, task)
     keeps = COLLECTORS.get(collector).keeps
@@ -142,7 +131,9 @@ def collect_dataset(
                 return Collection(_kept(known), len(known), complete=True)
             known |= _begun(journal, about, location, options, steps, task.layout)
             try:
-                collection = _run(policy, keeps, task, options, steps, known, journal)
+                collection = _run(
+                    policy, keeps, task, options, steps, known, journal, bar
+                )
             except HopelessError:
                 if not any(map(keeps, journal.episodes(task.layout).values())):
                     journal.begin(about.to_json())  # empty, it is removed
@@ -154,17 +145,17 @@ def collect_dataset(
     return collection
 
 
-def _refuse_existing(location: Location, options: CollectOptions) -> None:
+def _refuse_existing(location: Location, options: Collecting) -> None:
     refuse_foreign(location)
     if location.folder.exists() and not (options.overwrite or options.resume):
         raise OutputExistsError(
-            f"{location.name} exists already: add --resume to go on with it, "
-            "--overwrite to replace it, or choose another --dataset"
+            f"{location.name} exists already: add `resume=True` to go on with it, "
+            "`overwrite=True` to replace it, or choose another `dataset`"
         )
     refuse_existing(location.folder, overwrite=True)
 
 
-def _about(collector: str, config: Any, options: CollectOptions) -> tuple[Task, Origin]:
+def _about(collector: str, config: Any, options: Collecting) -> tuple[Task, Origin]:
     """The task, and what the episodes depend on."""
     max_steps = options.max_steps
     if max_steps is None:
@@ -189,7 +180,7 @@ def _kept(known: dict[int, Episode | None]) -> list[Episode]:
 
 
 def _steps(
-    options: CollectOptions, begun: dict[str, Any] | None, mine: Location | None
+    options: Collecting, begun: dict[str, Any] | None, mine: Location | None
 ) -> int:
     """How many steps to collect.
 
@@ -204,8 +195,8 @@ def _steps(
         return before or _STEPS
     if options.steps < before:
         raise UsageError(
-            f"--steps is {options.steps}, {before} were asked for before: choose "
-            "another --dataset, or draw as many of these with marl-mm datasets mix"
+            f"`steps` is {options.steps}, {before} were asked for before: choose "
+            "another `dataset`, or draw as many of these with marl-mm datasets mix"
         )
     return options.steps
 
@@ -226,7 +217,7 @@ def _refuse_loss(location: Location, collection: Collection, replacing: bool) ->
     if replacing or before > len(collection.episodes):
         raise KeyboardInterrupt(
             f"stopped; {location.folder} is as it was, new episodes are kept beside "
-            "it: go on with --resume"
+            "it: go on with `resume=True`"
         )
 
 
@@ -234,7 +225,7 @@ def _begun(
     journal: Journal,
     about: Origin,
     location: Location,
-    options: CollectOptions,
+    options: Collecting,
     steps: int,
     layout: Layout,
 ) -> dict[int, Episode | None]:
@@ -242,8 +233,8 @@ def _begun(
     before = journal.about()
     if before is not None and not (options.resume or options.overwrite):
         raise OutputExistsError(
-            f"{location.name} was begun already; go on with --resume, choose another "
-            "--dataset or add --overwrite"
+            f"{location.name} was begun already; go on with `resume=True`, choose "
+            "another `dataset` or add `overwrite=True`"
         )
     if before is None or options.overwrite:
         replaces = options.overwrite and location.folder.exists()
@@ -258,34 +249,34 @@ def _run(
     policy: Policy,
     keeps: Callable[[Episode], bool],
     task: Task,
-    options: CollectOptions,
+    options: Collecting,
     steps: int,
     known: dict[int, Episode | None],
     journal: Journal,
+    bar: Bar,
 ) -> Collection:
     complete = False
-    with progress_bar(f"collect {policy.name}", steps) as advance:
-        rollouts = Rollouts(task, options.workers, options.executor)
-        try:
-            collection = collect(
-                policy,
-                keeps,
-                rollouts.completed,
-                steps,
-                options.seed,
-                advance,
-                known,
-                journal.add,
-            )
-            complete = collection.complete
-        except WorkerDiedError as error:
-            raise WorkerDiedError(
-                f"{error}; finished episodes are kept: go on with --resume"
-            ) from error
-        finally:
-            # A second Ctrl-C must not cost what the first one left.
-            with deaf_to_interrupts(forget=not complete):
-                rollouts.close()
+    rollouts = Rollouts(task, options.workers, options.executor)
+    try:
+        collection = collect(
+            policy,
+            keeps,
+            rollouts.completed,
+            steps,
+            options.seed,
+            bar(f"collect {policy.name}", steps),
+            known,
+            journal.add,
+        )
+        complete = collection.complete
+    except WorkerDiedError as error:
+        raise WorkerDiedError(
+            f"{error}; finished episodes are kept: go on with `resume=True`"
+        ) from error
+    finally:
+        # A second Ctrl-C must not cost what the first one left.
+        with deaf_to_interrupts(forget=not complete):
+            rollouts.close()
     return collection
 
 
@@ -307,5 +298,6 @@ def _write(
             write_dataset(location, arrays, provenance, overwrite=True)
     except (OSError, MarlMmError) as error:  # no room
         raise MarlMmError(
-            f"{error}; finished episodes are kept: make room and go on with --resume"
+            f"{error}; finished episodes are kept: make room and go on with "
+            "`resume=True`"
         ) from error

@@ -1,23 +1,20 @@
 """The datasets of the paper's Tables 4 and 5, by name."""
 
-import json
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 from marl_mm.collectors.registry import COLLECTORS
-from marl_mm.commands.collect_dataset import (
-    CollectOptions,
-    collect_dataset,
-)
-from marl_mm.commands.collect_resume import begun_with
-from marl_mm.commands.options import check_seed
-from marl_mm.datasets.card import card_text, keep_card
-from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import Location, locate
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.recipe import Part, mix, write_mix
 from marl_mm.datasets.storage import read_metadata
 from marl_mm.errors import DatasetError, UsageError
-from marl_mm.workers import Executor, available_cores
+from marl_mm.progress import Bar, silent_bar
+from marl_mm.runs.collect_resume import begun_with
+from marl_mm.runs.collecting import Collecting, collect_dataset
+from marl_mm.runs.settings import check_seed
+from marl_mm.workers import Executor
 
 COLLECTED: dict[str, tuple[str, int]] = {
     "good-30k": ("pretrained", 30_000),
@@ -44,50 +41,48 @@ class Paper:
     """Make what is missing of the paper's datasets, marl_mm/reach/NAME-v0.
 
     good-30k, good-60k, pd-30k, random-10k, medium-5k and the mixes of Table 4. The same
-    command goes on after an interruption. good-60k begins with good-30k.
+    call goes on after an interruption. good-60k begins with good-30k.
     """
 
     scale: float = 1.0
     """Share of the paper's steps, to see that everything works."""
 
     seed: int = 0
-    """Of all datasets."""
+    """Seed of all datasets."""
 
-    workers: int = field(default_factory=available_cores)
-    """Processes; the datasets do not depend on it."""
+    workers: int = 1
+    """Processes; the datasets do not depend on their number."""
 
     executor: Executor = "local"
     """Processes of this machine, or of a Ray cluster."""
 
-    resume: bool = False
-    """Go on after an interruption: it does so anyway."""
-
     overwrite: bool = False
     """Replace those that are damaged, of another seed or of a larger scale."""
 
-    json: bool = False
-    """Print the cards as JSON."""
 
+def collect_paper(paper: Paper, bar: Bar = silent_bar) -> Iterator[Dataset]:
+    """Make what is missing of the paper's datasets; each is yielded when it is there.
 
-def collect_paper(command: Paper) -> None:
-    """Make what is missing of the paper's datasets, and print their cards."""
-    check_seed(command.seed)
-    if not 0.0 < command.scale <= 100.0:
-        raise UsageError(f"--scale is {command.scale}, expected a share such as 0.01")
+    Args:
+        paper: Size and seed of the datasets.
+        bar: Begins a bar of progress.
+
+    Raises:
+        UsageError: If there are others of these names, which may not be replaced.
+        KeyboardInterrupt: After Ctrl-C; the same call goes on.
+    """
+    check_seed(paper.seed)
+    if not 0.0 < paper.scale <= 100.0:
+        raise UsageError(f"`scale` is {paper.scale}, expected a share such as 0.01")
     for name in (*COLLECTED, *MIXED):  # before any work is done
-        _fits(paper_location(name), _steps(name, command), command)
-    cards = []
+        _fits(paper_location(name), _steps(name, paper), paper)
     for name in (*COLLECTED, *MIXED):
         location = paper_location(name)
         if name in COLLECTED:
-            _collect(name, location, command)
+            _collect(name, location, paper, bar)
         else:
-            _mix(name, location, command)
-        cards.append(keep_card(load_dataset(location)))
-        if not command.json:
-            print(card_text(cards[-1]), end="\n\n", flush=True)
-    if command.json:
-        print(json.dumps(cards, indent=2))
+            _mix(name, location, paper)
+        yield load_dataset(location)
 
 
 def paper_location(name: str) -> Location:
@@ -95,37 +90,37 @@ def paper_location(name: str) -> Location:
     return locate(f"marl_mm/reach/{name}-v0")
 
 
-def _collect(name: str, location: Location, command: Paper) -> None:
+def _collect(name: str, location: Location, paper: Paper, bar: Bar) -> None:
     collector, _ = COLLECTED[name]
-    steps = _steps(name, command)
+    steps = _steps(name, paper)
     begun = location.folder.exists() or location.working.exists()
-    fits = _fits(location, steps, command)
-    options = CollectOptions(
+    fits = _fits(location, steps, paper)
+    options = Collecting(
         steps=steps,
-        seed=command.seed,
-        workers=command.workers,
-        executor=command.executor,
+        seed=paper.seed,
+        workers=paper.workers,
+        executor=paper.executor,
         resume=begun and fits,
         overwrite=begun and not fits,
     )
     first = paper_location("good-30k") if name == "good-60k" else None
     collection = collect_dataset(
-        location, collector, COLLECTORS.get(collector).config(), options, first
+        location, collector, COLLECTORS.get(collector).config(), options, first, bar
     )
     if not collection.complete:
-        raise KeyboardInterrupt(f"stopped in {name}; the same command goes on there")
+        raise KeyboardInterrupt(f"stopped in {name}; the same call goes on there")
 
 
-def _mix(name: str, location: Location, command: Paper) -> None:
+def _mix(name: str, location: Location, paper: Paper) -> None:
     """Mix what there is, unless the mix is of just that already.
 
     A mix follows its sources: one of shorter ones gives way.
     """
     parts = [
-        Part(load_dataset(paper_location(source)), _scaled(steps, command))
+        Part(load_dataset(paper_location(source)), _scaled(steps, paper))
         for source, steps in MIXED[name].items()
     ]
-    recipe = mix(parts, command.seed)
+    recipe = mix(parts, paper.seed)
     if location.folder.exists():
         try:
             known = Provenance.from_json(read_metadata(location)["marl_mm"])
@@ -137,7 +132,7 @@ def _mix(name: str, location: Location, command: Paper) -> None:
     write_mix(location, recipe, overwrite=True)
 
 
-def _fits(location: Location, steps: int, command: Paper) -> bool:
+def _fits(location: Location, steps: int, paper: Paper) -> bool:
     """Whether what is there can be kept and gone on with.
 
     Raises:
@@ -147,7 +142,7 @@ def _fits(location: Location, steps: int, command: Paper) -> bool:
     try:
         there = begun_with(location)
     except DatasetError:
-        if command.overwrite:
+        if paper.overwrite:
             return False
         raise
     if there is None:
@@ -155,22 +150,22 @@ def _fits(location: Location, steps: int, command: Paper) -> bool:
     seed, asked = there.seed, there.steps_asked or 0
     if there.recipe is not None:
         asked = sum(there.recipe.get("steps", {}).values())
-    if seed == command.seed and asked <= steps:
+    if seed == paper.seed and asked <= steps:
         return True
-    if not command.overwrite:
+    if not paper.overwrite:
         raise UsageError(
             f"{location.id} is of seed {seed} and {asked} steps, now asked for seed "
-            f"{command.seed} and {steps}: add --overwrite to replace it"
+            f"{paper.seed} and {steps}: add `overwrite=True` to replace it"
         )
     return False
 
 
-def _steps(name: str, command: Paper) -> int:
+def _steps(name: str, paper: Paper) -> int:
     """Steps that a dataset is asked to have, at least."""
     if name in COLLECTED:
-        return _scaled(COLLECTED[name][1], command)
-    return sum(_scaled(steps, command) for steps in MIXED[name].values())
+        return _scaled(COLLECTED[name][1], paper)
+    return sum(_scaled(steps, paper) for steps in MIXED[name].values())
 
 
-def _scaled(steps: int, command: Paper) -> int:
-    return max(1, round(command.scale * steps))
+def _scaled(steps: int, paper: Paper) -> int:
+    return max(1, round(paper.scale * steps))

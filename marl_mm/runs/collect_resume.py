@@ -44,7 +44,7 @@ def refuse_other(location: Location, theirs: dict[str, Any], about: Origin) -> N
     if who != about.collector:
         raise OtherConfigError(
             f"{location.name} was collected by {who}, now asked for {about.collector}",
-            "choose another --dataset or add --overwrite",
+            "choose another `dataset` or add `overwrite=True`",
         )
     refuse_other_config(location.folder, theirs, about.to_json())
 
