@@ -8,7 +8,7 @@ polygon. ``compiled/assembly.py`` fills them, ``reference/limits.py`` explains t
 
 from marl_mm.control.config import LimitConfig
 from marl_mm.robot.description import WHEEL_SEPARATION
-from marl_mm.robot.model import SUPPORT_B
+from marl_mm.robot.support import SUPPORT_B
 
 TORQUE, BOX, KEEP_OUT, WHEELS, TRACTION, ZMP = 0, 7, 16, 17, 19, 22
 """Where each kind of row begins."""

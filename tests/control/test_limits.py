@@ -29,15 +29,8 @@ from marl_mm.control.reference.limits import (
 )
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
-from marl_mm.robot.model import (
-    ACTUATED,
-    SUPPORT_B,
-    SUPPORT_INWARD_B,
-    ModelTerms,
-    RobotModel,
-    RobotState,
-    support_margin,
-)
+from marl_mm.robot.model import ACTUATED, ModelTerms, RobotModel, RobotState
+from marl_mm.robot.support import SUPPORT_B, SUPPORT_INWARD_B, support_margin
 
 Draw = Callable[[np.random.Generator], tuple[RobotState, ModelTerms, Reference]]
 CONFIG = LimitConfig()

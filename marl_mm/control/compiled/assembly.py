@@ -21,12 +21,8 @@ from marl_mm.control.records import VARIABLES, Reference
 from marl_mm.jit import jit
 from marl_mm.robot.description import WHEEL_RADIUS
 from marl_mm.robot.limits import RobotLimits
-from marl_mm.robot.model import (
-    SUPPORT_B,
-    SUPPORT_INWARD_B,
-    ModelTerms,
-    RobotState,
-)
+from marl_mm.robot.model import ModelTerms, RobotState
+from marl_mm.robot.support import SUPPORT_B, SUPPORT_INWARD_B
 
 TASK_ROWS = 15
 

@@ -27,13 +27,8 @@ from marl_mm.control.limits import (
 from marl_mm.control.records import VARIABLES
 from marl_mm.robot.description import WHEEL_RADIUS
 from marl_mm.robot.limits import RobotLimits
-from marl_mm.robot.model import (
-    ACTUATED,
-    SUPPORT_B,
-    SUPPORT_INWARD_B,
-    ModelTerms,
-    RobotState,
-)
+from marl_mm.robot.model import ACTUATED, ModelTerms, RobotState
+from marl_mm.robot.support import SUPPORT_B, SUPPORT_INWARD_B
 
 
 @dataclass(frozen=True)
