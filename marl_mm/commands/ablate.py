@@ -22,7 +22,7 @@ from marl_mm.commands.ablate_online import (
 )
 from marl_mm.commands.ablate_options import RESULTS, AblateOffline
 from marl_mm.commands.ablate_runs import Ablate, check_installed, told_missing
-from marl_mm.commands.options import COMMITTED, check_positive, check_seeds
+from marl_mm.commands.options import COMMITTED
 from marl_mm.commands.parser import Subcommand, parse_options, parse_subcommand
 from marl_mm.commands.sweep_alpha import EPISODES, check_sweep
 from marl_mm.errors import MarlMmError, UsageError
@@ -32,6 +32,7 @@ from marl_mm.eval.metrics import Row
 from marl_mm.eval.online import SETTINGS
 from marl_mm.eval.rows import to_json
 from marl_mm.files import refuse_existing
+from marl_mm.runs.settings import check_positive, check_seeds
 
 _ALL = "all"
 

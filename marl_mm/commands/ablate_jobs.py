@@ -11,8 +11,6 @@ from typing import Any
 from marl_mm.algorithms import checkpoint
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.registry import ALGORITHMS
-from marl_mm.commands.offline_options import Offline, task_of
-from marl_mm.commands.train_offline import evaluate_offline_run, train_offline_run
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import Location
 from marl_mm.errors import DivergedError, MarlMmError, WorkerDiedError
@@ -21,7 +19,20 @@ from marl_mm.eval.alpha_study import FixedAlpha
 from marl_mm.eval.evaluate import evaluate
 from marl_mm.eval.offline_rows import is_probed, probe_file, probe_way
 from marl_mm.files import write_json
-from marl_mm.progress import Advance, Bar, distant_bars, show_distant_bars, silent
+from marl_mm.progress import (
+    Advance,
+    Bar,
+    distant_bars,
+    progress_bars,
+    show_distant_bars,
+    silent_bar,
+)
+from marl_mm.runs.offline import (
+    evaluate_offline_run,
+    task_of,
+    train_offline_run,
+)
+from marl_mm.runs.training import Offline
 from marl_mm.workers import Executor, open_pool
 
 _DEATHS = 3
@@ -41,7 +52,7 @@ class Job:
     dataset: str | Path | Location
     """What it learns from."""
 
-    options: Offline[Any]
+    options: Offline
     """How; with one worker."""
 
     probes: Sequence[Probe]
@@ -94,7 +105,7 @@ def do_jobs(
     messages, stop = context.Queue(), context.Event()
     deaths = dict.fromkeys(left, 0)
     suspects: list[Path] = []
-    with show_distant_bars(messages, vanish=True):
+    with progress_bars(vanish=True) as bar, show_distant_bars(messages, bar):
         messages.put((_ALL, len(left), 0, ""))
         while left:
             shared = (messages, stop) if executor == "local" else (None, None)
@@ -153,14 +164,10 @@ def _begin(messages: Any, stop: Any) -> None:
     """A process's first act."""
     global _bar
     if messages is None:
-        _bar = _silent_bar
+        _bar = silent_bar
     else:
         messages.cancel_join_thread()  # another, killed, may never let go of it
         _bar = distant_bars(messages, stop)
-
-
-def _silent_bar(label: str, total: int) -> Advance:
-    return silent
 
 
 def _do(job: Job) -> tuple[Path, Complaint]:

@@ -20,13 +20,6 @@ from marl_mm.commands.ablate_data import dataset_named, small_dataset
 from marl_mm.commands.ablate_jobs import Job
 from marl_mm.commands.ablate_options import AblateOffline
 from marl_mm.commands.ablate_runs import ANOTHER_FOLDER
-from marl_mm.commands.offline_options import (
-    Offline,
-    check_offline,
-    offline_algorithm,
-    offline_options,
-    task_of,
-)
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import SHIPPED
 from marl_mm.envs.registry import make_task
@@ -35,6 +28,12 @@ from marl_mm.eval.ablation import Ablation, Cell, Probe, Setting, cell_name
 from marl_mm.eval.evaluate import evaluate
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import progress_bar
+from marl_mm.runs.offline import (
+    check_offline,
+    offline_algorithm,
+    task_of,
+)
+from marl_mm.runs.training import Offline, offline_training
 
 _STEPS = 12
 """Of an evaluated episode, about, of agents that reach; others take all there are."""
@@ -142,16 +141,15 @@ def _cells(
     return list(found.values())
 
 
-def training_options(options: AblateOffline, setting: Setting) -> Offline[Any]:
+def training_options(options: AblateOffline, setting: Setting) -> Offline:
     """Options of one setting's runs."""
     small = options.budget == "smoke"
     changes = {"precision": resolved(options.precision), **setting.changes}
     if small:
         changes["updates"] = _SMALL["updates"]
-    training = offline_options(
+    training = offline_training(
         setting.algorithm,
         setting.preset,
-        dataset="",
         eval_episodes=_SMALL["goals"] if small else setting.goals,
         curve_every=setting.curve_every,
         curve_episodes=_SMALL["goals"] if small else setting.curve_goals,
@@ -163,7 +161,7 @@ def training_options(options: AblateOffline, setting: Setting) -> Offline[Any]:
     return replace(training, config=replace(training.config, **changes))
 
 
-def _made_of(algorithm: str, training: Offline[Any]) -> dict[str, Any]:
+def _made_of(algorithm: str, training: Offline) -> dict[str, Any]:
     """What rows must have been made of; the seeds and the dataset stand elsewhere."""
     own = ("eval_episodes", "eval_seed", "curve_every", "curve_episodes", "max_steps")
     config = asdict(training.config)
@@ -188,7 +186,7 @@ def _jobs(
     cell: Cell,
     probes: tuple[Probe, ...],
     dataset: Dataset,
-    training: Offline[Any],
+    training: Offline,
 ) -> tuple[Job, ...]:
     name, setting = cell
     short = "-".join(name.removeprefix("marl_mm/").split("-")[:2])
@@ -250,7 +248,7 @@ def _seconds(job: Job, per_update: float, per_step: float) -> float:
     return float(updates * per_update + goals * steps * per_step)
 
 
-def _seconds_per_update(dataset: Dataset, options: Offline[Any]) -> float:
+def _seconds_per_update(dataset: Dataset, options: Offline) -> float:
     prepare_for_small_networks()
     algorithm = offline_algorithm(dataset, options, [0])
     with matrix_products(options.config.precision):

@@ -5,13 +5,13 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from marl_mm.commands.ablate_runs import Ablate, train_missing
-from marl_mm.commands.runs import read_config
 from marl_mm.config_diff import refuse_other_config
 from marl_mm.errors import OtherConfigError, UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.online import MADE_OF, SETTINGS, curve_rows
 from marl_mm.eval.rows import as_read, read_rows, write_csv
 from marl_mm.files import write_json
+from marl_mm.runs.folder import read_config
 
 CURVES = "curves.csv.gz"
 

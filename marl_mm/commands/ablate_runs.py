@@ -5,23 +5,14 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.online import Schedule
 from marl_mm.collectors.pd import PdConfig
-from marl_mm.commands.collect_dataset import CollectOptions, collect_dataset
 from marl_mm.commands.options import COMMITTED
-from marl_mm.commands.runs import BEST_EVALUATION, EVALUATION
-from marl_mm.commands.train_online import (
-    Online,
-    check_online_run,
-    evaluate_online_run,
-    online_options,
-    train_online_run,
-)
 from marl_mm.commands.train_sb3 import check_sb3, check_sb3_run, train_sb3_run
 from marl_mm.datasets.location import locate
 from marl_mm.envs.registry import make_task
@@ -34,6 +25,15 @@ from marl_mm.errors import (
 )
 from marl_mm.eval.online import SETTINGS, OnlineSetting
 from marl_mm.files import only_here
+from marl_mm.progress import Bar, progress_bars
+from marl_mm.runs.collecting import Collecting, collect_dataset
+from marl_mm.runs.folder import BEST_EVALUATION, EVALUATION
+from marl_mm.runs.online import (
+    check_online_run,
+    evaluate_online_run,
+    train_online_run,
+)
+from marl_mm.runs.training import Online, online_training
 from marl_mm.workers import available_cores
 
 ANOTHER_FOLDER = "name another folder with --runs, or delete this one"
@@ -142,8 +142,9 @@ def train_missing(options: Ablate, names: Sequence[str]) -> None:
         try:
             if sb3:
                 train_sb3_run(training, seed, run)
-            else:
-                _train_or_keep(training, seed, run)
+                continue
+            with progress_bars() as bar:
+                _train_or_keep(training, seed, run, bar)
         except KeyboardInterrupt:
             again = "starts it again" if sb3 else "goes on from there"
             raise KeyboardInterrupt(
@@ -203,15 +204,15 @@ def _finished(options: Ablate, setting: OnlineSetting, seed: int) -> bool:
     return all((run / name).exists() for name in (EVALUATION, BEST_EVALUATION))
 
 
-def _train_or_keep(training: Online[Any], seed: int, run: Path) -> None:
+def _train_or_keep(training: Online, seed: int, run: Path, bar: Bar) -> None:
     """Train, and if that diverges, go by what there was before: it is a result, too."""
     try:
-        train_online_run(training, seed, run)
+        train_online_run(training, seed, run, bar)
     except DivergedError as error:
         if not (run / BEST).exists():
             raise
         print(f"{error}; it counts as it is", file=sys.stderr)
-        evaluate_online_run(training, run)
+        evaluate_online_run(training, run, bar)
 
 
 def _training(
@@ -220,11 +221,11 @@ def _training(
     demonstrations: Path | None,
     finished: bool,
     run: Path,
-) -> Online[Any]:
+) -> Online:
     """Options of one setting's runs."""
     small = options.budget == "smoke"
     going = finished or (run / FILE).exists()
-    training = online_options(
+    training = online_training(
         setting.algorithm,
         setting.preset,
         task=setting.task,
@@ -253,17 +254,19 @@ def _demonstrations(options: Ablate, task: str) -> Path:
     steps = 100 if options.budget == "smoke" else 2_000
     with only_here(path.parent, wait=True):  # others may need it as well
         location = locate(str(path))
-        collection = collect_dataset(
-            location,
-            collector,
-            policy,
-            CollectOptions(
-                steps=steps,
-                task=task,
-                workers=options.workers,
-                resume=location.folder.exists() or location.working.exists(),
-            ),
-        )
+        with progress_bars() as bar:
+            collection = collect_dataset(
+                location,
+                collector,
+                policy,
+                Collecting(
+                    steps=steps,
+                    task=task,
+                    workers=options.workers,
+                    resume=location.folder.exists() or location.working.exists(),
+                ),
+                bar=bar,
+            )
         if not collection.complete:
             raise KeyboardInterrupt("stopped; the same command goes on there")
     return path

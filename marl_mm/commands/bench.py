@@ -9,11 +9,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from marl_mm.commands.options import check_positive, check_seed
 from marl_mm.commands.parser import parse_subcommand
 from marl_mm.control.config import Form, Solver
 from marl_mm.envs.registry import make_task
 from marl_mm.progress import Bar, progress_bars
+from marl_mm.runs.settings import check_positive, check_seed
 from marl_mm.versions import versions
 
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands.ablate_check import check_tables
-from marl_mm.commands.options import check_positive, check_seed
 from marl_mm.commands.parser import parse_options
 from marl_mm.control.config import FORMS, Form
 from marl_mm.envs.registry import config_dict, make_task
@@ -34,6 +33,7 @@ from marl_mm.eval.sweep_tables import sweep_markdown
 from marl_mm.files import new_folder, refuse_existing, write_json
 from marl_mm.jit import source_fingerprint
 from marl_mm.progress import progress_bar
+from marl_mm.runs.settings import check_positive, check_seed
 from marl_mm.versions import versions
 from marl_mm.workers import available_cores, ordered_map
 

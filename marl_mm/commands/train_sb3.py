@@ -3,20 +3,10 @@
 from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 from marl_mm.algorithms.online import is_flat
 from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.algorithms.runlog import RunLog, is_best
-from marl_mm.commands.runs import (
-    BEST_EVALUATION,
-    EVALUATION,
-    SB3_BEST,
-    curve_point,
-    refuse_other,
-    start_run,
-)
-from marl_mm.commands.train_online import Online
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import UsageError
@@ -24,6 +14,15 @@ from marl_mm.eval.evaluate import Evaluation, evaluate_with
 from marl_mm.eval.online import SB3
 from marl_mm.files import only_here, write_json
 from marl_mm.progress import progress_bar
+from marl_mm.runs.folder import (
+    BEST_EVALUATION,
+    EVALUATION,
+    SB3_BEST,
+    curve_point,
+    refuse_other,
+    start_run,
+)
+from marl_mm.runs.training import Online
 from marl_mm.versions import versions
 
 
@@ -37,7 +36,7 @@ def check_sb3() -> None:
         raise UsageError("stable_baselines3 is missing: pip install 'marl-mm[bench]'")
 
 
-def check_sb3_run(options: Online[Any], seed: int, run: Path) -> None:
+def check_sb3_run(options: Online, seed: int, run: Path) -> None:
     """Raise if a finished run was made with something else.
 
     Raises:
@@ -46,7 +45,7 @@ def check_sb3_run(options: Online[Any], seed: int, run: Path) -> None:
     refuse_other(run, _run_config(options, seed))
 
 
-def train_sb3_run(options: Online[Any], seed: int, run: Path) -> None:
+def train_sb3_run(options: Online, seed: int, run: Path) -> None:
     """Train Stable-Baselines3's DDPG+HER and evaluate it as ours is.
 
     An interrupted run starts again: it keeps no checkpoints.
@@ -55,7 +54,7 @@ def train_sb3_run(options: Online[Any], seed: int, run: Path) -> None:
         _train(options, seed, run)
 
 
-def _train(options: Online[Any], seed: int, run: Path) -> None:
+def _train(options: Online, seed: int, run: Path) -> None:
     from marl_mm.eval.bench.sb3_reference import Sb3Policy, learn_sb3, sb3_model
 
     config, schedule = options.config, options.schedule
@@ -110,7 +109,7 @@ _UNUSED = (
 """Of our hyper-parameters: SB3 has no such thing."""
 
 
-def _run_config(options: Online[Any], seed: int) -> RunConfig:
+def _run_config(options: Online, seed: int) -> RunConfig:
     config = asdict(options.config)
     for name in _UNUSED:
         del config[name]

@@ -1,0 +1,250 @@
+"""Tables of README and pages, made of the committed results."""
+
+import gzip
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from marl_mm.cli import COMMANDS, LISTS
+from marl_mm.envs.load import StandConfig
+from marl_mm.envs.registry import TASKS
+from marl_mm.envs.tasks.carry import Carry
+from marl_mm.envs.tasks.grasp import LAYOUT as HANDLING
+from marl_mm.envs.tasks.reach import LAYOUT as REACH
+from marl_mm.eval.ablations import ABLATIONS, BLOCKS
+from marl_mm.eval.bench.tables import (
+    abuse_table,
+    bench_table,
+    data_table,
+    offline_speed_table,
+)
+from marl_mm.eval.offline import (
+    COLUMNS,
+    RETURN,
+    ablation_table,
+    differences,
+    differences_table,
+    goals_table,
+)
+from marl_mm.eval.offline_rows import RowStore
+from marl_mm.eval.online import SETTINGS
+from marl_mm.eval.online_tables import (
+    IQM,
+    alpha_worth_table,
+    hindsight_in_words,
+    online_table,
+    steps_table,
+    updates_table,
+)
+from marl_mm.eval.rows import read_rows
+from marl_mm.eval.sweep import responses
+from marl_mm.eval.sweep_tables import (
+    alpha_table,
+    load_table,
+    response_table,
+    worth_table,
+)
+from marl_mm.eval.tables import markdown_table, rate_with_interval
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "eval" / "results"
+
+
+def _alpha() -> str:
+    return alpha_table(read_rows(RESULTS / "alpha/alpha.csv"), "Reach-v0", "blend")
+
+
+def _responses() -> str:
+    return response_table(responses(read_rows(RESULTS / "alpha/alpha.csv")))
+
+
+def _worth() -> str:
+    return worth_table(read_rows(RESULTS / "alpha/worth.csv"))
+
+
+def _loads() -> str:
+    return load_table(read_rows(RESULTS / "alpha/loads.csv"))
+
+
+def _bench() -> str:
+    return bench_table(json.loads((RESULTS / "controller/bench.json").read_text()))
+
+
+def _abuse() -> str:
+    forms = ("blend", "rhp")
+    paths = {form: RESULTS / f"controller/abuse-{form}.json" for form in forms}
+    return abuse_table({f: json.loads(path.read_text()) for f, path in paths.items()})
+
+
+def _data() -> str:
+    return data_table(json.loads((RESULTS / "data/bench.json").read_text()))
+
+
+_ONLINE = (
+    "ddpg",
+    "ddpg-her",
+    "maddpg-her",
+    "ddpg-paper",
+    "ddpg-her-paper",
+    "ddpg-demonstrations",
+    "ddpg-her-demonstrations",
+    "ddpg-her-smooth",
+    "maddpg-her-smooth",
+    "ddpg-her-grasp",
+    "ddpg-her-grasp-demonstrations",
+    "sb3-ddpg-her",
+)
+"""Rows of the README's table; all are in the committed one."""
+
+
+def _online() -> str:
+    rows = read_rows(RESULTS / "online/online.csv")
+    shown = [row for row in rows if row["setting"] in _ONLINE]
+    return f"{online_table(shown, SETTINGS, [IQM])}\n{hindsight_in_words(shown)}"
+
+
+def _learnt() -> str:
+    return alpha_worth_table(read_rows(RESULTS / "online/alpha_worth.csv"), SETTINGS)
+
+
+def _steps() -> str:
+    return steps_table(read_rows(RESULTS / "online/curves.csv.gz"), SETTINGS)
+
+
+def _updates() -> str:
+    result = json.loads((RESULTS / "online/bench.json").read_text())
+    return updates_table(result, SETTINGS)
+
+
+def _ablation(name: str, *leave_out: str, dataset: str = "") -> str:
+    """A table of offline learning; what is left out stands in the committed one."""
+    summary = read_rows(RESULTS / f"offline/{name}.csv")
+    whole = ABLATIONS[name]
+    cells = [cell for cell in whole.cells if dataset in ("", cell[0])]
+    shown = replace(whole, cells=tuple(cells))
+    return ablation_table(shown, summary, ("IQM [%]", *leave_out))
+
+
+def _over_imitation(name: str) -> str:
+    """How the others compare with MABC."""
+    store = RowStore(RESULTS / "offline/rows")
+    return differences_table(
+        ABLATIONS[name], differences(ABLATIONS[name], store, "mabc")
+    )
+
+
+def _script() -> str:
+    """The script on the goals that those who learn from it are evaluated on."""
+    lines = []
+    for task in BLOCKS.values():
+        packed = (RESULTS / f"script/{task}.json.gz").read_bytes()
+        (found,) = json.loads(gzip.decompress(packed))
+        every = found["summary"]["all"]
+        row = {"success": found["success_rate"], "success_interval": found["interval"]}
+        reached = rate_with_interval({**row, "seeds": 1})
+        numbers = f"{every['steps_to_success']:.1f}", f"{every['return']:.2f}"
+        lines.append((task, str(every["episodes"]), reached, *numbers))
+    header = ("task", "goals", "reached by the script [%]", "steps", "return")
+    return markdown_table(header, lines)
+
+
+def _offline_updates() -> str:
+    return offline_speed_table(json.loads((RESULTS / "offline/bench.json").read_text()))
+
+
+def _entries() -> str:
+    """Entries of joint state and action, and whose they are, as Markdown."""
+    only = [f"`{task}`" for task, one in TASKS.items() if one.layout == HANDLING]
+    sides = [
+        ("seen by", HANDLING.state_names, REACH.state_names, "observation"),
+        ("set by", HANDLING.action_names, REACH.action_names, "action"),
+    ]
+    lines: dict[tuple[str, ...], list[str]] = {}
+    for verb, names, everywhere, part in sides:
+        for number, name in enumerate(names):
+            agents = [a.name for a in HANDLING.agents if number in getattr(a, part)]
+            where = "all" if name in everywhere else ", ".join(only)
+            thing = re.sub("_[xyz]$", "", name)
+            line = thing, f"{verb} {' and '.join(agents)}", where
+            lines.setdefault(line, []).append(f"`{name}`")
+    header = ("entry", "whose", "tasks")
+    return markdown_table(
+        header, [(", ".join(n), who, where) for (_, who, where), n in lines.items()]
+    )
+
+
+def _drawn() -> str:
+    """What is drawn of blocks and stands, and what a failure brings, as Markdown."""
+    loads = {task: one.load for task, one in TASKS.items() if isinstance(one, Carry)}
+    load = StandConfig()
+    lines = [
+        (what, *(f"{scale * end:g}" for end in interval))
+        for what, interval, scale in (
+            ("mass [kg]", load.mass, 1),
+            ("edge [mm]", load.edge, 1000),
+            ("friction against the pads", load.friction, 1),
+            ("stand's place, x [m]", load.stand_x, 1),
+            ("stand's place, y [m]", load.stand_y, 1),
+            ("stand's height [m]", load.stand_height, 1),
+        )
+    ]
+    costs = ", ".join(f"{one.failure_reward:g} in `{t}`" for t, one in loads.items())
+    table = markdown_table(("drawn for each episode", "from", "to"), lines)
+    return f"{table}\nReward of a failure, which ends the episode: {costs}.\n"
+
+
+_PAPER, _DIFFERENCE = "paper [%]", "difference [points]"
+
+_NOT_LONG = ("d_mm [m]", "d_mp [m]", "alpha", COLUMNS["q_slope"])
+"""Columns of the committed table that the README leaves out."""
+
+_NOT_NEAR = ("every seed", RETURN, "d_mm [m]", "d_mp [m]", "alpha", *COLUMNS.values())
+"""Columns that do not depend on the distance within which a goal is reached."""
+
+_NOT_HELD = ("every seed", "d_mm [m]", "d_mp [m]", _PAPER, _DIFFERENCE)
+"""Columns that do not tell what the second agent is worth."""
+
+_NOT_CURED = ("dataset", _PAPER, _DIFFERENCE, "d_mm [m]", "d_mp [m]", "alpha")
+"""Columns that tell nothing of why learning fails."""
+
+
+def _commands() -> str:
+    """The commands, and those that list what there is."""
+    lines = [(f"`marl-mm {name}`", about) for name, about in COMMANDS.items()]
+    lists = ", ".join(f"`{name}`" for name in LISTS)
+    lines.append((lists, "what there is of a kind, and where it comes from"))
+    return markdown_table(("command", "what it does"), lines)
+
+
+TABLES: dict[str, Callable[[], str]] = {
+    "commands": _commands,
+    "entries": _entries,
+    "drawn": _drawn,
+    "alpha": _alpha,
+    "responses": _responses,
+    "worth": _worth,
+    "loads": _loads,
+    "bench": _bench,
+    "abuse": _abuse,
+    "data": _data,
+    "online": _online,
+    "learnt": _learnt,
+    "steps": _steps,
+    "updates": _updates,
+    "offline": partial(_ablation, "offline", _DIFFERENCE, *COLUMNS.values()),
+    "tasks": partial(_ablation, "tasks", _PAPER, _DIFFERENCE),
+    "blocks": partial(_ablation, "blocks", _PAPER, _DIFFERENCE, "alpha"),
+    "tasks-over-mabc": partial(_over_imitation, "tasks"),
+    "within": partial(_ablation, "within", *_NOT_NEAR, _PAPER, _DIFFERENCE),
+    "held": partial(_ablation, "held", *_NOT_HELD, *COLUMNS.values()),
+    "table4": partial(_ablation, "table4", *_NOT_LONG),
+    "table5": partial(_ablation, "table5", *_NOT_LONG),
+    "cures": partial(_ablation, "cures", *_NOT_CURED, dataset="good-30k"),
+    "script": _script,
+    "offline-updates": _offline_updates,
+    "goals": goals_table,
+}
+"""Name of the marks, and what stands between them."""
