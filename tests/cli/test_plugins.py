@@ -88,6 +88,7 @@ def test_an_algorithm_of_ones_own_is_trained_resumed_evaluated_and_exported(
     assert run("play", out / "0", "--max-steps", 1, "--video", tmp_path / "x.gif") == 0
 
 
+@pytest.mark.slow
 def test_seeds_in_processes_of_their_own_find_the_plugin(
     datasets_home: Path, tmp_path: Path
 ) -> None:
