@@ -23,34 +23,34 @@ from marl_mm.layout import JOINT_NAME
 
 @dataclass(frozen=True)
 class IqlConfig:
-    """Hyper-parameters; the source's where it names them, untuned."""
+    """Hyper-parameters: the source's where it names them, untuned."""
 
     updates: int = 8_000
-    """Gradient steps."""
+    """Number of gradient steps."""
 
     batch_size: int = 256
-    """Transitions per update."""
+    """Number of transitions per update."""
 
     learning_rate: float = 3e-4
     """Learning rate of Adam."""
 
     discount: float = 0.95
-    """gamma."""
+    """Discount of rewards per step, gamma."""
 
     target_rate: float = 0.005
-    """tau of the target critics."""
+    """Rate of the target critics per update, tau."""
 
     expectile: float = 0.7
-    """tau of V's loss."""
+    """Expectile of V's loss, tau."""
 
     temperature: float = 3.0
-    """beta, the weight of the advantage in the actor's loss."""
+    """Weight of the advantage in the actor's loss, beta."""
 
     hidden: tuple[int, ...] = (128, 128)
-    """Units of the hidden layers."""
+    """Numbers of units of the hidden layers."""
 
     std_floor: float = 0.01
-    """Least standard deviation an observation is scaled by."""
+    """Least standard deviation that observations are scaled by."""
 
     precision: Precision = "auto"
     """Precision of products of float32 matrices."""
@@ -122,7 +122,7 @@ class Iql(OfflineLearner):
 
     @torch.no_grad()
     def diagnose(self) -> dict[str, torch.Tensor]:
-        """How far the actor is from some of the data, shape (S,)."""
+        """Distances of the actor to some of the data's actions, shape (S,)."""
         state, action = self._batches.some(DIAGNOSED)
         inputs = self.normalizer(state).expand(len(self.seeds), -1, -1)
         return imitation_errors(self.actors.joint(inputs), action, self.layout)
