@@ -143,7 +143,7 @@ def _offline(folder: Path) -> Iterator[Section]:
         yield Section(name, title, command, _html(text), media)
     if paths:
         text = _html(goals_table())
-        command = "python -m marl_mm.eval.readme"
+        command = "python tools/pages.py"
         yield Section("goals", "Goals for an interval of +- 5 points", command, text)
     made_of = sorted(folder.glob("rows/*/*.json"))
     if made_of:

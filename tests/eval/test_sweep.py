@@ -14,7 +14,6 @@ from marl_mm.control.config import FORMS
 from marl_mm.control.priorities import stability_share
 from marl_mm.eval.load_sweep import load_cells, run_load_cell, summarize_loads
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.readme import RESULTS
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.sweep import (
     SweepCell,
@@ -24,6 +23,8 @@ from marl_mm.eval.sweep import (
     worth_of_a_rule,
 )
 from marl_mm.eval.sweep_tables import load_table
+
+RESULTS = Path(__file__).resolve().parents[2] / "eval/results"
 
 SMALL = SweepCell("Reach-v0", "blend", PdConfig(alpha=0.5), 2, 0, 12)
 ARGUMENTS = (
