@@ -22,7 +22,7 @@ from marl_mm.datasets.dataset import load_dataset
 from marl_mm.envs import make_task, parallel_env
 from marl_mm.envs.registry import TASKS
 from marl_mm.errors import PluginError, UsageError
-from marl_mm.eval import evaluate
+from marl_mm.eval.evaluate import evaluate
 from marl_mm.eval.metrics import METRICS
 from marl_mm.registry import Registry
 
@@ -325,7 +325,7 @@ def test_what_a_script_registers_works_in_workers(tmp_path: Path) -> None:
         "from marl_mm.envs import make_task, register_task\n"
         "from marl_mm.envs.tasks.reach import Reach\n"
         "from marl_mm.collectors.random import RandomConfig, RandomPolicy\n"
-        "from marl_mm.eval import evaluate\n"
+        "from marl_mm.eval.evaluate import evaluate\n"
         "class Mine(Reach):\n    pass\n"
         "register_task('Mine-v0', Mine(max_steps=2))\n"
         "if __name__ == '__main__':\n"
