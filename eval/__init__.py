@@ -2,12 +2,10 @@
 
 from typing import TYPE_CHECKING, Any
 
-from marl_mm.eval.evaluate import evaluate
-
 if TYPE_CHECKING:
     from marl_mm.eval.ablation import BEST, LAST, Ablation, Probe, Setting
 
-__all__ = ["BEST", "LAST", "Ablation", "Probe", "Setting", "evaluate"]
+__all__ = ["BEST", "LAST", "Ablation", "Probe", "Setting"]
 
 
 def __getattr__(name: str) -> Any:

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
-from marl_mm.algorithms.online import Schedule
+from marl_mm.algorithms.schedule import Schedule
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands.options import COMMITTED
 from marl_mm.commands.train_sb3 import check_sb3, check_sb3_run, train_sb3_run

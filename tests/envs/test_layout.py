@@ -106,10 +106,10 @@ def test_a_dataset_of_any_layout_comes_back_equal(
         path.unlink()
     for back in (cached, load_dataset(location)):
         assert back.arrays.layout == layout
-        for one, other in zip(episodes, back.episodes, strict=True):
-            np.testing.assert_array_equal(one.states, other.states)
-            np.testing.assert_array_equal(one.actions, other.actions)
-            assert other.layout == layout and other.info.keys() == one.info.keys()
+        for here, there in zip(episodes, back.episodes, strict=True):
+            np.testing.assert_array_equal(here.states, there.states)
+            np.testing.assert_array_equal(here.actions, there.actions)
+            assert there.layout == layout and there.info.keys() == here.info.keys()
         joined = np.zeros_like(arrays.actions)
         for agent, view in zip(layout.agents, back.agents().values(), strict=True):
             joined[:, list(agent.action)] = view.action
@@ -274,7 +274,7 @@ def test_what_is_no_layout_is_said_to_be_none(values: Any) -> None:
 
 def test_episodes_of_two_layouts_are_no_dataset(tmp_path: Path) -> None:
     turned = replace(REACH, state=REACH.state[::-1])
-    one, other = (random_episode(layout, 0) for layout in (REACH, turned))
+    straight, reversed_ = (random_episode(layout, 0) for layout in (REACH, turned))
     with pytest.raises(Exception, match="order of the state"):
-        arrays_of([one, other], "x")
+        arrays_of([straight, reversed_], "x")
     assert set(INFO) >= {"distance", "is_success"}

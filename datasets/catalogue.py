@@ -1,0 +1,80 @@
+"""The datasets below the root: what there is, what was stopped, and deleting one."""
+
+import shutil
+from typing import Any
+
+from marl_mm.datasets import shipped
+from marl_mm.datasets.journal import begun
+from marl_mm.datasets.location import (
+    SHIPPED,
+    Location,
+    datasets_root,
+    known_ids,
+    locate,
+)
+from marl_mm.datasets.storage import read_metadata, refuse_foreign
+from marl_mm.errors import MarlMmError, UnknownDatasetError, UsageError
+from marl_mm.files import only_here
+
+_BEGUN = "being collected, or stopped: go on with marl-mm collect ... --resume"
+
+
+def catalogue() -> list[dict[str, Any]]:
+    """A row of id, steps, episodes and a note for each dataset, by id.
+
+    The dataset that ships is the last one until its first use.
+    """
+    under_way = begun()
+    rows = [_row(name) for name in known_ids() if name not in under_way]
+    rows += [
+        {"id": name, "steps": None, "episodes": count, "note": _BEGUN}
+        for name, count in under_way.items()
+    ]
+    rows.sort(key=lambda row: row["id"])
+    if not locate(SHIPPED).folder.exists():
+        arrays = shipped.shipped_arrays()
+        note = "ships with marl_mm: written here at its first use"
+        counts = {"steps": arrays.steps, "episodes": len(arrays)}
+        rows.append({"id": SHIPPED, **counts, "note": note})
+    return rows
+
+
+def _row(name: str) -> dict[str, Any]:
+    try:
+        ours = read_metadata(Location(name, datasets_root() / name))["marl_mm"]
+    except MarlMmError as error:
+        return {"id": name, "steps": None, "episodes": None, "note": str(error)}
+    return {
+        "id": name,
+        "steps": ours["steps"],
+        "episodes": ours["episodes"],
+        "note": "" if ours.get("complete") else "of a collection that was stopped",
+    }
+
+
+def check_deletable(location: Location) -> None:
+    """Raise if a location holds no dataset, and no collection that was stopped.
+
+    Raises:
+        UnknownDatasetError: If nothing is there.
+        UsageError: If something else is.
+    """
+    if not location.folder.exists() and not location.working.exists():
+        raise UnknownDatasetError(f"no dataset {location.name!r} to delete")
+    refuse_foreign(location)
+    if location.folder.exists() and not location.data.is_dir():
+        raise UsageError(f"{location.folder} is no dataset: it is not deleted")
+
+
+def delete(location: Location) -> None:
+    """Delete a dataset, and what a stopped collection into it has kept.
+
+    Raises:
+        UnknownDatasetError: If there is none.
+        UsageError: If something else is there, or another process is writing it.
+    """
+    check_deletable(location)
+    with only_here(location.working):
+        if location.folder.exists():
+            shutil.rmtree(location.folder)
+        shutil.rmtree(location.working)
