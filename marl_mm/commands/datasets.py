@@ -38,7 +38,8 @@ from marl_mm.datasets.location import (
     known_ids,
     locate,
 )
-from marl_mm.datasets.storage import read_metadata, refuse_foreign
+from marl_mm.datasets.metadata import read_metadata
+from marl_mm.datasets.storage import refuse_foreign
 from marl_mm.datasets.verify import verify
 from marl_mm.errors import DatasetError, MarlMmError, UnknownDatasetError, UsageError
 from marl_mm.files import only_here
