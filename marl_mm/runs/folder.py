@@ -156,21 +156,27 @@ def saved_settings(out: Path) -> dict[str, Any]:
     )
     if not seeds:
         return {}
-    config = read_config(out / str(seeds[0])).to_json()
-    dataset = (config["dataset"] or {}).get("path")
-    return config | {"seeds": seeds, "dataset": dataset, "demonstrations": dataset}
+    return settings_of(read_config(out / str(seeds[0]))) | {"seeds": seeds}
 
 
-def read_config(run: Path) -> RunConfig:
-    """What a run is made of.
+def settings_of(config: RunConfig) -> dict[str, Any]:
+    """The settings of a run by name; see ``saved_settings``."""
+    dataset = (config.dataset or {}).get("path")
+    values = {"seeds": [config.seed], "dataset": dataset, "demonstrations": dataset}
+    return config.to_json() | values
+
+
+def read_config(path: Path) -> RunConfig:
+    """The record of a run, of its folder or of a file.
 
     Raises:
         CheckpointError: If it cannot be read.
     """
+    file = path / CONFIG if path.is_dir() else path
     try:
-        return RunConfig.from_json(json.loads((run / CONFIG).read_text()))
+        return RunConfig.from_json(json.loads(file.read_text()))
     except (OSError, ValueError, AttributeError) as error:
-        raise CheckpointError(f"cannot read {run / CONFIG}: {error}") from error
+        raise CheckpointError(f"cannot read {file}: {error}") from error
 
 
 def continue_run(

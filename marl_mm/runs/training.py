@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from marl_mm.algorithms.loggers import DEFAULT_LOGGERS, check_loggers
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
 from marl_mm.algorithms.schedule import Schedule
 from marl_mm.runs.settings import check_positive, check_seed, refuse_both
@@ -37,6 +38,9 @@ class Training:
     """Processes that run episodes, and that train seeds from a dataset. The result does
     not depend on their number."""
 
+    logger: tuple[str, ...] = DEFAULT_LOGGERS
+    """Loggers beside metrics.jsonl: tensorboard, csv, wandb (Weights & Biases)."""
+
     resume: bool = False
     """Go on where runs were stopped; seeds without a run start. Settings that are left
     out are those of the first run in the folder."""
@@ -62,6 +66,7 @@ class Training:
         check_positive(eval_episodes=self.eval_episodes, workers=self.workers)
         check_seed(self.eval_seed)
         refuse_both(self.resume, self.overwrite)
+        check_loggers(self.logger)
 
 
 @dataclass(frozen=True, kw_only=True)
