@@ -8,8 +8,8 @@ from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import FILE as JOURNAL
 from marl_mm.datasets.journal import Journal, noted
 from marl_mm.datasets.location import Location
+from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Origin, Provenance
-from marl_mm.datasets.storage import read_metadata
 from marl_mm.episode import Episode
 from marl_mm.errors import OtherConfigError
 

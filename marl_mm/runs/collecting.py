@@ -11,8 +11,9 @@ from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.journal import FILE as JOURNAL
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import Location
+from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Origin, Provenance
-from marl_mm.datasets.storage import read_metadata, refuse_foreign, write_dataset
+from marl_mm.datasets.storage import refuse_foreign, write_dataset
 from marl_mm.envs.registry import DEFAULT, TASKS, config_dict, make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.envs.task import Task

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import Location, locate
+from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.recipe import Part, mix, write_mix
-from marl_mm.datasets.storage import read_metadata
 from marl_mm.errors import DatasetError, UsageError
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.collect_resume import begun_with
