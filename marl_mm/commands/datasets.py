@@ -69,7 +69,7 @@ class Verify:
     """Ids or paths."""
 
     replay: bool = False
-    """Also run every episode again and compare all bits."""
+    """Run every episode again, too, and compare all bits."""
 
     workers: int = field(default_factory=available_cores)
     """Processes that replay."""

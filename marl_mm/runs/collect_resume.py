@@ -1,4 +1,4 @@
-"""What an earlier collection into a dataset left, and whether another may go on."""
+"""Resuming a collection: the remains of an earlier one, and whether they fit."""
 
 import shutil
 from typing import Any
@@ -15,7 +15,7 @@ from marl_mm.errors import OtherConfigError
 
 
 def begun_with(location: Location) -> Provenance | None:
-    """What a collection that may go on was begun with; None if there is none."""
+    """The record that a collection began with; None where there is none."""
     if about := noted(location.working):
         return Provenance.from_json(about)
     if not location.folder.exists():

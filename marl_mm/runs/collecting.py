@@ -183,7 +183,7 @@ def _kept(known: dict[int, Episode | None]) -> list[Episode]:
 def _steps(
     options: Collecting, begun: dict[str, Any] | None, mine: Location | None
 ) -> int:
-    """How many steps to collect.
+    """Number of steps to collect.
 
     Raises:
         UsageError: If more were asked for before.
@@ -230,7 +230,7 @@ def _begun(
     steps: int,
     layout: Layout,
 ) -> dict[int, Episode | None]:
-    """What a journal holds; a new one, or one to overwrite, begins."""
+    """Attempts in a journal; a new one, or one to overwrite, begins."""
     before = journal.about()
     if before is not None and not (options.resume or options.overwrite):
         raise OutputExistsError(

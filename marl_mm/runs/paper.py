@@ -86,7 +86,7 @@ def collect_paper(paper: Paper, bar: Bar = silent_bar) -> Iterator[Dataset]:
 
 
 def paper_location(name: str) -> Location:
-    """Where one of the paper's datasets is."""
+    """Location of a dataset of the paper."""
     return locate(f"marl_mm/reach/{name}-v0")
 
 
@@ -133,7 +133,7 @@ def _mix(name: str, location: Location, paper: Paper) -> None:
 
 
 def _fits(location: Location, steps: int, paper: Paper) -> bool:
-    """Whether what is there can be kept and gone on with.
+    """Whether a dataset that is there can be kept and gone on with.
 
     Raises:
         UsageError: If it cannot, and may not be replaced.
