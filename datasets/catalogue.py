@@ -1,4 +1,4 @@
-"""The datasets below the root: what there is, what was stopped, and deleting one."""
+"""The catalogue of datasets below the root, unfinished ones included, and deletion."""
 
 import shutil
 from typing import Any
@@ -12,17 +12,18 @@ from marl_mm.datasets.location import (
     known_ids,
     locate,
 )
-from marl_mm.datasets.storage import read_metadata, refuse_foreign
+from marl_mm.datasets.metadata import read_metadata
+from marl_mm.datasets.storage import refuse_foreign
 from marl_mm.errors import MarlMmError, UnknownDatasetError, UsageError
 from marl_mm.files import only_here
 
-_BEGUN = "being collected, or stopped: go on with marl-mm collect ... --resume"
+_BEGUN = "being collected, or stopped: go on with `marl_mm.collect(..., resume=True)`"
 
 
 def catalogue() -> list[dict[str, Any]]:
     """A row of id, steps, episodes and a note for each dataset, by id.
 
-    The dataset that ships is the last one until its first use.
+    The dataset that ships is the last row until its first use.
     """
     under_way = begun()
     rows = [_row(name) for name in known_ids() if name not in under_way]
@@ -53,11 +54,11 @@ def _row(name: str) -> dict[str, Any]:
 
 
 def check_deletable(location: Location) -> None:
-    """Raise if a location holds no dataset, and no collection that was stopped.
+    """Raise if a location holds neither a dataset nor a stopped collection.
 
     Raises:
-        UnknownDatasetError: If nothing is there.
-        UsageError: If something else is.
+        UnknownDatasetError: If the location does not exist.
+        UsageError: If the location holds something else.
     """
     if not location.folder.exists() and not location.working.exists():
         raise UnknownDatasetError(f"no dataset {location.name!r} to delete")
@@ -67,11 +68,11 @@ def check_deletable(location: Location) -> None:
 
 
 def delete(location: Location) -> None:
-    """Delete a dataset, and what a stopped collection into it has kept.
+    """Delete a dataset, and the journal of a stopped collection into it.
 
     Raises:
-        UnknownDatasetError: If there is none.
-        UsageError: If something else is there, or another process is writing it.
+        UnknownDatasetError: If the location does not exist.
+        UsageError: If the location holds something else, or another process writes it.
     """
     check_deletable(location)
     with only_here(location.working):

@@ -29,7 +29,7 @@ from marl_mm.datasets.catalogue import catalogue, check_deletable, delete
 from marl_mm.datasets.dataset import existing, load_dataset
 from marl_mm.datasets.export import DATASET_FORMS, export
 from marl_mm.datasets.location import datasets_root, find, known_ids
-from marl_mm.datasets.storage import read_metadata
+from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.verify import verify
 from marl_mm.errors import DatasetError, UsageError
 from marl_mm.progress import progress_bar
@@ -69,7 +69,7 @@ class Verify:
     """Ids or paths."""
 
     replay: bool = False
-    """Also run every episode again and compare all bits."""
+    """Run every episode again, too, and compare all bits."""
 
     workers: int = field(default_factory=available_cores)
     """Processes that replay."""
@@ -149,7 +149,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _list(command: List) -> None:
-    rows = catalogue()
+    rows = [row | {"note": as_options(row["note"])} for row in catalogue()]
     if command.json:
         print(json.dumps(rows, indent=2))
         return

@@ -34,8 +34,8 @@ BEST_EVALUATION = "eval_best.json"
 CURVE = "learning_curve.png"
 SB3_BEST = "best.zip"
 
-_MADE = ("eval*.json", *(f"*{one.suffix}" for _, one in POLICY_FORMATS.items()))
-"""What is made of a run's policies: evaluations and exports."""
+_MADE = ("eval*.json", *(f"*{form.suffix}" for _, form in POLICY_FORMATS.items()))
+"""Files that are made of a run's policies: evaluations and exports."""
 
 
 def check_runs(training: Training, out: Path, seeds: Sequence[int]) -> None:
@@ -119,9 +119,9 @@ def refuse_other(run: Path, config: RunConfig, ignored: Sequence[str] = ()) -> N
     theirs, mine = read_config(run).to_json(), as_json(config.to_json())
     for key in ("packages", *ignored):
         mine.pop(key, None)
-    for one in (theirs, mine):  # a dataset may have moved
-        if one.get("dataset"):
-            one["dataset"].pop("path", None)
+    for values in (theirs, mine):  # a dataset may have moved
+        if values.get("dataset"):
+            values["dataset"].pop("path", None)
     refuse_other_config(run, theirs, mine)
 
 
@@ -138,7 +138,7 @@ def start_run(run: Path, config: RunConfig) -> None:
 
 
 def saved_settings(out: Path) -> dict[str, Any]:
-    """What the first run in a folder was made of, by name; nothing without runs.
+    """Settings of the first run in a folder, by name; none without runs.
 
     Its dataset counts as ``dataset`` and as ``demonstrations``, and ``seeds`` are those
     of all runs.
@@ -239,7 +239,7 @@ def evaluate_run(
 
 
 def curve_point(evaluation: Evaluation) -> CurvePoint:
-    """What a learning curve keeps of an evaluation."""
+    """The numbers of an evaluation that a learning curve keeps."""
     point: dict[str, float] = {}
     for name, part in evaluation.summary.items():
         point[f"success/{name}"] = part["success_rate"]

@@ -100,7 +100,7 @@ def load_run(folder: str | Path) -> Run:
     """
     path = Path(folder)
     if not (path / CONFIG).exists():
-        seeds = sorted(one.parent.name for one in path.glob(f"*/{CONFIG}"))
+        seeds = sorted(config.parent.name for config in path.glob(f"*/{CONFIG}"))
         hint = f": name one of its runs, such as {path / seeds[0]}" if seeds else ""
         raise UsageError(f"{path} is no run, it has no {CONFIG}{hint}")
     return Run(path)

@@ -1,4 +1,4 @@
-"""How runs are made: settings of every run, of offline and of online ones."""
+"""Settings of runs: of all, of offline and of online ones."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -46,7 +46,7 @@ class Training:
     out are those of the first run in the folder."""
 
     allow_changed_plugin: bool = False
-    """When resuming, go on though a plug-in is another file than before. The run's
+    """Go on, when resuming, though a plug-in is another file than before. The run's
     config keeps both hashes."""
 
     overwrite: bool = False
@@ -80,8 +80,8 @@ class Offline(Training):
     """Refuse a dataset in which no episode reaches its goal."""
 
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where to train. On a CPU each seed is a process of one thread, about as many at
-    once as there are workers; on a GPU all seeds are trained side by side."""
+    """Device to train on. On a CPU each seed is a process of one thread, about as many
+    at once as there are workers; on a GPU all seeds are trained side by side."""
 
     curve_every: int = 2_000
     """Updates between points of the learning curve."""

@@ -19,7 +19,8 @@ from marl_mm.cli import main
 from marl_mm.collectors.replay import replay
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import locate
-from marl_mm.datasets.storage import read_arrays, read_metadata
+from marl_mm.datasets.metadata import read_metadata
+from marl_mm.datasets.storage import read_arrays
 from marl_mm.datasets.verify import verify
 from marl_mm.envs.tasks import grasp, reach
 
