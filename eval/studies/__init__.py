@@ -1,0 +1,1 @@
+"""Studies: settings that learn from sources, compared in tables and figures."""

@@ -1,0 +1,258 @@
+"""A study's table: columns over its rows, as Markdown and as HTML."""
+
+import math
+from base64 import b64encode
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.studies.study import Online, Probe, Reported, Study, cell_name
+from marl_mm.eval.studies.summary import LEVELS
+from marl_mm.eval.tables import (
+    markdown_html,
+    markdown_table,
+    percent_with_interval,
+    rate_with_deviation,
+    rate_with_interval,
+    without,
+)
+
+RETURN = "return [95 %]"
+"""Heading of a mean over seeds and goals, with Student's interval over seeds."""
+
+CRITICS = {
+    "q_policy": "critic's value, every seed",
+    "q_slope": "critic's slope, every seed",
+}
+"""Headings of what the critics say of the policy's actions, and how much more they
+value going to the goal than away from it; no return can pass 10."""
+
+OVER_HELD = "return over the best alpha held [95 %]"
+"""Heading of what the learnt alpha is worth."""
+
+FAILED = "failed"
+"""Heading of how many episodes of all seeds failed, and why, where they can."""
+
+IQM = "IQM at the end [%]"
+"""Heading of the interquartile mean, of tables with a row per setting."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A cell in a table."""
+
+    study: Study
+    number: int
+    """Place of the cell in the study."""
+
+    rows: Mapping[str, Row]
+    """Rows of the table by probe; those with a row per setting have one only."""
+
+    @property
+    def row(self) -> Row:
+        """The row of the first probe, or of the setting."""
+        return next(iter(self.rows.values()))
+
+    @property
+    def reported(self) -> Reported | None:
+        """What others report."""
+        return self.study.reported.get(cell_name(self.study.cells[self.number]))
+
+    @property
+    def about(self) -> str:
+        """Description of the setting."""
+        return self.study.cells[self.number][1].about
+
+    @property
+    def task(self) -> str:
+        """Task of a cell that learns online."""
+        source, _ = self.study.cells[self.number]
+        return source.task if isinstance(source, Online) else ""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table."""
+
+    head: str
+    """Heading, with the unit in brackets."""
+
+    text: Callable[[Line], str]
+    """Text of a cell's line."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """The table of a study."""
+
+    study: Study
+    rows: list[Row]
+    """Rows as in the CSV file: one per cell and probe, or one per cell."""
+
+    figure: Path | None = None
+    """Picture of the learning curves."""
+
+    def markdown(self, leave_out: Sequence[str] = ()) -> str:
+        """A line per cell, without the columns of some headings."""
+        columns = _columns(self.study, self.rows)
+        lines = [[column.text(line) for column in columns] for line in self._lines()]
+        heads = [column.head for column in columns]
+        return markdown_table(*without(heads, lines, leave_out))
+
+    def _lines(self) -> list[Line]:
+        by_setting = self.study.table == "episodes"
+        lines = []
+        for number, cell in enumerate(self.study.cells):
+            source, setting = cell_name(cell)
+            own = {
+                row.get("probe", ""): row
+                for row in self.rows
+                if row["setting"] == setting
+                and (by_setting or row["dataset"] == source)
+            }
+            ordered = own if by_setting else {p.name: own[p.name] for p in self.study.probes}
+            lines.append(Line(self.study, number, ordered))
+        return lines
+
+    def __repr__(self) -> str:
+        return f"<Table {self.study.about!r}: {len(self.study.cells)} cells>"
+
+    def _repr_html_(self) -> str:
+        """Title, table and figure, for notebooks."""
+        text = markdown_html(f"**{self.study.about}**\n\n{self.markdown()}")
+        if self.figure is None:
+            return text
+        data = b64encode(self.figure.read_bytes()).decode()
+        return f'{text}\n<img alt="learning curves" src="data:image/png;base64,{data}">'
+
+
+def _columns(study: Study, rows: Sequence[Row]) -> list[Column]:
+    return _OF_EPISODES if study.table == "episodes" else _of_probes(study, rows)
+
+
+# --- A row per probe ---------------------------------------------------------
+
+
+def _of_probes(study: Study, rows: Sequence[Row]) -> list[Column]:
+    """The first probe in full, of others what changes."""
+    first, *others = study.probes
+    columns = [
+        Column("dataset", lambda line: str(line.row["dataset"])),
+        Column("setting", lambda line: line.about),
+        Column(
+            f"goals reached [%], {first.about}",
+            lambda line: rate_with_interval(line.row),
+        ),
+        Column("every seed", _every_seed),
+        Column("IQM [%]", lambda line: _iqm(line, "success")),
+        *map(_short, others),
+        Column("paper [%]", _theirs),
+        Column("difference [points]", _difference),
+        Column(RETURN, _return),
+        Column("d_mm [m]", lambda line: f"{line.row['d_mm']:.3f}"),
+        Column("d_mp [m]", lambda line: f"{line.row['d_mp']:.3f}"),
+        Column("alpha", lambda line: f"{line.row['alpha']:.2f}"),
+        *(
+            Column(head, lambda line, key=key: _in_a_row(line.row[f"{key}_seeds"]))
+            for key, head in CRITICS.items()
+        ),
+    ]
+    if any(probe.alpha is not None for probe in others):
+        columns.append(Column(OVER_HELD, _over_held))
+    if any("failed" in row for row in rows):
+        columns.append(Column(FAILED, lambda line: str(line.row.get("failed", ""))))
+    return columns
+
+
+def _every_seed(line: Line) -> str:
+    rates = _in_a_row(line.row["success_seeds"])
+    ends = line.row["diverged"]
+    return f"{rates}; diverged: {ends}" if ends else rates
+
+
+def _in_a_row(values: str | float) -> str:
+    """Numbers apart by commas; a single one may have been read as such."""
+    return str(values).replace(" ", ", ")
+
+
+def _iqm(line: Line, name: str) -> str:
+    row = line.row
+    return percent_with_interval(row[f"{name}_iqm"], row[f"{name}_iqm_interval"])
+
+
+def _short(probe: Probe) -> Column:
+    if probe.alpha is None:
+        return Column(
+            probe.about, lambda line: rate_with_interval(line.rows[probe.name])
+        )
+
+    def text(line: Line) -> str:
+        row = line.rows[probe.name]
+        return f"{rate_with_deviation(row)}, {row['return']:.2f}"
+
+    return Column(f"{probe.about}: goals [%], return", text)
+
+
+def _theirs(line: Line) -> str:
+    return "" if line.reported is None else str(line.reported)
+
+
+def _difference(line: Line) -> str:
+    """Ours less what others report, after as many updates."""
+    theirs = line.reported
+    if theirs is None or theirs.success is None:
+        return ""
+    config = line.study.cells[line.number][1].config
+    if theirs.updates not in (None, getattr(config, "updates", None)):
+        return ""
+    return f"{100 * line.row['success'] - theirs.success:+.1f}"
+
+
+def _return(line: Line) -> str:
+    low, high = line.row["return_interval"]
+    interval = "" if math.isnan(low) else f" [{low:.2f}, {high:.2f}]"
+    return f"{line.row['return']:.2f}{interval}"
+
+
+def _over_held(line: Line) -> str:
+    low, high = line.row["over_held_interval"]
+    gain = f"{line.row['over_held']:+.2f} [{low:+.2f}, {high:+.2f}]"
+    return f"{gain} over {line.row['best_held']:g}"
+
+
+# --- A row per setting -------------------------------------------------------
+
+
+def _episodes(level: float) -> Column:
+    name = f"to_{100 * level:.0f}"
+
+    def text(line: Line) -> str:
+        row, seeds = line.row, _in_a_row(line.row[f"{name}_seeds"])
+        if math.isnan(row[name]):
+            return f"({seeds})"
+        low, high = row[f"{name}_interval"]
+        interval = "" if math.isnan(low) else f" [{low:.0f}, {high:.0f}]"
+        return f"{row[name]:.0f}{interval} ({seeds})"
+
+    return Column(f"episodes to {100 * level:.0f} %", text)
+
+
+_OF_EPISODES = [
+    Column("setting", lambda line: line.about),
+    Column("task", lambda line: line.task),
+    Column("seeds", lambda line: str(line.row["seeds"])),
+    Column(
+        "success at the end [%]",
+        lambda line: rate_with_interval(line.row, "success_last"),
+    ),
+    Column(IQM, lambda line: _iqm(line, "success_last")),
+    Column(
+        "at the best checkpoint [%]",
+        lambda line: rate_with_interval(line.row, "success_best"),
+    ),
+    Column("paper [%]", _theirs),
+    Column("return", lambda line: f"{line.row['return_last']:.2f}"),
+    *map(_episodes, LEVELS),
+    Column("episodes", lambda line: str(line.row["episodes"])),
+]
