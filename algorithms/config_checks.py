@@ -1,10 +1,13 @@
-"""Checks that the hyper-parameters of all algorithms share."""
+"""What the hyper-parameters of all algorithms share: checks and a type."""
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 from marl_mm.errors import UsageError
+
+Precision = Literal["auto", "highest", "medium"]
+"""Precision of products of float32 matrices; see ``speed.matrix_products``."""
 
 
 def check_ranges(

@@ -6,27 +6,14 @@ actor loss of agent i: -Q(s, (pi_i(o_i), a_-i)), where a_-i is what the others w
 now or, as in the source, what they did.
 """
 
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import torch
 
-from marl_mm.algorithms.ddpg import TABLE_2, Ddpg, DdpgConfig, check_hindsight
-from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm
+from marl_mm.algorithms.ddpg import Ddpg
+from marl_mm.algorithms.maddpg_config import MaddpgConfig
 from marl_mm.algorithms.replay import Batch
 from marl_mm.layout import AgentLayout
-
-# --- Config ------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class MaddpgConfig(DdpgConfig):
-    """Hyper-parameters: those of DDPG, and what the agents take each other to do."""
-
-    others: Literal["replay", "policy"] = "policy"
-    """What the other agent's action is in an actor's loss: the one in the replay (Lowe
-    2017) or the one it would take now."""
 
 
 class Maddpg(Ddpg):
@@ -58,32 +45,3 @@ class Maddpg(Ddpg):
         # Together as much as of all at once.
         share = own.shape[-1] / len(self.layout.action)
         return loss + self.config.action_penalty * share * own.square().mean()
-
-
-_PAPER = MaddpgConfig(**TABLE_2, others="replay")  # Lowe 2017
-
-ALGORITHMS.add(
-    "maddpg",
-    Algorithm(
-        about="MADDPG: decentralised actors, one centralised critic (Lowe 2017).",
-        source="Lowe 2017",
-        learner=Maddpg,
-        presets={
-            TUNED: MaddpgConfig(hindsight=0),
-            PAPER: replace(_PAPER, hindsight=0),
-        },
-        online=True,
-        check=partial(check_hindsight, "maddpg"),
-    ),
-)
-ALGORITHMS.add(
-    "maddpg-her",
-    Algorithm(
-        about="MADDPG that replays most steps with goals reached later (HER).",
-        source="Lowe 2017; Andrychowicz 2017",
-        learner=Maddpg,
-        presets={TUNED: MaddpgConfig(), PAPER: _PAPER},
-        online=True,
-        check=partial(check_hindsight, "maddpg-her"),
-    ),
-)

@@ -5,30 +5,14 @@ joint state and action. Loss of agent i's actor: -lambda_i Q_i(s, (pi_i(o_i), a_
 + MSE(a_i, pi_i(o_i)), where a_-i is what the others did or would do now.
 """
 
-from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import torch
 
+from marl_mm.algorithms.matd3_bc_config import Matd3BcConfig
 from marl_mm.algorithms.offline_batches import OfflineBatch
-from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm
-from marl_mm.algorithms.td3_bc import TABLE_3, Td3Bc, Td3BcConfig
+from marl_mm.algorithms.td3_bc import Td3Bc
 from marl_mm.layout import AgentLayout, columns
-
-# --- Config ------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Matd3BcConfig(Td3BcConfig):
-    """Hyper-parameters: those of TD3+BC, and what the agents share."""
-
-    critics: Literal["shared", "own"] = "shared"
-    """Whether each agent has a pair of critics of its own, as in the source: they learn
-    from the same reward."""
-
-    others: Literal["data", "policy"] = "policy"
-    """What the other agent's action is in an actor's loss: the dataset's (as in Lowe
-    2017) or the one it would take now."""
 
 
 class Matd3Bc(Td3Bc):
@@ -67,17 +51,3 @@ class Matd3Bc(Td3Bc):
             losses[f"loss/{agent.name}"] = loss.detach()
             losses[f"loss/imitation/{agent.name}"] = error.detach()
         return losses
-
-
-ALGORITHMS.add(
-    "matd3-bc",
-    Algorithm(
-        about="MATD3+BC: decentralised actors, centralised critics (Pan 2022).",
-        source="Pan 2022",
-        learner=Matd3Bc,
-        presets={
-            TUNED: Matd3BcConfig(),
-            PAPER: Matd3BcConfig(**TABLE_3, critics="own", others="data"),  # Pan 2022
-        },
-    ),
-)

@@ -14,8 +14,9 @@ import numpy as np
 from marl_mm.algorithms.algorithm import Resumable
 from marl_mm.algorithms.checkpoint import BEST, FILE, save_checkpoint, save_policy
 from marl_mm.algorithms.explore import Explorer
+from marl_mm.algorithms.loggers import DEFAULT_LOGGERS, Row
 from marl_mm.algorithms.policy import LearnedPolicy
-from marl_mm.algorithms.runlog import Row, RunLog, is_best
+from marl_mm.algorithms.runlog import RunLog, is_best
 from marl_mm.algorithms.speed import prepare_for_small_networks
 from marl_mm.algorithms.train import Evaluate
 from marl_mm.episode import Episode
@@ -104,6 +105,7 @@ def train_online(
     evaluate: Evaluate,
     schedule: Schedule,
     advance: Advance = silent,
+    loggers: Sequence[str] = DEFAULT_LOGGERS,
 ) -> None:
     """Train until the config's number of episodes, or until the success rate is flat.
 
@@ -115,6 +117,7 @@ def train_online(
         evaluate: Measures a policy: ``success/all``, ``return/all`` and more.
         schedule: When.
         advance: Told the episodes.
+        loggers: Names of the loggers beside ``metrics.jsonl``, see ``LOGGERS``.
 
     Raises:
         KeyboardInterrupt: After Ctrl-C, saying which checkpoint there is.
@@ -123,7 +126,7 @@ def train_online(
     prepare_for_small_networks()
     total = algorithm.config.episodes
     advance(algorithm.episodes, "")
-    with RunLog(run, "episode", since=algorithm.episodes) as log:
+    with RunLog(run, "episode", algorithm.episodes, loggers) as log:
         saved = algorithm.episodes
         try:
             while saved < total and not is_flat(log.rows, schedule.patience):

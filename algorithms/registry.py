@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from importlib import import_module
 from typing import Any
 
 from marl_mm.algorithms.run_config import RunConfig
@@ -60,10 +61,26 @@ class Algorithm:
             check_settings(config, _NEEDED[self.online], recorded)
 
 
+def imported(learner: str) -> Callable[..., Any]:
+    """A learner of a module that is imported when the first one is made.
+
+    Hyper-parameters are then at hand without torch, which takes a second.
+
+    Args:
+        learner: Module and name, as in "package.module:Name".
+    """
+
+    def make(*arguments: Any) -> Any:
+        module, name = learner.split(":")
+        return getattr(import_module(module), name)(*arguments)
+
+    return make
+
+
 ALGORITHMS: Registry[Algorithm] = Registry(
     "algorithm",
     [
-        f"marl_mm.algorithms.{name}"
+        f"marl_mm.algorithms.{name}_config"
         for name in ("mabc", "td3_bc", "matd3_bc", "ddpg", "maddpg")
     ],
     of=Algorithm,

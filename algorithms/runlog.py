@@ -1,17 +1,22 @@
-"""What a run writes as it trains: ``metrics.jsonl`` and TensorBoard's event files."""
+"""The log of a run: its record, ``metrics.jsonl``, and the loggers beside it."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import TypedDict
 
+from marl_mm.algorithms.loggers import (
+    DEFAULT_LOGGERS,
+    LOGGERS,
+    Logger,
+    Row,
+    check_loggers,
+)
 from marl_mm.errors import CheckpointError
 from marl_mm.files import new_file
 
 METRICS = "metrics.jsonl"
-
-Row = dict[str, Any]
-"""A line of a run's metrics."""
+"""The record of a run: JSON lines, one a row."""
 
 CurvePoint = TypedDict(
     "CurvePoint",
@@ -33,21 +38,31 @@ measured."""
 
 
 class RunLog:
-    """Appends rows to a run's metrics; use it in a ``with`` block.
+    """Appends rows to a run's record and to its loggers; use it in a ``with`` block.
 
     Args:
         run: The run's folder.
         clock: Key of a row that counts its progress, ``step`` or ``episode``.
-        since: Where the run stands: rows beyond are of an attempt that was cut off
-            after its last checkpoint, and go.
+        since: Progress of the run's checkpoint. Rows beyond it are of an attempt that
+            was cut off, and are deleted.
+        loggers: Names of the loggers beside the record, see ``LOGGERS``. They start
+            with the first row.
 
     Raises:
         CheckpointError: If rows are damaged, or end before the checkpoint.
+        UsageError: If a logger is unknown or cannot start.
     """
 
-    def __init__(self, run: Path, clock: str, since: int) -> None:
-        self.run, self._clock, self._since = run, clock, since
-        self._writer: Any = None
+    def __init__(
+        self,
+        run: Path,
+        clock: str,
+        since: int,
+        loggers: Sequence[str] = DEFAULT_LOGGERS,
+    ) -> None:
+        check_loggers(loggers)
+        self.run, self._clock, self._names = run, clock, loggers
+        self._loggers: list[Logger] | None = None
         self.rows = [row for row in read_metrics(run) if row[clock] <= since]
         """All rows of the run so far."""
 
@@ -55,7 +70,7 @@ class RunLog:
             last = self.rows[-1][clock] if self.rows else "nowhere"
             raise CheckpointError(
                 f"{run / METRICS} ends at {clock} {last}, the checkpoint beside it at "
-                f"{since}: one was cut off; start anew with --overwrite"
+                f"{since}: one was cut off; start anew with `overwrite=True`"
             )
         with new_file(run / METRICS) as temporary:
             temporary.write_text("".join(map(_line, self.rows)))
@@ -64,24 +79,20 @@ class RunLog:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        if self._writer is not None:
-            self._writer.close()
+        for logger in self._loggers or ():
+            logger.close(failed=exception[0] is not None)
 
     def add(self, row: Row) -> None:
-        """Write a row; its numbers are TensorBoard's scalars, too."""
-        if self._writer is None:
-            # It imports protobuf and more, which takes a second.
-            from torch.utils.tensorboard import SummaryWriter
-
-            purge = self._since + 1 if self._since else None
-            self._writer = SummaryWriter(str(self.run), purge_step=purge)
+        """Write a row, and give it to every logger."""
+        if self._loggers is None:
+            self._loggers = [
+                LOGGERS[name](self.run, self._clock, self.rows) for name in self._names
+            ]
         self.rows.append(row)
         with (self.run / METRICS).open("a") as file:
             file.write(_line(row))
-        for key, value in row.items():
-            if key != self._clock:
-                self._writer.add_scalar(key, value, row[self._clock])
-        self._writer.flush()
+        for logger in self._loggers:
+            logger.log(row[self._clock], row)
 
 
 def read_metrics(run: Path) -> list[Row]:

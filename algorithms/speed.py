@@ -9,11 +9,10 @@ import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import Literal
 
 import torch
 
-Precision = Literal["auto", "highest", "medium"]
+from marl_mm.algorithms.config_checks import Precision
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 """Of glibc's mallopt(3)."""

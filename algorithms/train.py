@@ -1,7 +1,7 @@
 """The training loop and the run folders it fills.
 
 A run is a folder: ``config.json`` (written before the first step), ``metrics.jsonl``,
-TensorBoard's ``events*``, ``checkpoint.pt``, the policy of the learning curve's best
+the files of the loggers, ``checkpoint.pt``, the policy of the learning curve's best
 point in ``best.pt`` and, from the last evaluation, ``eval.json``.
 """
 
@@ -22,8 +22,9 @@ from marl_mm.algorithms.checkpoint import (
     save_seed,
     save_seeds_policy,
 )
+from marl_mm.algorithms.loggers import DEFAULT_LOGGERS, Row
 from marl_mm.algorithms.policy import LearnedPolicy
-from marl_mm.algorithms.runlog import CurvePoint, Row, RunLog, is_best
+from marl_mm.algorithms.runlog import CurvePoint, RunLog, is_best
 from marl_mm.algorithms.speed import matrix_products, prepare_for_small_networks
 from marl_mm.config_diff import refuse_other_config
 from marl_mm.errors import CheckpointError, DivergedError
@@ -44,6 +45,7 @@ def train(
     evaluate_every: int,
     advance: Advance = silent,
     stop_unsound: bool = True,
+    loggers: Sequence[str] = DEFAULT_LOGGERS,
 ) -> None:
     """Update until the config's number of updates, from wherever the algorithm stands.
 
@@ -54,6 +56,7 @@ def train(
         evaluate_every: [updates]
         advance: Told the updates.
         stop_unsound: Also stop at finite values that are beyond all returns.
+        loggers: Names of the loggers beside ``metrics.jsonl``, see ``LOGGERS``.
 
     Raises:
         KeyboardInterrupt: After Ctrl-C, saying which checkpoint there is.
@@ -64,7 +67,8 @@ def train(
     total, saved = algorithm.config.updates, algorithm.step
     advance(saved, "")
     with ExitStack() as stack:
-        logs = [stack.enter_context(RunLog(run, "step", since=saved)) for run in runs]
+        opened = (RunLog(run, "step", saved, loggers) for run in runs)
+        logs = [stack.enter_context(log) for log in opened]
 
         def keep(step: int, rows: Sequence[Row]) -> None:
             with deaf_to_interrupts():  # all seeds at the same step

@@ -3,15 +3,19 @@
 It is kept with the dataset: ``card.json``, ``card.md`` and ``card.png``.
 """
 
+import io
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from marl_mm.datasets.arrays import EpisodeArrays
-from marl_mm.datasets.dataset import Dataset
 from marl_mm.files import new_file, write_json
+from marl_mm.notebook import html_picture, html_table
+
+if TYPE_CHECKING:
+    from marl_mm.datasets.dataset import Dataset
 
 _BINS = 10
 _CELL = 0.1
@@ -21,7 +25,7 @@ _HAND = ("end_effector_x", "end_effector_y", "end_effector_z")
 _BASE = ("base_x", "base_y")
 
 
-def card(dataset: Dataset) -> dict[str, Any]:
+def card(dataset: "Dataset") -> dict[str, Any]:
     """Size, successes, lengths, returns, alphas, coverage and sources of a dataset.
 
     Everything is JSON-serialisable. A histogram has ten bins of equal width from
@@ -79,7 +83,7 @@ def coverage(arrays: EpisodeArrays) -> dict[str, float]:
     }
 
 
-def keep_card(dataset: Dataset) -> dict[str, Any]:
+def keep_card(dataset: "Dataset") -> dict[str, Any]:
     """Write a dataset's card beside it as JSON, Markdown and figure; return it.
 
     Where there is no room or permission, nothing is written.
@@ -102,7 +106,7 @@ def keep_card(dataset: Dataset) -> dict[str, Any]:
     return values
 
 
-def write_card(dataset: Dataset, values: dict[str, Any], stem: Path) -> None:
+def write_card(dataset: "Dataset", values: dict[str, Any], stem: Path) -> None:
     """Write a card as Markdown and figure: what it is called, without its ending."""
     from marl_mm.datasets.card_figure import draw_card  # matplotlib takes a second
 
@@ -125,6 +129,15 @@ def card_markdown(values: dict[str, Any], figure: str = "card.png") -> str:
     """The card as a Markdown page with its figure, a file beside it."""
     rows = "\n".join(f"| {name} | {text} |" for name, text in _rows(values))
     return f"# {values['id']}\n\n| | |\n| --- | --- |\n{rows}\n\n![card]({figure})\n"
+
+
+def card_html(dataset: "Dataset") -> str:
+    """The card as a table with its figure, for notebooks."""
+    from marl_mm.datasets.card_figure import draw_card  # matplotlib takes a second
+
+    values, picture = card(dataset), io.BytesIO()
+    draw_card(dataset.arrays, values, picture)
+    return html_table(_rows(values)) + html_picture(picture.getvalue(), "card")
 
 
 def _rows(values: dict[str, Any]) -> list[tuple[str, str]]:

@@ -1,7 +1,7 @@
 """A dataset's card as one figure."""
 
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,13 +15,15 @@ _HAND = ("end_effector_x", "end_effector_z")
 _REACHED, _MISSED = "#1b6ca8", "#c8553d"
 
 
-def draw_card(arrays: EpisodeArrays, values: dict[str, Any], path: Path) -> None:
-    """Goals, hands, lengths, returns, displacements and alphas, as PNG.
+def draw_card(
+    arrays: EpisodeArrays, values: dict[str, Any], file: Path | IO[bytes]
+) -> None:
+    """Draw goals, hands, lengths, returns, displacements and alphas, as a PNG.
 
     Args:
         arrays: The dataset's episodes.
-        values: Its card.
-        path: To write.
+        values: The dataset's card.
+        file: Path or open file to write.
     """
     figure = Figure(figsize=(12, 6.4), layout="constrained")
     axes = figure.subplots(2, 3).ravel()
@@ -44,9 +46,10 @@ def draw_card(arrays: EpisodeArrays, values: dict[str, Any], path: Path) -> None
     axes[3].legend(frameon=False)
     _actions(axes[4], axes[5], arrays)
     figure.suptitle(
-        f"{values['id']}: {values['steps']} steps, {values['episodes']} episodes"
+        f"{values['id']}: {values['steps']} steps, {values['episodes']} episodes",
+        parse_math=False,  # an id may hold dollars
     )
-    figure.savefig(path, dpi=110, format="png")
+    figure.savefig(file, dpi=110, format="png")
 
 
 def _actions(others: Axes, alphas: Axes, arrays: EpisodeArrays) -> None:

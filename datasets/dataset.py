@@ -15,6 +15,7 @@ import numpy as np
 
 from marl_mm.datasets import shipped
 from marl_mm.datasets.arrays import EpisodeArrays
+from marl_mm.datasets.card import card, card_html
 from marl_mm.datasets.location import SHIPPED, Location, find, locate
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import read_arrays, read_metadata
@@ -80,6 +81,17 @@ class Dataset:
     def __repr__(self) -> str:
         count, steps = len(self.arrays), self.arrays.steps
         return f"<Dataset {self.location.folder}: {steps} steps, {count} episodes>"
+
+    def _repr_html_(self) -> str:
+        """The card with its figure, for notebooks."""
+        return card_html(self)
+
+    def card(self) -> dict[str, Any]:
+        """Contents in numbers: size, success, lengths, returns, alphas, coverage.
+
+        JSON-serialisable; lengths in steps.
+        """
+        return card(self)
 
     @cached_property
     def provenance(self) -> Provenance:

@@ -9,6 +9,7 @@ from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import UsageError
 from marl_mm.eval.goals import goal_set
 from marl_mm.eval.metrics import EvaluationRow, episode_row, summarize_directions
+from marl_mm.notebook import html_table
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
 
@@ -36,6 +37,12 @@ class Evaluation:
     def success_rate(self) -> float:
         """Share of goals reached."""
         return float(self.summary["all"]["success_rate"])
+
+    def _repr_html_(self) -> str:
+        """The table with intervals, for notebooks."""
+        from marl_mm.eval.tables import header, table_rows  # which needs evaluations
+
+        return html_table(table_rows([self]), header())
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> "Evaluation":

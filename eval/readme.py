@@ -18,7 +18,7 @@ from marl_mm.envs.tasks.carry import Carry
 from marl_mm.envs.tasks.grasp import LAYOUT as HANDLING
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.eval.ablations import ABLATIONS, BLOCKS
-from marl_mm.eval.bench_tables import (
+from marl_mm.eval.bench.tables import (
     abuse_table,
     bench_table,
     data_table,

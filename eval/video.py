@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import IO, Any, NamedTuple, Protocol
 
 import imageio_ffmpeg
 import numpy as np
@@ -21,6 +21,9 @@ from marl_mm.progress import Advance, silent
 from marl_mm.sim.config import RATE, Camera
 
 FORMATS = (".mp4", ".gif")
+
+Strips = Sequence[tuple[str, Sequence[tuple[str, np.ndarray]]]]
+"""Rows of a film strip: a label, and pictures with a note each."""
 
 
 def check_format(path: Path) -> None:
@@ -42,7 +45,7 @@ class Rendered(Protocol):
         """A picture, shape (height, width, 3), uint8."""
 
 
-class Film:
+class Recorder:
     """Frames of a world, taken tick by tick at a rate of simulated time.
 
     Args:
@@ -93,7 +96,7 @@ def film_episode(
         The episode, and frames of shape (height, width, 3), uint8.
     """
     core = EpisodeCore(config, visual=True, gui=gui)
-    film = Film(core, camera, fps)
+    film = Recorder(core, camera, fps)
 
     def watch(tick: Tick) -> None:
         film(tick)
@@ -175,15 +178,19 @@ def write_video(path: Path, frames: Sequence[np.ndarray], fps: int) -> None:
             writer.close()
 
 
-def film_strip(
-    path: Path, rows: Sequence[tuple[str, Sequence[tuple[str, np.ndarray]]]]
-) -> None:
-    """Pictures side by side, one row per episode.
+def film_strip(path: Path, rows: Strips) -> None:
+    """Write pictures side by side, one row per episode, as a PNG.
 
     Args:
         path: Of the PNG.
         rows: Each a label and its pictures, each with a note for its corner.
     """
+    with new_file(path) as temporary:
+        draw_film_strip(temporary, rows)
+
+
+def draw_film_strip(file: Path | IO[bytes], rows: Strips) -> None:
+    """``film_strip`` into an open file, or a path."""
     columns = max(len(pictures) for _, pictures in rows)
     figure = Figure(figsize=(2.6 * columns, 2.0 * len(rows)), layout="constrained")
     axes: Any = figure.subplots(len(rows), columns, squeeze=False)
@@ -194,5 +201,4 @@ def film_strip(
             axis.imshow(picture)
             axis.text(8, picture.shape[0] - 12, note, fontsize=8)
         line[0].set_title(label, loc="left", fontsize=9)
-    with new_file(path) as temporary:
-        figure.savefig(temporary, dpi=110)
+    figure.savefig(file, dpi=110)

@@ -1,9 +1,49 @@
 """Multi-agent offline reinforcement learning on a simulated mobile manipulator."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from marl_mm.envs.registry import TASKS
 from marl_mm.plugins import load_installed
 
+if TYPE_CHECKING:
+    from marl_mm.datasets.dataset import load_dataset
+    from marl_mm.runs.collect import collect
+    from marl_mm.runs.evaluate import evaluate
+    from marl_mm.runs.play import play
+    from marl_mm.runs.policies import load_policy
+    from marl_mm.runs.run import load_run
+    from marl_mm.runs.train import train
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "collect",
+    "evaluate",
+    "load_dataset",
+    "load_policy",
+    "load_run",
+    "play",
+    "train",
+]
+
+_MODULES = {
+    "collect": "marl_mm.runs.collect",
+    "evaluate": "marl_mm.runs.evaluate",
+    "load_dataset": "marl_mm.datasets.dataset",
+    "load_policy": "marl_mm.runs.policies",
+    "load_run": "marl_mm.runs.run",
+    "play": "marl_mm.runs.play",
+    "train": "marl_mm.runs.train",
+}
+"""Modules of the public names: imported at their first use, as torch takes a second."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module 'marl_mm' has no attribute {name!r}")
+    return getattr(import_module(_MODULES[name]), name)
+
 
 TASKS.names()  # registers them with Gymnasium, too
 load_installed()

@@ -4,5 +4,5 @@ import sys
 
 from marl_mm.cli import main
 
-if __name__ == "__main__":  # processes that are spawned import this, too
+if __name__ == "__main__":  # spawned processes import this file, too
     sys.exit(main(sys.argv[1:]))

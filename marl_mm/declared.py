@@ -1,4 +1,4 @@
-"""Settings that declarations bring: what options and records are made of."""
+"""Checks of dataclasses of settings, whose fields become options and records."""
 
 from collections.abc import Iterable
 from dataclasses import MISSING, fields, is_dataclass
@@ -15,28 +15,29 @@ def defaults(kind: type) -> dict[str, object]:
     if not isinstance(kind, type) or not is_dataclass(kind):
         raise UsageError(f"{kind!r} is no dataclass, expected a frozen one of settings")
     values: dict[str, object] = {}
-    for one in fields(kind):
-        if one.default is not MISSING:
-            values[one.name] = one.default
-        elif one.default_factory is not MISSING:
-            values[one.name] = one.default_factory()
+    for field in fields(kind):
+        if field.default is not MISSING:
+            values[field.name] = field.default
+        elif field.default_factory is not MISSING:
+            values[field.name] = field.default_factory()
         else:
-            raise UsageError(f"{kind.__name__}.{one.name} has no default: give it one")
+            name = f"{kind.__name__}.{field.name}"
+            raise UsageError(f"{name} has no default: give it one")
     return values
 
 
 def check_settings(
     settings: object, needed: Iterable[str] = (), taken: Iterable[str] = ()
 ) -> None:
-    """Raise for settings that cannot be recorded, or lack what is needed.
+    """Raise for settings that cannot be recorded, or lack a field.
 
     Args:
-        settings: A dataclass's instance.
-        needed: Names that it must have.
+        settings: Instance of a dataclass.
+        needed: Names of fields or properties that it must have.
         taken: Names that mean something else where it is recorded.
 
     Raises:
-        UsageError: Naming what is missing, or has another's name.
+        UsageError: Naming the field that is missing, or whose name is taken.
     """
     kind = type(settings)
     known = defaults(kind)
@@ -48,10 +49,10 @@ def check_settings(
 
 
 def refuse_taken(kind: type, names: Iterable[str], taken: Iterable[str]) -> None:
-    """Raise for settings that have the names of others beside them.
+    """Raise for settings whose names are taken.
 
     Raises:
-        UsageError: Naming them.
+        UsageError: Naming the first of them.
     """
     if clash := sorted({*names} & {*taken}):
         raise UsageError(

@@ -1,4 +1,4 @@
-"""What one episode is, from the environment to the dataset file and back."""
+"""One episode, from the environment to the dataset's file and back."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -9,18 +9,18 @@ from marl_mm.errors import UsageError
 from marl_mm.layout import Layout
 
 FAILED = "failed"
-"""Reward term that every task has: whether the step ended its episode in failure."""
+"""Name of the reward term of every task: whether the step failed the episode."""
 
 GOAL_INFO = {
-    "distance": "what is compared with the goal to the goal at the step's end [m]",
+    "distance": "distance of the compared entries to the goal at the step's end [m]",
     "is_success": "whether the goal counts as reached at the step's end",
 }
-"""Step numbers about the goal."""
+"""Meanings, with units, of the step numbers about the goal, by name."""
 
 MOTION_INFO = {
-    "base_jerk_rms": "of the base's commanded acceleration within the step, without "
-    "the jump at its beginning [m/s^3]",
-    "base_acceleration_rms": "commanded, over the step [m/s^2]",
+    "base_jerk_rms": "rms jerk of the base's commanded acceleration within the step, "
+    "without the jump at its beginning [m/s^3]",
+    "base_acceleration_rms": "rms acceleration of the base, commanded [m/s^2]",
     "zmp_margin": "least distance of the zero-moment point to the support's edge [m]",
     "tilt": "largest angle of the base's vertical axis to the world's [rad]",
     "base_pitch": "largest pitch, which the controller's planar model lacks [rad]",
@@ -29,28 +29,28 @@ MOTION_INFO = {
     "qp_failures": "levels of the hierarchy that found no solution",
     "safe_ticks": "ticks in which the limits contradicted each other: it only braked",
 }
-"""Step numbers about the robots' motion, looked at every few ticks; of several robots
-the worst."""
+"""Meanings, with units, of the step numbers about the robots' motion, by name. They
+are measured every few ticks; of several robots the worst counts."""
 
 INFO = {
-    "d_mm": "end-effector to its target at the step's end [m]",
-    "d_mp": "base to its plan at the step's end [m]",
+    "d_mm": "distance of the end-effector to its target at the step's end [m]",
+    "d_mp": "distance of the base to its plan at the step's end [m]",
     **GOAL_INFO,
     **MOTION_INFO,
 }
-"""Step numbers of tasks in which one hand goes to a goal."""
+"""Meanings, with units, of the step numbers of tasks in which one hand reaches."""
 
 
 IMPORTED = "imported"
-"""Source of episodes that somebody else collected: not all of ``INFO`` is known."""
+"""Source of episodes from files of others, which may lack some of ``INFO``."""
 
 
 def failures(terminated: np.ndarray, is_success: np.ndarray) -> np.ndarray:
     """Steps that ended their episode without success; unknown success counts as one.
 
     Args:
-        terminated: Of steps.
-        is_success: As in ``INFO``.
+        terminated: Whether each step ended its episode, shape (n,).
+        is_success: Whether each step reached the goal, shape (n,), as in ``INFO``.
     """
     return np.asarray(terminated & (is_success == 0))
 
@@ -62,17 +62,17 @@ def reward_terms(
     after: np.ndarray,
     layout: Layout,
 ) -> dict[str, np.ndarray]:
-    """What steps' rewards depend on beside the goal, by name, shape (n,) each.
+    """Numbers that steps' rewards depend on beside the goal, by name, shape (n,) each.
 
     Args:
         needs: Names of step numbers or of the state's entries; see ``Task.needs``.
-        info: Step numbers by name.
-        failed: Whether each step ended its episode in failure.
+        info: Step numbers by name, shape (n,) each.
+        failed: Whether each step ended its episode in failure, shape (n,).
         after: Joint states after the steps, shape (n, d).
-        layout: Layout of these.
+        layout: Layout of the states.
 
     Raises:
-        UsageError: If neither has one of the names.
+        UsageError: If a name is neither a step number's nor a state entry's.
     """
     found = {FAILED: failed}
     for name in needs:
@@ -82,7 +82,7 @@ def reward_terms(
             found[name] = after[:, layout.state_names.index(name)]
         else:
             raise UsageError(
-                f"rewards depend on {name!r}, which the episodes do not tell: they "
+                f"rewards depend on {name!r}, which the episodes lack: they "
                 f"have {', '.join((*info, *layout.state_names))}"
             )
     return found
@@ -93,7 +93,7 @@ def directions(states: np.ndarray, layout: Layout) -> np.ndarray | None:
 
     Args:
         states: Joint states, shape (n, d).
-        layout: Layout of these; without an entry ``goal_x`` there are no directions.
+        layout: Layout of the states. Without an entry ``goal_x`` the result is None.
     """
     if "goal_x" not in layout.desired:
         return None
@@ -111,13 +111,13 @@ class Episode:
     """Joint actions, shape (T, k), float32."""
 
     rewards: np.ndarray
-    """Shape (T,)."""
+    """Rewards of the steps, shape (T,)."""
 
     terminated: np.ndarray
-    """Goal reached, or failed so that it cannot be, shape (T,), bool."""
+    """Whether a step reached the goal or failed, shape (T,), bool."""
 
     truncated: np.ndarray
-    """Out of steps, shape (T,), bool."""
+    """Whether the episode ran out of steps, shape (T,), bool."""
 
     info: dict[str, np.ndarray]
     """Step numbers by name, shape (T,) each; see ``Task.info``."""
@@ -126,8 +126,8 @@ class Episode:
     """Layout of states and actions."""
 
     seed: int
-    """``env.reset(seed=...)`` and these actions give this episode again, if its goal
-    was drawn from the seed (collections) or is given as an option (evaluations)."""
+    """Seed of the environment. ``env.reset(seed=...)`` and the actions repeat the
+    episode if its goal was drawn from the seed, or is given as an option."""
 
     index: int
     """Number of the attempt in its collection or evaluation."""
@@ -140,7 +140,8 @@ class Episode:
     [m], cosine and sine of its yaw, joints [rad]."""
 
     reason: str | None = None
-    """Why it failed, or nothing; None in tasks that cannot fail. Not kept in files."""
+    """Reason of the failure, empty without one; None in tasks that cannot fail. Files
+    do not keep it."""
 
     def __len__(self) -> int:
         return len(self.rewards)
@@ -152,12 +153,12 @@ class Episode:
 
     @property
     def failed(self) -> np.ndarray:
-        """Steps that ended it otherwise, shape (T,), bool."""
+        """Whether a step ended the episode without success, shape (T,), bool."""
         return failures(self.terminated, self.info["is_success"])
 
     @property
     def direction(self) -> str | None:
-        """``"forward"`` or ``"backward"``: on which side of the start the goal is."""
+        """Side of the start on which the goal is: "forward" or "backward"."""
         ahead = directions(self.states[:1], self.layout)
         return None if ahead is None else ("forward" if ahead[0] else "backward")
 

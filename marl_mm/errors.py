@@ -1,18 +1,19 @@
-"""Everything marl_mm raises on purpose.
+"""Errors that marl_mm raises on purpose.
 
-A message says what was wrong, what was got, what was expected, and what to do. The
-command line prints it as one line and exits with the class's ``exit_code``.
+A message says what is wrong, what was got, what was expected, and what to do. It names
+parameters in backquotes, as Python has them. The command line prints it as one line,
+with options for parameters, and exits with the class's ``exit_code``.
 """
 
 
 class MarlMmError(Exception):
-    """Base of all errors; by itself, something failed that was asked for correctly."""
+    """Base of all errors; by itself, a failure of something asked for correctly."""
 
     exit_code = 1
 
 
 class UsageError(MarlMmError, ValueError):
-    """What the caller asked for makes no sense: a bad value, name or path."""
+    """A value, name or path that makes no sense."""
 
     exit_code = 2
 
@@ -22,11 +23,11 @@ class OutputExistsError(UsageError):
 
 
 class OtherConfigError(UsageError):
-    """A run was made with other options than those that are to go on with it.
+    """A run that was begun with other options than those that continue it.
 
     Args:
-        difference: What was made with what.
-        advice: What to do.
+        difference: The values that differ, in words.
+        advice: The way out, in words.
     """
 
     def __init__(self, difference: str, advice: str) -> None:
@@ -38,43 +39,43 @@ class OtherConfigError(UsageError):
 
 
 class LayoutError(UsageError):
-    """A layout makes no sense, or is another one than what it meets."""
+    """A layout that makes no sense, or differs from the one that it meets."""
 
 
 class PluginError(MarlMmError):
-    """The code of a plug-in fails."""
+    """A failure in the code of a plug-in."""
 
 
 class UnknownDatasetError(UsageError):
-    """No dataset has this id or path."""
+    """An id or path that no dataset has."""
 
 
 class DatasetError(MarlMmError):
-    """A dataset's files are damaged or not in the expected layout."""
+    """Files of a dataset that are damaged, or not in the expected layout."""
 
 
 class CheckpointError(MarlMmError):
-    """A checkpoint is damaged or belongs to something else."""
+    """A checkpoint that is damaged, or belongs to something else."""
 
 
 class ExportError(MarlMmError):
-    """An exported policy does not act as the run's."""
+    """An exported policy that does not act as the run's."""
 
 
 class FailedRunsError(MarlMmError):
-    """Some runs of many failed, the others did not."""
+    """A failure of some runs among many."""
 
 
 class WorkerDiedError(MarlMmError):
-    """A process that did part of the work is gone."""
+    """The end of a worker process before its work was done."""
 
 
 class HopelessError(MarlMmError):
-    """A collector hardly ever produces an episode that a dataset would keep."""
+    """A collector that hardly ever produces an episode to keep."""
 
 
 class DivergedError(MarlMmError):
-    """Training produced a NaN, an infinity, or a value beyond all returns."""
+    """Training that produced a NaN, an infinity, or a value beyond all returns."""
 
 
 class InvalidActionError(MarlMmError, ValueError):
@@ -82,4 +83,4 @@ class InvalidActionError(MarlMmError, ValueError):
 
 
 class NonFiniteStateError(MarlMmError):
-    """The simulation or the controller produced a NaN or an infinity."""
+    """A NaN or an infinity from the simulation or the controller."""

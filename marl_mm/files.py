@@ -18,7 +18,7 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
 
     Raises:
         OutputExistsError: If ``path`` exists and ``overwrite`` is False.
-        UsageError: If it could not be written there at all.
+        UsageError: If its folder cannot be written.
     """
     folder = next(parent for parent in path.absolute().parents if parent.exists())
     if not folder.is_dir() or not os.access(folder, os.W_OK):
@@ -46,10 +46,10 @@ def new_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """A temporary folder beside ``path`` that takes its place on success.
+    """A temporary folder beside ``path`` that takes its place when the block succeeds.
 
-    What stood there is deleted after that. On file systems that can exchange two names
-    there is always one of both.
+    The folder that it replaces is deleted after that. One of the two is always there,
+    on file systems that can exchange two names.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     for killed in _left_by_killed(path.parent, f".{path.name}.", ".new"):
@@ -70,7 +70,7 @@ def new_folder(path: Path) -> Iterator[Path]:
 
 
 def _left_by_killed(folder: Path, before: str, after: str) -> Iterator[Path]:
-    """Temporary names there of processes that are gone, or had this one's number."""
+    """Temporary files in a folder of processes that are dead, or had this one's id."""
     for name in os.listdir(folder):
         writer = name.removeprefix(before).removesuffix(after)
         if name == f"{before}{writer}{after}" and writer.isdecimal():
@@ -79,7 +79,7 @@ def _left_by_killed(folder: Path, before: str, after: str) -> Iterator[Path]:
 
 
 def _to_disk(path: Path) -> None:
-    """Wait until a file's bytes, or a folder's names, would survive a power cut."""
+    """Wait until a file's bytes, or a folder's names, are safe from a power cut."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -87,35 +87,36 @@ def _to_disk(path: Path) -> None:
         os.close(descriptor)
 
 
-def _exchange(one: Path, other: Path) -> None:
-    """Let two paths change their names: in one step where Linux can."""
+def _exchange(new: Path, old: Path) -> None:
+    """Exchange the names of two paths, in one step where the file system can."""
     libc = ctypes.CDLL(None)
     here, exchange = -100, 2  # AT_FDCWD, RENAME_EXCHANGE
-    if libc.renameat2(here, bytes(one), here, bytes(other), exchange):
-        between = one.with_suffix(".old")  # network file systems cannot
-        other.rename(between)
-        one.rename(other)
-        between.rename(one)
+    if libc.renameat2(here, bytes(new), here, bytes(old), exchange):
+        between = new.with_suffix(".old")  # network file systems cannot
+        old.rename(between)
+        new.rename(old)
+        between.rename(new)
 
 
 @contextmanager
 def only_here(folder: Path, *, wait: bool = False) -> Iterator[None]:
-    """Keep other processes that ask for the same folder out of it; it is created.
+    """Lock a folder against other processes that call this; it is created.
+
+    The operating system unlocks it when the process ends, however it ends.
 
     Args:
-        folder: To be written in the block. The operating system lets go of it when the
-            process ends, however it does.
-        wait: Until it is free, instead of raising.
+        folder: Folder that is written in the block.
+        wait: Whether to wait until the folder is free instead of raising.
 
     Raises:
-        UsageError: If another process has it.
+        UsageError: If another process has locked it.
     """
     descriptor = -1
     try:
         while descriptor < 0:
             descriptor = _opened(folder)
             fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-            if not _is_open_at(descriptor, folder):  # the one before removed it
+            if not _is_open_at(descriptor, folder):  # the last owner removed it
                 os.close(descriptor)
                 descriptor = -1
         yield
@@ -129,7 +130,7 @@ def only_here(folder: Path, *, wait: bool = False) -> Iterator[None]:
 
 
 def _opened(folder: Path) -> int:
-    """A descriptor of a folder, made unless it is there."""
+    """A descriptor of a folder, which is created if it is missing."""
     while True:  # another process may remove it after each line
         with suppress(FileExistsError):
             folder.mkdir(parents=True, exist_ok=True)

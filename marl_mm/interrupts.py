@@ -1,4 +1,4 @@
-"""Moments that Ctrl-C must not cut in two."""
+"""Blocks that Ctrl-C must not interrupt."""
 
 import signal
 import sys
@@ -8,29 +8,29 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 _deaf = 0
-"""How many blocks that must not be interrupted are open."""
+"""Number of open blocks that must not be interrupted."""
 
 _late = False
-"""Whether an interrupt came while one was."""
+"""Whether an interrupt came during an open block."""
 
 _heard = float("-inf")
-"""When the last interrupt came [s]."""
+"""Time of the last interrupt [s]."""
 
 _ECHO = 1.0
-"""An interrupt this soon after another is the same one [s]: ``timeout`` and some shells
-send it to the process and to its group."""
+"""Time within which a second interrupt counts as the first [s]: ``timeout`` and some
+shells send it to the process and to its group."""
 
 
 @contextmanager
 def deaf_to_interrupts(*, forget: bool = False) -> Iterator[None]:
-    """Hold back Ctrl-C until the block is over; processes started there never hear it.
+    """Hold back Ctrl-C until the block ends; processes started in it never get it.
 
     Args:
-        forget: Whether an interrupt is dropped: there was one already.
+        forget: Whether an interrupt is dropped, as there was one already.
 
     Raises:
-        KeyboardInterrupt: After the block, if there was one in it and no other
-            exception is on its way.
+        KeyboardInterrupt: After the block, if an interrupt came in it and no other
+            exception is being raised.
     """
     global _deaf, _late
     if threading.current_thread() is not threading.main_thread():
@@ -38,11 +38,11 @@ def deaf_to_interrupts(*, forget: bool = False) -> Iterator[None]:
         return
     _deaf += 1  # first of all: from here on, ``interrupt`` only postpones
     handler = signal.getsignal(signal.SIGINT)
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, ())  # as it is
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, ())  # unchanged
     try:
-        if handler is not signal.SIG_IGN:  # as it is in jobs in the background
+        if handler is not signal.SIG_IGN:  # ignored in jobs in the background
             signal.signal(signal.SIGINT, _postpone)
-        # The mask is for processes started here: they inherit it, no handler.
+        # Processes started here inherit the mask, but no handler.
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         yield
     finally:
@@ -56,10 +56,10 @@ def deaf_to_interrupts(*, forget: bool = False) -> Iterator[None]:
 
 
 def end_on_signals() -> None:
-    """Let SIGINT and SIGTERM alike end a command: its workers and files, too.
+    """Let SIGINT and SIGTERM end a command alike, with its workers and open files.
 
-    SIGTERM does not go by way of SIGINT, which is ignored in jobs that a script started
-    in the background, and stays so.
+    SIGTERM has a handler of its own: SIGINT stays ignored in jobs that a script started
+    in the background.
     """
     signal.signal(signal.SIGTERM, interrupt)
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
@@ -67,7 +67,7 @@ def end_on_signals() -> None:
 
 
 def interrupt(number: int, frame: object) -> None:
-    """A handler of signals; one that repeats the last does nothing.
+    """Handler of SIGINT and SIGTERM, which ignores an echo of the last signal.
 
     Raises:
         KeyboardInterrupt: Unless a block holds it back.
@@ -85,7 +85,7 @@ def _postpone(number: int, frame: object) -> None:
 
 
 def _is_echo() -> bool:
-    """Note that an interrupt has come; whether it repeats the last."""
+    """Note the time of an interrupt; return whether it repeats the last one."""
     global _heard
     now = time.monotonic()
     if now - _heard < _ECHO:

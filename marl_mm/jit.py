@@ -1,8 +1,8 @@
 """Compiled functions whose disk cache notices a change in any of their sources.
 
-Numba's cache watches only the file that a function stands in. A function that calls
-into another file would go on with that file's old code, and silently: so the cache
-folder is named after the contents of all sources that take part.
+Numba's cache watches only the file of the function itself. A function that calls into
+another file would silently go on with that file's old code. The cache folder is
+therefore named after the contents of all sources of compiled code.
 """
 
 import hashlib
@@ -21,11 +21,10 @@ _SOURCES = (
     "jit.py",
     "control/*.py",
     "control/compiled/*.py",
-    "control/tasks/task.py",
     "robot/*.py",
     "sim/planar.py",
 )
-"""Below the package: everything that compiled code is made of."""
+"""Patterns of all sources of compiled code, relative to the package."""
 
 
 def jit(function: Callable[P, R]) -> Callable[P, R]:
@@ -41,7 +40,7 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
 
 @cache
 def source_fingerprint() -> str:
-    """Of all sources that compiled code is made of, and of numba; 16 hex digits."""
+    """Hash of all sources of compiled code and of numba's version, 16 hex digits."""
     package = Path(__file__).resolve().parent
     digest = hashlib.sha256(numba.__version__.encode())
     for pattern in _SOURCES:
@@ -52,7 +51,7 @@ def source_fingerprint() -> str:
 
 @cache
 def _cache_folder() -> Path:
-    """The first place that can be written to, with the sources' fingerprint."""
+    """The first folder that can be written, named after the sources' fingerprint."""
     package = Path(__file__).resolve().parent
     name = f"numba-{source_fingerprint()}"
     for parent in (package / "__pycache__", Path.home() / ".cache" / "marl_mm"):

@@ -1,6 +1,6 @@
-"""What a joint state and a joint action hold, entry by entry, and each agent's part.
+"""Layouts: names, units and bounds of a joint state and action, and the agents' parts.
 
-A layout travels with what it describes: episodes, datasets, checkpoints, policies. No
+A layout travels with the episodes, datasets, checkpoints and policies it describes. No
 number is ever read by its place without the layout that names it.
 """
 
@@ -15,19 +15,19 @@ import numpy as np
 from marl_mm.errors import LayoutError
 
 JOINT_NAME = "joint"
-"""Name of the single actor of algorithms that do not know agents."""
+"""Name of the single actor of algorithms without agents."""
 
 _RESERVED = (
     *(JOINT_NAME, "actor", "critic", "imitation"),
     *("state", "next_state", "rewards", "terminals", "timeouts", "episodes"),
 )
-"""Names that agents may not have, as logs, checkpoints and exported files use them."""
+"""Names that agents may not have: logs, checkpoints and exported files use them."""
 
-MOST_AGENTS = 8
-"""Largest number of agents of a layout."""
+MAX_AGENTS = 8
+"""Largest number of agents in a layout."""
 
 Columns = slice | list[int]
-"""Index of entries along an array's last axis."""
+"""Index of some entries along an array's last axis."""
 
 
 @dataclass(frozen=True)
@@ -35,16 +35,16 @@ class Entry:
     """One number of a joint state or a joint action."""
 
     name: str
-    """Name, a Python identifier that is unique in the state or action."""
+    """Name: a Python identifier, unique within the state or action."""
 
     unit: str = "1"
-    """Unit; "1" for numbers without one."""
+    """Unit of the number; "1" for pure numbers."""
 
     low: float = -math.inf
-    """Least value."""
+    """Lower bound, in the entry's unit."""
 
     high: float = math.inf
-    """Largest value."""
+    """Upper bound, in the entry's unit."""
 
     def __str__(self) -> str:
         bounded = math.isfinite(self.low) or math.isfinite(self.high)
@@ -54,14 +54,16 @@ class Entry:
 
 @dataclass(frozen=True)
 class Agent:
-    """What one agent sees and sets, by names of entries."""
+    """One agent's observation and action, by names of entries."""
 
     name: str
+    """Name of the agent."""
+
     sees: tuple[str, ...]
-    """Names of entries of the joint state, in the order of its observation."""
+    """Names of the joint state's entries, in the order of the agent's observation."""
 
     sets: tuple[str, ...]
-    """Names of entries of the joint action; no two agents set the same."""
+    """Names of the joint action's entries; no two agents set the same entry."""
 
     def __post_init__(self) -> None:
         _make_tuples(self, "sees", "sets")
@@ -72,30 +74,32 @@ class Agent:
 
 @dataclass(frozen=True)
 class AgentLayout:
-    """What one agent sees and sets, by places in the joint state and action."""
+    """One agent's observation and action, by places in the joint state and action."""
 
     name: str
+    """Name of the agent."""
 
     observation: tuple[int, ...]
-    """Places of its observation in the joint state."""
+    """Places of the observation's entries in the joint state."""
 
     action: tuple[int, ...]
-    """Places of its action in the joint action."""
+    """Places of the action's entries in the joint action."""
 
     low: tuple[float, ...]
-    """Least values of its action."""
+    """Lower bounds of the action, in the entries' units."""
 
     high: tuple[float, ...]
-    """Largest values of its action."""
+    """Upper bounds of the action, in the entries' units."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Entries of a joint state and action, the agents, and what the goal is.
+    """Entries of a joint state and action, the agents, and the goal.
 
     Raises:
-        LayoutError: If names are missing, unknown or not unique, an action entry has
-            no agent or several, no bounds, or the goal does not fit what is compared.
+        LayoutError: If names are missing, unknown or not unique, if an action entry has
+            no bounds, no agent or several, or if goal and compared entries differ in
+            number.
     """
 
     state: tuple[Entry, ...]
@@ -105,13 +109,13 @@ class Layout:
     """Entries of the joint action, in order; each is bounded."""
 
     team: tuple[Agent, ...]
-    """Agents in order, 1 to 8 of them."""
+    """Agents, in order, 1 to 8 of them."""
 
     compared: tuple[str, ...]
     """Names of the state's entries that are compared with the goal."""
 
     desired: tuple[str, ...]
-    """Names of the state's entries that are the goal, as many, in the same order."""
+    """Names of the state's entries that hold the goal, as many, in the same order."""
 
     def __post_init__(self) -> None:
         _make_tuples(self, "state", "action", "team", "compared", "desired")
@@ -127,10 +131,8 @@ class Layout:
             if not agent.sees or not agent.sets:
                 raise LayoutError(f"agent {agent.name!r} sees or sets no entry")
             _check_known("state", agent.sees, self.state_names, f"{agent.name!r} sees")
-        if len(self.team) > MOST_AGENTS:
-            raise LayoutError(
-                f"{len(self.team)} agents, expected at most {MOST_AGENTS}"
-            )
+        if len(self.team) > MAX_AGENTS:
+            raise LayoutError(f"{len(self.team)} agents, expected at most {MAX_AGENTS}")
         sets = [name for agent in self.team for name in agent.sets]
         if sorted(sets) != sorted(self.action_names):
             raise LayoutError(
@@ -164,12 +166,12 @@ class Layout:
 
     @cached_property
     def low(self) -> tuple[float, ...]:
-        """Least values of the joint action."""
+        """Lower bounds of the joint action, shape (k,), in the entries' units."""
         return tuple(entry.low for entry in self.action)
 
     @cached_property
     def high(self) -> tuple[float, ...]:
-        """Largest values of the joint action."""
+        """Upper bounds of the joint action, shape (k,), in the entries' units."""
         return tuple(entry.high for entry in self.action)
 
     @cached_property
@@ -179,18 +181,18 @@ class Layout:
 
     @cached_property
     def goal(self) -> Columns:
-        """Columns of the state that are the goal."""
+        """Columns of the state that hold the goal."""
         return columns(places(self.state_names, self.desired))
 
     @cached_property
     def observation(self) -> Columns:
-        """Columns of the state but for the goal."""
+        """Columns of the state without the goal."""
         rest = (name for name in self.state_names if name not in self.desired)
         return columns(places(self.state_names, rest))
 
     @cached_property
     def agents(self) -> tuple[AgentLayout, ...]:
-        """The agents by places in the joint state and action."""
+        """The agents by places in the joint state and action, in order."""
         return tuple(
             self._placed(
                 agent.name,
@@ -202,7 +204,7 @@ class Layout:
 
     @cached_property
     def joint(self) -> AgentLayout:
-        """One agent that sees and sets everything, for algorithms without agents."""
+        """A single agent that sees and sets it all, for algorithms without agents."""
         seen, sets = range(len(self.state)), range(len(self.action))
         return self._placed(JOINT_NAME, tuple(seen), tuple(sets))
 
@@ -210,7 +212,7 @@ class Layout:
         """Columns of the state's entries of these names.
 
         Raises:
-            LayoutError: Naming those that the state lacks.
+            LayoutError: Naming the entries that the state lacks.
         """
         _check_known("state", names, self.state_names, "it is asked for")
         return columns(places(self.state_names, names))
@@ -219,13 +221,13 @@ class Layout:
         """Columns of the action's entries of these names.
 
         Raises:
-            LayoutError: Naming those that the action lacks.
+            LayoutError: Naming the entries that the action lacks.
         """
         _check_known("action", names, self.action_names, "it is asked for")
         return columns(places(self.action_names, names))
 
     def state_of(self, observation: np.ndarray, goal: np.ndarray) -> np.ndarray:
-        """Joint states of what a goal environment shows, float64, shape (..., n)."""
+        """Joint states, float64, shape (..., n), of observations and their goals."""
         shape = (*observation.shape[:-1], len(self.state))
         state = np.empty(shape)
         state[..., self.observation], state[..., self.goal] = observation, goal
@@ -235,7 +237,7 @@ class Layout:
         """Raise for a joint state of another width.
 
         Raises:
-            LayoutError: Naming what it should hold.
+            LayoutError: Naming the entries that it should hold.
         """
         if state.shape != (len(self.state),):
             raise LayoutError(
@@ -244,7 +246,7 @@ class Layout:
             )
 
     def to_json(self) -> dict[str, Any]:
-        """The layout, JSON-serialisable; infinite bounds are None."""
+        """The layout as JSON values; infinite bounds are None."""
         return {
             "state": [_entry_to_json(entry) for entry in self.state],
             "action": [_entry_to_json(entry) for entry in self.action],
@@ -255,10 +257,10 @@ class Layout:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> "Layout":
-        """The layout of a file.
+        """The layout of ``to_json``'s values.
 
         Raises:
-            LayoutError: If it is none.
+            LayoutError: If they are no layout.
         """
         try:
             return cls(
@@ -277,35 +279,35 @@ class Layout:
     def _placed(
         self, name: str, seen: tuple[int, ...], sets: tuple[int, ...]
     ) -> AgentLayout:
-        low, high = (tuple(one[i] for i in sets) for one in (self.low, self.high))
+        low, high = (tuple(bound[i] for i in sets) for bound in (self.low, self.high))
         return AgentLayout(name, seen, sets, low, high)
 
 
 def columns(entries: Sequence[int]) -> Columns:
-    """Index of these places; a slice where it says the same, as that makes a view."""
+    """Index of these places: a slice where they are consecutive, which makes views."""
     run = slice(entries[0], entries[-1] + 1) if entries else slice(0, 0)
     return run if list(entries) == list(range(run.start, run.stop)) else list(entries)
 
 
 def places(names: Sequence[str], chosen: Iterable[str]) -> tuple[int, ...]:
-    """Where the chosen ones of these names stand."""
+    """Places of the chosen names among all names."""
     return tuple(names.index(name) for name in chosen)
 
 
 def in_order(agents: Iterable[AgentLayout]) -> list[int] | None:
-    """Order that brings agents' actions, one after the other, into the joint action's.
+    """Order that sorts the agents' actions, concatenated, into the joint action.
 
-    None where they stand in that order already.
+    None if they are in that order already.
     """
     placed = [place for agent in agents for place in agent.action]
     order = sorted(range(len(placed)), key=placed.__getitem__)
     return None if order == list(range(len(placed))) else order
 
 
-def _make_tuples(one: Any, *names: str) -> None:
-    """Lists become tuples, so that they compare equal and can be hashed."""
+def _make_tuples(record: Any, *names: str) -> None:
+    """Turn lists into tuples, which compare equal and can be hashed."""
     for name in names:
-        object.__setattr__(one, name, tuple(getattr(one, name)))
+        object.__setattr__(record, name, tuple(getattr(record, name)))
 
 
 def _check_names(part: str, names: Sequence[str]) -> None:

@@ -1,8 +1,8 @@
 """Plug-ins: code of others that registers tasks, algorithms, collectors and the like.
 
-A plug-in is a Python file or module, and is run as such when it is loaded: only those
-that somebody names, or has installed with an entry point of the group
-``marl_mm.plugins``. Nothing in a dataset or a checkpoint ever loads one.
+A plug-in is a Python file or module, and loading it runs its code. Only plug-ins that
+the user names are loaded, and installed ones with an entry point of the group
+``marl_mm.plugins``. Nothing in a dataset or a checkpoint ever loads a plug-in.
 """
 
 import hashlib
@@ -21,24 +21,24 @@ from marl_mm.errors import MarlMmError, PluginError, UsageError
 from marl_mm.registry import BUILT_IN, registered_by
 
 GROUP = "marl_mm.plugins"
-"""Group of the entry points of installed plug-ins."""
+"""Name of the group of entry points of installed plug-ins."""
 
 _PREFIX = "marl_mm_plugin_"
-"""Beginning of the names of modules that are made of files."""
+"""Prefix of the names of modules that are made from files."""
 
 
 @dataclass(frozen=True)
 class Plugin:
-    """Code that has been loaded."""
+    """A plug-in that has been loaded."""
 
     name: str
-    """Name of its file, or its module."""
+    """Name of the file or module."""
 
     source: str
-    """Absolute path of its file, or its module: what loads it again."""
+    """Absolute path of the file, or name of the module, which loads it again."""
 
     sha256: str
-    """Hash of its code."""
+    """SHA-256 of the code, in hex digits."""
 
 
 _loaded: dict[str, Plugin] = {}
@@ -46,15 +46,15 @@ _loaded: dict[str, Plugin] = {}
 
 
 def load(source: str | Path) -> Plugin:
-    """Load a plug-in: its code is run.
+    """Load a plug-in, which runs its code.
 
-    A file with the same bytes as a plug-in that has been loaded is that plug-in.
+    A file with the same bytes as a loaded plug-in is that plug-in.
 
     Args:
-        source: A file, ``FILE.py``, or a module that can be imported.
+        source: Path of a file that ends in .py, or name of a module.
 
     Raises:
-        UsageError: If there is none, or another plug-in has its name.
+        UsageError: If there is no such file or module, or another plug-in has its name.
         PluginError: If its code fails.
     """
     text = str(source)
@@ -70,9 +70,9 @@ def load(source: str | Path) -> Plugin:
             raise UsageError(f"no plug-in {text}: expected a file, or a module's name")
         text = str(path)
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        for one in _loaded.values():
-            if one.sha256 == digest:  # such as an installed copy
-                return one
+        for plugin in _loaded.values():
+            if plugin.sha256 == digest:  # such as an installed copy
+                return plugin
     before = _loaded.get(name)
     if before is not None:
         if before.source != text:
@@ -86,14 +86,14 @@ def load(source: str | Path) -> Plugin:
 
 
 def load_all(sources: Iterable[str]) -> None:
-    """Load several plug-ins, those that installed packages bring first."""
+    """Load the plug-ins of installed packages, and then these."""
     load_installed()
     for source in sources:
         load(source)
 
 
 def load_installed() -> None:
-    """Load the plug-ins of installed packages; one that fails is only warned of."""
+    """Load the plug-ins of installed packages; a failure is only a warning."""
     for entry in entry_points(group=GROUP):
         if entry.module not in _loaded:
             try:
@@ -111,10 +111,10 @@ def loaded() -> tuple[Plugin, ...]:
 
 
 def record(*origins: str) -> dict[str, str]:
-    """Names and hashes of what is not built in, for a run or a dataset.
+    """SHA-256 of the plug-ins among some origins, by name, for a run or a dataset.
 
     Args:
-        origins: Where things come from; see ``Registry.origin``.
+        origins: Names of plug-ins and modules; see ``Registry.origin``.
     """
     found = {}
     for origin in origins:
@@ -126,9 +126,9 @@ def record(*origins: str) -> dict[str, str]:
 
 
 class Carried:
-    """This process's plug-ins for another one: there, unpickling it loads them.
+    """The plug-ins of this process, for another process: unpickling loads them.
 
-    To be pickled before what may be of their classes.
+    It has to be pickled before objects of the plug-ins' classes.
     """
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -151,8 +151,8 @@ def _run(name: str, source: str, is_file: bool) -> ModuleType:
     except (Exception, SystemExit) as error:
         line = traceback.extract_tb(error.__traceback__)[-1].lineno
         line = error.lineno if isinstance(error, SyntaxError) else line
-        told = error.msg if isinstance(error, SyntaxError) else error
-        reason = " ".join(f"{type(error).__name__}: {told}".split())
+        text = error.msg if isinstance(error, SyntaxError) else error
+        reason = " ".join(f"{type(error).__name__}: {text}".split())
         raise PluginError(
             f"plug-in {name} fails: {reason:.300} (line {line})"
         ) from error
@@ -163,13 +163,13 @@ def _imported(module: str) -> ModuleType:
 
 
 def _imported_file(path: Path) -> ModuleType:
-    """A file as a module of its own, which pickles of its classes find by name."""
+    """The module of a file, under a name by which pickles of its classes find it."""
     name = _PREFIX + path.stem.replace("-", "_")
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
-    sys.path.insert(0, str(path.parent))  # of what it imports itself
+    sys.path.insert(0, str(path.parent))  # for its own imports
     try:
         spec.loader.exec_module(module)
     except BaseException:
@@ -181,13 +181,13 @@ def _imported_file(path: Path) -> ModuleType:
 
 
 def _digest(module: ModuleType) -> str:
-    """Hash of a module's file, or of all files of a package."""
+    """SHA-256 of a module's file, or of all Python files of a package."""
     file = getattr(module, "__file__", None)
     if file is None:
         return ""
     path = Path(file)
     paths = sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]
     digest = hashlib.sha256()
-    for one in paths:
-        digest.update(one.read_bytes())
+    for source in paths:
+        digest.update(source.read_bytes())
     return digest.hexdigest()

@@ -1,4 +1,4 @@
-"""What every policy is, scripted or learned: joint state in, joint action out."""
+"""The interface of all policies: joint state in, joint action out."""
 
 from typing import Any, Protocol
 
@@ -8,25 +8,25 @@ from marl_mm.layout import Layout
 
 
 class Policy(Protocol):
-    """A policy for all agents together."""
+    """A policy that acts for all agents together."""
 
     @property
     def name(self) -> str:
-        """How tables and datasets call it."""
+        """Name in tables and datasets."""
 
     def describe(self) -> dict[str, Any]:
-        """Its settings, JSON-serialisable, so that a result says whose it is."""
+        """Settings as JSON values, which results record."""
 
     def begin(self, rng: np.random.Generator, layout: Layout) -> None:
-        """A new episode starts.
+        """Prepare for a new episode.
 
         Args:
-            rng: Only source of randomness in it.
-            layout: Layout of its states and actions.
+            rng: Only source of the policy's randomness in the episode.
+            layout: Layout of the episode's states and actions.
 
         Raises:
-            LayoutError: If the policy is for another one.
+            LayoutError: If the policy is made for another layout.
         """
 
     def act(self, state: np.ndarray) -> np.ndarray:
-        """Joint action, shape (k,), float32, at a joint state, shape (n,)."""
+        """The joint action, shape (k,), float32, at a joint state, shape (n,)."""

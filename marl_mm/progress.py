@@ -1,9 +1,10 @@
 """Progress with ETA on stderr, so that stdout holds nothing but results."""
 
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from multiprocessing.queues import Queue
 from multiprocessing.synchronize import Event
 from typing import Any
@@ -63,11 +64,15 @@ def progress_bars(vanish: bool = False) -> Iterator[Bar]:
         TimeRemainingColumn(),
         _Elastic("{task.fields[note]}"),
         console=Console(stderr=True),
+        redirect_stdout=sys.stdout.isatty(),  # results may go to a file
         speed_estimate_period=600,  # an evaluation between may take a minute
     )
+    begun = ExitStack()
     shown = time.monotonic()
 
     def bar(label: str, total: int) -> Advance:
+        if not bars.live.is_started:
+            begun.enter_context(bars)
         task = bars.add_task(label, total=total, note="")
         done_so_far = 0
 
@@ -85,7 +90,7 @@ def progress_bars(vanish: bool = False) -> Iterator[Bar]:
 
         return advance
 
-    with bars:
+    with begun:
         yield bar
 
 
@@ -98,6 +103,11 @@ def progress_bar(label: str, total: int) -> Iterator[Advance]:
 
 def silent(done: int, note: str) -> None:
     """Progress for callers who do not want any."""
+
+
+def silent_bar(label: str, total: int) -> Advance:
+    """A bar for callers who do not want any."""
+    return silent
 
 
 def distant_bars(messages: "Queue[Any]", stop: Event) -> Bar:
@@ -123,15 +133,15 @@ def distant_bars(messages: "Queue[Any]", stop: Event) -> Bar:
 
 
 @contextmanager
-def show_distant_bars(messages: "Queue[Any]", vanish: bool = False) -> Iterator[None]:
+def show_distant_bars(messages: "Queue[Any]", bar: Bar) -> Iterator[None]:
     """Show the bars of other processes, whose labels differ, until the block ends.
 
     Args:
-        messages: What ``distant_bars`` puts there.
-        vanish: See ``progress_bars``.
+        messages: Queue that ``distant_bars`` writes to.
+        bar: Begins a bar of this process; it is called in a thread.
     """
 
-    def show(bar: Bar) -> None:
+    def show() -> None:
         bars: dict[str, Advance] = {}
         seen = True
         while (message := messages.get()) is not None:
@@ -144,13 +154,12 @@ def show_distant_bars(messages: "Queue[Any]", vanish: bool = False) -> Iterator[
             except OSError:  # nobody reads stderr any more
                 seen = False
 
-    with progress_bars(vanish) as bar:
-        thread = threading.Thread(target=show, args=(bar,), daemon=True)
-        thread.start()
-        try:
-            yield
-        finally:
-            messages.put(None)
-            thread.join(_LOST)
-            messages.cancel_join_thread()
-            messages.close()
+    thread = threading.Thread(target=show, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        messages.put(None)
+        thread.join(_LOST)
+        messages.cancel_join_thread()
+        messages.close()

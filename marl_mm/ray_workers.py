@@ -1,4 +1,4 @@
-"""The same pool of processes on a Ray cluster: the only file that imports Ray."""
+"""Workers on a Ray cluster; the only file that imports Ray."""
 
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
@@ -14,12 +14,12 @@ R = TypeVar("R")
 
 
 class RayWorkers:
-    """Actors that are kept for many maps; use it in a ``with`` block.
+    """Ray actors that are kept for many maps; use it in a ``with`` block.
 
     Args:
-        workers: Actors, one CPU each; marl_mm must be installed on their nodes.
-        initializer: Called once in every actor.
-        arguments: Of the initializer.
+        workers: Number of actors, one CPU each; their nodes need marl_mm.
+        initializer: Function that is called once in every actor.
+        arguments: Arguments of the initializer.
 
     Raises:
         UsageError: If ``workers`` is not positive, or more than the cluster has CPUs.
@@ -80,7 +80,7 @@ class RayWorkers:
     ) -> Iterator[R]:
         """Results as they come; see ``Workers.completed``."""
         remaining = iter(items)
-        busy: dict[Any, Any] = {}  # whose each pending result is
+        busy: dict[Any, Any] = {}  # actor of each pending result
         for actor in self._actors * ahead:
             for item in islice(remaining, 1):
                 busy[actor.call.remote(function, item)] = actor

@@ -1,4 +1,4 @@
-"""What there is of a kind, by name: built in, from plug-ins, or registered by hand."""
+"""Registries: things of a kind by name, built in, from plug-ins or added by hand."""
 
 import difflib
 import importlib
@@ -13,15 +13,15 @@ from marl_mm.errors import UsageError
 T = TypeVar("T")
 
 BUILT_IN = "marl_mm"
-"""Origin of what comes with the package."""
+"""Origin of things that come with the package."""
 
 _origin: list[str] = []
-"""The plug-ins being loaded, the innermost last."""
+"""Names of the plug-ins being loaded, the innermost last."""
 
 
 @contextmanager
 def registered_by(origin: str) -> Iterator[None]:
-    """Note where what is registered in this block comes from."""
+    """Record an origin for everything that is registered in the block."""
     _origin.append(origin)
     try:
         yield
@@ -33,10 +33,10 @@ class Registry(Generic[T]):
     """Things of one kind by name, in the order in which they were added.
 
     Args:
-        kind: What they are, in the singular, for messages.
-        modules: Modules that add the built-in ones when they are imported.
-        of: Class that all of them are of.
-        taken: Names that mean something else where these are used.
+        kind: Name of the kind in the singular, for messages.
+        modules: Names of the modules that add the built-in things when imported.
+        of: Class of all things.
+        taken: Names that nothing may have, as they mean something else.
     """
 
     def __init__(
@@ -53,16 +53,16 @@ class Registry(Generic[T]):
         self._places: dict[str, int] = {}
 
     def add(self, name: str, thing: T, caller: int = 1) -> T:
-        """Register a thing, as coming from the plug-in or module that calls.
+        """Register a thing, with the calling plug-in or module as its origin.
 
         Args:
-            name: Name that nothing else of its kind has.
+            name: Name that no other thing of the kind has.
             thing: The thing.
             caller: Number of calls between here and the code that it comes from.
 
         Raises:
-            UsageError: If the name makes no sense, or another thing has it, or the
-                thing is of another class.
+            UsageError: If the name makes no sense or is another thing's, or the thing
+                is of another class.
         """
         if not isinstance(thing, self._of):
             kind = f"{self._of.__module__}.{self._of.__qualname__}"
@@ -90,12 +90,12 @@ class Registry(Generic[T]):
         return thing
 
     def names(self) -> tuple[str, ...]:
-        """All names, the built-in ones first."""
+        """Names of all things, the built-in ones first."""
         self._load()
         return tuple(self._things)
 
     def items(self) -> tuple[tuple[str, T], ...]:
-        """All things with their names."""
+        """All things with their names, the built-in ones first."""
         self._load()
         return tuple(self._things.items())
 
@@ -107,7 +107,7 @@ class Registry(Generic[T]):
         """The thing of a name.
 
         Raises:
-            UsageError: If there is none; naming all and the nearest.
+            UsageError: If nothing has it; the message lists all names and the nearest.
         """
         self._load()
         if name not in self._things:
@@ -121,7 +121,7 @@ class Registry(Generic[T]):
         return self._things[name]
 
     def origin(self, name: str) -> str:
-        """Where a thing comes from: ``BUILT_IN``, a plug-in's name or a module."""
+        """Origin of a thing: ``BUILT_IN``, or the name of a plug-in or module."""
         self.get(name)
         return self._origins[name]
 
@@ -130,6 +130,6 @@ class Registry(Generic[T]):
             return
         while self._modules:
             importlib.import_module(self._modules.pop(0))
-        # In the order of the modules, whichever of them was imported first.
+        # In the order of the modules, whichever was imported first.
         names = sorted(self._things, key=self._places.__getitem__)
         self._things = {name: self._things[name] for name in names}

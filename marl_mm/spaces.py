@@ -1,4 +1,4 @@
-"""Spaces of the joint observation and action, and of each agent's."""
+"""Gymnasium spaces of states and actions, joint and of each agent."""
 
 import numpy as np
 from gymnasium import spaces
@@ -7,27 +7,27 @@ from marl_mm.layout import AgentLayout, Columns, Layout
 
 
 def _state_box(layout: Layout, entries: Columns) -> spaces.Box:
-    low, high = np.array([(one.low, one.high) for one in layout.state]).T
+    low, high = np.array([(entry.low, entry.high) for entry in layout.state]).T
     return spaces.Box(low[entries], high[entries], dtype=np.float64)
 
 
 def _action_box(agent: AgentLayout) -> spaces.Box:
-    low, high = (np.array(one, np.float32) for one in (agent.low, agent.high))
+    low, high = (np.array(bound, np.float32) for bound in (agent.low, agent.high))
     return spaces.Box(low, high, dtype=np.float32)
 
 
 def state_space(layout: Layout) -> spaces.Box:
-    """Joint state, shape (n,)."""
+    """Space of the joint state, shape (n,), float64."""
     return _state_box(layout, slice(None))
 
 
 def action_space(layout: Layout) -> spaces.Box:
-    """Joint action, shape (k,)."""
+    """Space of the joint action, shape (k,), float32."""
     return _action_box(layout.joint)
 
 
 def goal_observation_space(layout: Layout) -> spaces.Dict:
-    """The joint state as a goal dictionary: observation (n - g), two goals (g)."""
+    """Space of the joint state as a goal dictionary, shapes (n - g,), (g,) and (g,)."""
     return spaces.Dict(
         {
             "observation": _state_box(layout, layout.observation),
@@ -38,7 +38,7 @@ def goal_observation_space(layout: Layout) -> spaces.Dict:
 
 
 def agent_observation_spaces(layout: Layout) -> dict[str, spaces.Box]:
-    """Each agent's part of the joint state, by name."""
+    """Spaces of the agents' observations, float64, by agent."""
     return {
         agent.name: _state_box(layout, list(agent.observation))
         for agent in layout.agents
@@ -46,5 +46,5 @@ def agent_observation_spaces(layout: Layout) -> dict[str, spaces.Box]:
 
 
 def agent_action_spaces(layout: Layout) -> dict[str, spaces.Box]:
-    """Each agent's part of the joint action, by name."""
+    """Spaces of the agents' actions, float32, by agent."""
     return {agent.name: _action_box(agent) for agent in layout.agents}

@@ -1,4 +1,4 @@
-"""Layouts of files of version 1, which say less of them than today's files do."""
+"""Layouts of files of version 1, which record less of them than today's files."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -8,11 +8,11 @@ from marl_mm.errors import LayoutError
 from marl_mm.layout import Layout
 
 _LAYOUTS = (reach.LAYOUT, grasp.LAYOUT)
-"""Those that version 1 had."""
+"""All layouts of version 1."""
 
 
 def dataset_layout(metadata: Mapping[str, Any]) -> Layout:
-    """The layout of a dataset of schema 2, by the names of its entries.
+    """The layout of a dataset of schema 2, found by the names of its entries.
 
     Raises:
         LayoutError: If version 1 had none with these.
@@ -25,7 +25,7 @@ def dataset_layout(metadata: Mapping[str, Any]) -> Layout:
 
 
 def checkpoint_layout(record: Mapping[str, Any]) -> Layout:
-    """The layout of a checkpoint, by its agents and the actions' bounds.
+    """The layout of a checkpoint, found by its agents and the actions' bounds.
 
     Raises:
         LayoutError: If version 1 had none with these.

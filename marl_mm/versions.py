@@ -1,4 +1,4 @@
-"""Which versions made a file: they decide its bytes."""
+"""Versions of the packages that decide the bytes of a file."""
 
 import platform
 from importlib.metadata import PackageNotFoundError, version
@@ -18,7 +18,7 @@ PACKAGES = (
 
 
 def versions(*others: str) -> dict[str, str]:
-    """Version of Python and of every package that takes part, and of others."""
+    """Versions of Python, of every package in ``PACKAGES`` and of others, by name."""
     found = {"python": platform.python_version()}
     for name in (*PACKAGES, *others):
         try:

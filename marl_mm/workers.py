@@ -24,32 +24,32 @@ Executor = Literal["local", "ray"]
 
 
 def available_cores() -> int:
-    """Cores that this process may use, or as many as ``PYTHON_CPU_COUNT`` says.
+    """Number of cores that this process may use; ``PYTHON_CPU_COUNT`` overrides it.
 
     Python 3.13 has it as ``os.process_cpu_count``.
 
     Raises:
         UsageError: If the variable is no number.
     """
-    said = os.environ.get("PYTHON_CPU_COUNT", "default")
-    if said == "default":
+    text = os.environ.get("PYTHON_CPU_COUNT", "default")
+    if text == "default":
         return len(os.sched_getaffinity(0))
-    if not said.isdecimal() or int(said) < 1:
-        raise UsageError(f"PYTHON_CPU_COUNT is {said!r}, expected a number of cores")
-    return int(said)
+    if not text.isdecimal() or int(text) < 1:
+        raise UsageError(f"PYTHON_CPU_COUNT is {text!r}, expected a number of cores")
+    return int(text)
 
 
 class Pool(Protocol):
-    """Processes, here or elsewhere."""
+    """Worker processes, of this machine or of a cluster."""
 
     def close(self) -> None:
-        """End them."""
+        """End the processes."""
 
     def map(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
         """Results in the order of ``items``, which may be endless."""
 
     def completed(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-        """Results as they come."""
+        """Results in the order in which they are ready."""
 
 
 def open_pool(
@@ -76,9 +76,9 @@ class Workers:
     """Processes that are kept for many maps; use it in a ``with`` block.
 
     Args:
-        workers: Processes; 1 runs in this one.
-        initializer: Called once in every process.
-        arguments: Of the initializer.
+        workers: Number of processes; with 1, everything runs in this process.
+        initializer: Function that is called once in every process.
+        arguments: Arguments of the initializer.
 
     Raises:
         UsageError: If ``workers`` is not positive.
@@ -108,7 +108,7 @@ class Workers:
         self.close()
 
     def close(self) -> None:
-        """End the processes, when they have finished what they do."""
+        """End the processes when they have finished their present items."""
         if self._pool is not None:
             # At most a few items are in flight; an interrupted wait would hang at exit.
             with deaf_to_interrupts():
@@ -120,10 +120,10 @@ class Workers:
         """Results in the order of ``items``, which may be endless.
 
         Args:
-            function: Importable by name, as it runs in other processes.
-            items: What to apply it to.
-            ahead: Items handed out per worker beyond the one awaited; an interrupt
-                waits for those that have begun.
+            function: Function that is importable by name, as other processes run it.
+            items: Arguments of the function.
+            ahead: Number of items handed out per worker in advance; an interrupt waits
+                for those that have begun.
 
         Raises:
             WorkerDiedError: If a worker process dies.
@@ -143,7 +143,7 @@ class Workers:
     def completed(
         self, function: Callable[[T], R], items: Iterable[T], ahead: int = 2
     ) -> Iterator[R]:
-        """Results as they come; arguments and errors are those of ``map``."""
+        """Results as they are ready; arguments and errors are those of ``map``."""
         if self._pool is None:
             yield from map(function, items)
             return
@@ -163,21 +163,21 @@ class Workers:
         self, function: Callable[[T], R], items: Iterable[T]
     ) -> list[Future[R]]:
         assert self._pool is not None
-        # Workers start here, and inherit it.
+        # Workers start here, and inherit the signal mask.
         with deaf_to_interrupts(), _dead_servers_named():
             return [self._pool.submit(function, item) for item in items]
 
 
 def apart(function: Callable[[T], R], item: T, seconds: float) -> R:
-    """A function's result from a process of its own, which may crash or hang.
+    """Result of a function in a process of its own, which may crash or hang.
 
     Args:
-        function: Importable by name; what it raises is raised here.
-        item: Its argument.
-        seconds: How long it may take.
+        function: Function that is importable by name; its errors are raised here.
+        item: Argument of the function.
+        seconds: Longest time that it may take [s].
 
     Raises:
-        WorkerDiedError: If the process crashed, or took longer.
+        WorkerDiedError: If the process crashed or took too long.
     """
     context = process_context(function.__module__)
     receiver, sender = context.Pipe(duplex=False)
@@ -189,25 +189,25 @@ def apart(function: Callable[[T], R], item: T, seconds: float) -> R:
     try:
         if not receiver.poll(seconds):
             raise WorkerDiedError(f"no end after {seconds:.0f} s")
-        good, value = receiver.recv()
+        succeeded, value = receiver.recv()
     except EOFError:
         raise WorkerDiedError("the process crashed") from None
     finally:
         process.kill()
         process.join()
-    if good:
+    if succeeded:
         return cast(R, value)
     raise value
 
 
 @contextmanager
 def _dead_servers_named() -> Iterator[None]:
-    """Name what happened if what others are copies of is gone when it is asked."""
+    """Explain the failure if the fork server is dead when a process is asked for."""
     try:
         yield
     except (EOFError, ConnectionError) as error:
         raise WorkerDiedError(
-            "the process that workers are copies of died; is there memory enough?"
+            "the process that starts the workers died; is there enough memory?"
         ) from error
 
 
@@ -227,7 +227,7 @@ def _send(
 
 @contextmanager
 def _broken_pools_named(pending: Collection[Future[Any]]) -> Iterator[None]:
-    """Name what happened to a pool, and hand out nothing more when the block ends."""
+    """Explain the failure of a pool, and cancel waiting items when the block ends."""
     try:
         yield
     except BrokenProcessPool as error:
@@ -245,9 +245,9 @@ def _begin(
     initializer: Callable[..., None] | None,
     arguments: tuple[Any, ...],
 ) -> None:
-    """A worker's first act: to end with its parent, even if that is killed.
+    """Set up a worker: it ends with its parent, even if the parent is killed.
 
-    Its environment is the parent's of now, not of when the server began.
+    Its environment variables are the parent's of now, not the fork server's.
     """
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _live_in(environment)
@@ -275,6 +275,6 @@ def ordered_map(
     arguments: tuple[Any, ...] = (),
     ahead: int = 4,
 ) -> Iterator[R]:
-    """One map over ``Workers`` of its own."""
+    """Results of a map over new ``Workers``, in the order of ``items``."""
     with Workers(workers, initializer, arguments) as pool:
         yield from pool.map(function, items, ahead)

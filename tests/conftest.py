@@ -9,7 +9,7 @@ import numpy as np
 import psutil
 import pytest
 
-from marl_mm.control.tasks.task import Reference
+from marl_mm.control.records import Reference
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.task import Task

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import torch
 
 from marl_mm.algorithms.actors import AgentActor
-from marl_mm.algorithms.config_checks import check_ranges
+from marl_mm.algorithms.config_checks import Precision, check_ranges
 from marl_mm.algorithms.networks import DIAGNOSED, Normalizer
 from marl_mm.algorithms.offline_batches import OfflineBatches
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm
@@ -24,7 +24,6 @@ from marl_mm.algorithms.seeded import (
     load_parts,
     parts_state,
 )
-from marl_mm.algorithms.speed import Precision
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.layout import JOINT_NAME
 

@@ -14,8 +14,9 @@ from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.commands.options import REGISTERED
 from marl_mm.commands.parser import parse_options
-from marl_mm.contracts import algorithms, collectors, metrics, tasks
+from marl_mm.contracts import algorithms, collectors, learners, metrics, tasks
 from marl_mm.contracts.claims import Claim, Finding, examine
+from marl_mm.contracts.episodes import short
 from marl_mm.envs.registry import DEFAULT, TASKS
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.metrics import METRICS
@@ -79,10 +80,14 @@ def main(arguments: Sequence[str]) -> None:
 def _subjects(what: str, task: str) -> Iterator[Subject]:
     """What a plug-in has registered, or what has a name."""
     kinds: tuple[tuple[Registry[Any], Any, Any], ...] = (
-        (TASKS, tasks.short, tasks.task_claims),
-        (ALGORITHMS, algorithms.named, algorithms.algorithm_claims),
-        (COLLECTORS, partial(collectors.named, task=task), collectors.collector_claims),
-        (METRICS, partial(metrics.named, task=task), metrics.metric_claims),
+        (TASKS, short, tasks.task_claims),
+        (ALGORITHMS, learners.candidate, algorithms.algorithm_claims),
+        (
+            COLLECTORS,
+            partial(collectors.candidate, task=task),
+            collectors.collector_claims,
+        ),
+        (METRICS, partial(metrics.candidate, task=task), metrics.metric_claims),
     )
     known = [kind for kind in kinds if what in kind[0]]
     chosen = [(*kind, what) for kind in known]

@@ -8,38 +8,55 @@ from typing import Annotated, Any, Generic, TypeVar
 import tyro
 
 from marl_mm.collectors.registry import COLLECTORS
-from marl_mm.commands.collect_dataset import (
-    CollectOptions,
-    collect_dataset,
-)
-from marl_mm.commands.collect_paper import Paper, collect_paper
-from marl_mm.commands.collect_resume import begun_with
-from marl_mm.commands.parser import (
-    Subcommand,
-    parse_subcommand,
-    value_of,
-    with_values,
-)
-from marl_mm.datasets.card import keep_card
-from marl_mm.datasets.dataset import load_dataset
-from marl_mm.datasets.location import locate
-from marl_mm.envs.registry import TASKS
+from marl_mm.commands.options import REGISTERED
+from marl_mm.commands.parser import Subcommand, parse_subcommand, value_of
+from marl_mm.datasets.card import card, card_text, keep_card
+from marl_mm.envs.registry import DEFAULT, TASKS
+from marl_mm.progress import progress_bars
+from marl_mm.runs import paper
+from marl_mm.runs.collect import begun_settings, collect_into, default_dataset
+from marl_mm.runs.collecting import Collecting
+from marl_mm.runs.settings import with_values
+from marl_mm.workers import available_cores
 
 C = TypeVar("C")
 
 
 @dataclass(frozen=True)
-class CollectWith(CollectOptions, Generic[C]):
+class CollectWith(Collecting, Generic[C]):
     """Options of a collection, and the collector's own."""
+
+    task: Annotated[str, tyro.conf.arg(help=f"{REGISTERED}.")] = DEFAULT
+
+    workers: int = field(default_factory=available_cores)
+    """Processes; the dataset does not depend on their number."""
+
+    dataset: str | None = None
+    """Id below $MINARI_DATASETS_PATH, or path; default marl_mm/TASK/COLLECTOR-v0, of
+    pretrained marl_mm/TASK/good-v0. A word is short for marl_mm/reach/WORD-v0."""
+
+    json: bool = False
+    """Print the dataset's card as JSON."""
 
     policy: Annotated[C, tyro.conf.arg(name="")] = field(kw_only=True)
 
 
-def _subcommand(name: str, options: Any = None) -> Subcommand:
-    collector = COLLECTORS.get(name)
-    options = options or CollectWith(policy=collector.config())
-    kind = CollectWith[collector.config]  # type: ignore[name-defined]
-    return Subcommand(options, collector.about, kind)
+@dataclass(frozen=True)
+class Paper(paper.Paper):
+    """Make what is missing of the paper's datasets, marl_mm/reach/NAME-v0.
+
+    good-30k, good-60k, pd-30k, random-10k, medium-5k and the mixes of Table 4. The same
+    command goes on after an interruption. good-60k begins with good-30k.
+    """
+
+    workers: int = field(default_factory=available_cores)
+    """Processes; the datasets do not depend on their number."""
+
+    resume: bool = False
+    """Go on after an interruption: it does so anyway."""
+
+    json: bool = False
+    """Print the cards as JSON."""
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -57,19 +74,20 @@ def main(arguments: Sequence[str]) -> None:
         arguments,
     )
     if isinstance(command, Paper):
-        collect_paper(command)
+        _paper(command)
         return
     name = command.dataset
     if name is None:
-        name = _default_id(command.task, kind)
-    location = locate(name)
-    collection = collect_dataset(location, kind, command.policy, command)
-    summary = keep_card(load_dataset(location))
+        name = default_dataset(command.task, kind)
+    with progress_bars() as bar:
+        data, complete = collect_into(name, kind, command.policy, command, bar)
+    summary = card(data)
     if command.json:
         print(json.dumps(summary, indent=2))
     else:
-        print(f"{location.folder}: {summary['steps']} steps, {_successes(summary)}")
-    if not collection.complete:
+        folder = data.location.folder
+        print(f"{folder}: {summary['steps']} steps, {_successes(summary)}")
+    if not complete:
         named = f" --dataset {command.dataset}" if command.dataset else ""
         elsewhere = f" --task {command.task}" if not named else ""
         raise KeyboardInterrupt(
@@ -78,26 +96,33 @@ def main(arguments: Sequence[str]) -> None:
         )
 
 
+def _subcommand(name: str, options: Any = None) -> Subcommand:
+    collector = COLLECTORS.get(name)
+    options = options or CollectWith(policy=collector.config())
+    kind = CollectWith[collector.config]  # type: ignore[name-defined]
+    return Subcommand(options, collector.about, kind)
+
+
 def _resumed(arguments: Sequence[str]) -> Subcommand:
     """Options whose defaults are what the collection was begun with."""
     name = arguments[0]
     options = CollectWith(policy=COLLECTORS.get(name).config())
     task = value_of(arguments, "--task", options.task)
-    dataset = value_of(arguments, "--dataset", "") or _default_id(task, name)
-    if task not in TASKS:  # what is wrong with it is told later
+    if task not in TASKS:  # a wrong one is refused when all options are parsed
         return _subcommand(name)
-    begun = begun_with(locate(dataset))
-    if begun is not None and begun.collector == name:
-        known = {"task": begun.task, "seed": begun.seed}
-        known |= {**begun.overrides, **(begun.collector_config or {})}
-        options = with_values(options, known)
-    return _subcommand(name, options)
+    dataset = value_of(arguments, "--dataset", "") or default_dataset(task, name)
+    return _subcommand(name, with_values(options, begun_settings(dataset, name)))
 
 
-def _default_id(task: str, collector: str) -> str:
-    folder = task.removesuffix("-v0").replace("Reach", "-reach").strip("-").lower()
-    name = COLLECTORS.get(collector).dataset or collector
-    return f"marl_mm/{folder}/{name}-v0"
+def _paper(command: Paper) -> None:
+    cards = []
+    with progress_bars() as bar:
+        for data in paper.collect_paper(command, bar):
+            cards.append(keep_card(data))
+            if not command.json:
+                print(card_text(cards[-1]), end="\n\n", flush=True)
+    if command.json:
+        print(json.dumps(cards, indent=2))
 
 
 def _successes(summary: dict[str, Any]) -> str:

@@ -22,11 +22,7 @@ from marl_mm.commands.datasets_make import (
     make_mix,
     make_split,
 )
-from marl_mm.commands.options import (
-    check_positive,
-    read_dataset,
-    warn_if_stopped,
-)
+from marl_mm.commands.options import read_dataset, warn_if_stopped
 from marl_mm.commands.parser import parse_subcommand
 from marl_mm.commands.wording import as_options
 from marl_mm.datasets import shipped
@@ -47,6 +43,7 @@ from marl_mm.datasets.verify import verify
 from marl_mm.errors import DatasetError, MarlMmError, UnknownDatasetError, UsageError
 from marl_mm.files import only_here
 from marl_mm.progress import progress_bar
+from marl_mm.runs.settings import check_positive
 from marl_mm.workers import available_cores
 
 _BEGUN = "being collected, or stopped: go on with marl-mm collect ... --resume"

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from marl_mm.commands.options import REGISTERED, check_seed, read_dataset
+from marl_mm.commands.options import REGISTERED, read_dataset
 from marl_mm.datasets.card import card_text, keep_card
 from marl_mm.datasets.dataset import existing, load_dataset
 from marl_mm.datasets.importing import read_foreign
@@ -19,6 +19,7 @@ from marl_mm.envs.registry import make_task
 from marl_mm.episode import IMPORTED
 from marl_mm.errors import UsageError
 from marl_mm.files import refuse_existing
+from marl_mm.runs.settings import check_seed
 
 
 @dataclass(frozen=True)

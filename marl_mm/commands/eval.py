@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -10,21 +10,22 @@ import tyro
 
 from marl_mm.commands.options import (
     REGISTERED,
-    check_positive,
-    check_seed,
-    named_policy,
-    own_task,
-    policy_names,
     print_evaluations,
+    settings_of,
     with_policies,
 )
 from marl_mm.commands.parser import parse_options
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import UsageError
-from marl_mm.eval.evaluate import evaluate
-from marl_mm.files import refuse_existing, write_json
-from marl_mm.progress import progress_bar
-from marl_mm.versions import versions
+from marl_mm.files import refuse_existing
+from marl_mm.progress import progress_bars
+from marl_mm.runs.evaluate import (
+    evaluate,
+    evaluations_json,
+    save_evaluations,
+    task_overrides,
+)
+from marl_mm.runs.policies import load_policy, own_task, policy_names
 from marl_mm.workers import available_cores
 
 
@@ -69,40 +70,29 @@ def main(arguments: Sequence[str]) -> None:
         raise UsageError(
             f"no policy given, expected run folders or {', '.join(policy_names())}"
         )
-    check_positive(episodes=options.episodes, workers=options.workers)
-    check_seed(options.seed)
-    overrides = {}
-    if options.max_steps is not None:
-        check_positive(max_steps=options.max_steps)
-        overrides["max_steps"] = options.max_steps
     if options.out is not None:
         refuse_existing(options.out, options.overwrite)
     task = options.task or own_task(options.policies)
-    own = make_task(task, overrides)
-    policies = [named_policy(name, options, own) for name in options.policies]
-    evaluations = []
-    for name, policy in zip(options.policies, policies, strict=True):
-        with progress_bar(f"eval {Path(name).name}", options.episodes) as advance:
-            evaluations.append(
-                evaluate(
-                    policy,
-                    options.episodes,
-                    options.seed,
-                    task,
-                    overrides,
-                    options.workers,
-                    advance,
-                )
+    own = make_task(task, task_overrides(options.max_steps))
+    for name in options.policies:  # before any work is done
+        load_policy(name, own, **settings_of(name, options))
+    with progress_bars() as bar:
+        evaluations = [
+            evaluate(
+                name,
+                episodes=options.episodes,
+                seed=options.seed,
+                task=task,
+                max_steps=options.max_steps,
+                workers=options.workers,
+                progress=bar,
+                **settings_of(name, options),
             )
-    evaluations = [
-        replace(evaluation, policy=name)
-        for name, evaluation in zip(options.policies, evaluations, strict=True)
-    ]
-    made_with = {"packages": versions()}
-    values = [evaluation.to_json() | made_with for evaluation in evaluations]
+            for name in options.policies
+        ]
     if options.out is not None:
-        write_json(options.out, values)
+        save_evaluations(evaluations, options.out, options.overwrite)
     if options.json:
-        print(json.dumps(values, indent=2))
+        print(json.dumps(evaluations_json(evaluations), indent=2))
     else:
         print_evaluations(evaluations)

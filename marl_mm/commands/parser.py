@@ -5,7 +5,7 @@ import io
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stderr
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 from itertools import pairwise
 from typing import Annotated, Any, NamedTuple, TypeVar, Union
 
@@ -90,19 +90,6 @@ def value_of(arguments: Sequence[str], option: str, default: str) -> str:
         elif word.startswith(f"{option}="):
             value = word.removeprefix(f"{option}=")
     return value
-
-
-def with_values(options: Any, values: Mapping[str, Any]) -> Any:
-    """A dataclass of options, and of others, with the values that are known by name."""
-    changes: dict[str, Any] = {}
-    for one in fields(options):
-        value = getattr(options, one.name)
-        if is_dataclass(value):
-            changes[one.name] = with_values(value, values)
-        elif one.name in values:
-            known = values[one.name]
-            changes[one.name] = tuple(known) if isinstance(value, tuple) else known
-    return replace(options, **changes)
 
 
 def _kind(name: str, command: type | Subcommand) -> Any:

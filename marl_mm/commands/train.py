@@ -2,43 +2,95 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Generic, TypeVar
 
 import tyro
 
-from marl_mm.algorithms.registry import ALGORITHMS, TUNED, names
-from marl_mm.commands.offline_options import Offline, offline_options
-from marl_mm.commands.options import read_dataset
+from marl_mm.algorithms.online import Schedule
+from marl_mm.algorithms.registry import ALGORITHMS, TUNED, names, preset
+from marl_mm.commands.options import REGISTERED
 from marl_mm.commands.parser import Subcommand, parse_subcommand, value_of
-from marl_mm.commands.runs import check_options, saved_options, told
-from marl_mm.commands.train_offline import train_offline
-from marl_mm.commands.train_online import (
-    Online,
-    check_online,
-    check_online_run,
-    online_options,
-    train_online_run,
-)
-from marl_mm.errors import UsageError
+from marl_mm.envs.registry import DEFAULT
+from marl_mm.progress import progress_bars
+from marl_mm.runs import training
+from marl_mm.runs.settings import with_values
+from marl_mm.workers import available_cores
+
+C = TypeVar("C")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Options:
+    """Options of both ways to learn that Python has as arguments."""
+
+    out: Path | None = None
+    """Folder of the runs; seed s goes to OUT/s; default runs/ALGORITHM."""
+
+    seeds: tuple[int, ...] = (0,)
+    """Seeds of the runs, one run each: initial weights, batches, episodes."""
+
+    json: bool = False
+    """Print the final evaluations as JSON."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Offline(_Options, training.Offline, Generic[C]):
+    """Learn from a dataset."""
+
+    algorithm: Annotated[str, tyro.conf.Suppress]
+
+    config: Annotated[C, tyro.conf.arg(name="")]
+
+    dataset: str
+    """Id, such as marl_mm/reach/pd-v0 or pd for short, or path; good-5k ships."""
+
+    task: Annotated[
+        str | None,
+        tyro.conf.arg(
+            help=f"To evaluate on: {REGISTERED}; default that of the dataset."
+        ),
+    ] = None
+
+    workers: int = field(default_factory=available_cores)
+    """Processes that run episodes, and that train seeds. The result does not depend on
+    their number."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Online(_Options, training.Online, Generic[C]):
+    """Learn from episodes of one's own."""
+
+    algorithm: Annotated[str, tyro.conf.Suppress]
+
+    config: Annotated[C, tyro.conf.arg(name="")]
+
+    task: Annotated[str, tyro.conf.arg(help=f"To learn: {REGISTERED}.")] = DEFAULT
+
+    schedule: Annotated[Schedule, tyro.conf.arg(name="")] = field(
+        default_factory=Schedule
+    )
+
+    workers: int = field(default_factory=available_cores)
+    """Processes that run episodes. The result does not depend on their number."""
 
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm train``."""
-    preset = value_of(arguments, "--preset", TUNED)
+    started_from = value_of(arguments, "--preset", TUNED)
     offline, online = names(online=False), names(online=True)
-    if set(online) & set(arguments[:1]) and value_of(arguments, "--dataset", ""):
-        raise UsageError(
-            f"{arguments[0]} learns from episodes of its own and takes no --dataset: "
-            f"use {', '.join(offline)}, or --demonstrations"
-        )
     commands: dict[str, type | Subcommand] = {
-        name: _subcommand(name, preset if name in arguments[:1] else TUNED)
+        name: _subcommand(name, started_from if name in arguments[:1] else TUNED)
         for name in (*offline, *online)
     }
-    named = value_of(arguments, "--preset", "")  # asks for that one's values
+    if set(online) & set(arguments[:1]) and value_of(arguments, "--dataset", ""):
+        from marl_mm.runs.train import refuse_dataset
+
+        refuse_dataset(arguments[0], value_of(arguments, "--dataset", ""))
+    named = value_of(arguments, "--preset", "")  # asks for that preset's values
     if "--resume" in arguments and arguments[0] in commands and not named:
-        commands[arguments[0]] = _resumed(arguments, preset)
+        commands[arguments[0]] = _resumed(arguments)
     name, options = parse_subcommand(
         commands,
         "marl-mm train",
@@ -46,50 +98,46 @@ def main(arguments: Sequence[str]) -> None:
         "episodes.",
         arguments,
     )
+    _train(name, options)
+
+
+def _train(name: str, options: Offline[Any] | Online[Any]) -> None:
+    from marl_mm.runs.train import trained  # torch takes a second to import
+
     out = options.out or Path("runs") / name
-    check_options(options, out)
-    runs = {seed: out / str(seed) for seed in options.seeds}
-    trained = _offline(options, runs) if name in offline else _online(options, runs)
+    dataset = options.dataset if isinstance(options, Offline) else None
     results = []
     try:
-        for run, last, best in trained:
-            result = {"run": str(run), **last.to_json()}
-            results.append(result | ({"best": best.to_json()} if best else {}))
-            if not options.json:
-                print(told(run, last, best), flush=True)
+        with progress_bars() as bar:
+            for run in trained(options, dataset, out, options.seeds, bar):
+                last, best = run.evaluation, run.best_evaluation
+                result = {"run": str(run.folder), **(last.to_json() if last else {})}
+                results.append(result | ({"best": best.to_json()} if best else {}))
+                if not options.json:
+                    print(run.summary(), flush=True)
     finally:  # if some seeds diverge, others do not
         if options.json and results:
             print(json.dumps(results, indent=2))
 
 
-def _offline(options: Offline[Any], runs: dict[int, Path]) -> Any:
-    dataset = read_dataset(options.dataset)
-    for run, evaluation in train_offline(dataset, options, runs):
-        yield run, evaluation, None
-
-
-def _online(options: Online[Any], runs: dict[int, Path]) -> Any:
-    check_online(options)
-    for seed, run in runs.items():
-        check_online_run(options, seed, run)
-    for seed, run in runs.items():
-        yield run, *train_online_run(options, seed, run)
-
-
-def _resumed(arguments: Sequence[str], preset: str) -> Subcommand:
+def _resumed(arguments: Sequence[str]) -> Subcommand:
     """Options whose defaults are the values that the first run was made of."""
+    from marl_mm.runs.folder import saved_settings
+
     name = arguments[0]
     out = Path(value_of(arguments, "--out", f"runs/{name}"))
-    subcommand = _subcommand(name, preset)
-    return subcommand._replace(default=saved_options(subcommand.default, out))
+    subcommand = _subcommand(name, TUNED)
+    options = with_values(subcommand.default, saved_settings(out))
+    return subcommand._replace(default=options)
 
 
-def _subcommand(name: str, preset: str) -> Subcommand:
+def _subcommand(name: str, started_from: str) -> Subcommand:
     """An algorithm's options if nothing is said."""
     algorithm = ALGORITHMS.get(name)
-    kind: Any = Online if algorithm.online else Offline
+    config = preset(name, started_from)
+    settings: Any = {"algorithm": name, "config": config, "preset": started_from}
     if algorithm.online:
-        options: Any = online_options(name, preset)
+        options: Any = Online(**settings)
     else:
-        options = offline_options(name, preset, dataset=tyro.MISSING)
-    return Subcommand(options, algorithm.about, kind[type(options.config)])
+        options = Offline(**settings, dataset=tyro.MISSING)
+    return Subcommand(options, algorithm.about, type(options)[type(config)])

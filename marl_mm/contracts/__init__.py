@@ -1,4 +1,4 @@
-"""What the package promises of its own tasks, algorithms and collectors, to be checked.
+"""Claims that the package makes about its tasks, algorithms, collectors and metrics.
 
-The tests hold it for what is built in, ``marl-mm check`` for what plug-ins add.
+The tests check them for everything built in, ``marl-mm check`` for plug-ins.
 """

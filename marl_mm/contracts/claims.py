@@ -22,59 +22,64 @@ class Finding:
     """Whether a claim holds."""
 
     subject: str
-    """Whose claim, such as ``task Reach-v0``."""
+    """Kind and name of the thing that was tested, such as ``task Reach-v0``."""
 
     claim: str
-    """What is claimed, in words."""
+    """Text of the claim."""
 
     broken: str = ""
-    """Why it does not hold; nothing if it holds."""
+    """Reason for which the claim does not hold; empty if it holds."""
 
 
 def examine(subject: str, about: Any, claims: Mapping[str, Claim]) -> Iterator[Finding]:
     """Check claims one after the other; code that fails breaks its claim.
 
     Args:
-        subject: How findings call it.
-        about: What the claims are given.
-        claims: Claims by their words.
+        subject: Kind and name of the thing under test, for the findings.
+        about: The thing under test, which the claims are called with.
+        claims: Claims by their texts.
     """
-    for words, claim in claims.items():
+    for text, claim in claims.items():
         try:
             claim(about)
         except BrokenClaimError as error:
-            yield Finding(subject, words, str(error))
+            yield Finding(subject, text, str(error))
         except Exception as error:  # whatever a stranger's code raises
             reason = " ".join(f"{type(error).__name__}: {error}".split())
-            yield Finding(subject, words, f"{reason:.300}")
+            yield Finding(subject, text, f"{reason:.300}")
         else:
-            yield Finding(subject, words)
+            yield Finding(subject, text)
 
 
 def demand(holds: Any, why: str) -> None:
     """Raise unless something holds.
 
     Raises:
-        BrokenClaimError: Saying why it does not.
+        BrokenClaimError: With the reason.
     """
     if not holds:
         raise BrokenClaimError(why)
 
 
-def demand_same(one: np.ndarray, other: np.ndarray, what: str) -> None:
+def demand_same(first: np.ndarray, then: np.ndarray, name: str) -> None:
     """Raise unless two arrays are equal to the bit.
 
+    Args:
+        first: The values of the first time.
+        then: The values of the second time.
+        name: Name of the values, for the message.
+
     Raises:
-        BrokenClaimError: Naming what differs, and where.
+        BrokenClaimError: Naming the first place that differs.
     """
-    one, other = np.asarray(one), np.asarray(other)
-    same = one.shape == other.shape and one.dtype == other.dtype
-    here, there = (f"{each.dtype} of shape {each.shape}" for each in (one, other))
-    demand(same, f"{what}: {here}, then {there}")
-    if one.tobytes() != other.tobytes():
-        where = np.argwhere(~((one == other) | ((one != one) & (other != other))))
+    first, then = np.asarray(first), np.asarray(then)
+    same = first.shape == then.shape and first.dtype == then.dtype
+    here, there = (f"{each.dtype} of shape {each.shape}" for each in (first, then))
+    demand(same, f"{name}: {here}, then {there}")
+    if first.tobytes() != then.tobytes():
+        where = np.argwhere(~((first == then) | ((first != first) & (then != then))))
         place = where[0].tolist() if len(where) else "a sign"
-        raise BrokenClaimError(f"{what} differ at {place}")
+        raise BrokenClaimError(f"{name} differ at {place}")
 
 
 def demand_refused(act: Callable[[], object], what: str) -> None:

@@ -1,4 +1,4 @@
-"""What every collector keeps to."""
+"""Claims that hold of every collector."""
 
 import json
 import tempfile
@@ -11,7 +11,7 @@ import numpy as np
 from marl_mm.collectors.registry import COLLECTORS, Collector
 from marl_mm.collectors.replay import replay
 from marl_mm.contracts.claims import Claim, demand, demand_same
-from marl_mm.contracts.tasks import EPISODES, short
+from marl_mm.contracts.episodes import EPISODES, short
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import locate
@@ -26,24 +26,31 @@ from marl_mm.episode import Episode
 from marl_mm.policy import Policy
 
 LONG = 12
-"""Steps of an episode in which a collector is looked at."""
+"""Steps of an episode in which a collector is tested."""
 
 ASKED = 4
-"""How often it is asked whether it keeps an episode, and one that was read again."""
+"""Number of times that it is asked whether it keeps an episode, run or read."""
 
 
 @dataclass(frozen=True)
-class Named:
-    """A collector, and the task that it is looked at in."""
+class Candidate:
+    """A collector under test."""
 
     name: str
+    """Registered name."""
+
     collector: Collector
+    """The collector."""
+
     task_name: str
+    """Registered name of the task that it is tested in."""
+
     task: Task
+    """That task, shortened."""
 
     @property
     def overrides(self) -> dict[str, int]:
-        """Numbers of the task that were replaced."""
+        """Fields of the task that were replaced."""
         own = self.task
         return {"ticks_per_step": own.ticks_per_step, "max_steps": own.max_steps}
 
@@ -53,47 +60,47 @@ class Named:
         return policy
 
 
-def named(name: str, task: str = DEFAULT) -> Named:
-    """A registered collector, in a registered task."""
+def candidate(name: str, task: str = DEFAULT) -> Candidate:
+    """A registered collector, to be tested in a registered task."""
     ticks = short(task).task.ticks_per_step
     own = make_task(task, {"ticks_per_step": ticks, "max_steps": LONG})
-    return Named(name, COLLECTORS.get(name), task, own)
+    return Candidate(name, COLLECTORS.get(name), task, own)
 
 
 def _plans(numbers: range = range(EPISODES)) -> list[EpisodePlan]:
     return [EpisodePlan(i, episode_seed(0, i, "collect")) for i in numbers]
 
 
-def _episodes(one: Named, plans: list[EpisodePlan]) -> list[Episode]:
-    policy = one.policy()
-    with closing(EpisodeCore(one.task)) as core:
+def _episodes(candidate: Candidate, plans: list[EpisodePlan]) -> list[Episode]:
+    policy = candidate.policy()
+    with closing(EpisodeCore(candidate.task)) as core:
         return [run_episode(core, policy, plan) for plan in plans]
 
 
-def _same(one: Episode, other: Episode, what: str) -> None:
+def _same(here: Episode, there: Episode, where: str) -> None:
     for name in ("states", "actions", "rewards", "terminated", "truncated"):
-        demand_same(getattr(one, name), getattr(other, name), f"{what}: {name}")
+        demand_same(getattr(here, name), getattr(there, name), f"{where}: {name}")
 
 
-def _settings(one: Named) -> None:
-    config, policy = one.collector.config(), one.policy()
+def _settings(candidate: Candidate) -> None:
+    config, policy = candidate.collector.config(), candidate.policy()
     how = getattr(config, "__dataclass_params__", None)
     demand(how is not None and how.frozen, "its config is no frozen dataclass")
     json.dumps(asdict(config))
     json.dumps(policy.describe())
-    demand(config == one.collector.config(), "two default configs differ")
-    demand(policy.name == one.name, f"its policy calls itself {policy.name!r}")
+    demand(config == candidate.collector.config(), "two default configs differ")
+    demand(policy.name == candidate.name, f"its policy calls itself {policy.name!r}")
 
 
-def _acts(one: Named) -> None:
-    layout = one.task.layout
-    for episode in _episodes(one, _plans()):
+def _acts(candidate: Candidate) -> None:
+    layout = candidate.task.layout
+    for episode in _episodes(candidate, _plans()):
         actions = episode.actions
         demand(np.isfinite(actions).all(), "an action is not finite")
         inside = (actions >= layout.low).all() and (actions <= layout.high).all()
         demand(inside, "an action is outside of the action space")
-    policy = one.policy()
-    with closing(EpisodeCore(one.task)) as core:
+    policy = candidate.policy()
+    with closing(EpisodeCore(candidate.task)) as core:
         state = core.reset(np.random.default_rng(0))
         policy.begin(np.random.default_rng(0), layout)
         action = policy.act(state.copy())
@@ -101,52 +108,52 @@ def _acts(one: Named) -> None:
     demand(right, f"an action is {action.dtype} of shape {action.shape}")
 
 
-def _seeds(one: Named) -> None:
-    first, again = (_episodes(one, _plans()) for _ in range(2))
+def _seeds(candidate: Candidate) -> None:
+    first, again = (_episodes(candidate, _plans()) for _ in range(2))
     for a, b in zip(first, again, strict=True):
         _same(a, b, "the same seed")
 
 
-def _remembers_nothing(one: Named) -> None:
-    for number, after in enumerate(_episodes(one, _plans())):
-        (alone,) = _episodes(one, _plans(range(number, number + 1)))
+def _remembers_nothing(candidate: Candidate) -> None:
+    for number, after in enumerate(_episodes(candidate, _plans())):
+        (alone,) = _episodes(candidate, _plans(range(number, number + 1)))
         _same(after, alone, "an episode after others")
 
 
-def _workers(one: Named) -> None:
-    here = _episodes(one, _plans())
-    with Rollouts(one.task, workers=2) as rollouts:
-        there = list(rollouts.run(one.policy(), _plans()))
+def _workers(candidate: Candidate) -> None:
+    here = _episodes(candidate, _plans())
+    with Rollouts(candidate.task, workers=2) as rollouts:
+        there = list(rollouts.run(candidate.policy(), _plans()))
     for a, b in zip(here, there, strict=True):
         _same(a, b, "in two processes")
 
 
-def _keeps(one: Named) -> None:
-    for episode in _episodes(one, _plans()):
+def _keeps(candidate: Candidate) -> None:
+    for episode in _episodes(candidate, _plans()):
         read = arrays_of([episode], "contract").episode(0)  # as from a file
-        kept = [one.collector.keeps(which) for which in (episode, read) * ASKED]
-        for said in kept:
-            truth = isinstance(said, bool | np.bool_)
-            demand(truth, f"keeps says {said!r}, expected a bool")
+        kept = [candidate.collector.keeps(either) for either in (episode, read) * ASKED]
+        for answer in kept:
+            truth = isinstance(answer, bool | np.bool_)
+            demand(truth, f"keeps says {answer!r}, expected a bool")
         demand(len(set(kept)) == 1, "keeps says something else of the same episode")
 
 
-def _replay(one: Named) -> None:
+def _replay(candidate: Candidate) -> None:
     with tempfile.TemporaryDirectory() as folder:
         location = locate(str(Path(folder, "contract-v0")))
-        arrays = arrays_of(_episodes(one, _plans()), location.id)
+        arrays = arrays_of(_episodes(candidate, _plans()), location.id)
         provenance = Provenance(
-            task=one.task_name,
-            overrides=one.overrides,
-            collector=one.name,
-            collector_config=asdict(one.collector.config()),
+            task=candidate.task_name,
+            overrides=candidate.overrides,
+            collector=candidate.name,
+            collector_config=asdict(candidate.collector.config()),
             seed=0,
         )
         write_dataset(location, arrays, provenance)
         problems = verify(location)
         demand(not problems, "; ".join(problems))
-        different = [each for each in replay(load_dataset(location)) if each]
-        demand(not different, "; ".join(different[:1]))
+        changes = [text for text in replay(load_dataset(location)) if text]
+        demand(not changes, "; ".join(changes[:1]))
 
 
 _CLAIMS: dict[str, Claim] = {
@@ -160,6 +167,6 @@ _CLAIMS: dict[str, Claim] = {
 }
 
 
-def collector_claims(one: Named) -> dict[str, Claim]:
-    """Claims about a collector, by their words."""
+def collector_claims(candidate: Candidate) -> dict[str, Claim]:
+    """Claims about a collector, by their texts."""
     return _CLAIMS

@@ -1,40 +1,45 @@
-"""What every metric keeps to."""
+"""Claims that hold of every metric."""
 
 import math
 import pickle
 from dataclasses import dataclass
 
 from marl_mm.contracts.claims import Claim, demand
-from marl_mm.contracts.tasks import episodes, short
+from marl_mm.contracts.episodes import episodes, short
 from marl_mm.envs.registry import DEFAULT
 from marl_mm.episode import Episode
 from marl_mm.eval.metrics import METRICS, Metric
 
 
 @dataclass(frozen=True)
-class Named:
-    """A metric, its name and episodes to measure."""
+class Candidate:
+    """A metric under test."""
 
     name: str
+    """Registered name."""
+
     metric: Metric
+    """The metric."""
+
     episodes: list[Episode]
+    """Episodes to measure."""
 
 
-def named(name: str, task: str = DEFAULT) -> Named:
-    """A registered metric, on random episodes of a task."""
-    return Named(name, METRICS.get(name), episodes(short(task)))
+def candidate(name: str, task: str = DEFAULT) -> Candidate:
+    """A registered metric, to be tested on random episodes of a task."""
+    return Candidate(name, METRICS.get(name), episodes(short(task)))
 
 
-def _numbers(one: Named) -> None:
-    for episode in one.episodes:
-        value = one.metric.measure(one.name, episode)
+def _numbers(candidate: Candidate) -> None:
+    for episode in candidate.episodes:
+        value = candidate.metric.measure(candidate.name, episode)
         demand(value is None or math.isfinite(value), f"it is {value}")
 
 
-def _follows(one: Named) -> None:
-    for episode in one.episodes:
+def _follows(candidate: Candidate) -> None:
+    for episode in candidate.episodes:
         before = pickle.dumps(episode)
-        first, again = (one.metric.value(episode) for _ in range(2))
+        first, again = (candidate.metric.value(episode) for _ in range(2))
         demand(first == again, f"it is {first}, then {again}")
         demand(pickle.dumps(episode) == before, "it changes the episode")
 
@@ -45,6 +50,6 @@ _CLAIMS: dict[str, Claim] = {
 }
 
 
-def metric_claims(one: Named) -> dict[str, Claim]:
-    """Claims about a metric, by their words."""
+def metric_claims(candidate: Candidate) -> dict[str, Claim]:
+    """Claims about a metric, by their texts."""
     return _CLAIMS

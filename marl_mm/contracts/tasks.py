@@ -1,12 +1,11 @@
-"""What every task keeps to."""
+"""Claims that hold of every task."""
 
 import json
 import pickle
 import tempfile
 import warnings
-from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 from marl_mm.collectors.replay import ReplayPolicy, replay
 from marl_mm.contracts.claims import Claim, demand, demand_refused, demand_same
+from marl_mm.contracts.episodes import EPISODES, ShortTask, episodes
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import locate
@@ -27,87 +27,27 @@ from marl_mm.datasets.verify import verify
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.parallel import TeamEnv
 from marl_mm.envs.registry import config_dict, make_task
-from marl_mm.envs.rollout import EpisodePlan, episode_seed, run_episode
-from marl_mm.envs.task import ScriptConfig, Task
+from marl_mm.envs.rollout import EpisodePlan, run_episode
+from marl_mm.envs.task import ScriptConfig
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
 from marl_mm.eval.goals import goal_set
 from marl_mm.layout import Layout
 from marl_mm.spaces import state_space
 
-EPISODES = 3
-"""Episodes that a claim looks at."""
 
-
-@dataclass(frozen=True)
-class Named:
-    """A task in short: few steps, of a tenth of a second where its numbers allow."""
-
-    name: str
-    task: Task
-    overrides: Mapping[str, Any]
-    """Numbers that were replaced."""
-
-
-def short(name: str) -> Named:
-    """A registered task in short."""
-    for ticks, steps in ((24, 5), (24, 10), (240, 5)):
-        overrides = {"ticks_per_step": ticks, "max_steps": steps}
-        try:
-            return Named(name, make_task(name, overrides), overrides)
-        except UsageError:  # such as a block that is to be held for longer
-            continue
-    return Named(name, make_task(name), {})
-
-
-class Dice:
-    """Acts at random within bounds; for episodes of any layout.
-
-    Args:
-        most: Steps that an episode may have.
-    """
-
-    name = "dice"
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-
-    def describe(self) -> dict[str, Any]:
-        """Nothing to set."""
-        return {}
-
-    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
-        """Take the episode's stream of random numbers."""
-        self._rng, self._low, self._high = rng, layout.low, layout.high
-        self._left = self._most
-
-    def act(self, state: np.ndarray) -> np.ndarray:
-        """Uniform in the action space, while the episode may go on."""
-        demand(self._left, f"an episode goes on after {self._most} steps")
-        self._left -= 1
-        return self._rng.uniform(self._low, self._high).astype(np.float32)
-
-
-def episodes(named: Named, numbers: range = range(EPISODES)) -> list[Episode]:
-    """Random episodes of a task."""
-    dice = Dice(named.task.max_steps)
-    with closing(EpisodeCore(named.task)) as core:
-        plans = [EpisodePlan(i, episode_seed(0, i, "collect")) for i in numbers]
-        return [run_episode(core, dice, plan) for plan in plans]
-
-
-def _layout(named: Named) -> None:
-    layout = named.task.layout
+def _layout(short: ShortTask) -> None:
+    layout = short.task.layout
     again = Layout.from_json(json.loads(json.dumps(layout.to_json())))
     demand(again == layout, "the layout is another one after a round trip through JSON")
     space = state_space(layout)
-    with closing(EpisodeCore(named.task)) as core:
+    with closing(EpisodeCore(short.task)) as core:
         core.reset(np.random.default_rng(0))
-        told = set(named.task.observe(core.attempt))  # type: ignore[arg-type]
+        seen = set(short.task.observe(core.attempt))  # type: ignore[arg-type]
         known = {*layout.state_names} - {*layout.desired}
-        unknown = told - known
+        unknown = seen - known
         demand(not unknown, f"observe tells {', '.join(sorted(unknown))}, not in it")
-    for state in np.concatenate([one.states for one in episodes(named)]):
+    for state in np.concatenate([episode.states for episode in episodes(short)]):
         for entry, value in zip(layout.state, state.tolist(), strict=True):
             demand(
                 entry.low <= value <= entry.high, f"state entry {entry} is {value:g}"
@@ -115,31 +55,31 @@ def _layout(named: Named) -> None:
         demand(space.contains(state), "a state is outside of the state space")
 
 
-def _seeds(named: Named) -> None:
-    one, other = episodes(named), episodes(named)
-    alone = [episodes(named, range(i, i + 1))[0] for i in range(1, EPISODES)]
-    for a, b in zip([*one, *one[1:]], [*other, *alone], strict=True):
-        _same_episode(a, b)
-    states = [episode.states[0] for episode in one]
+def _seeds(short: ShortTask) -> None:
+    first, again = episodes(short), episodes(short)
+    alone = [episodes(short, range(i, i + 1))[0] for i in range(1, EPISODES)]
+    for here, there in zip([*first, *first[1:]], [*again, *alone], strict=True):
+        _same_episode(here, there)
+    states = [episode.states[0] for episode in first]
     varied = any(not np.array_equal(states[0], state) for state in states[1:])
     demand(varied, "all seeds begin in the same state, goal included")
 
 
-def _same_episode(one: Episode, other: Episode) -> None:
+def _same_episode(here: Episode, there: Episode) -> None:
     for name in ("states", "actions", "rewards", "terminated", "truncated", "start"):
-        demand_same(getattr(one, name), getattr(other, name), name)
-    for name, values in one.info.items():
-        demand_same(values, other.info[name], f"info {name}")
+        demand_same(getattr(here, name), getattr(there, name), name)
+    for name, values in here.info.items():
+        demand_same(values, there.info[name], f"info {name}")
 
 
-def _beside(named: Named) -> None:
-    """Two at once, step by step in turn."""
-    alone = episodes(named, range(2))
+def _beside(short: ShortTask) -> None:
+    """Two episodes at once, which take their steps in turn."""
+    alone = episodes(short, range(2))
     with (
-        closing(EpisodeCore(named.task)) as one,
-        closing(EpisodeCore(named.task)) as other,
+        closing(EpisodeCore(short.task)) as first,
+        closing(EpisodeCore(short.task)) as second,
     ):
-        pairs = list(zip((one, other), alone, strict=True))
+        pairs = list(zip((first, second), alone, strict=True))
         for core, episode in pairs:
             state = core.reset(seeding.np_random(episode.seed)[0])
             demand_same(state, episode.states[0], "states beside another episode")
@@ -153,48 +93,48 @@ def _beside(named: Named) -> None:
                     demand(same, "rewards differ beside another episode")
 
 
-def _numbers(named: Named) -> None:
-    task = named.task
+def _numbers(short: ShortTask) -> None:
+    task = short.task
     unknown = set(task.needs) - {*task.info, *task.layout.state_names}
     demand(not unknown, f"needs {', '.join(unknown)}, which nothing tells")
-    for episode in episodes(named):
+    for episode in episodes(short):
         for name, values in episode.info.items():
             finite = values.dtype.kind in "fiub" and np.isfinite(values).all()
             demand(finite, f"info {name} is no finite number")
 
 
-def _highest_return(named: Named) -> None:
-    """Returns from any step on are looked at, and rewards of goals that are hit."""
-    task = named.task
+def _highest_return(short: ShortTask) -> None:
+    """Checks the returns from every step on, and the rewards of goals that are hit."""
+    task = short.task
     bound = task.highest_return
     if bound is None:
         return
-    for episode in episodes(named):
+    for episode in episodes(short):
         achieved = episode.states[1:, task.layout.achieved]
         terms = arrays_of([episode], "contract").reward_terms(task.needs)
         returns = np.cumsum(episode.rewards[::-1])
         hits = np.asarray(task.judge(achieved, achieved.copy(), terms)[0])
         found = {"reward": episode.rewards, "return": returns, "hit's reward": hits}
-        for what, values in found.items():
+        for name, values in found.items():
             highest = values.max()
-            demand(highest <= bound, f"a {what} is {highest:g}, the bound {bound:g}")
+            demand(highest <= bound, f"a {name} is {highest:g}, the bound {bound:g}")
 
 
-def _ends(named: Named) -> None:
-    for episode in episodes(named):  # which see to their lengths
+def _ends(short: ShortTask) -> None:
+    for episode in episodes(short):  # which checks the lengths
         ended = episode.terminated | episode.truncated
         demand(ended[-1] and not ended[:-1].any(), "an episode goes on after its end")
         both = (episode.terminated & episode.truncated).any()
         demand(not both, "a step is both terminated and truncated")
-        fine = named.task.fails or not episode.failed.any()
+        fine = short.task.fails or not episode.failed.any()
         demand(fine, "an episode fails, and fails is not set")
-        words = isinstance(episode.reason, str) or not named.task.fails
+        words = isinstance(episode.reason, str) or not short.task.fails
         demand(words, f"failure tells {episode.reason!r}, expected words")
 
 
-def _hindsight(named: Named) -> None:
-    task, layout = named.task, named.task.layout
-    listed = episodes(named)
+def _hindsight(short: ShortTask) -> None:
+    task, layout = short.task, short.task.layout
+    listed = episodes(short)
     arrays = arrays_of(listed, "contract")
     after = arrays.states[~arrays.is_first_state()]
     terms = arrays.reward_terms(task.needs)
@@ -210,19 +150,19 @@ def _hindsight(named: Named) -> None:
     demand(better, "a goal that was hit is worth less than one 10 off")
     demand(np.shape(done) == (len(goals),), "terminations have another shape")
     for episode in listed:
-        _come_to(named, episode)
+        _come_to(short, episode)
 
 
-def _come_to(named: Named, episode: Episode) -> None:
-    """Once more, for the goal that it came to: what hindsight says of it happens."""
-    task, layout = named.task, named.task.layout
+def _come_to(short: ShortTask, episode: Episode) -> None:
+    """Repeats an episode for the goal that it came to: hindsight has foretold it."""
+    task, layout = short.task, short.task.layout
     goal = episode.states[-1, layout.achieved]
     plan = EpisodePlan(episode.index, episode.seed, tuple(goal.tolist()))
     with closing(EpisodeCore(task)) as core:
         again = run_episode(core, ReplayPolicy(episode), plan)
     steps = min(len(again), len(episode))
     now, then = (
-        one.states[: steps + 1, layout.observation] for one in (again, episode)
+        run.states[: steps + 1, layout.observation] for run in (again, episode)
     )
     demand_same(now, then, "states with another goal")
     achieved = episode.states[1:, layout.achieved]
@@ -234,25 +174,25 @@ def _come_to(named: Named, episode: Episode) -> None:
     demand_same(said, again.terminated[:steps], "ends at a goal that it came to")
 
 
-def _replay(named: Named) -> None:
+def _replay(short: ShortTask) -> None:
     with tempfile.TemporaryDirectory() as folder:
         location = locate(str(Path(folder, "contract-v0")))
-        arrays = arrays_of(episodes(named), location.id)
+        arrays = arrays_of(episodes(short), location.id)
         provenance = Provenance(
-            task=named.name, overrides=named.overrides, collector="dice", seed=0
+            task=short.name, overrides=short.overrides, collector="dice", seed=0
         )
         write_dataset(location, arrays, provenance)
         problems = verify(location)
         demand(not problems, "; ".join(problems))
-        different = [one for one in replay(load_dataset(location)) if one is not None]
-        demand(not different, "; ".join(different[:1]))
+        changes = [text for text in replay(load_dataset(location)) if text is not None]
+        demand(not changes, "; ".join(changes[:1]))
 
 
-def _goals(named: Named) -> None:
-    few, many = (goal_set(named.task, count, 0) for count in (2, 4))
+def _goals(short: ShortTask) -> None:
+    few, many = (goal_set(short.task, count, 0) for count in (2, 4))
     demand(many[:2] == few, "the first goals of a seed depend on how many there are")
-    place = named.task.layout.goal
-    with closing(EpisodeCore(named.task)) as core:
+    place = short.task.layout.goal
+    with closing(EpisodeCore(short.task)) as core:
         for plan in few:
             drawn = core.reset(np.random.default_rng(plan.seed))[place]
             goal = np.array(drawn if plan.goal is None else plan.goal, np.float64)
@@ -263,9 +203,9 @@ def _goals(named: Named) -> None:
         demand_refused(lambda: core.reset(rng, shape), "a goal that is too wide")
 
 
-def _actions(named: Named) -> None:
-    layout = named.task.layout
-    with closing(EpisodeCore(named.task)) as core:
+def _actions(short: ShortTask) -> None:
+    layout = short.task.layout
+    with closing(EpisodeCore(short.task)) as core:
         for bound in (layout.low, layout.high):
             core.reset(np.random.default_rng(0))
             core.step(np.array(bound))
@@ -276,13 +216,13 @@ def _actions(named: Named) -> None:
         demand_refused(lambda: core.step(wide), "an action that is too wide")
 
 
-def _expert(named: Named) -> None:
-    """A task may do without one; a script that there is sets what there is to set."""
-    layout, script = named.task.layout, ScriptConfig()
-    for state in np.concatenate([one.states for one in episodes(named)]):
+def _expert(short: ShortTask) -> None:
+    """A task may have no script; one that it has sets every entry of the action."""
+    layout, script = short.task.layout, ScriptConfig()
+    for state in np.concatenate([episode.states for episode in episodes(short)]):
         seen = dict(zip(layout.state_names, state.tolist(), strict=True))
         try:
-            action = named.task.expert(seen, script)
+            action = short.task.expert(seen, script)
         except UsageError:
             return
         differ = set(action) ^ set(layout.action_names)
@@ -291,23 +231,23 @@ def _expert(named: Named) -> None:
             value = action[entry.name]
             inside = entry.low <= value <= entry.high
             demand(inside, f"the expert sets {entry} to {value}")
-        again = named.task.expert(seen, script)
+        again = short.task.expert(seen, script)
         demand(again == action, "the expert acts otherwise in the same state")
 
 
-def _workers(named: Named) -> None:
-    again = pickle.loads(pickle.dumps(named.task))
-    demand(again == named.task, "the task is another one after pickling")
-    numbers = json.loads(json.dumps(config_dict(named.task), allow_nan=False))
-    made = make_task(named.name, numbers)
-    demand(made == named.task, "the task is another one when made of its numbers")
-    longer = replace(named.task, max_steps=named.task.max_steps + 1)
-    demand(longer != named.task, "numbers do not count in comparisons")
+def _workers(short: ShortTask) -> None:
+    again = pickle.loads(pickle.dumps(short.task))
+    demand(again == short.task, "the task is another one after pickling")
+    numbers = json.loads(json.dumps(config_dict(short.task), allow_nan=False))
+    made = make_task(short.name, numbers)
+    demand(made == short.task, "the task is another one when made of its numbers")
+    longer = replace(short.task, max_steps=short.task.max_steps + 1)
+    demand(longer != short.task, "numbers do not count in comparisons")
 
 
-def _pettingzoo(named: Named) -> None:
+def _pettingzoo(short: ShortTask) -> None:
     def make() -> TeamEnv:
-        return TeamEnv(named.name, named.overrides)
+        return TeamEnv(short.name, short.overrides)
 
     env = make()
     with closing(env), warnings.catch_warnings():
@@ -316,10 +256,10 @@ def _pettingzoo(named: Named) -> None:
         parallel_seed_test(make, num_cycles=3)
 
 
-def _gymnasium(named: Named) -> None:
+def _gymnasium(short: ShortTask) -> None:
     env = gymnasium.make(
-        f"marl_mm/{named.name}",
-        overrides=dict(named.overrides),
+        f"marl_mm/{short.name}",
+        overrides=dict(short.overrides),
         disable_env_checker=True,
     )
     with closing(env), warnings.catch_warnings():
@@ -329,7 +269,7 @@ def _gymnasium(named: Named) -> None:
 
 
 def _judges(env: Any) -> None:
-    """What others' replays ask of a goal environment."""
+    """Rewards and ends in hindsight, as other libraries' replay buffers ask."""
     env.reset(seed=0)
     observation, reward, terminated, _, info = env.step(env.action_space.high)
     goals = observation["achieved_goal"], observation["desired_goal"]
@@ -360,6 +300,6 @@ _CLAIMS: dict[str, Claim] = {
 }
 
 
-def task_claims(named: Named) -> dict[str, Claim]:
-    """Claims about a task, by their words."""
+def task_claims(short: ShortTask) -> dict[str, Claim]:
+    """Claims about a task, by their texts."""
     return _CLAIMS

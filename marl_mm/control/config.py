@@ -24,6 +24,9 @@ Solver = Literal["active-set", "proxqp", "daqp"]
 
 SOLVERS: tuple[Solver, ...] = get_args(Solver)
 
+BRAKING_RATE = 10.0
+"""Speed to deceleration of the safe command [1/s]."""
+
 
 class Gains(NamedTuple):
     """Feedback rates of the tasks."""

@@ -46,10 +46,3 @@ def stability_share(alpha: float, response: float) -> float:
 def priority_matrix(share: float) -> np.ndarray:
     """Psi = s Psi1 + (1 - s) Psi2 (Eq. 4, with s for alpha), shape (4, 5)."""
     return share * STABILITY + (1 - share) * REACHING
-
-
-def handled_tasks(psi: np.ndarray, level: int) -> list[int]:
-    """Tasks whose psi rises at a level, highest psi first; ties in Table 1's order."""
-    above = psi[level - 1] if level else np.zeros(psi.shape[1])
-    risen = [k for k in range(psi.shape[1]) if abs(psi[level, k] - above[k]) > HANDLED]
-    return sorted(risen, key=lambda k: -psi[level, k])

@@ -13,84 +13,17 @@ import numpy as np
 
 from marl_mm.control.compiled.tick import tick
 from marl_mm.control.config import ControllerConfig, Gains, HierarchyConfig, LimitConfig
-from marl_mm.control.hierarchy import Solution, solve_hierarchy
-from marl_mm.control.limits import (
-    LIMIT_NAMES,
-    TORQUE_ROWS,
-    WHEEL_ARM,
-    bounds,
-    row_count,
-)
+from marl_mm.control.limits import row_count
 from marl_mm.control.priorities import (
     REACHING,
     STABILITY,
     priority_matrix,
     stability_share,
 )
-from marl_mm.control.qp import NO_CAUSE, daqp, proxqp
-from marl_mm.control.safe import braking_acceleration, broken_row
-from marl_mm.control.tasks.arm_posture import arm_posture
-from marl_mm.control.tasks.base_orientation import base_orientation
-from marl_mm.control.tasks.base_velocity import base_velocity
-from marl_mm.control.tasks.manipulator_orientation import manipulator_orientation
-from marl_mm.control.tasks.manipulator_position import manipulator_position
-from marl_mm.control.tasks.task import VARIABLES, Reference, Task
+from marl_mm.control.records import VARIABLES, Command, Priorities, Reference
 from marl_mm.errors import NonFiniteStateError, UsageError
-from marl_mm.robot.description import WHEEL_RADIUS
 from marl_mm.robot.limits import RobotLimits
 from marl_mm.robot.model import ModelTerms, RobotState
-
-
-class Command(NamedTuple):
-    """What the robot shall do until the next tick."""
-
-    acceleration: np.ndarray
-    """u, shape (9,)."""
-
-    torque: np.ndarray
-    """Of the arm joints, clipped to their limits, shape (7,) [N m]."""
-
-    base_speed: tuple[float, float]
-    """For the wheels: forward [m/s], yaw rate [rad/s]. The measured speeds plus u over
-    a tick: an integral of u alone would go on while the wheels slip, and jerk the base
-    when they grip again."""
-
-    levels: int
-    """Levels of the hierarchy solved."""
-
-    qps: int
-    """Levels that needed a QP, because the closed form broke a limit."""
-
-    failures: int
-    """Levels whose QP failed, and which were skipped."""
-
-    cause: int
-    """The last failure's, see ``reason``."""
-
-    safe: bool
-    """Whether no acceleration met all limits, so that the command only brakes."""
-
-    @property
-    def reason(self) -> str | None:
-        """What stood in the way of the last failed level, in words.
-
-        Of a command that only brakes: the limit that even braking breaks, most of all.
-        """
-        if self.failures == 0:
-            return None
-        if self.cause < 0:
-            return "the QP ran out of iterations"
-        return f"{LIMIT_NAMES[self.cause]}: out of reach within the other limits"
-
-
-class Priorities(NamedTuple):
-    """Who comes first: one hierarchy, or a mix of several."""
-
-    matrices: np.ndarray
-    """Cumulative priority matrices, shape (m, 4, 5)."""
-
-    shares: np.ndarray
-    """Weight of each hierarchy's solution in u, shape (m,)."""
 
 
 class WholeBodyController:
@@ -188,19 +121,6 @@ class WholeBodyController:
             )
         return command
 
-    def tasks(
-        self, state: RobotState, terms: ModelTerms, reference: Reference
-    ) -> list[Task]:
-        """The five tasks at a state, in the order of Table 1."""
-        gains = self._gains
-        return [
-            base_velocity(state, reference, gains),
-            base_orientation(state, reference, gains),
-            manipulator_position(terms, reference, gains),
-            manipulator_orientation(terms, reference, gains),
-            arm_posture(state, reference, gains),
-        ]
-
     def _compiled(
         self,
         state: RobotState,
@@ -233,43 +153,20 @@ class WholeBodyController:
         reference: Reference,
         priorities: Priorities,
     ) -> Command:
-        tasks = self.tasks(state, terms, reference)
-        limits = bounds(state, terms, self._robot, self._limits)
-        solve_qp = daqp if self.config.solver == "daqp" else proxqp
-        solutions: list[Solution] = [
-            solve_hierarchy(tasks, psi, limits, self._hierarchy, solve_qp)
-            for psi in priorities.matrices
-        ]
-        feasible = all(solution.feasible for solution in solutions)
-        if feasible:
-            u = np.zeros(VARIABLES)
-            for share, solution in zip(priorities.shares, solutions, strict=True):
-                u += share * solution.acceleration
-        else:
-            u = braking_acceleration(state, limits)
-        torque = limits.matrix[TORQUE_ROWS] @ u + terms.nonlinear[3:]
-        causes = [solution.cause for solution in solutions if solution.failures]
-        broken = None if feasible else broken_row(u, limits)
-        if broken is not None:
-            causes.append(broken)
-        return Command(
-            u,
-            np.clip(torque, -self._robot.torque, self._robot.torque),
-            self._base_speed(state, u),
-            sum(solution.levels for solution in solutions),
-            sum(solution.qps for solution in solutions),
-            sum(solution.failures for solution in solutions),
-            causes[-1] if causes else NO_CAUSE,
-            not feasible,
-        )
+        from marl_mm.control.reference import controller, qp  # nothing else needs them
 
-    def _base_speed(self, state: RobotState, u: np.ndarray) -> tuple[float, float]:
-        most, most_turning = self._robot.speed[:2]
-        forward = np.clip(state.v[0] + u[0] / self._rate, -most, most)
-        rim = self._robot.wheel_speed * WHEEL_RADIUS
-        most_turning = min(most_turning, (rim - abs(forward)) / WHEEL_ARM)
-        turning = np.clip(state.v[2] + u[1] / self._rate, -most_turning, most_turning)
-        return float(forward), float(turning)
+        return controller.tick(
+            state,
+            terms,
+            reference,
+            self._robot,
+            self._gains,
+            self._hierarchy,
+            self._limits,
+            priorities,
+            self._rate,
+            qp.daqp if self.config.solver == "daqp" else qp.proxqp,
+        )
 
 
 def _typed(defaults: NamedTuple, values: NamedTuple) -> Iterator[Any]:

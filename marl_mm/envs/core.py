@@ -24,7 +24,18 @@ from marl_mm.layout import places
 from marl_mm.sim.config import RATE, Camera
 
 RENDER_MODES = ("rgb_array",)
-"""Pictures; for PyBullet's window there is ``marl-mm play --gui``."""
+"""Modes of rendering: pictures. ``EpisodeCore(gui=True)`` opens PyBullet's window."""
+
+
+def render_metadata(task: Task) -> dict[str, Any]:
+    """Metadata of rendering as Gymnasium and PettingZoo expect them.
+
+    ``render_fps`` counts pictures per simulated second: one picture a step.
+    """
+    return {
+        "render_modes": list(RENDER_MODES),
+        "render_fps": RATE / task.ticks_per_step,
+    }
 
 
 def check_render_mode(mode: str | None) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from marl_mm.control.tasks.task import Reference
+from marl_mm.control.records import Reference
 from marl_mm.envs.order import Order
 from marl_mm.envs.task import Attempt, Task, Values
 from marl_mm.envs.terms import goal_distance

@@ -11,8 +11,7 @@ import numpy as np
 
 from marl_mm.control.config import ControllerConfig, Gains
 from marl_mm.control.priorities import LEFT_OUT, STABILITY, cumulative
-from marl_mm.control.tasks.task import Reference
-from marl_mm.control.wbc import Priorities
+from marl_mm.control.records import Priorities, Reference
 from marl_mm.envs.drive import Drive, Tick, Watch
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.model import RobotState

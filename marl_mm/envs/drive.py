@@ -12,12 +12,14 @@ import numpy as np
 
 from marl_mm.control.config import ControllerConfig, Knowledge
 from marl_mm.control.limits import WHEEL_ARM
-from marl_mm.control.wbc import Command, Priorities, WholeBodyController
+from marl_mm.control.records import Command, Priorities
+from marl_mm.control.wbc import WholeBodyController
 from marl_mm.envs.hand import Hand
 from marl_mm.envs.order import Order, ReferenceAt
 from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig
 from marl_mm.robot.limits import robot_limits
-from marl_mm.robot.model import ModelTerms, RobotModel, RobotState, support_margin
+from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
+from marl_mm.robot.support import support_margin
 from marl_mm.sim.bullet import BulletWorld
 from marl_mm.sim.config import RATE, SimulationConfig
 from marl_mm.sim.scene import Mark, Scene

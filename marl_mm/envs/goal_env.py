@@ -7,7 +7,12 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from marl_mm.envs.core import RENDER_MODES, EpisodeCore, check_render_mode
+from marl_mm.envs.core import (
+    RENDER_MODES,
+    EpisodeCore,
+    check_render_mode,
+    render_metadata,
+)
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.envs.task import Terms
 from marl_mm.episode import FAILED
@@ -39,7 +44,7 @@ class GoalEnv(gymnasium.Env[GoalObservation, np.ndarray]):
         render_mode: ``"rgb_array"`` or None.
     """
 
-    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 1}  # noqa: RUF012
+    metadata = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
 
     def __init__(
         self,
@@ -50,6 +55,7 @@ class GoalEnv(gymnasium.Env[GoalObservation, np.ndarray]):
         check_render_mode(render_mode)
         self.render_mode = render_mode
         self.task = make_task(task, overrides)
+        self.metadata = render_metadata(self.task)
         self.core = EpisodeCore(self.task, visual=render_mode is not None)
         layout = self.task.layout
         self.observation_space = cast(

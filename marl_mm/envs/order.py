@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
-from marl_mm.control.tasks.task import Reference
+from marl_mm.control.records import Reference
 
 if TYPE_CHECKING:  # a task's numbers are looked at without the controller
-    from marl_mm.control.wbc import Priorities
+    from marl_mm.control.records import Priorities
     from marl_mm.robot.model import RobotState
 
 ReferenceAt = Callable[[int, "RobotState"], Reference]

@@ -8,7 +8,7 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
-from marl_mm.envs.core import RENDER_MODES, EpisodeCore, check_render_mode
+from marl_mm.envs.core import EpisodeCore, check_render_mode, render_metadata
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.errors import InvalidActionError, UsageError
 from marl_mm.layout import Layout
@@ -69,13 +69,13 @@ class TeamEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         render_mode: str | None = None,
     ) -> None:
         check_render_mode(render_mode)
-        self.metadata = {
-            "name": f"marl_mm/{task}",
-            "render_modes": list(RENDER_MODES),
-            "is_parallelizable": True,
-        }
         self.render_mode = render_mode
         self.task = make_task(task, overrides)
+        self.metadata = {
+            "name": f"marl_mm/{task}",
+            "is_parallelizable": True,
+            **render_metadata(self.task),
+        }
         self.core = EpisodeCore(self.task, visual=render_mode is not None)
         layout = self.task.layout
         self.possible_agents = [agent.name for agent in layout.agents]

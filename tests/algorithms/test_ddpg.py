@@ -10,8 +10,10 @@ import torch
 
 from marl_mm.algorithms.actors import joint_action
 from marl_mm.algorithms.checkpoint import FILE, save_checkpoint, save_policy
-from marl_mm.algorithms.ddpg import Ddpg, DdpgConfig
-from marl_mm.algorithms.maddpg import Maddpg, MaddpgConfig
+from marl_mm.algorithms.ddpg import Ddpg
+from marl_mm.algorithms.ddpg_config import DdpgConfig
+from marl_mm.algorithms.maddpg import Maddpg
+from marl_mm.algorithms.maddpg_config import MaddpgConfig
 from marl_mm.algorithms.networks import Actor, Critic
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.registry import preset

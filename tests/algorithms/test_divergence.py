@@ -12,22 +12,25 @@ import torch
 
 from marl_mm.algorithms.algorithm import OfflineAlgorithm
 from marl_mm.algorithms.checkpoint import read_checkpoint
-from marl_mm.algorithms.mabc import Mabc, MabcConfig
-from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
+from marl_mm.algorithms.mabc import Mabc
+from marl_mm.algorithms.mabc_config import MabcConfig
+from marl_mm.algorithms.matd3_bc import Matd3Bc
+from marl_mm.algorithms.matd3_bc_config import Matd3BcConfig
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.speed import resolved
-from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
+from marl_mm.algorithms.td3_bc import Td3Bc
+from marl_mm.algorithms.td3_bc_config import Td3BcConfig
 from marl_mm.algorithms.train import train
 from marl_mm.cli import main
-from marl_mm.commands import train_offline
-from marl_mm.commands.offline_options import offline_options
 from marl_mm.datasets import load_dataset
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
 from marl_mm.envs.registry import make_task
 from marl_mm.episode import Episode
 from marl_mm.errors import DivergedError
-from marl_mm.progress import Advance
+from marl_mm.progress import Advance, silent_bar
+from marl_mm.runs import offline, seeds
+from marl_mm.runs.training import offline_training
 
 MakeEpisode = Callable[..., Episode]
 JUDGE = make_task()
@@ -171,7 +174,7 @@ def one_diverges(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
         monkeypatch.setattr(algorithm, "diagnose", bad)
         train(algorithm, *arguments)
 
-    monkeypatch.setattr(train_offline, "train", spoilt)
+    monkeypatch.setattr(offline, "train", spoilt)
 
 
 @pytest.mark.slow
@@ -179,7 +182,7 @@ def test_seeds_side_by_side_outlive_one_that_diverges(
     datasets_home: Path, tmp_path: Path
 ) -> None:
     """As on a GPU, here on the CPU: the others go on alone to where they would come."""
-    options: Any = offline_options("td3-bc", dataset="good-5k", workers=1, **FEW)
+    options: Any = offline_training("td3-bc", workers=1, **FEW)
     small = replace(options.config, updates=200, hidden=(8, 8), batch_size=16)
     options = replace(options, config=small, resume=True)
     dataset = load_dataset("good-5k")
@@ -188,8 +191,8 @@ def test_seeds_side_by_side_outlive_one_that_diverges(
         runs = {seed: tmp_path / name / str(seed) for seed in (0, 1, 2)}
         with pytest.MonkeyPatch.context() as patch:
             one_diverges(patch, diverges)
-            train_offline._begin(dataset, options, runs)
-            parts = list(train_offline._together(dataset, options, runs))
+            offline.begin_runs(dataset, options, runs)
+            parts = list(seeds._together(dataset, options, runs, silent_bar))
         return parts, {seed: read_checkpoint(run) for seed, run in runs.items()}
 
     (whole,), expected = trained("whole", diverges=9)

@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from marl_mm.algorithms.checkpoint import BEST, FILE, read_checkpoint, save_seed
-from marl_mm.algorithms.mabc import Mabc, MabcConfig
+from marl_mm.algorithms.mabc import Mabc
+from marl_mm.algorithms.mabc_config import MabcConfig
 from marl_mm.algorithms.networks import ActionScale, Normalizer
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.replay import normalized_actions

@@ -13,9 +13,11 @@ from tensorboard.backend.event_processing.event_accumulator import (
 )
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
-from marl_mm.algorithms.ddpg import Ddpg, DdpgConfig
+from marl_mm.algorithms.ddpg import Ddpg
+from marl_mm.algorithms.ddpg_config import DdpgConfig
 from marl_mm.algorithms.explore import Explorer
-from marl_mm.algorithms.maddpg import Maddpg, MaddpgConfig
+from marl_mm.algorithms.maddpg import Maddpg
+from marl_mm.algorithms.maddpg_config import MaddpgConfig
 from marl_mm.algorithms.online import Schedule, is_flat, train_online
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.pretrained import load_pretrained, ship

@@ -16,16 +16,19 @@ from torch.nn import functional
 
 from marl_mm.algorithms import speed
 from marl_mm.algorithms.checkpoint import FILE, read_checkpoint, save_seed
-from marl_mm.algorithms.mabc import MabcConfig
-from marl_mm.algorithms.matd3_bc import Matd3Bc, Matd3BcConfig
+from marl_mm.algorithms.config_checks import Precision
+from marl_mm.algorithms.mabc_config import MabcConfig
+from marl_mm.algorithms.matd3_bc import Matd3Bc
+from marl_mm.algorithms.matd3_bc_config import Matd3BcConfig
 from marl_mm.algorithms.networks import perceptron
 from marl_mm.algorithms.offline_batches import OfflineBatch
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.registry import preset
 from marl_mm.algorithms.replay import normalized_actions
 from marl_mm.algorithms.runlog import CurvePoint, read_metrics
-from marl_mm.algorithms.speed import Precision, matrix_products, resolved
-from marl_mm.algorithms.td3_bc import Td3Bc, Td3BcConfig
+from marl_mm.algorithms.speed import matrix_products, resolved
+from marl_mm.algorithms.td3_bc import Td3Bc
+from marl_mm.algorithms.td3_bc_config import Td3BcConfig
 from marl_mm.algorithms.train import resume_seeds, train
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
 from marl_mm.envs.registry import make_task

@@ -14,7 +14,6 @@ import torch
 
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm.cli import COMMANDS, main
-from marl_mm.commands.options import own_task
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import Journal
@@ -23,6 +22,7 @@ from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
+from marl_mm.runs.policies import own_task
 
 ID = "marl_mm/reach/test-v0"
 PROVENANCE = Provenance(task="Reach-v0", collector="pd", seed=0, attempts=6)
@@ -126,7 +126,7 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
             ["play", "scripted", "--task", "Grasp-v0", "--direction", "backward"],
             "--direction is not for Grasp-v0: its seed draws the goal",
         ),
-        (["play", "pd", "--strip", "x.gif"], "--strip is for films of episodes"),
+        (["play", "pd", "--strip", "x.gif"], "film strip x.gif ends in"),
         (["play", "arm-reach", "--strip", "x.png"], "--strip is for films of episodes"),
         (["bench", "control", "--steps", "-1"], "--steps is -1"),
         (["bench", "abuse", "--ticks", "0"], "--ticks is 0"),
@@ -364,7 +364,7 @@ def test_runs_are_evaluated_on_their_own_task(tmp_path: Path) -> None:
     a, b, c = (str(tmp_path / name) for name in "abc")
     assert own_task([a, b, "pd"]) == own_task([f"{a}/best.pt"]) == "Grasp-v0"
     assert own_task([c]) == own_task(["pd", "pretrained"]) == "Reach-v0"
-    with pytest.raises(UsageError, match="choose one with --task"):
+    with pytest.raises(UsageError, match="choose one with `task`"):
         own_task([a, c])
 
 

@@ -25,7 +25,8 @@ from marl_mm import plugins
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.ddpg import Ddpg
 from marl_mm.algorithms.explore import Explorer
-from marl_mm.algorithms.mabc import Mabc, MabcConfig
+from marl_mm.algorithms.mabc import Mabc
+from marl_mm.algorithms.mabc_config import MabcConfig
 from marl_mm.algorithms.maddpg import Maddpg
 from marl_mm.algorithms.matd3_bc import Matd3Bc
 from marl_mm.algorithms.networks import Actor
@@ -39,8 +40,9 @@ from marl_mm.collectors import replay
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.collectors.registry import COLLECTORS, Collector
-from marl_mm.contracts import algorithms, collectors, tasks
+from marl_mm.contracts import algorithms, collectors, learners, tasks
 from marl_mm.contracts.claims import Claim, Finding, examine
+from marl_mm.contracts.episodes import short
 from marl_mm.envs.cruise import ALPHA
 from marl_mm.envs.order import Order
 from marl_mm.envs.registry import TASKS, register_task
@@ -97,16 +99,16 @@ def broken(findings: Iterable[Finding]) -> Broken:
 
 
 def of_task(name: str) -> Broken:
-    about = tasks.short(name)
+    about = short(name)
     return broken(examine(name, about, tasks.task_claims(about)))
 
 
-def of_algorithm(about: algorithms.Named, but: Sequence[str] = ()) -> Broken:
+def of_algorithm(about: learners.Candidate, but: Sequence[str] = ()) -> Broken:
     claims = algorithms.algorithm_claims(about)
     return broken(examine(about.name, about, without(claims, but)))
 
 
-def of_collector(about: collectors.Named, but: Sequence[str] = ()) -> Broken:
+def of_collector(about: collectors.Candidate, but: Sequence[str] = ()) -> Broken:
     claims = collectors.collector_claims(about)
     return broken(examine(about.name, about, without(claims, but)))
 
@@ -135,13 +137,13 @@ def test_built_in_tasks_keep_their_claims(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", built_in(ALGORITHMS))
 def test_built_in_algorithms_keep_their_claims(name: str) -> None:
-    assert of_algorithm(algorithms.named(name)) == {}
+    assert of_algorithm(learners.candidate(name)) == {}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", built_in(COLLECTORS))
 def test_built_in_collectors_keep_their_claims(name: str) -> None:
-    assert of_collector(collectors.named(name)) == {}
+    assert of_collector(collectors.candidate(name)) == {}
 
 
 @pytest.mark.slow
@@ -150,8 +152,8 @@ def test_plug_ins_of_the_examples_keep_their_claims(path: Path) -> None:
     origin = plugins.load(path).name
     kinds: tuple[tuple[Registry[Any], Callable[[str], Broken]], ...] = (
         (TASKS, of_task),
-        (ALGORITHMS, lambda name: of_algorithm(algorithms.named(name))),
-        (COLLECTORS, lambda name: of_collector(collectors.named(name))),
+        (ALGORITHMS, lambda name: of_algorithm(learners.candidate(name))),
+        (COLLECTORS, lambda name: of_collector(collectors.candidate(name))),
     )
     found = {
         name: check(name)
@@ -989,19 +991,19 @@ class SetConfig(MabcConfig):
 
 def planted(
     learner: type, base: str = "mabc", config: Any = None, name: str | None = None
-) -> algorithms.Named:
+) -> learners.Candidate:
     """A variant of an algorithm, by its own name."""
     usual = ALGORITHMS.get(base)
     own = name or f"planted-{learner.__name__}"
     named = type(learner.__name__, (learner,), {"name": own, "base_name": own})
     presets = {TUNED: config or usual.presets[TUNED]}
-    return algorithms.Named(own, replace(usual, learner=named, presets=presets))
+    return learners.Candidate(own, replace(usual, learner=named, presets=presets))
 
 
 OTHER_WEIGHTS = "weight differ at"
 NOT_ITS_WAY = "does not go the way that data draw it"
 
-ALGORITHMS_MISTAKEN: list[tuple[algorithms.Named, Broken]] = [
+ALGORITHMS_MISTAKEN: list[tuple[learners.Candidate, Broken]] = [
     (
         replace(planted(Misnamed), name="planted-other"),
         {
@@ -1098,7 +1100,7 @@ ALGORITHMS_MISTAKEN: list[tuple[algorithms.Named, Broken]] = [
     [pytest.param(*one, id=one[0].name[8:]) for one in ALGORITHMS_MISTAKEN],
 )
 def test_an_algorithms_mistake_breaks_its_claims(
-    about: algorithms.Named, expected: Broken
+    about: learners.Candidate, expected: Broken
 ) -> None:
     costly = [one for one in (EXPORTS,) if one not in expected]
     expect(of_algorithm(about, but=costly), expected)
@@ -1231,7 +1233,7 @@ def gathered(
     task: str = "Reach-v0",
     config: type = RandomConfig,
     keeps: Callable[[Episode], Any] = lambda episode: True,
-) -> collectors.Named:
+) -> collectors.Candidate:
     """A collector of a variant of a policy."""
 
     def make(config: Any, task: Task) -> Policy:
@@ -1242,13 +1244,13 @@ def gathered(
 
     own = f"planted-{name or policy.__name__}"
     made = Collector(about="Planted.", config=config, policy=make, keeps=keeps)
-    usual = collectors.named("random", task)
+    usual = collectors.candidate("random", task)
     return replace(usual, name=own, collector=made)
 
 
 NO_NUMBERS = "InvalidActionError: action is [nan, nan, nan, nan]"
 
-COLLECTORS_MISTAKEN: list[tuple[collectors.Named, Broken]] = [
+COLLECTORS_MISTAKEN: list[tuple[collectors.Candidate, Broken]] = [
     (
         gathered(Stray),
         {
@@ -1317,7 +1319,7 @@ COLLECTORS_MISTAKEN: list[tuple[collectors.Named, Broken]] = [
     [pytest.param(*one, id=one[0].name[8:]) for one in COLLECTORS_MISTAKEN],
 )
 def test_a_collectors_mistake_breaks_its_claims(
-    about: collectors.Named, expected: Broken, monkeypatch: pytest.MonkeyPatch
+    about: collectors.Candidate, expected: Broken, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(ROOT)  # workers import this file
     costly = [one for one in (PROCESSES,) if one not in expected]
@@ -1327,7 +1329,8 @@ def test_a_collectors_mistake_breaks_its_claims(
 # --- The command line --------------------------------------------------------
 
 PLUGIN = """
-from marl_mm.algorithms.mabc import Mabc, MabcConfig
+from marl_mm.algorithms.mabc import Mabc
+from marl_mm.algorithms.mabc_config import MabcConfig
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm
 
 class Planted(Mabc):
@@ -1378,7 +1381,7 @@ def test_check_of_a_sound_plug_in_ends_with_0(
     path = plug_in(PLUGIN.format(name="mabc"))
     assert run(path) == 0
     lines = capsys.readouterr().out.splitlines()
-    about = algorithms.named("planted-mabc")
+    about = learners.candidate("planted-mabc")
     claims = algorithms.algorithm_claims(about)
     assert lines == [f"holds  algorithm planted-mabc: {claim}" for claim in claims]
     assert run("planted-mabc") == 0  # by its name, once it is there

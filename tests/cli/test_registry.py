@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from marl_mm.algorithms.mabc import Mabc, MabcConfig
+from marl_mm.algorithms.mabc import Mabc
+from marl_mm.algorithms.mabc_config import MabcConfig
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, names, preset
 from marl_mm.cli import main
 from marl_mm.collectors.random import RandomConfig, RandomPolicy

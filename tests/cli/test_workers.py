@@ -87,13 +87,13 @@ def test_what_else_is_forked_from_the_server_begins_as_if_it_were_not_ours(
 @pytest.mark.slow
 def test_a_server_that_is_killed_while_it_imports_is_told(tmp_path: Path) -> None:
     body = (
-        "from marl_mm.commands.train_offline import _begin_process\n"
+        "from marl_mm.runs.seeds import _begin_process\n"
         "    pool = Workers(2, _begin_process)\n"
         "    server = forkserver._forkserver._forkserver_pid\n"
         "    threading.Timer(0.3, os.kill, (server, signal.SIGKILL)).start()\n"
         "    list(pool.map(abs, [1]))"
     )
-    assert "WorkerDiedError: the process that workers are copies of died" in (
+    assert "WorkerDiedError: the process that starts the workers died" in (
         run_script(tmp_path, body).stderr
     )
 

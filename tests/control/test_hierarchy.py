@@ -11,9 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from marl_mm.control.compiled import hierarchy as compiled
-from marl_mm.control.config import ControllerConfig, HierarchyConfig, LimitConfig
-from marl_mm.control.hierarchy import solve_hierarchy
-from marl_mm.control.limits import TORQUE_ROWS, UNBOUNDED, Bounds, bounds
+from marl_mm.control.config import (
+    Gains,
+    HierarchyConfig,
+    LimitConfig,
+)
+from marl_mm.control.limits import TORQUE_ROWS, UNBOUNDED
 from marl_mm.control.priorities import (
     REACHING,
     REACHING_LEVELS,
@@ -21,9 +24,12 @@ from marl_mm.control.priorities import (
     STABILITY_LEVELS,
     priority_matrix,
 )
-from marl_mm.control.qp import daqp as solve_by_daqp
-from marl_mm.control.tasks.task import Reference, Task
-from marl_mm.control.wbc import WholeBodyController
+from marl_mm.control.records import Reference
+from marl_mm.control.reference.controller import tasks_at
+from marl_mm.control.reference.hierarchy import solve_hierarchy
+from marl_mm.control.reference.limits import Bounds, bounds
+from marl_mm.control.reference.qp import daqp as solve_by_daqp
+from marl_mm.control.reference.tasks.task import Task
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
@@ -34,14 +40,13 @@ ENDS = [(STABILITY, STABILITY_LEVELS), (REACHING, REACHING_LEVELS)]
 END_NAMES = ["alpha 1", "alpha 0"]
 LIMITS = robot_limits(RobotConfig())
 MODEL = RobotModel(RobotConfig())
-CONTROLLER = WholeBodyController(LIMITS, ControllerConfig())
 STATES = 1000
 
 
 def problem_at(
     state: RobotState, terms: ModelTerms, reference: Reference, limits: RobotLimits
 ) -> Problem:
-    tasks = CONTROLLER.tasks(state, terms, reference)
+    tasks = tasks_at(state, terms, reference, Gains())
     return tasks, bounds(state, terms, limits, LimitConfig())
 
 

@@ -14,28 +14,23 @@ from marl_mm.control.limits import (
     KEEP_OUT,
     LIMIT_NAMES,
     TORQUE_ROWS,
+    row_count,
+)
+from marl_mm.control.records import Reference
+from marl_mm.control.reference.limits import (
     acceleration_box,
     bounds,
     edge_moments,
     keep_out_bias,
     keep_out_bound,
     keep_out_direction,
-    row_count,
     wheel_forces,
     wheel_rims,
 )
-from marl_mm.control.tasks.task import Reference
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
-from marl_mm.robot.model import (
-    ACTUATED,
-    SUPPORT_B,
-    SUPPORT_INWARD_B,
-    ModelTerms,
-    RobotModel,
-    RobotState,
-    support_margin,
-)
+from marl_mm.robot.model import ACTUATED, ModelTerms, RobotModel, RobotState
+from marl_mm.robot.support import SUPPORT_B, SUPPORT_INWARD_B, support_margin
 
 Draw = Callable[[np.random.Generator], tuple[RobotState, ModelTerms, Reference]]
 CONFIG = LimitConfig()

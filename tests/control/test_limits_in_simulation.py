@@ -11,13 +11,13 @@ import pytest
 
 from marl_mm.control.config import ControllerConfig, Gains, LimitConfig
 from marl_mm.control.priorities import LEFT_OUT, REACHING_LEVELS, cumulative
-from marl_mm.control.tasks.task import Reference
-from marl_mm.control.wbc import Priorities
+from marl_mm.control.records import Priorities, Reference
 from marl_mm.envs.drive import Drive, Motion, Tick, wheel_slip
 from marl_mm.envs.registry import make_task
-from marl_mm.eval.abuse import abuse
+from marl_mm.eval.bench.abuse import abuse
 from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig
-from marl_mm.robot.model import ACTUATED, RobotState, support_margin
+from marl_mm.robot.model import ACTUATED, RobotState
+from marl_mm.robot.support import support_margin
 from marl_mm.sim.bullet import BulletWorld
 from marl_mm.sim.config import RATE, SimulationConfig
 

@@ -3,12 +3,8 @@
 import numpy as np
 import pytest
 
-from marl_mm.control.priorities import (
-    REACHING,
-    STABILITY,
-    handled_tasks,
-    priority_matrix,
-)
+from marl_mm.control.priorities import REACHING, STABILITY, priority_matrix
+from marl_mm.control.reference.hierarchy import handled_tasks
 
 
 def test_stability_matrix_is_table_1_in_cumulative_coding() -> None:

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from marl_mm.control.qp import SolveQp, daqp, proxqp
+from marl_mm.control.reference.qp import SolveQp, daqp, proxqp
 
 EPISODE = """
 import hashlib, numpy as np

@@ -8,14 +8,9 @@ import pytest
 
 from marl_mm.robot.description import RobotConfig, urdf_xml
 from marl_mm.robot.limits import robot_limits
-from marl_mm.robot.model import (
-    ACTUATED,
-    SUPPORT_B,
-    RobotModel,
-    RobotState,
-    support_margin,
-)
+from marl_mm.robot.model import ACTUATED, RobotModel, RobotState
 from marl_mm.robot.names import ARM_JOINTS, FINGER_JOINTS, GRASP_JOINT, WHEEL_JOINTS
+from marl_mm.robot.support import SUPPORT_B, support_margin
 
 JOINTS = WHEEL_JOINTS + ARM_JOINTS + FINGER_JOINTS
 

@@ -18,7 +18,7 @@ from marl_mm.control.config import (
     LimitConfig,
     Solver,
 )
-from marl_mm.control.tasks.task import Reference
+from marl_mm.control.records import Reference
 from marl_mm.control.wbc import WholeBodyController
 from marl_mm.errors import NonFiniteStateError, UsageError
 from marl_mm.robot.description import RobotConfig

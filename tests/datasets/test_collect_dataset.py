@@ -17,7 +17,6 @@ from marl_mm.collectors.medium import MediumConfig, MediumPolicy
 from marl_mm.collectors.pretrained import PretrainedConfig, PretrainedPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.collectors.registry import everything
-from marl_mm.commands.collect_dataset import CollectOptions, _about, collect_dataset
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import Location, locate
@@ -27,6 +26,7 @@ from marl_mm.episode import Episode
 from marl_mm.errors import OtherConfigError, UsageError
 from marl_mm.files import only_here
 from marl_mm.policy import Policy
+from marl_mm.runs.collecting import Collecting, _about, collect_dataset
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 MakeEpisode = Callable[..., Episode]
@@ -167,7 +167,7 @@ main(sys.argv[1:])
     [
         "marl_mm.datasets.storage:sign_metadata",  # the data are written
         "marl_mm.files:_exchange",  # all is written
-        "marl_mm.commands.collect_dataset:clear",  # it stands in its place
+        "marl_mm.runs.collecting:clear",  # it stands in its place
     ],
 )
 def test_killed_while_the_dataset_is_written(
@@ -269,7 +269,7 @@ def test_a_full_disk_ends_with_one_line_and_a_resumable_collection(
 
 
 def test_nothing_to_resume_is_a_usage_error(datasets_home: Path) -> None:
-    options = CollectOptions(steps=5, workers=1, resume=True)
+    options = Collecting(steps=5, workers=1, resume=True)
     location = locate("marl_mm/reach/test-v0")
     with pytest.raises(UsageError, match="nothing was begun"):
         collect_dataset(location, "random", RandomConfig(), options)
@@ -283,7 +283,7 @@ def test_another_seed_does_not_go_on(
     with Journal(location.working) as journal:
         journal.begin({"task": "Reach-v0", "seed": 3})
         journal.add(make_episode(0))
-    options = CollectOptions(steps=5, workers=1, resume=True)
+    options = Collecting(steps=5, workers=1, resume=True)
     with pytest.raises(OtherConfigError, match=r"seed = 3 \(now 0\)"):
         collect_dataset(location, "random", RandomConfig(), options)
 
@@ -293,7 +293,7 @@ def test_another_agent_does_not_go_on(
 ) -> None:
     """The same path may hold other weights by now."""
     location = locate("x")
-    options = CollectOptions(steps=5, workers=1, resume=True)
+    options = Collecting(steps=5, workers=1, resume=True)
     with Journal(location.working) as journal:
         _, about = _about("pretrained", PretrainedConfig(), options)
         journal.begin(about.to_json() | {"weights": "others"})
@@ -303,7 +303,7 @@ def test_another_agent_does_not_go_on(
 
 
 def test_medium_leaves_the_agent_something(datasets_home: Path) -> None:
-    options = CollectOptions(steps=5, workers=1, max_steps=10)
+    options = Collecting(steps=5, workers=1, max_steps=10)
     with pytest.raises(UsageError, match="expected fewer than an episode's 10"):
         collect_dataset(locate("x"), "medium", MediumConfig(), options)
 
@@ -398,14 +398,14 @@ def test_an_unwritable_folder_is_named() -> None:
     code = """
 import os, sys
 from marl_mm.collectors.random import RandomConfig
-from marl_mm.commands.collect_dataset import CollectOptions, _about, collect_dataset
+from marl_mm.runs.collecting import Collecting, _about, collect_dataset
 from marl_mm.datasets.location import locate
 from marl_mm.errors import UsageError
 if os.geteuid() == 0:  # root may write anywhere
     os.setreuid(65534, 65534)
 try:
     collect_dataset(
-        locate(sys.argv[1]), "random", RandomConfig(), CollectOptions(steps=5)
+        locate(sys.argv[1]), "random", RandomConfig(), Collecting(steps=5)
     )
 except UsageError as error:
     print(error)

@@ -12,7 +12,8 @@ import pytest
 from marl_mm.cli import main
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.contracts.claims import examine
-from marl_mm.contracts.tasks import short, task_claims
+from marl_mm.contracts.episodes import short
+from marl_mm.contracts.tasks import task_claims
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.envs.core import EpisodeCore, motion_info
 from marl_mm.envs.drive import Tick

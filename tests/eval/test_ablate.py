@@ -2,17 +2,18 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from marl_mm.algorithms.pretrained import load_pretrained
 from marl_mm.cli import main
 from marl_mm.commands import ablate_runs
-from marl_mm.commands.train_online import Online, train_online_run
 from marl_mm.errors import CheckpointError, DivergedError
 from marl_mm.eval.online import MADE_OF, SETTINGS
 from marl_mm.eval.rows import read_rows
+from marl_mm.progress import Bar
+from marl_mm.runs.online import train_online_run
+from marl_mm.runs.training import Online
 
 RESULTS = Path(__file__).resolve().parents[2] / "eval/results/online"
 
@@ -103,8 +104,8 @@ def test_the_worth_of_alpha_from_raw_runs(
 def test_a_run_that_diverged_counts_as_it_was_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def diverge(training: Online[Any], seed: int, run: Path) -> None:
-        train_online_run(training, seed, run)
+    def diverge(training: Online, seed: int, run: Path, bar: Bar) -> None:
+        train_online_run(training, seed, run, bar)
         (run / "eval.json").unlink()
         (run / "eval_best.json").unlink()
         raise DivergedError("loss/critic is nan")
@@ -119,10 +120,10 @@ def test_a_run_that_diverged_counts_as_it_was_before(
 def test_a_run_that_fails_does_not_stop_the_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(training: Online[Any], seed: int, run: Path) -> None:
+    def fail(training: Online, seed: int, run: Path, bar: Bar) -> None:
         if run.parent.name == "ddpg":
             raise CheckpointError("the disk is full")
-        train_online_run(training, seed, run)
+        train_online_run(training, seed, run, bar)
 
     names = ["--settings", "ddpg", "ddpg-her"]
     with monkeypatch.context() as patch:

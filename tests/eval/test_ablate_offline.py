@@ -22,7 +22,6 @@ from marl_mm.algorithms.runlog import METRICS
 from marl_mm.cli import main
 from marl_mm.commands import ablate_data
 from marl_mm.commands.ablate_jobs import Job, do_jobs
-from marl_mm.commands.offline_options import offline_options
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import begun
 from marl_mm.errors import MarlMmError, UsageError
@@ -48,6 +47,7 @@ from marl_mm.eval.offline import (
 from marl_mm.eval.offline_rows import RowStore, probe_file, probe_way
 from marl_mm.eval.online import SETTINGS
 from marl_mm.eval.rows import read_rows
+from marl_mm.runs.training import offline_training
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 
@@ -472,7 +472,7 @@ def test_a_run_that_kills_its_process_takes_no_other_along(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2]))  # for the processes
-    options = offline_options("mabc", dataset="good-5k")
+    options = offline_training("mabc")
     jobs = [
         kind(str(number), 0, tmp_path / str(number), "good-5k", options, [LAST])
         for number, kind in enumerate((Done, Deadly, Done, Done))
@@ -488,7 +488,7 @@ def test_a_run_whose_rows_cannot_be_kept_counts_as_failed(tmp_path: Path) -> Non
     def refuse(job: Job) -> None:
         raise MarlMmError("other rows")
 
-    options = offline_options("mabc", dataset="good-5k")
+    options = offline_training("mabc")
     job = Done("0", 0, tmp_path, "good-5k", options, [LAST])
     assert do_jobs([job], 1, "local", refuse) == {tmp_path: "other rows"}
 

@@ -11,9 +11,9 @@ from marl_mm.control.config import Form
 from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import MarlMmError
-from marl_mm.eval.abuse import abuse
-from marl_mm.eval.bench import bench_control
-from marl_mm.eval.bench_offline import (
+from marl_mm.eval.bench.abuse import abuse
+from marl_mm.eval.bench.control import bench_control
+from marl_mm.eval.bench.offline import (
     AUTHORS,
     LEARNERS,
     bench_offline,
@@ -21,8 +21,8 @@ from marl_mm.eval.bench_offline import (
     bench_side_by_side,
     plain_config,
 )
-from marl_mm.eval.bench_train import bench_success, bench_train
-from marl_mm.eval.td3_bc_reference import PlainTd3Bc
+from marl_mm.eval.bench.online import bench_online, bench_success
+from marl_mm.eval.bench.td3_bc_reference import PlainTd3Bc
 
 
 @pytest.mark.slow
@@ -78,20 +78,20 @@ def test_abuse_is_seeded() -> None:
 
 
 @pytest.mark.slow
-def test_bench_train_times_ours_and_theirs_in_turns() -> None:
+def test_bench_online_times_ours_and_theirs_in_turns() -> None:
     told: list[int] = []
-    result = bench_train(100, episodes=3, advance=lambda done, note: told.append(done))
+    result = bench_online(100, episodes=3, advance=lambda done, note: told.append(done))
     names = {"ddpg-her", "ddpg-her-no-layer-norm", "maddpg-her", "sb3-ddpg-her"}
     assert sum(told) == 100 * len(names)
     assert result["updates_per_second"].keys() == names
     assert all(rate > 0 for rate in result["updates_per_second"].values())
     assert result["ddpg-her_over_sb3"] > 0
-    alone = bench_train(100, sb3=False, episodes=3)
+    alone = bench_online(100, sb3=False, episodes=3)
     assert alone["updates_per_second"].keys() == names - {"sb3-ddpg-her"}
 
 
 @pytest.mark.slow
-def test_bench_train_compares_success_after_equal_steps() -> None:
+def test_bench_success_compares_success_after_equal_steps() -> None:
     told: list[int] = []
     success = bench_success(60, goals=2, advance=lambda done, note: told.append(done))
     assert success.keys() == {"ddpg-her", "sb3-ddpg-her"}

@@ -62,6 +62,14 @@ def test_summary_by_hand() -> None:
     assert summary["backward"]["steps_to_success"] == 16
 
 
+def test_a_notebook_shows_rates_with_intervals_and_names_as_text() -> None:
+    rows = [row("forward", True, 6), row("backward", False, 25)]
+    page = Evaluation("<b>mine</b>", {}, "Reach-v0", {}, 0, rows)._repr_html_()
+    assert page.startswith("<table><tr><th>policy</th><th>goals</th>")
+    assert page.count("<td>&lt;b&gt;mine&lt;/b&gt;</td>") == 3 and "<b>" not in page
+    assert "<td>2 all</td><td>50.0 [9.5, 90.5]</td><td>6.0</td>" in page
+
+
 def test_no_success_has_no_steps_to_success() -> None:
     summary = summarize_directions([row("forward", False, 25)])
     assert summary["all"]["steps_to_success"] is None

@@ -39,7 +39,7 @@ def data(dataset: str, folder: Path) -> None:
     """What both learn from, as plain arrays."""
     from marl_mm.algorithms.replay import normalized_actions
     from marl_mm.datasets import load_dataset
-    from marl_mm.eval.bench_offline import plain_config
+    from marl_mm.eval.bench.offline import plain_config
 
     found = load_dataset(dataset)
     states = found.arrays.states.astype(np.float32)
@@ -140,7 +140,7 @@ def ours(folder: Path) -> None:
     from marl_mm.algorithms.td3_bc import Td3Bc
     from marl_mm.datasets import load_dataset
     from marl_mm.envs.registry import make_task
-    from marl_mm.eval.bench_offline import plain_config
+    from marl_mm.eval.bench.offline import plain_config
     from marl_mm.eval.evaluate import evaluate
     from marl_mm.eval.intervals import success_interval
     from marl_mm.policy import Policy

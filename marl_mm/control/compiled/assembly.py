@@ -1,7 +1,7 @@
 """Rows of all tasks and all limits at one state, compiled.
 
 Tasks in Table 1's order: base velocity, base orientation, manipulator position (3),
-manipulator orientation (3), arm posture (7). Limits in the order of limits.py.
+manipulator orientation (3), arm posture (7). Limits in the order of control/limits.py.
 """
 
 import numpy as np
@@ -17,16 +17,12 @@ from marl_mm.control.limits import (
     WHEELS,
     ZMP,
 )
-from marl_mm.control.tasks.task import VARIABLES, Reference
+from marl_mm.control.records import VARIABLES, Reference
 from marl_mm.jit import jit
 from marl_mm.robot.description import WHEEL_RADIUS
 from marl_mm.robot.limits import RobotLimits
-from marl_mm.robot.model import (
-    SUPPORT_B,
-    SUPPORT_INWARD_B,
-    ModelTerms,
-    RobotState,
-)
+from marl_mm.robot.model import ModelTerms, RobotState
+from marl_mm.robot.support import SUPPORT_B, SUPPORT_INWARD_B
 
 TASK_ROWS = 15
 

@@ -1,4 +1,4 @@
-"""All levels of a priority matrix, compiled: see control/hierarchy.py for the idea.
+"""All levels of a priority matrix, compiled: reference/hierarchy.py has the idea.
 
 Innermost loops run along rows, so that they are vectorised, and skip the zeros of rows
 that select one variable.
@@ -17,7 +17,7 @@ from marl_mm.control.compiled.assembly import TASK_ROWS
 from marl_mm.control.config import HierarchyConfig
 from marl_mm.control.limits import BOX
 from marl_mm.control.priorities import HANDLED
-from marl_mm.control.tasks.task import VARIABLES as N
+from marl_mm.control.records import VARIABLES as N
 from marl_mm.jit import jit
 
 TASK_OF_ROW = np.array([0, 1, 2, 2, 2, 3, 3, 3, 4, 4, 4, 4, 4, 4, 4])

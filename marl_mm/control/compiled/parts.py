@@ -11,8 +11,8 @@ from marl_mm.control.compiled.assembly import (
 )
 from marl_mm.control.compiled.hierarchy import solve_hierarchy
 from marl_mm.control.config import Gains, HierarchyConfig, LimitConfig
-from marl_mm.control.tasks.task import VARIABLES as N
-from marl_mm.control.tasks.task import Reference
+from marl_mm.control.records import VARIABLES as N
+from marl_mm.control.records import Reference
 from marl_mm.jit import jit
 from marl_mm.robot.limits import RobotLimits
 from marl_mm.robot.model import ModelTerms, RobotState

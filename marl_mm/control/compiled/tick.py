@@ -11,11 +11,10 @@ from marl_mm.control.compiled.assembly import (
     clip,
 )
 from marl_mm.control.compiled.hierarchy import CAUSE, solve_hierarchy
-from marl_mm.control.config import Gains, HierarchyConfig, LimitConfig
+from marl_mm.control.config import BRAKING_RATE, Gains, HierarchyConfig, LimitConfig
 from marl_mm.control.limits import BOX, WHEEL_ARM
-from marl_mm.control.safe import BRAKING_RATE
-from marl_mm.control.tasks.task import VARIABLES as N
-from marl_mm.control.tasks.task import Reference
+from marl_mm.control.records import VARIABLES as N
+from marl_mm.control.records import Reference
 from marl_mm.jit import jit
 from marl_mm.robot.description import WHEEL_RADIUS
 from marl_mm.robot.limits import RobotLimits

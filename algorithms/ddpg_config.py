@@ -1,0 +1,164 @@
+"""Hyper-parameters of DDPG, by preset; importing them takes no torch."""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from marl_mm.algorithms.config_checks import check_ranges
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, imported
+from marl_mm.errors import UsageError
+
+
+@dataclass(frozen=True)
+class DdpgConfig:
+    """Hyper-parameters; those without a source in brackets are ours.
+
+    What each of ours that departs from Table 2 is worth stands in
+    the table of ``marl-mm ablate online``.
+    """
+
+    episodes: int = 2_000
+    """Episodes in all: 100 epochs of 20 (Table 2)."""
+
+    hindsight: int = 4
+    """Relabelled transitions per original one; 0: none (Andrychowicz 2017)."""
+
+    updates_per_episode: int = 40
+    """Gradient steps per episode; the paper's Algorithm 1 makes one per step, 25."""
+
+    episodes_per_cycle: int = 4
+    """Episodes that one policy runs, in parallel if there are workers, between
+    updates."""
+
+    warm_up: int = 1_000
+    """Steps with random actions before the first update; 5,000 in Table 2."""
+
+    capacity: int = 50_000
+    """Steps in the replay; 5,000 in Table 2."""
+
+    noise: float = 0.1
+    """Standard deviation of the exploration's Gaussian noise, of half the action's
+    range (Table 2)."""
+
+    random_share: float = 0.0
+    """Share of exploring steps that act uniformly at random."""
+
+    batch_size: int = 256
+    """Transitions per update (Table 2)."""
+
+    actor_learning_rate: float = 1e-3
+    """Of Adam (Table 2)."""
+
+    critic_learning_rate: float = 1e-3
+    """Of Adam (Table 2)."""
+
+    discount: float = 0.95
+    """gamma (Table 2)."""
+
+    target_rate: float = 0.005
+    """tau, the share of the networks that goes into their targets (Table 2)."""
+
+    clip_targets: bool = True
+    """Cut the critic's targets off at the reward of a perfect hit, which no return can
+    pass, as all other rewards are negative (Andrychowicz 2017, appendix A)."""
+
+    layer_norm: bool = True
+    """Whether the critic's hidden layers are normalised, so that values of actions
+    nobody has tried stay in bounds (Ball 2023)."""
+
+    action_penalty: float = 0.5
+    """Of the mean square action in the actor's loss; it draws alpha to 0.5, too."""
+
+    hidden: tuple[int, ...] = (128, 128)
+    """Units of the hidden layers of actor and critic; the paper is silent."""
+
+    std_floor: float = 0.01
+    """Least standard deviation an observation is scaled by."""
+
+    demonstration_share: float = 0.25
+    """Share of a batch that comes from demonstrations, if there are any."""
+
+    demonstration_successes: float = 0.75
+    """Share of those that comes from successful episodes."""
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            positive=(
+                "episodes",
+                "updates_per_episode",
+                "episodes_per_cycle",
+                "capacity",
+                "batch_size",
+                "actor_learning_rate",
+                "critic_learning_rate",
+                "target_rate",
+                "std_floor",
+            ),
+            not_negative=("hindsight", "warm_up", "noise", "action_penalty"),
+            shares=(
+                "random_share",
+                "discount",
+                "target_rate",
+                "demonstration_share",
+                "demonstration_successes",
+            ),
+        )
+        if self.warm_up > self.capacity:
+            raise UsageError(
+                f"warm_up is {self.warm_up}, expected at most capacity, {self.capacity}"
+            )
+
+
+TABLE_2: dict[str, Any] = {
+    "updates_per_episode": 25,  # one per step of a whole episode (Algorithm 1)
+    "episodes_per_cycle": 1,
+    "warm_up": 5_000,  # Table 2
+    "capacity": 5_000,  # Table 2
+    "noise": 0.1,  # Table 2
+    "random_share": 0.0,
+    "action_penalty": 0.0,
+    "clip_targets": False,
+    "layer_norm": False,
+}
+"""Table 2, and the plain choice where it is silent."""
+
+
+def check_hindsight(algorithm: str, config: DdpgConfig) -> None:
+    """Raise if hyper-parameters are those of the algorithm with, or without, hindsight.
+
+    Raises:
+        UsageError: Naming that one.
+    """
+    if (config.hindsight > 0) != algorithm.endswith("-her"):
+        other = algorithm.removesuffix("-her") + "-her" * (config.hindsight > 0)
+        raise UsageError(
+            f"--hindsight is {config.hindsight} with {algorithm}: use {other}"
+        )
+
+
+ALGORITHMS.add(
+    "ddpg",
+    Algorithm(
+        about="DDPG: one agent that sees and sets everything (paper, Algorithm 1).",
+        source="paper, Algorithm 1; Lillicrap 2016",
+        learner=imported("marl_mm.algorithms.ddpg:Ddpg"),
+        presets={
+            TUNED: DdpgConfig(hindsight=0),
+            PAPER: DdpgConfig(**TABLE_2, hindsight=0),
+        },
+        online=True,
+        check=partial(check_hindsight, "ddpg"),
+    ),
+)
+ALGORITHMS.add(
+    "ddpg-her",
+    Algorithm(
+        about="DDPG that replays most steps with goals reached later (HER).",
+        source="Andrychowicz 2017",
+        learner=imported("marl_mm.algorithms.ddpg:Ddpg"),
+        presets={TUNED: DdpgConfig(), PAPER: DdpgConfig(**TABLE_2)},
+        online=True,
+        check=partial(check_hindsight, "ddpg-her"),
+    ),
+)

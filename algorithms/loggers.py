@@ -1,0 +1,189 @@
+"""Loggers: where a run's metrics go beside its record, ``metrics.jsonl``."""
+
+import csv
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Protocol
+
+from marl_mm.errors import UsageError
+from marl_mm.files import new_file
+
+CSV = "metrics.csv"
+"""The rows of ``metrics.jsonl`` as a table."""
+
+LOGGED = ("events.out.tfevents.*", CSV, "wandb")
+"""What loggers leave in a run's folder: a fresh run begins without."""
+
+PROJECT = "marl_mm"
+"""Project of Weights & Biases, unless ``WANDB_PROJECT`` names another."""
+
+Row = dict[str, Any]
+"""A line of a run's metrics."""
+
+
+class Logger(Protocol):
+    """Takes a run's rows, one after the other."""
+
+    def log(self, step: int, row: Mapping[str, Any]) -> None:
+        """Take a row.
+
+        Args:
+            step: Progress of the run, in updates or episodes.
+            row: Metrics by name, with that number among them.
+        """
+
+    def close(self, failed: bool) -> None:
+        """Finish, after an error or without one."""
+
+
+class TensorBoardLogger:
+    """TensorBoard's event files in the run's folder.
+
+    Args:
+        run: The run's folder.
+        clock: Name of the progress in a row, which is no scalar.
+        rows: Rows that the run has already.
+    """
+
+    def __init__(self, run: Path, clock: str, rows: Sequence[Row]) -> None:
+        # It imports protobuf and more, which takes a second.
+        from torch.utils.tensorboard import SummaryWriter
+
+        since = rows[-1][clock] if rows else 0
+        self._clock = clock
+        self._writer: Any = SummaryWriter(
+            str(run), purge_step=since + 1 if since else None
+        )
+
+    def log(self, step: int, row: Mapping[str, Any]) -> None:
+        """Write a row's numbers as scalars."""
+        for key, value in row.items():
+            if key != self._clock:
+                self._writer.add_scalar(key, value, step)
+        self._writer.flush()
+
+    def close(self, failed: bool) -> None:
+        """Close the event file."""
+        self._writer.close()
+
+
+class CsvLogger:
+    """``metrics.csv`` in the run's folder; a row that has more columns rewrites it.
+
+    Args:
+        run: The run's folder.
+        clock: Name of the progress in a row, the first column.
+        rows: Rows that the run has already.
+    """
+
+    def __init__(self, run: Path, clock: str, rows: Sequence[Row]) -> None:
+        self._path, self._rows = run / CSV, [*rows]
+        self._columns = list(dict.fromkeys([clock, *(key for r in rows for key in r)]))
+        self._rewrite()
+
+    def log(self, step: int, row: Mapping[str, Any]) -> None:
+        """Append a row."""
+        self._rows.append(dict(row))
+        new = [key for key in row if key not in self._columns]
+        if new:
+            self._columns += new
+            self._rewrite()
+        else:
+            with self._path.open("a", newline="") as file:
+                csv.DictWriter(file, self._columns).writerow(row)
+
+    def close(self, failed: bool) -> None:
+        """Nothing is open between rows."""
+
+    def _rewrite(self) -> None:
+        with new_file(self._path) as path, path.open("w", newline="") as file:
+            writer = csv.DictWriter(file, self._columns)
+            writer.writeheader()
+            writer.writerows(self._rows)
+
+
+class WandbLogger:
+    """A run of Weights & Biases, which ``WANDB_*`` variables configure.
+
+    It resumes the run whose local files are in the folder. Offline, each part of it is
+    a folder of its own; ``wandb sync --append`` joins them.
+
+    Args:
+        run: The run's folder.
+        clock: Name of the progress in a row, which is the step there.
+        rows: Rows that the run has already.
+
+    Raises:
+        UsageError: If Weights & Biases does not start the run.
+    """
+
+    def __init__(self, run: Path, clock: str, rows: Sequence[Row]) -> None:
+        import wandb
+
+        settings = wandb.Settings(silent=True, console="off", disable_git=True)
+        wandb.setup(settings=settings)
+        before = [*run.glob("wandb/*/run-*.wandb")] if rows else []
+        config = run / "config.json"
+        self._clock = clock
+        try:
+            self._run = wandb.init(
+                project=os.environ.get("WANDB_PROJECT", PROJECT),
+                dir=run,
+                group=run.parent.name or None,
+                name=f"{run.parent.name}/{run.name}",
+                id=before[0].stem.removeprefix("run-") if before else None,
+                resume="allow" if before else None,
+                config=json.loads(config.read_text()) if config.exists() else None,
+                reinit="create_new",  # several seeds of a process side by side
+                settings=settings,
+            )
+        except wandb.Error as error:
+            raise UsageError(f"Weights & Biases: {error}") from error
+
+    def log(self, step: int, row: Mapping[str, Any]) -> None:
+        """Send a row; a step that is there already keeps its first row."""
+        values = {key: value for key, value in row.items() if key != self._clock}
+        self._run.log(values, step=step)
+
+    def close(self, failed: bool) -> None:
+        """Finish the run, and wait until its rows are sent."""
+        self._run.finish(exit_code=int(failed))
+
+
+LOGGERS: Mapping[str, Callable[[Path, str, Sequence[Row]], Logger]] = {
+    "tensorboard": TensorBoardLogger,
+    "csv": CsvLogger,
+    "wandb": WandbLogger,
+}
+"""Loggers by name, made of a run's folder, the name of its progress and its rows."""
+
+DEFAULT_LOGGERS = ("tensorboard",)
+
+
+def check_loggers(names: Sequence[str]) -> None:
+    """Raise before any work is done if a logger cannot start.
+
+    Raises:
+        UsageError: If there is no such logger, or Weights & Biases is not installed or
+            knows no account.
+    """
+    for name in names:
+        if name not in LOGGERS:
+            raise UsageError(
+                f"there is no logger {name!r}, expected one of {', '.join(LOGGERS)}"
+            )
+    if "wandb" not in names:
+        return
+    if find_spec("wandb") is None:
+        raise UsageError("wandb is missing: pip install 'marl-mm[wandb]'")
+    import wandb
+
+    online = os.environ.get("WANDB_MODE", "online") == "online"
+    if online and wandb.api.api_key is None:
+        raise UsageError(
+            "Weights & Biases knows no account: run `wandb login`, or set "
+            "WANDB_MODE=offline"
+        )

@@ -1,0 +1,46 @@
+"""Hyper-parameters of MADDPG, by preset; importing them takes no torch."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
+
+from marl_mm.algorithms.ddpg_config import TABLE_2, DdpgConfig, check_hindsight
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, imported
+
+
+@dataclass(frozen=True)
+class MaddpgConfig(DdpgConfig):
+    """Hyper-parameters: those of DDPG, and what the agents take each other to do."""
+
+    others: Literal["replay", "policy"] = "policy"
+    """What the other agent's action is in an actor's loss: the one in the replay (Lowe
+    2017) or the one it would take now."""
+
+
+_PAPER = MaddpgConfig(**TABLE_2, others="replay")  # Lowe 2017
+
+ALGORITHMS.add(
+    "maddpg",
+    Algorithm(
+        about="MADDPG: decentralised actors, one centralised critic (Lowe 2017).",
+        source="Lowe 2017",
+        learner=imported("marl_mm.algorithms.maddpg:Maddpg"),
+        presets={
+            TUNED: MaddpgConfig(hindsight=0),
+            PAPER: replace(_PAPER, hindsight=0),
+        },
+        online=True,
+        check=partial(check_hindsight, "maddpg"),
+    ),
+)
+ALGORITHMS.add(
+    "maddpg-her",
+    Algorithm(
+        about="MADDPG that replays most steps with goals reached later (HER).",
+        source="Lowe 2017; Andrychowicz 2017",
+        learner=imported("marl_mm.algorithms.maddpg:Maddpg"),
+        presets={TUNED: MaddpgConfig(), PAPER: _PAPER},
+        online=True,
+        check=partial(check_hindsight, "maddpg-her"),
+    ),
+)

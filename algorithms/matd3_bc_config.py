@@ -1,0 +1,34 @@
+"""Hyper-parameters of MATD3+BC, by preset; importing them takes no torch."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, imported
+from marl_mm.algorithms.td3_bc_config import TABLE_3, Td3BcConfig
+
+
+@dataclass(frozen=True)
+class Matd3BcConfig(Td3BcConfig):
+    """Hyper-parameters: those of TD3+BC, and what the agents share."""
+
+    critics: Literal["shared", "own"] = "shared"
+    """Whether each agent has a pair of critics of its own, as in the source: they learn
+    from the same reward."""
+
+    others: Literal["data", "policy"] = "policy"
+    """What the other agent's action is in an actor's loss: the dataset's (as in Lowe
+    2017) or the one it would take now."""
+
+
+ALGORITHMS.add(
+    "matd3-bc",
+    Algorithm(
+        about="MATD3+BC: decentralised actors, centralised critics (Pan 2022).",
+        source="Pan 2022",
+        learner=imported("marl_mm.algorithms.matd3_bc:Matd3Bc"),
+        presets={
+            TUNED: Matd3BcConfig(),
+            PAPER: Matd3BcConfig(**TABLE_3, critics="own", others="data"),  # Pan 2022
+        },
+    ),
+)

@@ -1,0 +1,155 @@
+"""Hyper-parameters of TD3+BC, by preset; importing them takes no torch."""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from marl_mm.algorithms.config_checks import Precision, check_ranges
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, imported
+from marl_mm.errors import UsageError
+
+WEIGHTED = ("delta_x", "delta_y", "delta_z", "alpha")
+"""Entries of the action whose imitation can be weighted; others weigh 1."""
+
+LEAST_SPREAD = 0.1
+"""Imitation errors are divided by an entry's standard deviation in the data, by this at
+least, as a share of half its range."""
+
+
+@dataclass(frozen=True)
+class Td3BcConfig:
+    """Hyper-parameters."""
+
+    updates: int = 10_000
+    """Gradient steps of the critics; the paper has 100,000 (Table 3) and 180,000
+    (Table 4)."""
+
+    batch_size: int = 256
+    """Transitions per update (Table 3)."""
+
+    actor_learning_rate: float = 5e-4
+    """Of Adam (Table 3)."""
+
+    critic_learning_rate: float = 5e-4
+    """Of Adam (Table 3)."""
+
+    discount: float = 0.95
+    """gamma (Table 3)."""
+
+    target_rate: float = 0.005
+    """tau, the share of the networks that goes into their targets (Table 3)."""
+
+    q_weight: float = 0.5
+    """c, the weight of the value against imitation; 2.5 in Fujimoto & Gu 2021."""
+
+    q_weight_end: float | None = None
+    """c at the last update, to which it goes in a straight line; default c."""
+
+    policy_delay: int = 2
+    """Updates of the critics per update of the actor (Fujimoto 2018)."""
+
+    target_noise: float = 0.2
+    """Standard deviation of the noise on the target's action, of half its range."""
+
+    target_noise_clip: float = 0.5
+    """Largest such noise, of half the action's range."""
+
+    future: float = 0.2
+    """Share of transitions whose goal becomes one that their episode came to later."""
+
+    elsewhere: float = 0.4
+    """Share of transitions whose goal becomes that of any other step; they are not
+    imitated."""
+
+    clip_targets: bool = True
+    """Cut the critics' targets off at the reward of a perfect hit, which no return can
+    pass, as all other rewards are negative."""
+
+    layer_norm: bool = True
+    """Whether the critics' hidden layers are normalised (Ball 2023)."""
+
+    imitate: Literal["all", "better", "successful"] = "successful"
+    """Which actions are imitated: all, those that the critic thinks better than the
+    actor's (Nair 2018), or those of episodes that reached their goal."""
+
+    imitation_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
+    """Weight in the imitation error of delta_x, delta_y, delta_z and alpha; of other
+    entries it is 1."""
+
+    imitation_scaled: bool = True
+    """Measure the imitation error of each entry by its spread in the data: where the
+    data hardly vary, the critic knows no better."""
+
+    hidden: tuple[int, ...] = (128, 128)
+    """Units of the hidden layers of actor and critics; the paper is silent."""
+
+    std_floor: float = 0.01
+    """Least standard deviation an observation is scaled by."""
+
+    precision: Precision = "auto"
+    """Of products of float32 matrices, as torch has it. With medium they are faster on
+    many CPUs and GPUs; where these have units for bfloat16, they are rounded to it.
+    With auto it is medium where that is as exact, as a trial at the start shows."""
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            positive=(
+                "updates",
+                "batch_size",
+                "actor_learning_rate",
+                "critic_learning_rate",
+                "target_rate",
+                "policy_delay",
+                "std_floor",
+            ),
+            not_negative=("q_weight", "target_noise", "target_noise_clip"),
+            shares=("discount", "target_rate", "future", "elsewhere"),
+        )
+        if self.q_weight_end is not None:
+            check_ranges(self, (), not_negative=("q_weight_end",))
+        weights = self.imitation_weights
+        if len(weights) != len(WEIGHTED) or not all(0 < w < math.inf for w in weights):
+            raise UsageError(
+                f"imitation_weights is {weights}, expected one > 0 for each of "
+                f"{', '.join(WEIGHTED)}"
+            )
+        if self.future + self.elsewhere > 1:
+            raise UsageError(
+                f"future is {self.future} and elsewhere {self.elsewhere}, expected at "
+                "most 1 together"
+            )
+
+
+TABLE_3: dict[str, Any] = {
+    "updates": 100_000,  # Table 3; 180,000 in Table 4
+    "batch_size": 256,  # Table 3
+    "actor_learning_rate": 5e-4,  # Table 3
+    "critic_learning_rate": 5e-4,  # Table 3
+    "discount": 0.95,  # Table 3
+    "target_rate": 0.005,  # Table 3
+    "q_weight": 2.5,  # Fujimoto & Gu 2021
+    "q_weight_end": None,
+    "policy_delay": 2,  # Fujimoto 2018
+    "target_noise": 0.1,  # Table 3: "Standard deviation", of what it does not say
+    "target_noise_clip": 0.5,  # Fujimoto 2018
+    "future": 0.0,
+    "elsewhere": 0.0,
+    "imitate": "all",
+    "imitation_weights": (1.0, 1.0, 1.0, 1.0),
+    "imitation_scaled": False,
+    "clip_targets": False,
+    "layer_norm": False,
+}
+"""Table 3, and the cited source's choice where it is silent; ours in hidden layers and
+the floor of deviations."""
+
+ALGORITHMS.add(
+    "td3-bc",
+    Algorithm(
+        about="TD3+BC: one agent that sees and sets everything (paper, Algorithm 2).",
+        source="Fujimoto & Gu 2021",
+        learner=imported("marl_mm.algorithms.td3_bc:Td3Bc"),
+        presets={TUNED: Td3BcConfig(), PAPER: Td3BcConfig(**TABLE_3)},
+    ),
+)

@@ -1,0 +1,1 @@
+"""Benchmarks of controller, learning and data, beside rival references."""

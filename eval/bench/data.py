@@ -1,0 +1,294 @@
+"""What collecting, loading and storing episodes costs.
+
+Collection is compared with the bare environment, turn by turn in one run; loading and
+sizes with Minari's own reader and writer on the same episodes.
+"""
+
+import tracemalloc
+from collections.abc import Sequence
+from multiprocessing import get_context
+from pathlib import Path
+from shutil import rmtree
+from tempfile import TemporaryDirectory
+from time import perf_counter
+from typing import Any, get_args
+
+import minari
+import numpy as np
+from minari.data_collector import EpisodeBuffer
+
+from marl_mm.collectors.collect import collect
+from marl_mm.collectors.random import RandomConfig, RandomPolicy
+from marl_mm.collectors.registry import everything
+from marl_mm.collectors.scripted import ScriptedPolicy
+from marl_mm.datasets.arrays import EpisodeArrays, arrays_of, joined
+from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.hdf5 import FILE
+from marl_mm.datasets.journal import Journal
+from marl_mm.datasets.location import Location
+from marl_mm.datasets.provenance import Provenance
+from marl_mm.datasets.storage import write_dataset
+from marl_mm.envs.core import EpisodeCore
+from marl_mm.envs.registry import make_task
+from marl_mm.envs.rollout import EpisodePlan, Rollouts, episode_seed, run_episode
+from marl_mm.envs.task import ScriptConfig
+from marl_mm.episode import Episode
+from marl_mm.progress import Advance, Bar, silent
+from marl_mm.sim.scene import Grasp
+
+TASK, HANDLED = "Reach-v0", "GraspReach-v0"
+_TURNS = 3
+
+
+def bench_data(
+    episodes: int, workers: Sequence[int], load_steps: int, seed: int, bar: Bar
+) -> dict[str, Any]:
+    """Rates of collection, of grasps by how they are held, and costs of storage.
+
+    Args:
+        episodes: Episodes per turn and number of workers, and per kind of grasp.
+        workers: Numbers of processes to compare.
+        load_steps: Steps of the dataset whose loading is timed.
+        seed: Seed of the episodes.
+        bar: Progress of each part.
+    """
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        advance = bar("bench collection", (1 + _TURNS) * episodes * (1 + len(workers)))
+        result, collected = bench_collection(
+            episodes, workers, seed, folder / "journal", advance
+        )
+        advance = bar("bench grasps", len(get_args(Grasp)) * (1 + _TURNS * episodes))
+        result["grasps"] = bench_grasps(episodes, seed, advance)
+        advance = bar("bench storage", 4)
+        result["storage"] = bench_storage(collected, load_steps, folder, advance)
+    return result
+
+
+def bench_collection(
+    episodes: int,
+    workers: Sequence[int],
+    seed: int,
+    folder: Path,
+    advance: Advance = silent,
+) -> tuple[dict[str, Any], list[Episode]]:
+    """Steps per second of random collection, medians of turns, and the episodes.
+
+    Args:
+        episodes: Of 25 steps, per turn and number of workers.
+        workers: Numbers of processes to compare.
+        seed: Of the episodes.
+        folder: For the journal.
+        advance: Told the episodes.
+
+    Returns:
+        ``bare`` and each number of workers; processes are started before.
+    """
+    config = make_task(TASK)
+    steps = episodes * config.max_steps
+    core = EpisodeCore(config)
+    pools = {number: Rollouts(config, number) for number in workers}
+    policy = RandomPolicy(RandomConfig())
+    rates: dict[str, list[float]] = {}
+    collected: list[Episode] = []
+    try:
+        for turn in range(-1, _TURNS):  # the first one starts processes
+            begin = perf_counter()
+            _bare(core, episodes, seed)
+            rates.setdefault("bare", []).append(steps / (perf_counter() - begin))
+            advance(episodes, "bare")
+            for number, rollouts in pools.items():
+                rmtree(folder, ignore_errors=True)
+                with Journal(folder) as journal:
+                    begin = perf_counter()
+                    collected = collect(
+                        policy,
+                        everything,
+                        rollouts.completed,
+                        steps,
+                        seed,
+                        keep_safe=journal.add,
+                    ).episodes
+                    seconds = perf_counter() - begin
+                name = f"workers_{number}"
+                rates.setdefault(name, []).append(steps / seconds)
+                advance(episodes, f"{number} workers")
+            if turn < 0:
+                rates.clear()
+    finally:
+        core.close()
+        for rollouts in pools.values():
+            rollouts.close()
+    result: dict[str, Any] = {
+        "steps_per_second": {name: float(np.median(r)) for name, r in rates.items()}
+    }
+    for name in list(rates)[1:]:
+        ratios = np.array(rates[name]) / np.array(rates["bare"])
+        result[f"{name}_over_bare"] = float(np.median(ratios))
+    return result, collected
+
+
+def bench_grasps(episodes: int, seed: int, advance: Advance = silent) -> dict[str, Any]:
+    """Steps per second of the script taking and carrying a block, by how it is held.
+
+    Args:
+        episodes: Per turn and kind of grasp.
+        seed: Of the episodes.
+        advance: Told the episodes.
+    """
+    script = ScriptedPolicy(ScriptConfig(), make_task(HANDLED))
+    cores = {
+        grasp: EpisodeCore(make_task(HANDLED, {"load": {"grasp": grasp}}))
+        for grasp in get_args(Grasp)
+    }
+    rates: dict[str, list[float]] = {grasp: [] for grasp in cores}
+    try:
+        for turn in range(-1, _TURNS):  # the first one compiles
+            for grasp, core in cores.items():
+                begin, steps = perf_counter(), 0
+                for number in range(episodes if turn >= 0 else 1):
+                    plan = EpisodePlan(number, episode_seed(seed, number, "collect"))
+                    steps += len(run_episode(core, script, plan))
+                    advance(1, grasp)
+                if turn >= 0:
+                    rates[grasp].append(steps / (perf_counter() - begin))
+    finally:
+        for core in cores.values():
+            core.close()
+    ratios = np.array(rates["weld"]) / np.array(rates["friction"])
+    return {
+        "task": HANDLED,
+        "steps_per_second": {name: float(np.median(r)) for name, r in rates.items()},
+        "weld_over_friction": float(np.median(ratios)),
+    }
+
+
+def _bare(core: EpisodeCore, episodes: int, seed: int) -> None:
+    """Random episodes of the environment alone."""
+    for number in range(episodes):
+        rng = np.random.default_rng(episode_seed(seed, number, "collect"))
+        core.reset(rng)
+        for _ in range(core.task.max_steps):
+            core.step(rng.uniform(core.task.layout.low, core.task.layout.high))
+
+
+def bench_storage(
+    episodes: Sequence[Episode], steps: int, folder: Path, advance: Advance = silent
+) -> dict[str, Any]:
+    """Time, memory and space of a dataset of so many steps.
+
+    Args:
+        episodes: Repeated, as 10 steps each, until there are enough: that is how long
+            successful episodes are.
+        steps: Least number of steps.
+        folder: To write to; an empty one.
+        advance: Told the parts of the work, four.
+
+    Returns:
+        Seconds to write, to load without and with the cache, and with Minari's reader;
+        the most memory that loading takes [MB]; sizes on disk [MB], and that of
+        Minari's writer for the same number of episodes.
+    """
+    arrays = _short(episodes, steps)
+    location = Location("marl_mm/reach/bench-v0", folder / "bench")
+    begin = perf_counter()
+    write_dataset(location, arrays, Provenance(task=TASK, collector="random"))
+    result: dict[str, Any] = {
+        "steps": arrays.steps,
+        "episodes": len(arrays),
+        "write_s": perf_counter() - begin,
+    }
+    advance(1, "load")
+    rmtree(location.folder / "cache")
+    result["load_cold_s"], _ = _loaded(location)
+    (cache,) = (location.folder / "cache").iterdir()
+    times, memories = zip(*(_loaded(location) for _ in range(_TURNS)), strict=True)
+    result["load_cached_s"] = float(np.median(times))
+    result["load_cached_memory_mb"] = float(np.median(memories))
+    advance(1, "Minari's reader")
+    begin = perf_counter()
+    for _ in minari.MinariDataset(location.data).iterate_episodes():
+        pass
+    result["minari_read_s"] = perf_counter() - begin
+    result["minari_over_cached"] = result["minari_read_s"] / result["load_cached_s"]
+    advance(1, "Minari's writer")
+    size = (location.data / FILE).stat().st_size / 1e6
+    theirs = _minari_size(arrays.select(range(min(300, len(arrays)))), folder)
+    result["size_mb"] = size
+    result["cache_mb"] = cache.stat().st_size / 1e6
+    result["minari_size_mb"] = theirs * len(arrays)
+    result["minari_size_over_ours"] = result["minari_size_mb"] / size
+    advance(1, "")
+    return result
+
+
+def _short(episodes: Sequence[Episode], steps: int) -> EpisodeArrays:
+    """The first ten steps of episodes, again and again."""
+    length = 10
+    ends = np.arange(length) == length - 1
+    cut = [
+        Episode(
+            states=one.states[: length + 1],
+            actions=one.actions[:length],
+            rewards=one.rewards[:length],
+            terminated=ends,
+            truncated=np.zeros(length, bool),
+            info={key: values[:length] for key, values in one.info.items()},
+            seed=one.seed,
+            index=one.index,
+            source=one.source,
+            start=one.start,
+            layout=one.layout,
+        )
+        for one in episodes
+        if len(one) >= length
+    ]
+    once = arrays_of(cut, "marl_mm/reach/bench-v0")
+    return joined([once] * -(-steps // once.steps))
+
+
+def _loaded(location: Location) -> tuple[float, float]:
+    """Seconds and largest memory [MB] of loading in a fresh process."""
+    with get_context("spawn").Pool(1) as pool:
+        return pool.apply(_load, (location,))
+
+
+def _load(location: Location) -> tuple[float, float]:
+    begin = perf_counter()
+    load_dataset(location).joint()
+    seconds = perf_counter() - begin
+    tracemalloc.start()
+    load_dataset(location).joint()
+    _, peak = tracemalloc.get_traced_memory()
+    return seconds, peak / 1e6
+
+
+def _minari_size(arrays: EpisodeArrays, folder: Path) -> float:
+    """Megabytes per episode of the file that Minari's own writer makes."""
+    from minari.dataset.minari_storage import MinariStorage
+
+    from marl_mm.spaces import action_space, goal_observation_space
+
+    layout = arrays.layout
+    storage = MinariStorage.new(
+        folder / "minari",
+        observation_space=goal_observation_space(layout),
+        action_space=action_space(layout),
+        data_format="hdf5",
+    )
+    storage.update_episodes(
+        EpisodeBuffer(
+            observations={
+                "observation": one.states[:, layout.observation],
+                "achieved_goal": one.states[:, layout.achieved],
+                "desired_goal": one.states[:, layout.goal],
+            },
+            actions=one.actions,
+            rewards=one.rewards,
+            terminations=one.terminated,
+            truncations=one.truncated,
+            infos=one.info,
+        )
+        for one in (arrays.episode(i) for i in range(len(arrays)))
+    )
+    return (folder / "minari" / FILE).stat().st_size / 1e6 / len(arrays)

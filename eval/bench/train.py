@@ -1,0 +1,52 @@
+"""What learning costs: online and offline learners beside others', and many seeds."""
+
+from importlib.util import find_spec
+from typing import Any
+
+import torch
+
+from marl_mm.eval.bench.offline import (
+    LEARNERS,
+    bench_offline,
+    bench_seeds,
+    bench_side_by_side,
+)
+from marl_mm.eval.bench.online import bench_online, bench_success
+from marl_mm.progress import Bar
+
+_TURN = 100
+"""Updates of a turn; their number is rounded up to whole turns."""
+
+
+def bench_train(
+    updates: int, env_steps: int, seeds: int, seed: int, bar: Bar
+) -> dict[str, Any]:
+    """Updates per second of all learners; success online; several seeds at once.
+
+    Stable-Baselines3 takes part if it is installed, and many seeds side by side if
+    there is a GPU.
+
+    Args:
+        updates: Gradient updates of each algorithm.
+        env_steps: Environment steps of ours and Stable-Baselines3's for the comparison
+            of success; 0 leaves it out.
+        seeds: Seeds of one command, compared with a single one; 1 leaves it out.
+        seed: Seed of networks and episodes.
+        bar: Progress of each part.
+    """
+    sb3 = find_spec("stable_baselines3") is not None
+    updates = -(-updates // _TURN) * _TURN
+    advance = bar("bench online", (4 if sb3 else 3) * updates)
+    result = bench_online(updates, seed, sb3, advance=advance)
+    if env_steps > 0:
+        advance = bar("bench success", env_steps * (2 if sb3 else 1))
+        result["success"] = bench_success(env_steps, seed, sb3=sb3, advance=advance)
+    advance = bar("bench offline", updates * LEARNERS)
+    result["offline"] = bench_offline(updates, seed, advance)
+    if seeds > 1:
+        advance = bar("bench seeds", 2 * (1 + seeds))
+        result["seeds"] = bench_seeds(updates, seeds, advance=advance)
+    if torch.cuda.is_available():
+        advance = bar("bench GPU", 2 * updates)
+        result["side_by_side"] = bench_side_by_side(updates, advance=advance)
+    return result

@@ -1,0 +1,243 @@
+"""A run's folder: its config, its evaluations, and whether a run may go on there."""
+
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+from marl_mm.algorithms.checkpoint import BEST, FILE
+from marl_mm.algorithms.export import POLICY_FORMATS
+from marl_mm.algorithms.loggers import LOGGED
+from marl_mm.algorithms.policy import load_policy
+from marl_mm.algorithms.registry import ALGORITHMS
+from marl_mm.algorithms.run_config import RunConfig
+from marl_mm.algorithms.runlog import METRICS, CurvePoint
+from marl_mm.config_diff import as_json, refuse_other_config
+from marl_mm.envs.registry import TASKS
+from marl_mm.errors import (
+    CheckpointError,
+    OtherConfigError,
+    OutputExistsError,
+    UsageError,
+)
+from marl_mm.eval.evaluate import Evaluation, evaluate
+from marl_mm.files import refuse_existing, write_json
+from marl_mm.plugins import record
+from marl_mm.progress import Bar
+from marl_mm.runs.settings import check_seeds
+from marl_mm.runs.training import Training
+
+CONFIG = "config.json"
+EVALUATION = "eval.json"
+BEST_EVALUATION = "eval_best.json"
+CURVE = "learning_curve.png"
+SB3_BEST = "best.zip"
+
+_MADE = ("eval*.json", *(f"*{one.suffix}" for _, one in POLICY_FORMATS.items()))
+"""What is made of a run's policies: evaluations and exports."""
+
+
+def check_runs(training: Training, out: Path, seeds: Sequence[int]) -> None:
+    """Raise for settings that make no sense, whatever the algorithm.
+
+    Args:
+        training: How to train.
+        out: Folder of the runs, one for each seed.
+        seeds: Seeds of the runs.
+
+    Raises:
+        UsageError: Naming the setting.
+    """
+    training.check()
+    check_seeds(seeds)
+    if training.resume and (out / CONFIG).exists():
+        raise UsageError(
+            f"{out} is a run itself: `out` {out.parent} `seeds` {out.name} resumes it"
+        )
+    if training.resume and not any((out / str(s) / CONFIG).exists() for s in seeds):
+        raise UsageError(f"no run in {out} to resume: leave out `resume` to start")
+
+
+def check_run(
+    run: Path,
+    config: RunConfig,
+    training: Training,
+    ignored: Sequence[str] = (),
+) -> None:
+    """Raise before any work is done for what would stop a run.
+
+    Args:
+        run: Its folder.
+        config: What it will be made of.
+        training: Whether it may be there already.
+        ignored: Keys of the config in which a run that is resumed may differ.
+
+    Raises:
+        UsageError: If the run exists, or the one to resume is of another config.
+    """
+    if not training.resume:
+        if (run / CONFIG).exists() and not training.overwrite:
+            raise OutputExistsError(
+                f"{run} exists already; go on with `resume=True`, choose another `out` or "
+                "add `overwrite=True`"
+            )
+        stopped_at_once = run.is_dir() and not any(run.iterdir())
+        refuse_existing(run, training.overwrite or stopped_at_once)
+        return
+    if not ((run / FILE).exists() or (run / EVALUATION).exists()):
+        return  # stopped before its first checkpoint, or before its turn
+    _refuse_other_plugins(run, config, training.allow_changed_plugin)
+    refuse_other(run, config, (*ignored, "plugins"))
+
+
+def _refuse_other_plugins(run: Path, config: RunConfig, allowed: bool) -> None:
+    """Raise if a plug-in is not the one that the run was made with, by whatever name.
+
+    Raises:
+        OtherConfigError: Naming it.
+    """
+    before, now = read_config(run).plugins, config.plugins
+    if allowed or {*before.values()} == {*now.values()}:
+        return
+    for name in sorted({*before, *now}):
+        if before.get(name) != now.get(name):
+            raise OtherConfigError(
+                f"{run} was made with another {name} (SHA-256 "
+                f"{before.get(name, 'none'):.12}, now {now.get(name, 'none'):.12})",
+                "go on with that file, or with `allow_changed_plugin=True`",
+            )
+
+
+def refuse_other(run: Path, config: RunConfig, ignored: Sequence[str] = ()) -> None:
+    """Raise if a run was made of something else than this config.
+
+    Raises:
+        OtherConfigError: Naming what differs.
+        CheckpointError: If its config cannot be read.
+    """
+    theirs, mine = read_config(run).to_json(), as_json(config.to_json())
+    for key in ("packages", *ignored):
+        mine.pop(key, None)
+    for one in (theirs, mine):  # a dataset may have moved
+        if one.get("dataset"):
+            one["dataset"].pop("path", None)
+    refuse_other_config(run, theirs, mine)
+
+
+def plugins_of(algorithm: str, task: str) -> dict[str, str]:
+    """Hashes of the plug-ins that an algorithm and a task come from, if any."""
+    return record(ALGORITHMS.origin(algorithm), TASKS.origin(task))
+
+
+def start_run(run: Path, config: RunConfig) -> None:
+    """A run folder with its config; what an older run left there goes."""
+    run.mkdir(parents=True, exist_ok=True)
+    _remove(run, FILE, BEST, METRICS, CURVE, SB3_BEST, *LOGGED, *_MADE)
+    write_json(run / CONFIG, config.to_json())
+
+
+def saved_settings(out: Path) -> dict[str, Any]:
+    """What the first run in a folder was made of, by name; nothing without runs.
+
+    Its dataset counts as ``dataset`` and as ``demonstrations``, and ``seeds`` are those
+    of all runs.
+
+    Args:
+        out: The folder of the runs, one for each seed.
+
+    Raises:
+        CheckpointError: If the first run's config cannot be read.
+    """
+    seeds = sorted(
+        int(config.parent.name)
+        for config in out.glob(f"*/{CONFIG}")
+        if config.parent.name.isdecimal()
+    )
+    if not seeds:
+        return {}
+    config = read_config(out / str(seeds[0])).to_json()
+    dataset = (config["dataset"] or {}).get("path")
+    return config | {"seeds": seeds, "dataset": dataset, "demonstrations": dataset}
+
+
+def read_config(run: Path) -> RunConfig:
+    """What a run is made of.
+
+    Raises:
+        CheckpointError: If it cannot be read.
+    """
+    try:
+        return RunConfig.from_json(json.loads((run / CONFIG).read_text()))
+    except (OSError, ValueError, AttributeError) as error:
+        raise CheckpointError(f"cannot read {run / CONFIG}: {error}") from error
+
+
+def continue_run(
+    run: Path, plugins: Mapping[str, str], settings: Mapping[str, Any]
+) -> None:
+    """Note in a run's config which plug-ins and settings it goes on with."""
+    config = read_config(run)
+    further = config.continued(plugins, settings)
+    if further != config:  # what was made of where it ended before goes
+        _remove(run, *_MADE)
+        write_json(run / CONFIG, further.to_json())
+
+
+def _remove(run: Path, *patterns: str) -> None:
+    for pattern in patterns:
+        for path in run.glob(pattern):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+def evaluate_run(
+    run: Path,
+    training: Training,
+    task: str,
+    checkpoint: str,
+    result: str,
+    bar: Bar,
+    label: str,
+    overrides: Mapping[str, Any],
+) -> Evaluation:
+    """Evaluate a trained run and keep the result beside it, unless that is there.
+
+    With ``resume``, one of as many goals of the same seed is not repeated;
+    ``continue_run`` deletes those of a run that goes further.
+
+    Raises:
+        KeyboardInterrupt: After Ctrl-C, saying how to go on.
+    """
+    if training.resume and (run / result).exists():
+        known = Evaluation.from_json(json.loads((run / result).read_text()))
+        asked = (training.eval_episodes, training.eval_seed)
+        if (len(known.rows), known.seed) == asked:
+            return known
+    policy = load_policy(run / checkpoint)
+    try:
+        evaluation = evaluate(
+            policy,
+            training.eval_episodes,
+            training.eval_seed,
+            task,
+            overrides,
+            workers=training.workers,
+            advance=bar(label, training.eval_episodes),
+        )
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"stopped; {run} is trained: evaluate it with `resume=True`"
+        ) from None
+    write_json(run / result, evaluation.to_json())
+    return evaluation
+
+
+def curve_point(evaluation: Evaluation) -> CurvePoint:
+    """What a learning curve keeps of an evaluation."""
+    point: dict[str, float] = {}
+    for name, part in evaluation.summary.items():
+        point[f"success/{name}"] = part["success_rate"]
+        point[f"return/{name}"] = part["return"]
+        if "alpha" in part:
+            point[f"alpha/{name}"] = part["alpha"]
+    return cast(CurvePoint, point)

@@ -1,0 +1,235 @@
+"""The whole chain once, small in size and real in every part.
+
+A PD agent collects a dataset, MABC learns from the dataset's file, and both are
+evaluated beside a random agent on the same goals.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from marl_mm.collectors.pd import PdConfig, PdPolicy
+from marl_mm.datasets.card import card
+from marl_mm.datasets.dataset import Dataset
+from marl_mm.envs.registry import make_task
+from marl_mm.envs.rollout import run_episodes
+from marl_mm.eval.evaluate import Evaluation
+from marl_mm.eval.figures import alpha_over_time
+from marl_mm.eval.goals import goal_set
+from marl_mm.eval.tables import evaluation_markdown, markdown_table
+from marl_mm.eval.video import film_both_ways, film_strip, write_video
+from marl_mm.files import new_file, refuse_existing, write_json
+from marl_mm.progress import Bar, silent_bar
+from marl_mm.runs.collect import collect
+from marl_mm.runs.evaluate import evaluate
+from marl_mm.runs.run import Run
+from marl_mm.runs.seeds import train_offline
+from marl_mm.runs.settings import check_positive, check_seed
+from marl_mm.runs.training import Offline, offline_training
+
+EXPERT = PdConfig(alpha_rule="room")
+"""PD agent whose episodes are collected: alpha falls as the hand runs out of room,
+which the balance agent can see."""
+
+FPS = 8
+"""Pictures per simulated second of the film."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much of everything."""
+
+    steps: int
+    """Steps of the dataset."""
+
+    updates: int
+    """Updates of the learner."""
+
+    episodes: int
+    """Number of goals of each evaluation."""
+
+
+FULL = Size(steps=1_500, updates=8_000, episodes=100)
+SMALL = Size(steps=1_000, updates=8_000, episodes=40)
+
+
+@dataclass(frozen=True)
+class Quickstart:
+    """Collect with PD, train MABC, evaluate both and random: a table and a report."""
+
+    out: Path = Path("runs/quickstart")
+    """Folder of everything that is made."""
+
+    seed: int = 0
+    """Seed of dataset, training and goals."""
+
+    workers: int = 1
+    """Processes; the results do not depend on their number."""
+
+    small: bool = False
+    """Less data and fewer goals: a smoke test of the chain."""
+
+    overwrite: bool = False
+    """Replace the folder if it exists."""
+
+    @property
+    def size(self) -> Size:
+        """How much of everything."""
+        return SMALL if self.small else FULL
+
+
+@dataclass(frozen=True)
+class Result:
+    """What the chain has made."""
+
+    values: dict[str, Any]
+    """Wall times [s], the dataset's card and the evaluations, JSON-serialisable."""
+
+    evaluations: list[Evaluation]
+    """Evaluations of the learner, its teacher and the random agent."""
+
+
+def run_quickstart(options: Quickstart, progress: Bar = silent_bar) -> Result:
+    """Collect, train, evaluate, and leave a report, figures and a film in a folder.
+
+    Args:
+        options: Size and place.
+        progress: Begins a bar of progress.
+
+    Raises:
+        UsageError: If a setting makes no sense, or the folder exists.
+        KeyboardInterrupt: After Ctrl-C; what is in the folder can be used.
+    """
+    check_positive(workers=options.workers)
+    check_seed(options.seed)
+    refuse_existing(options.out, options.overwrite)
+    out, stages = options.out, dict[str, float]()
+    try:
+        with _timed(stages, "collect (pd)"):
+            data = collect(
+                "pd",
+                dataset=out.resolve() / "dataset",
+                config=EXPERT,
+                steps=options.size.steps,
+                seed=options.seed,
+                workers=options.workers,
+                overwrite=options.overwrite,
+                progress=progress,
+            )
+        with _timed(stages, "train and evaluate (mabc)"):
+            learner, learned = _train(data, options, progress)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"stopped; start again with `overwrite=True`, or use what is in {out}"
+        ) from None
+    with _timed(stages, "evaluate (pd, random)"):
+        scripted = [
+            evaluate(
+                policy,
+                episodes=options.size.episodes,
+                seed=options.seed,
+                workers=options.workers,
+                progress=progress,
+            )
+            for policy in (PdPolicy(EXPERT), "random")
+        ]
+    evaluations = [learned, *scripted]
+    with _timed(stages, "figures and film"):
+        _picture(learner, options, progress)
+    values = {
+        "stages_s": stages,
+        "dataset": card(data),
+        "evaluations": [evaluation.to_json() for evaluation in evaluations],
+    }
+    write_json(out / "quickstart.json", values)
+    with new_file(out / "report.md") as temporary:
+        temporary.write_text(_report(options, values, evaluations))
+    return Result(values, evaluations)
+
+
+@contextmanager
+def _timed(stages: dict[str, float], name: str) -> Iterator[None]:
+    begin = perf_counter()
+    yield
+    stages[name] = perf_counter() - begin
+
+
+def _train(
+    data: Dataset, options: Quickstart, progress: Bar
+) -> tuple[Run, Evaluation]:
+    training = offline_training(
+        "mabc",
+        eval_episodes=options.size.episodes,
+        eval_seed=options.seed,
+        workers=options.workers,
+        overwrite=options.overwrite,
+    )
+    config = replace(training.config, updates=options.size.updates)
+    training = replace(training, config=config)
+    runs = {options.seed: options.out / "mabc"}
+    (folder,) = train_offline(data, training, runs, progress)
+    run = Run(folder)
+    assert run.evaluation is not None  # training ends with it
+    return run, run.evaluation
+
+
+def _picture(run: Run, options: Quickstart, progress: Bar) -> None:
+    """Alpha over time of learner and expert, a film and a film strip of the learner."""
+    out, task = options.out, make_task()
+    learned, expert = run.policy, PdPolicy(EXPERT)
+    plans = goal_set(task, 2, options.seed)
+    alpha_over_time(
+        {
+            policy.name: list(run_episodes(task, policy, plans))
+            for policy in (learned, expert)
+        },
+        out / "alpha.png",
+    )
+    advance = progress("film mabc", 2 * task.max_steps)
+    both = film_both_ways(task, learned, options.seed, FPS, advance)
+    write_video(out / "mabc.mp4", both.frames, FPS)
+    film_strip(out / "mabc.png", both.strips)
+
+
+def _report(
+    options: Quickstart, values: dict[str, Any], evaluations: Sequence[Evaluation]
+) -> str:
+    dataset = values["dataset"]
+    stages = [(name, f"{seconds:.1f}") for name, seconds in values["stages_s"].items()]
+    return f"""# Quickstart
+
+Made by `marl-mm quickstart --seed {options.seed}{" --small" * options.small}`.
+A PD agent collected {dataset["episodes"]} successful episodes, {dataset["steps"]} steps
+(`dataset/`, Minari HDF5). MABC trained two decentralised actors on that file (`mabc/`).
+All policies were then evaluated on the same goals, half ahead and half behind.
+
+{evaluation_markdown(evaluations)}
+Success: end-effector within 5 cm of the goal in at most 25 steps of 1 s, with Wilson's
+interval.
+Steps: mean over successes; return: sum of the shared reward; d_mm, d_mp: distance of
+hand and base from their targets at the end of a step; jerk: of the base, rms; alpha: 1
+stable base ... 0 accurate hand. Means over episodes of each one's mean. The PD agent
+lowers alpha from 1 to {EXPERT.alpha} as the hand nears its own base (rule "room").
+
+![film strip](mabc.png)
+
+Film: [mabc.mp4](mabc.mp4)
+
+## Learning curve
+
+![learning curve](mabc/learning_curve.png)
+
+Each point: {Offline.curve_episodes} goals of their own, so coarser than the table.
+
+## Alpha over time
+
+The first goal ahead and the first behind.
+
+![alpha](alpha.png)
+
+## Wall time
+
+{markdown_table(("stage", "seconds"), stages)}"""

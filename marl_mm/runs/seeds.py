@@ -1,0 +1,139 @@
+"""Several seeds that learn from a dataset: in processes, or side by side."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from marl_mm.algorithms.checkpoint import FILE, read_checkpoint
+from marl_mm.datasets.dataset import Dataset
+from marl_mm.errors import DivergedError, WorkerDiedError
+from marl_mm.files import only_here
+from marl_mm.progress import Bar, distant_bars, show_distant_bars
+from marl_mm.runs.offline import (
+    begin_runs,
+    check_offline,
+    train_side_by_side,
+    with_exact_precision,
+)
+from marl_mm.runs.training import Offline
+from marl_mm.workers import Workers
+
+_Trained = list[Path] | DivergedError
+"""Folders of the runs, or why there are none."""
+
+
+def train_offline(
+    dataset: Dataset, training: Offline, runs: Mapping[int, Path], bar: Bar
+) -> Iterator[Path]:
+    """Train and evaluate seeds, each into a folder that is yielded when it is done.
+
+    On a CPU seeds are trained in processes of their own, and on a GPU all at once.
+
+    Args:
+        dataset: Episodes to learn from.
+        training: Settings of the runs.
+        runs: Folders by seed.
+        bar: Begins a bar of progress.
+
+    Raises:
+        DatasetError: If there is nothing to learn from.
+        DivergedError: At the end, if a seed diverged; see ``algorithms.train.train``.
+        KeyboardInterrupt: After Ctrl-C, saying how to go on.
+    """
+    training = with_exact_precision(training)
+    check_offline(dataset, training, runs)
+    # Those of an incomplete last round go beside the others: no core is idle then.
+    processes = min(len(runs), training.workers + len(runs) % training.workers)
+    with ExitStack() as stack:
+        for run in runs.values():
+            stack.enter_context(only_here(run))
+        begin_runs(dataset, training, runs)
+        if training.device == "cuda":
+            parts: Iterable[_Trained] = _together(dataset, training, runs, bar)
+        elif min(processes, training.workers) > 1:
+            parts = _apart(dataset, training, runs, processes, bar)
+        else:
+            parts = (_try(dataset, training, dict([one]), bar) for one in runs.items())
+        failures = []
+        for trained in parts:
+            if isinstance(trained, DivergedError):
+                failures.append(trained)
+            else:
+                yield from trained
+        if failures:
+            raise DivergedError("; ".join(map(str, failures)))
+
+
+def _apart(
+    dataset: Dataset,
+    training: Offline,
+    runs: Mapping[int, Path],
+    processes: int,
+    bar: Bar,
+) -> Iterator[_Trained]:
+    """Seeds in processes of their own, which Ctrl-C or one that dies stops."""
+    context = get_context("forkserver")
+    messages, stop = context.Queue(), context.Event()
+    alone = replace(training, workers=1)
+    arguments = dataset, alone, messages, stop
+    go_on = f"{', '.join(map(str, runs.values()))}: go on with `resume=True`"
+    try:
+        with (
+            show_distant_bars(messages, bar),
+            Workers(processes, _begin_process, arguments) as pool,
+        ):
+            try:
+                yield from pool.completed(_train_in_process, runs.items(), ahead=1)
+            except BaseException:
+                stop.set()
+                raise
+    except WorkerDiedError as error:
+        raise WorkerDiedError(f"{error}; {go_on}") from None
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"stopped; {go_on}") from None
+
+
+_process: tuple[Any, ...] = ()
+"""What a process that trains seeds was begun with."""
+
+
+def _begin_process(*arguments: Any) -> None:
+    global _process
+    _process = arguments
+
+
+def _train_in_process(cell: tuple[int, Path]) -> _Trained:
+    dataset, training, messages, stop = _process
+    return _try(dataset, training, dict([cell]), distant_bars(messages, stop))
+
+
+def _together(
+    dataset: Dataset, training: Offline, runs: Mapping[int, Path], bar: Bar
+) -> Iterator[_Trained]:
+    """Seeds side by side in this process, those together that stand at one update."""
+    steps: dict[int, dict[int, Path]] = {}
+    for seed, run in runs.items():
+        begun = (run / FILE).exists()
+        step = read_checkpoint(run)["state"]["step"] if begun else -1
+        steps.setdefault(step, {})[seed] = run
+    for group in steps.values():
+        trained = _try(dataset, training, group, bar)
+        if isinstance(trained, DivergedError) and len(group) > 1:
+            # The others of a group that one seed stopped go on from there.
+            for seed, run in group.items():
+                yield _try(dataset, training, {seed: run}, bar)
+        else:
+            yield trained
+
+
+def _try(
+    dataset: Dataset, training: Offline, runs: Mapping[int, Path], bar: Bar
+) -> _Trained:
+    """Train; that one seed diverges is no reason to stop others."""
+    try:
+        return train_side_by_side(dataset, training, runs, bar)
+    except DivergedError as error:
+        return error

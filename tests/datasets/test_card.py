@@ -1,0 +1,41 @@
+"""A dataset's card in notebooks: complete, and safe against the names of strangers."""
+
+import base64
+import re
+from pathlib import Path
+
+import pytest
+
+from marl_mm.datasets.card import card
+from marl_mm.datasets.card_figure import draw_card
+from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.datasets.location import SHIPPED
+
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.fixture
+def shipped(datasets_home: Path) -> Dataset:
+    return load_dataset(SHIPPED)
+
+
+def test_a_notebook_shows_numbers_and_figure(shipped: Dataset) -> None:
+    assert shipped.card() == card(shipped)
+    page = shipped._repr_html_()
+    rows = dict(re.findall("<tr><td>(.*?)</td><td>(.*?)</td></tr>", page))
+    assert rows["id"] == SHIPPED
+    assert rows["steps"] == str(shipped.arrays.steps)
+    assert rows["coverage"]
+    (picture,) = re.findall('src="data:image/png;base64,([^"]+)"', page)
+    assert base64.b64decode(picture, validate=True).startswith(PNG)
+
+
+def test_names_of_strangers_are_text(shipped: Dataset, tmp_path: Path) -> None:
+    name = "<script>alert(1)</script>$\\frac{$"
+    shipped.metadata["dataset_id"] = name
+    shipped.metadata["marl_mm"]["collector"] = "<img src=x onerror=alert(1)>"
+    page = shipped._repr_html_()
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;$\\frac{$" in page
+    assert page.count("<img") == 1 and "<script" not in page
+    draw_card(shipped.arrays, shipped.card(), tmp_path / "card.png")
+    assert (tmp_path / "card.png").read_bytes().startswith(PNG)
