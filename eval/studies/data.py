@@ -10,7 +10,7 @@ from marl_mm.datasets.recipe import Part, mix, write_mix
 from marl_mm.datasets.storage import read_metadata
 from marl_mm.errors import UnknownDatasetError
 from marl_mm.eval.studies import ours, paper
-from marl_mm.eval.studies.study import Data, Mix, Source, name_of
+from marl_mm.eval.studies.study import Data, Mix, Source
 from marl_mm.files import only_here
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.collecting import Collecting, collect_dataset
@@ -22,10 +22,8 @@ FEW = 30
 Tell = Callable[[str], None]
 """Called with what a reader should know while it happens."""
 
-_KNOWN = {
-    source.name: source
-    for source in (*paper.GOOD, paper.PD_30K, *paper.MIXES, *ours.OTHER_TASKS)
-}
+_DECLARED: tuple[Source | Mix, ...] = (*paper.GOOD, paper.PD_30K, *paper.MIXES)
+_KNOWN = {source.name: source for source in (*_DECLARED, *ours.OTHER_TASKS)}
 """Declared sources by the word that an id is short for."""
 
 
@@ -137,5 +135,5 @@ def _declared(data: Data) -> Data:
 
 def _deed(data: Source | Mix) -> str:
     if isinstance(data, Mix):
-        return f"it is mixed of {', '.join(name_of(source) for source, _ in data.parts)}"
+        return f"it is mixed of {', '.join(source.name for source, _ in data.parts)}"
     return f"{data.steps} steps of {data.collector} in {data.task} are collected"

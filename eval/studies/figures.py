@@ -78,7 +78,7 @@ def _panel(cell: Cell, curves: Curves) -> str:
 
 def _label(cell: Cell, panel: Sequence[Cell]) -> str:
     """What sets a line apart in its panel: the source, the setting, or both."""
-    source, setting = cell_name(cell)
+    source, _ = cell_name(cell)
     if len(panel) > 1 and len({one.name for _, one in panel}) == 1:
         return source
     if isinstance(cell[0], Online) or len({cell_name(one)[0] for one in panel}) == 1:
@@ -110,7 +110,9 @@ def alpha_figure(
                 color, label = COLORS[direction], None if number else direction
                 above.plot(time, mean, "o-", ms=3, color=color, label=label)
                 low, high = mean - std, mean + std
-                above.fill_between(time, low, high, color=color, alpha=0.15, linewidth=0)
+                above.fill_between(
+                    time, low, high, color=color, alpha=0.15, linewidth=0
+                )
         title = f"{labels[setting]}, {mine[0]['task']}"
         above.set(title=title, xlabel="time [s]", ylim=(-0.05, 1.05))
         own = [row for row in worth if row["setting"] == setting]

@@ -180,6 +180,7 @@ def training_of(source: Data | Online, setting: Setting, small: bool) -> Trainin
 def made_of(setting: Setting, training: Training) -> dict[str, Any]:
     """What rows must have been made of; seeds and dataset stand elsewhere."""
     if setting.library == "sb3":
+        assert isinstance(training, OnlineTraining)
         return sb3.made_of(training)
     own = ["eval_episodes", "eval_seed", "curve_episodes"]
     more: dict[str, Any] = {}

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from marl_mm.eval.bench import SB3
 from marl_mm.eval.studies.study import (
     BEST,
     LAST,
@@ -15,9 +16,6 @@ from marl_mm.eval.studies.study import (
     Study,
     cell_name,
 )
-
-SB3 = "sb3-ddpg-her"
-"""Name of the setting that is Stable-Baselines3's."""
 
 _REACH, _SMOOTH, _GRASP = map(Online, ("Reach-v0", "SmoothReach-v0", "Grasp-v0"))
 
@@ -55,9 +53,7 @@ CELLS: Mapping[str, Cell] = {
         ),
         (
             _REACH,
-            Setting(
-                SB3, "Stable-Baselines3, DDPG + HER", "ddpg-her", library="sb3"
-            ),
+            Setting(SB3, "Stable-Baselines3, DDPG + HER", "ddpg-her", library="sb3"),
         ),
         (_REACH_SHOWN, Setting("ddpg-demonstrations", f"DDPG{_SHOWN}", "ddpg")),
         (_REACH_SHOWN, _her("ddpg-her-demonstrations", _SHOWN)),

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from marl_mm.algorithms.speed import Precision
+from marl_mm.algorithms.config_checks import Precision
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.study import Budget, Study
 from marl_mm.workers import Executor
@@ -56,7 +56,9 @@ class StudyOptions:
     @property
     def runs_folder(self) -> Path:
         """``runs`` or its default."""
-        return self.runs or Path("runs") / ("studies-smoke" if self.small else "studies")
+        return self.runs or Path("runs") / (
+            "studies-smoke" if self.small else "studies"
+        )
 
     @property
     def results(self) -> Path:

@@ -102,9 +102,7 @@ def _long(algorithm: str, preset: str, batch: int = 256, **more: Any) -> Setting
         name, about = f"{name}-batch-{batch}", f"{about}, batch {batch}"
     if "max_steps" in more:
         name = f"{name}-{more['max_steps']}-steps"
-    return Setting(
-        name, about, algorithm, preset, changes, curve_every=15_000, **more
-    )
+    return Setting(name, about, algorithm, preset, changes, curve_every=15_000, **more)
 
 
 def _both(algorithm: str, **more: Any) -> tuple[Setting, Setting]:

@@ -6,14 +6,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 
-from marl_mm.algorithms.speed import Precision, resolved
+from marl_mm.algorithms.config_checks import Precision
+from marl_mm.algorithms.speed import resolved
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import SHIPPED
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import OtherConfigError, UnknownDatasetError, UsageError
 from marl_mm.eval.evaluate import evaluate
-from marl_mm.eval.studies.data import Datasets, Tell
+from marl_mm.eval.studies.data import Datasets
 from marl_mm.eval.studies.jobs import Job
 from marl_mm.eval.studies.learners import Learner, made_of, training_of
 from marl_mm.eval.studies.options import StudyOptions
@@ -30,6 +31,7 @@ from marl_mm.eval.studies.study import (
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar
 from marl_mm.runs.training import Offline, Training
+from marl_mm.runs.training import Online as OnlineTraining
 
 _STEPS = 12
 """Steps of an evaluated episode, about, of agents that reach; others take all."""
@@ -101,7 +103,7 @@ def _learner(
     if isinstance(training, Offline):
         exact = {"precision": resolved(precision), **setting.changes}["precision"]
         training = replace(training, config=replace(training.config, precision=exact))
-    elif dataset is not None:
+    elif isinstance(training, OnlineTraining) and dataset is not None:
         training = replace(training, demonstrations=dataset.location.name)
     location = None if dataset is None else dataset.location
     return Learner(training, location, setting.library == "sb3")
@@ -194,7 +196,8 @@ def estimated(wanted: Sequence[Wanted], bar: Bar) -> list[Wanted]:
                     per_update[name] = job.learner.seconds_per_update()
                 if task not in per_step:
                     per_step[task] = _seconds_per_step(task)
-                job = replace(job, seconds=_seconds(job, per_update[name], per_step[task]))
+                seconds = _seconds(job, per_update[name], per_step[task])
+                job = replace(job, seconds=seconds)
             jobs.append(job)
         known.append(replace(cell, jobs=tuple(jobs)))
         advance(1, "")

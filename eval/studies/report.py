@@ -11,7 +11,7 @@ from jinja2 import Environment
 from markupsafe import Markup
 
 from marl_mm.errors import UsageError
-from marl_mm.eval.bench_tables import (
+from marl_mm.eval.bench.tables import (
     abuse_table,
     bench_table,
     data_table,

@@ -1,4 +1,4 @@
-"""Evaluations and learning curves of runs, as rows: what tables and figures are made of.
+"""Evaluations and learning curves of runs, as the rows that tables are made of.
 
 Three files for each cell::
 
@@ -37,7 +37,7 @@ _CURVE = {
         *("train/return", "train/success", "q/data", "q/policy", "action/saturation"),
     ),
 }
-"""Columns of learning curves; what a run does not have, such as goals behind, is nan."""
+"""Columns of learning curves; nan where a run has none, such as of goals behind."""
 
 
 def is_probed(
@@ -185,9 +185,9 @@ class RowStore:
         Raises:
             UsageError: If some are missing.
         """
-        names = [probe.name for probe in probes]
-        rows = [r for r in self._rows(cell) if r["seed"] in seeds and r["probe"] in names]
-        if {(r["seed"], r["probe"]) for r in rows} != set(product(seeds, names)):
+        wanted = set(product(seeds, [probe.name for probe in probes]))
+        rows = [r for r in self._rows(cell) if (r["seed"], r["probe"]) in wanted]
+        if {(r["seed"], r["probe"]) for r in rows} != wanted:
             raise self._lacking(cell, ".csv.gz", seeds)
         return rows
 
@@ -204,8 +204,9 @@ class RowStore:
 
     def _lacking(self, cell: Cell, end: str, seeds: Sequence[int]) -> UsageError:
         return UsageError(
-            f"{self._path(cell, end)} lacks rows of seeds {', '.join(map(str, seeds))}: "
-            "marl-mm ablate without --check makes what is missing"
+            f"{self._path(cell, end)} lacks rows of seeds "
+            f"{', '.join(map(str, seeds))}: marl-mm ablate without --check makes what "
+            "is missing"
         )
 
     def diverged(self, cell: Cell) -> dict[int, int]:

@@ -11,8 +11,8 @@ from marl_mm.algorithms.runlog import RunLog, is_best
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import UsageError
+from marl_mm.eval.bench import SB3
 from marl_mm.eval.evaluate import Evaluation, evaluate_with
-from marl_mm.eval.studies.online import SB3
 from marl_mm.files import only_here, write_json
 from marl_mm.progress import Bar
 from marl_mm.runs.folder import (
@@ -57,7 +57,7 @@ def train_sb3_run(training: Online, seed: int, run: Path, bar: Bar) -> None:
 
 
 def _train(training: Online, seed: int, run: Path, bar: Bar) -> None:
-    from marl_mm.eval.sb3_reference import Sb3Policy, learn_sb3, sb3_model
+    from marl_mm.eval.bench.sb3_reference import Sb3Policy, learn_sb3, sb3_model
 
     config, schedule = training.config, training.schedule
     start_run(run, _run_config(training, seed))

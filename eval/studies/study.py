@@ -1,4 +1,4 @@
-"""What a study is: settings that learn from sources, and how their runs are evaluated."""
+"""What a study is: settings that learn from sources, and how they are evaluated."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from marl_mm.eval.studies.table import Table
 
 Budget = Literal["full", "smoke"]
+
 
 def _check_name(name: str) -> None:
     if not re.fullmatch(r"[A-Za-z][\w.-]*", name):
@@ -121,7 +122,9 @@ class Online:
         """
         make_task(self.task)
         if not self.name:
-            beside = () if self.demonstrations is None else (name_of(self.demonstrations),)
+            beside = (
+                () if self.demonstrations is None else (name_of(self.demonstrations),)
+            )
             object.__setattr__(self, "name", "-".join(("online", self.task, *beside)))
 
 

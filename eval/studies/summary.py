@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from marl_mm.eval.intervals import (
-    difference_interval,
     interval_of_mean,
     mean_interval,
     seed_rates,
@@ -91,7 +90,7 @@ def _of_probe(cell: Cell, probe: str, rows: Sequence[Row]) -> Row:
         **summarize_success(rows, "success"),
         "success_seeds": " ".join(f"{100 * rate:.1f}" for rate in rates),
     }
-    means = _returns(rows).mean(axis=1)
+    means = returns_of(rows).mean(axis=1)
     known = len(means) > 1
     summary["return_interval"] = mean_interval(means) if known else (np.nan, np.nan)
     for key in ("return", "d_mm", "d_mp", "alpha"):
@@ -101,7 +100,7 @@ def _of_probe(cell: Cell, probe: str, rows: Sequence[Row]) -> Row:
     return summary | failed
 
 
-def _returns(rows: Sequence[Row]) -> np.ndarray:
+def returns_of(rows: Sequence[Row]) -> np.ndarray:
     """Returns of evaluated goals, shape (seeds, goals)."""
     ordered = sorted(rows, key=lambda row: (row["seed"], row["goal"]))
     seeds = len({row["seed"] for row in rows})
@@ -129,43 +128,13 @@ def worth_of_alpha(learnt: Sequence[Row], held: Mapping[float, Sequence[Row]]) -
         learnt: Evaluated goals.
         held: The same seeds and goals, by the alpha held.
     """
-    best = max(held, key=lambda alpha: float(_returns(held[alpha]).mean()))
-    difference = _returns(learnt) - _returns(held[best])
+    best = max(held, key=lambda alpha: float(returns_of(held[alpha]).mean()))
+    difference = returns_of(learnt) - returns_of(held[best])
     return {
         "best_held": best,
         "over_held": float(difference.mean()),
         "over_held_interval": interval_of_mean(difference),
     }
-
-
-def differences(
-    study: Study, store: RowStore, baseline: str
-) -> dict[tuple[str, str], Row]:
-    """By how much cells are better than a setting on the same source.
-
-    Args:
-        study: Study of the cells, which are compared at its first probe.
-        store: Rows of the cells.
-        baseline: Name of that setting.
-
-    Returns:
-        By names of source and setting ``success`` and ``return``, means over seeds
-        less the baseline's, each with its ``_interval``, Welch's.
-    """
-    means: dict[tuple[str, str], dict[str, Sequence[float]]] = {}
-    for cell in study.cells:
-        rows = store.evaluations(cell, range(study.seeds), study.probes[:1])
-        of_returns = _returns(rows).mean(axis=1).tolist()
-        means[cell_name(cell)] = {"success": seed_rates(rows), "return": of_returns}
-    found = {}
-    for (source, setting), ours in means.items():
-        if setting != baseline:
-            row: Row = {}
-            for key, theirs in means[source, baseline].items():
-                row[key] = float(np.mean(ours[key]) - np.mean(theirs))
-                row[f"{key}_interval"] = difference_interval(ours[key], theirs)
-            found[source, setting] = row
-    return found
 
 
 # --- A row per setting -------------------------------------------------------

@@ -114,11 +114,10 @@ def run_cell(cell: SweepCell) -> list[Row]:
     policy, rows = PdPolicy(cell.pd), []
     with closing(EpisodeCore(config)) as core:
         for plan in goal_set(config, cell.goals, cell.seed):
-            swing = None
-            if cell.mass is not None:
-                swing = _Swing(core.drive, config.look_every)
-            episode = run_episode(core, policy, plan, swing and swing.see)
-            more = {} if swing is None else swing.to_row()
+            swing = _Swing(core.drive, config.look_every)
+            looks = cell.mass is not None
+            episode = run_episode(core, policy, plan, swing.see if looks else None)
+            more = swing.to_row() if looks else {}
             rows += [{**row, **more} for row in episode_rows(cell, episode)]
     return rows
 

@@ -111,7 +111,9 @@ class Table:
                 if row["setting"] == setting
                 and (by_setting or row["dataset"] == source)
             }
-            ordered = own if by_setting else {p.name: own[p.name] for p in self.study.probes}
+            ordered = (
+                own if by_setting else {p.name: own[p.name] for p in self.study.probes}
+            )
             lines.append(Line(self.study, number, ordered))
         return lines
 
@@ -153,10 +155,7 @@ def _of_probes(study: Study, rows: Sequence[Row]) -> list[Column]:
         Column("d_mm [m]", lambda line: f"{line.row['d_mm']:.3f}"),
         Column("d_mp [m]", lambda line: f"{line.row['d_mp']:.3f}"),
         Column("alpha", lambda line: f"{line.row['alpha']:.2f}"),
-        *(
-            Column(head, lambda line, key=key: _in_a_row(line.row[f"{key}_seeds"]))
-            for key, head in CRITICS.items()
-        ),
+        *map(_critic, CRITICS),
     ]
     if any(probe.alpha is not None for probe in others):
         columns.append(Column(OVER_HELD, _over_held))
@@ -174,6 +173,10 @@ def _every_seed(line: Line) -> str:
 def _in_a_row(values: str | float) -> str:
     """Numbers apart by commas; a single one may have been read as such."""
     return str(values).replace(" ", ", ")
+
+
+def _critic(key: str) -> Column:
+    return Column(CRITICS[key], lambda line: _in_a_row(line.row[f"{key}_seeds"]))
 
 
 def _iqm(line: Line, name: str) -> str:

@@ -1,4 +1,4 @@
-"""Ablations of offline learning: declared, run, interrupted, drawn and checked."""
+"""Studies: declared, run, interrupted, drawn and checked."""
 
 import json
 import os
@@ -20,39 +20,43 @@ import pytest
 
 from marl_mm.algorithms.runlog import METRICS
 from marl_mm.cli import main
-from marl_mm.commands import ablate_data
-from marl_mm.commands.ablate_jobs import Job, do_jobs
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import begun
-from marl_mm.errors import MarlMmError, UsageError
-from marl_mm.eval import offline_rows
-from marl_mm.eval.ablation import (
+from marl_mm.errors import (
+    MarlMmError,
+    OtherConfigError,
+    UnknownDatasetError,
+    UsageError,
+)
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.rows import read_rows
+from marl_mm.eval.studies import rows as study_rows
+from marl_mm.eval.studies.data import Datasets
+from marl_mm.eval.studies.jobs import Job, do_jobs
+from marl_mm.eval.studies.learners import Learner
+from marl_mm.eval.studies.paper import GOOD_30K, PAPER, reported
+from marl_mm.eval.studies.rows import RowStore
+from marl_mm.eval.studies.study import (
     BEST,
     LAST,
-    Ablation,
+    Mix,
+    Online,
     Probe,
     Reported,
     Setting,
+    Source,
+    Study,
     cell_name,
 )
-from marl_mm.eval.ablations import ABLATIONS, BLOCKS, PAPER, reported
-from marl_mm.eval.intervals import (
-    success_interval,
-)
-from marl_mm.eval.metrics import Row
-from marl_mm.eval.offline import (
-    goals_for,
-    worth_of_alpha,
-)
-from marl_mm.eval.offline_rows import RowStore, probe_file, probe_way
-from marl_mm.eval.online import SETTINGS
-from marl_mm.eval.rows import read_rows
+from marl_mm.eval.studies.summary import worth_of_alpha
+from marl_mm.eval.studies.targets import GROUPS, STUDIES
+from marl_mm.progress import silent_bar
 from marl_mm.runs.training import offline_training
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 
 OWN = """
-from marl_mm.eval import BEST, LAST, Ablation, Probe, Setting
+from marl_mm.eval.studies import BEST, LAST, Probe, Setting, Source, Study
 
 settings = [
     Setting(f"width-{n}", f"{n} units", changes={"hidden": (n, n)}) for n in (16, 32)
@@ -61,8 +65,8 @@ HELD = Probe("held", "alpha held at one half", alpha=0.5)
 NARROW = Probe("narrow", "near goals", overrides={"goal_y": (-0.1, 0.1)})
 PROBES = LAST, BEST, HELD, NARROW
 CELLS = [("good-5k", one) for one in settings]
-WIDTHS = Ablation("TD3+BC by width.", CELLS, PROBES, True)
-FAILS = Ablation(
+WIDTHS = Study("TD3+BC by width.", CELLS, PROBES, True)
+FAILS = Study(
     "One of two.",
     [
         ("good-5k", Setting("huge", "huge", changes={"batch_size": 10**12})),
@@ -70,20 +74,25 @@ FAILS = Ablation(
     ],
 )
 WILD = Setting("wild", "wild", changes={"critic_learning_rate": 1e38})
-DIVERGES = Ablation("What diverges counts as it is.", [("good-5k", WILD)])
-ELSEWHERE = Ablation("Of data that nobody has.", [("none", settings[0])])
+DIVERGES = Study("What diverges counts as it is.", [("good-5k", WILD)])
+ELSEWHERE = Study("Of data that nobody has.", [("none", settings[0])])
 FEW = {"updates": 100, "hidden": (16, 16)}
-TINY = Ablation(
+TINY = Study(
     "Of data that is collected first.",
-    [("tiny", Setting("few", "few", changes=FEW, goals=2, curve_goals=2))],
+    [
+        (
+            Source(steps=60, name="tiny"),
+            Setting("few", "few", changes=FEW, goals=2, curve_goals=2),
+        )
+    ],
 )
 """
-"""An ablation of one's own, of the dataset that ships."""
+"""Studies of one's own, of the dataset that ships."""
 
-RESULTS = Path(__file__).resolve().parents[2] / "eval/results/offline"
-COMMITTED = sorted(path.stem for path in RESULTS.glob("*.csv"))
+RESULTS = Path(__file__).resolve().parents[2] / "eval/results/studies"
 
 OURS = Setting("ours", "ours")
+HER = Setting("her", "her", "ddpg-her")
 
 FILES = ["widths.csv", "widths.png"]
 
@@ -114,83 +123,75 @@ def contents(results: Path) -> dict[str, bytes]:
 
 def test_every_declaration_can_be_run() -> None:
     names: dict[str, Setting] = {}
-    for ablation in ABLATIONS.values():
-        assert ablation.cells
-        for _, setting in ablation.cells:
-            assert setting.config.updates > 0  # made without complaint
+    for study in STUDIES.values():
+        assert study.cells
+        for _, setting in study.cells:
+            assert setting.config is not None  # made without complaint
             assert names.setdefault(setting.name, setting) == setting
 
 
 def test_nothing_is_run_twice_under_two_names() -> None:
-    cells = {cell_name(cell): cell for one in ABLATIONS.values() for cell in one.cells}
+    cells = {cell_name(cell): cell for one in STUDIES.values() for cell in one.cells}
     ways = [
-        (dataset, s.algorithm, s.config, s.max_steps, s.curve_every, s.goals)
-        for dataset, s in cells.values()
+        (source, s.algorithm, s.library, s.config, s.max_steps, s.curve_every, s.goals)
+        for source, s in cells.values()
     ]
     assert [way for way in ways if ways.count(way) > 1] == []
 
 
 def test_the_papers_runs_have_its_budget() -> None:
     for name in ("table4", "table5", "fig7", "fig8", "fig9", "fig10"):
-        ablation = ABLATIONS[name]
-        presets = [setting.preset for _, setting in ablation.cells]
+        study = STUDIES[name]
+        presets = [setting.preset for _, setting in study.cells]
         assert set(presets) == {"paper", "tuned"}  # side by side
-        for _, setting in ablation.cells:
+        for _, setting in study.cells:
             assert setting.config.updates == 180_000
 
 
 def test_the_papers_figures_stand_beside_its_own_settings_only() -> None:
-    cells = [cell for one in ABLATIONS.values() for cell in one.cells]
+    cells = [cell for one in STUDIES.values() for cell in one.cells]
     assert {reported(cell) for cell in cells} == {None, *PAPER.values()}
     c_is_1 = Setting("c1", "c = 1", changes={"q_weight": 1.0})
-    assert reported(("good-30k", c_is_1)) is None
-    same = reported(("good-30k", Setting("same", "same")))
-    assert same == Reported("Table 4", 34.00, 32.19)
+    assert reported((GOOD_30K, c_is_1)) is None
+    same = reported((GOOD_30K, Setting("same", "same")))
+    assert same == Reported("Table 4", 34.00, 32.19, updates=180_000)
     assert str(same) == "34.00 +- 32.19 (Table 4)"
 
 
-def test_every_ablation_of_offline_learning_is_committed() -> None:
-    assert set(COMMITTED) == ABLATIONS.keys()
-
-
-@pytest.mark.parametrize("name", COMMITTED)
-def test_what_is_committed_is_drawn_from_its_rows(
-    name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """If this fails: marl-mm ablate NAME --out RESULTS --overwrite."""
-    assert main(["ablate", name, "--out", str(RESULTS), "--check"]) == 0
-    assert "the same" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("name", COMMITTED)
 def test_what_is_committed_was_made_as_declared(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Otherwise runs would be missing, or the datasets that they need."""
-    words = ["ablate", name, "--out", str(RESULTS), "--runs", str(tmp_path), "--plan"]
+    words = ["ablate", "all", "--out", str(RESULTS), "--runs", str(tmp_path), "--plan"]
     assert main(words) == 0
-    told = capsys.readouterr()
-    assert "| all |  | 0 of 0 |" in told.out and "counted as" not in told.err
+    text = capsys.readouterr()
+    assert "| all |  | 0 of 0 |" in text.out and "counted as" not in text.err
 
 
 @pytest.mark.parametrize(
     ("make", "complaint"),
     [
         (lambda: Setting("0.5", "x"), "name is '0.5', expected a letter"),
-        (lambda: Setting("x", "x", "td3bc"), "'td3bc', expected one of mabc, td3-bc"),
-        (lambda: Setting("x", "x", preset="tunde"), "'tunde', expected one of tuned"),
+        (lambda: Setting("x", "x", "td3bc"), "td3bc"),
+        (lambda: Setting("x", "x", preset="tunde"), "tunde"),
         (lambda: Setting("x", "x", goals=1), "goals is 1, expected 2, 4"),
-        (lambda: Setting("x", "x", changes={"hidden": 64}), "'x' changes hidden to 64"),
-        (lambda: Setting("x", "x", changes={"updates": 1.5}), "changes updates to 1.5"),
-        (lambda: Setting("x", "x", changes={"layer_norm": "no"}), "to 'no'"),
+        (lambda: Setting("x", "x", changes={"hidden": 64}), "'x'.* hidden is 64"),
+        (lambda: Setting("x", "x", changes={"updates": 1.5}), "updates is 1.5"),
+        (lambda: Setting("x", "x", changes={"layer_norm": "no"}), "is 'no'"),
         (lambda: Setting("x", "x", changes={"batch_size": 0}), "'x': batch_size is 0"),
         (lambda: Probe("x", "x", checkpoint="bset"), "'bset', expected one of last"),  # type: ignore[arg-type]
         (lambda: Probe("x", "x", alpha=2.0), "alpha is 2.0, expected a number in"),
         (lambda: Probe("x", "x", overrides={"goal_w": 1}), "unknown field 'goal_w'"),
-        (lambda: Ablation("x", []), "has no cells"),
-        (lambda: Ablation("x", ["good-5k"]), "expected pairs of a dataset's name and"),  # type: ignore[list-item]
-        (lambda: Ablation("x", [("a", OURS), ("a", OURS)]), "twice"),
-        (lambda: Ablation("x", [("a", OURS)], (LAST, LAST)), "twice"),
+        (lambda: Study("x", []), "has no cells"),
+        (lambda: Study("x", ["good-5k"]), "expected pairs of a source"),  # type: ignore[list-item]
+        (lambda: Study("x", [("a", OURS), ("a", OURS)]), "twice"),
+        (lambda: Study("x", [("a", OURS)], (LAST, LAST)), "twice"),
+        (lambda: Study("x", [(Online(), OURS)]), "td3-bc learns from a dataset"),
+        (lambda: Study("x", [("a", HER)]), "ddpg-her learns from episodes of its own"),
+        (lambda: Source(settings={"alpha_rul": 1}), "has no setting 'alpha_rul'"),
+        (lambda: Source("pdd"), "pdd"),
+        (lambda: Source(task="Fly-v0"), "Fly-v0"),
+        (lambda: Source(steps=0), "`steps` is 0"),
     ],
 )
 def test_a_declaration_that_makes_no_sense_is_refused(
@@ -217,17 +218,6 @@ def test_the_learnt_alpha_is_compared_with_the_best_held_one() -> None:
     assert high == pytest.approx(1 + 12.706 / 2, abs=1e-2)
 
 
-@pytest.mark.parametrize("rate", [0.0, 0.26, 0.5, 0.95, 1.0])
-def test_as_many_goals_as_an_interval_needs(rate: float) -> None:
-    def reach(goals: int) -> float:
-        reached = round(rate * goals)
-        low, high = success_interval(reached, goals)
-        return max(high - reached / goals, reached / goals - low)
-
-    goals = goals_for(rate, 0.05)
-    assert reach(goals) <= 0.05 < reach(goals - 1)
-
-
 # --- Rows --------------------------------------------------------------------
 
 
@@ -247,8 +237,8 @@ def finished(folder: Path, seed: int, q_policy: float = 1.0) -> Path:
         for goal in range(2)
     ]
     for probe in (LAST, BEST):
-        found = {"episodes": episodes, "overrides": {}, "probe": probe_way(probe)}
-        probe_file(run, probe).write_text(json.dumps(found))
+        found = {"episodes": episodes, "overrides": {}, "probe": probe.way}
+        probe.file(run).write_text(json.dumps(found))
     return run
 
 
@@ -276,8 +266,8 @@ def test_rows_that_were_cut_off_between_files_are_made_again(
         return unless_cut_off
 
     for name in ("write_json", "write_csv"):
-        write = getattr(offline_rows, name)
-        monkeypatch.setattr(offline_rows, name, counted(write))
+        write = getattr(study_rows, name)
+        monkeypatch.setattr(study_rows, name, counted(write))
     runs = {1: finished(tmp_path, 1)}
     with pytest.raises(KeyboardInterrupt):
         store.keep(cell, runs, [LAST])
@@ -303,7 +293,7 @@ def test_evaluations_of_two_trainings_are_not_mixed(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_ablation_of_ones_own_is_made_once_and_checked(
+def test_a_study_of_ones_own_is_made_once_and_checked(
     own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     runs, results = tmp_path / "runs", tmp_path / "runs/results"
@@ -467,20 +457,26 @@ class Deadly(Job):
         os._exit(1)
 
 
+def job_of(kind: type[Job], number: int, run: Path) -> Job:
+    learner = Learner(offline_training("mabc"), load_dataset("good-5k").location)
+    return kind(str(number), 0, run, learner, (LAST,))
+
+
 @pytest.mark.slow
 def test_a_run_that_kills_its_process_takes_no_other_along(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2]))  # for the processes
-    options = offline_training("mabc")
     jobs = [
-        kind(str(number), 0, tmp_path / str(number), "good-5k", options, [LAST])
+        job_of(kind, number, tmp_path / str(number))
         for number, kind in enumerate((Done, Deadly, Done, Done))
     ]
     done: list[Job] = []
-    failed = do_jobs(jobs, 2, "local", done.append)
+    told: list[str] = []
+    failed = do_jobs(jobs, 2, "local", done.append, told.append, silent_bar)
     assert failed.keys() == {tmp_path / "1"}
     assert "a worker process died" in failed[tmp_path / "1"]
+    assert "going on with" in told[0]
     assert sorted(job.label for job in done) == ["0", "2", "3"]
 
 
@@ -488,9 +484,10 @@ def test_a_run_whose_rows_cannot_be_kept_counts_as_failed(tmp_path: Path) -> Non
     def refuse(job: Job) -> None:
         raise MarlMmError("other rows")
 
-    options = offline_training("mabc")
-    job = Done("0", 0, tmp_path, "good-5k", options, [LAST])
-    assert do_jobs([job], 1, "local", refuse) == {tmp_path: "other rows"}
+    failed = do_jobs(
+        [job_of(Done, 0, tmp_path)], 1, "local", refuse, lambda text: None, silent_bar
+    )
+    assert failed == {tmp_path: "other rows"}
 
 
 @pytest.mark.slow
@@ -507,62 +504,89 @@ def test_a_plan_says_what_is_missing_and_trains_nothing(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("target", "ablations", "settings"),
-    [
-        ("all", tuple(ABLATIONS), len(SETTINGS)),
-        ("paper", ("table4", "table5", "fig7", "fig8", "fig9", "fig10"), 5),
-    ],
-)
+@pytest.mark.parametrize("target", ["all", "paper"])
 def test_a_plan_of_several_targets_trains_nothing_either(
     target: str,
-    ablations: tuple[str, ...],
-    settings: int,
+    datasets_home: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     asked = ["ablate", target, "--plan", "--budget", "smoke", "--runs", str(tmp_path)]
     assert main([*asked, "--seeds", "0"]) == 0
-    *_, total, online = capsys.readouterr().out.splitlines()
-    cells = {cell_name(cell) for one in ablations for cell in ABLATIONS[one].cells}
+    *_, total = capsys.readouterr().out.splitlines()
+    studies = [STUDIES[name] for name in GROUPS[target] if name in STUDIES]
+    cells = {cell_name(cell) for study in studies for cell in study.cells}
     assert f"| {len(cells)} of {len(cells)} |" in total
-    assert online == f"and online: {settings} of {settings} online runs"
-    assert not list(tmp_path.iterdir())
+    assert not list(tmp_path.glob("[!d]*"))  # but its home of datasets
 
 
 def test_a_plan_says_what_is_collected_first(
     datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     runs = tmp_path / "runs"
-    for name, command in (
-        ("offline", "collect paper"),
-        ("tasks", "collect pretrained --task SmoothReach-v0 --steps 30000"),
+    for name, deed in (
+        ("offline", "30000 steps of pretrained in Reach-v0 are collected"),
+        ("tasks", "30000 steps of pretrained in SmoothReach-v0 are collected"),
     ):
         asked = ["ablate", name, "--plan", "--runs", str(runs), "--seeds", "0"]
         assert main([*asked, "--settings", "mabc"]) == 0
-        told = capsys.readouterr()
-        assert f"it is collected first, with marl-mm {command}" in told.err
-        *_, total = told.out.splitlines()
-        cells = len([c for c in ABLATIONS[name].cells if c[1].name == "mabc"])
+        text = capsys.readouterr()
+        assert f"{deed} first" in text.err
+        *_, total = text.out.splitlines()
+        cells = len([c for c in STUDIES[name].cells if c[1].name == "mabc"])
         assert f"| {cells} of {cells} |" in total and float(total.split("|")[-2]) > 0
     assert not runs.exists()
 
 
+EVERYTHING = """
+from marl_mm.eval.studies import BEST, LAST, Mix, Online, Setting, Source, Study
+
+FEW = {"hidden": (16, 16)}
+IMITATED = Setting("few", "few", changes=FEW)
+HINDSIGHT = Setting("her", "hindsight", "ddpg-her", changes=FEW)
+PD = Source("pd", steps=60, settings={"alpha_rule": "room"}, name="shown")
+ANY = Mix("any", [(PD, 40), (Source("random", steps=60), 40)])
+ALL = Study(
+    "Every way to learn.",
+    [
+        ("good-5k", IMITATED),
+        (PD, IMITATED),
+        (ANY, IMITATED),
+        (Online(), HINDSIGHT),
+        (Online(demonstrations=PD), HINDSIGHT),
+    ],
+    probes=(LAST, BEST),
+    figure=True,
+    seeds=1,
+)
+"""
+"""A study of everything that a cell can learn from."""
+
+
 @pytest.mark.slow
-def test_a_small_budget_learns_from_the_task_s_own_data(
-    datasets_home: Path, tmp_path: Path
+def test_python_and_the_command_make_the_same_of_every_way_to_learn(
+    datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Once collected, for whatever needs it."""
-    asked = ["ablate", "blocks", "--budget", "smoke", "--seeds", "0"]
-    asked += ["--runs", str(tmp_path / "runs"), "--settings", "mabc", "--workers", "2"]
-    assert main(asked) == 0
-    results = tmp_path / "runs/results"
-    for row in read_rows(results / "blocks-part.csv"):
-        assert "failed" in row
-        name = row["dataset"].replace("/", "-")
-        made_of = json.loads((results / f"rows/{name}/mabc.json").read_text())
-        assert made_of["task"] == BLOCKS[row["dataset"]]
-    assert not list(tmp_path.glob("datasets/*"))  # its home
+    path = tmp_path / "everything.py"
+    path.write_text(EVERYTHING)
+    runs = tmp_path / "command"
+    small = ["--budget", "smoke", "--workers", "1", "--runs", str(runs)]
+    assert main(["ablate", f"{path}:ALL", *small]) == 0
+    text = capsys.readouterr()
+    assert "30 steps of pd" not in text.out and "60 steps of pd in Reach" in text.err
+    names: dict[str, Any] = {}
+    exec(EVERYTHING, names)
+    table = names["ALL"].run(runs=tmp_path / "python", name="all", budget="smoke")
+    assert capsys.readouterr() == ("", "")
+    assert contents(tmp_path / "python/results") == contents(runs / "results")
+    sources = ["good-5k", "shown", "any", "online-Reach-v0", "online-Reach-v0-shown"]
+    rows = [(row["dataset"], row["probe"]) for row in table.rows]
+    assert rows == [*product(sources, ("last", "best"))]
+    assert table.markdown() in text.out
+    page = table._repr_html_()
+    assert "<table>" in page and "image/png" in page
+    with pytest.raises(UsageError, match="exists already"):
+        names["ALL"].run(runs=tmp_path / "python", name="all", budget="smoke")
 
 
 @pytest.mark.slow
@@ -570,11 +594,11 @@ def test_what_there_is_no_data_for_is_collected_first(
     own: Path,
     datasets_home: Path,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Also the rest of a collection that was stopped, or was to be shorter; stdout is
     the table alone."""
+    tiny = Source(steps=60, name="tiny")
     command = "marl-mm collect pd --steps 60 --dataset tiny"
     process = subprocess.Popen(  # one worker finishes attempts in their order
         [sys.executable, "-m", "marl_mm.cli", *command.split()[1:], "--workers", "1"],
@@ -588,39 +612,43 @@ def test_what_there_is_no_data_for_is_collected_first(
     process.send_signal(signal.SIGINT)
     assert process.wait(60) == 130
     assert 0 < load_dataset("tiny").arrays.steps < 60
-    monkeypatch.setattr(ablate_data, "made_by", lambda name: command)
-    ablate_data.dataset_named("tiny", 1, make=True)
-    told = capsys.readouterr()
-    assert "tiny is not whole: going on with" in told.err and command in told.err
-    assert not told.out and load_dataset("tiny").arrays.steps >= 60
+    told: list[str] = []
+    made = Datasets(tell=told.append)
+    with pytest.raises(UnknownDatasetError, match="60 steps of pd in Reach-v0 are"):
+        made.find(tiny)
+    assert made.make(tiny).arrays.steps >= 60
+    assert "tiny is not whole: 60 steps" in told.pop()
+    assert made.find(tiny).fingerprint == made.make(tiny).fingerprint and not told
     shutil.rmtree(load_dataset("tiny").location.folder)
     assert main(["collect", "pd", "--steps", "30", "--dataset", "tiny"]) == 0
-    ablate_data.dataset_named("tiny", 1, make=True)
-    assert "tiny is not whole: going on with" in capsys.readouterr().err
-    assert load_dataset("tiny").arrays.steps >= 60
+    assert made.make(tiny).arrays.steps >= 60
+    assert "tiny is not whole" in told.pop()
+    with pytest.raises(OtherConfigError, match="seed"):
+        made.make(Source(steps=90, seed=1, name="tiny"))
     shutil.rmtree(load_dataset("tiny").location.folder)
+    capsys.readouterr()
     asked = ["ablate", f"{own}:TINY", "--seeds", "0", "--workers", "1", "--json"]
     assert main([*asked, "--runs", str(tmp_path / "runs")]) == 0
-    told = capsys.readouterr()
-    assert json.loads(told.out)["tiny"][0]["goals"] == 2
-    assert "it is collected first" in told.err and command in told.err
+    text = capsys.readouterr()
+    assert json.loads(text.out)["tiny"][0]["goals"] == 2
+    assert "tiny is not there: 60 steps of pd" in text.err
     assert load_dataset("tiny").arrays.steps >= 60
 
 
 @pytest.mark.parametrize(
     ("asked", "complaint"),
     [
-        (["own.py:WIDTH"], "has no Ablation called 'WIDTH', expected one of WIDTHS, F"),
+        (["own.py:WIDTH"], "has no Study called 'WIDTH', expected one of WIDTHS, F"),
         (["none.py:WIDTHS"], "there is no file"),
         (["broken.py:X"], "broken.py cannot be run: ZeroDivisionError: division by"),
-        (["odd.py:X"], "odd.py: setting 'own' changes 'hiden', which td3-bc has not"),
+        (["odd.py:X"], "odd.py: setting 'own', td3-bc, has no setting 'hiden'"),
         (
             ["own.py:WIDTHS", "--settings", "width-8"],
             "--settings has no 'width-8': exp",
         ),
         (["own.py:WIDTHS", "--datasets"], "--datasets is empty: expected good-5k"),
         (["own.py:WIDTHS", "--seeds", "0", "0"], "seeds"),
-        (["all", "--settings", "td3-bc"], "--settings and --datasets are for one targ"),
+        (["all", "--settings", "td3-bc"], "--settings and --datasets are for a study"),
         (["own.py:ELSEWHERE"], "no dataset marl_mm/reach/none-v0"),
         (
             ["own.py:WIDTHS", "--settings", "width-16", "--check"],
@@ -643,7 +671,7 @@ def test_what_cannot_be_made_is_told_in_one_line(
     monkeypatch.chdir(own.parent)
     Path("broken.py").write_text("1 / 0")
     Path("odd.py").write_text(
-        "from marl_mm.eval import Setting\n"
+        "from marl_mm.eval.studies import Setting\n"
         "Setting('own', 'own', changes={'hiden': (8, 8)})\n"
     )
     assert main(["ablate", *asked]) == 2
