@@ -10,8 +10,8 @@ import tyro
 
 from marl_mm.commands.options import (
     REGISTERED,
+    config_of,
     print_evaluations,
-    settings_of,
     with_policies,
 )
 from marl_mm.commands.parser import parse_options
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str]) -> None:
     task = options.task or own_task(options.policies)
     own = make_task(task, task_overrides(options.max_steps))
     for name in options.policies:  # before any work is done
-        load_policy(name, own, **settings_of(name, options))
+        load_policy(name, own, config_of(name, options))
     with progress_bars() as bar:
         evaluations = [
             evaluate(
@@ -86,7 +86,7 @@ def main(arguments: Sequence[str]) -> None:
                 max_steps=options.max_steps,
                 workers=options.workers,
                 progress=bar,
-                **settings_of(name, options),
+                config=config_of(name, options),
             )
             for name in options.policies
         ]

@@ -50,17 +50,14 @@ def with_policies(options: type[T]) -> type[T]:
     return made
 
 
-def settings_of(name: str, options: Any) -> dict[str, Any]:
-    """Settings of the policy of a name, by theirs; none of one that is no collector's.
+def config_of(name: str, options: Any) -> Any:
+    """Settings of the policy of a name; None of one that is no collector's.
 
     Args:
         name: Name of a policy, or a path.
         options: Options of a class that ``with_policies`` made.
     """
-    config = getattr(options, _attribute(name), None)
-    if config is None:
-        return {}
-    return {one.name: getattr(config, one.name) for one in fields(config)}
+    return getattr(options, _attribute(name), None)
 
 
 def _attribute(name: str) -> str:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from marl_mm.commands.options import REGISTERED, settings_of, with_policies
+from marl_mm.commands.options import REGISTERED, config_of, with_policies
 from marl_mm.commands.parser import parse_options
 from marl_mm.envs.demos import DEMOS, Drift
 from marl_mm.errors import UsageError
@@ -116,7 +116,7 @@ def main(arguments: Sequence[str]) -> None:
             gui=options.gui,
             camera=None if options.camera == Camera() else options.camera,
             progress=bar,
-            **settings_of(options.policy, options),
+            config=config_of(options.policy, options),
         )
     if options.film is not None:
         film.save(options.film, options.overwrite)

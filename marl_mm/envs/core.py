@@ -1,8 +1,8 @@
 """One episode: the shared core of the Gymnasium and the PettingZoo environment.
 
-A step is one second: the task turns the action into an order for each robot, which its
-whole-body controller follows for 240 ticks. What an action means, what is seen and what
-is rewarded is the task's affair.
+A step lasts one second: the task turns the action into an order for each robot, which
+its whole-body controller follows for 240 ticks. The task defines actions, observations
+and rewards.
 """
 
 import math
@@ -39,7 +39,7 @@ def render_metadata(task: Task) -> dict[str, Any]:
 
 
 def check_render_mode(mode: str | None) -> None:
-    """Raise for a render mode that does not exist.
+    """Raise for an unknown render mode.
 
     Raises:
         UsageError: If it is neither None nor one of ``RENDER_MODES``.
@@ -51,26 +51,32 @@ def check_render_mode(mode: str | None) -> None:
 
 
 class Step(NamedTuple):
-    """What a step returns."""
+    """Result of a step."""
 
     state: np.ndarray
-    """Joint state, as in the task's layout."""
+    """Joint state after the step, shape (n,), as in the task's layout."""
 
     reward: float
+    """Reward that the agents share."""
+
     terminated: bool
+    """Whether the step reached the goal or failed."""
+
     truncated: bool
+    """Whether the episode is out of steps."""
+
     info: dict[str, Any]
-    """Step numbers, named and with units in ``Task.info``; where the task can fail
-    ``reason``, too."""
+    """Step numbers by name, whose units are in ``Task.info``. Tasks that can fail add
+    ``reason``, a text."""
 
 
 class EpisodeCore:
     """The robots, their controllers and the task.
 
     Args:
-        task: What there is to do.
-        visual: Load meshes for rendering.
-        gui: Open PyBullet's window, of the first robot.
+        task: The task.
+        visual: Whether to load meshes for rendering.
+        gui: Whether to open PyBullet's window, for the first robot.
     """
 
     def __init__(self, task: Task, visual: bool = False, gui: bool = False) -> None:
@@ -80,7 +86,7 @@ class EpisodeCore:
             for i in range(task.robots)
         )
         self.attempt: Attempt | None = None
-        """The episode under way."""
+        """The current episode; None before the first."""
 
         self._low, self._high = np.array(task.layout.low), np.array(task.layout.high)
 
@@ -99,7 +105,7 @@ class EpisodeCore:
             goal: Goal to use instead of a drawn one, shape (g,).
 
         Raises:
-            UsageError: If the goal has another width or is not finite.
+            UsageError: If the goal has another shape or is not finite.
         """
         given = None if goal is None else self._checked_goal(goal)
         attempt = Attempt(self.task, self.drives)
@@ -111,8 +117,9 @@ class EpisodeCore:
         """Act for one second.
 
         Args:
-            action: Entries as in the task's layout; values outside are clipped.
-            watch: Called after each tick, for rendering and for limits.
+            action: Joint action, shape (k,), as in the task's layout; it is clipped to
+                the bounds.
+            watch: Function that is called after each tick.
 
         Raises:
             InvalidActionError: If the action has another shape or is not finite.
@@ -121,7 +128,7 @@ class EpisodeCore:
         return self.push(np.clip(self._checked(action), self._low, self._high), watch)
 
     def push(self, action: np.ndarray, watch: Watch | None = None) -> Step:
-        """``step`` with whatever numbers: beyond what an action may ask."""
+        """``step`` without checks and bounds, for actions beyond the action space."""
         attempt, task = self._begun(), self.task
         named = dict(zip(task.layout.action_names, action.tolist(), strict=True))
         motions = attempt.follow(task.act(attempt, named), watch)
@@ -154,7 +161,7 @@ class EpisodeCore:
         if unknown := set(task.needs) - known.keys():
             raise LayoutError(
                 f"{type(task).__name__}.needs has {', '.join(sorted(unknown))}, which "
-                "neither measure nor the layout's state tells"
+                "neither measure returns nor the layout's state has"
             )
         info |= {name: known[name] for name in task.needs}
         terms = {name: np.asarray(info[name]) for name in task.needs}
@@ -167,8 +174,8 @@ class EpisodeCore:
             info["reason"] = reason
         if missing := task.info.keys() - info.keys():
             raise LayoutError(
-                f"{type(task).__name__}.measure tells no {', '.join(sorted(missing))}, "
-                "which own_info has"
+                f"{type(task).__name__}.measure returns no "
+                f"{', '.join(sorted(missing))}, which own_info has"
             )
         info = {name: info[name] for name in task.info} | info
         reward = float(task.reward(*achieved, terms))
@@ -187,7 +194,7 @@ class EpisodeCore:
             state = np.array([seen[name] for name in layout.state_names], np.float64)
         except KeyError as error:
             raise LayoutError(
-                f"{whose} tells no {error.args[0]!r}, which the task's layout has"
+                f"{whose} returns no {error.args[0]!r}, which the task's layout has"
             ) from None
         if not np.isfinite(state).all():
             odd = np.flatnonzero(~np.isfinite(state))[0]
@@ -233,14 +240,14 @@ def motion_info(motions: Sequence[Motion]) -> dict[str, Any]:
     jerks = [np.diff(motion.base_acceleration) * RATE for motion in motions]
     return {
         "base_jerk_rms": max(map(_rms, jerks)),
-        "base_acceleration_rms": max(_rms(one.base_acceleration) for one in motions),
-        "zmp_margin": min(one.zmp_margin for one in motions),
-        "tilt": max(one.tilt for one in motions),
-        "base_pitch": max((one.base_pitch for one in motions), key=abs),
-        "wheel_slip": max(one.wheel_slip for one in motions),
-        "model_ee_error": max(one.model_ee_error for one in motions),
-        "qp_failures": sum(one.qp_failures for one in motions),
-        "safe_ticks": sum(one.safe_ticks for one in motions),
+        "base_acceleration_rms": max(_rms(m.base_acceleration) for m in motions),
+        "zmp_margin": min(m.zmp_margin for m in motions),
+        "tilt": max(m.tilt for m in motions),
+        "base_pitch": max((m.base_pitch for m in motions), key=abs),
+        "wheel_slip": max(m.wheel_slip for m in motions),
+        "model_ee_error": max(m.model_ee_error for m in motions),
+        "qp_failures": sum(m.qp_failures for m in motions),
+        "safe_ticks": sum(m.safe_ticks for m in motions),
     }
 
 

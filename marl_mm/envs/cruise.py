@@ -1,4 +1,4 @@
-"""Tasks of one hand: it goes where actions say, while the base follows at a cruise."""
+"""Tasks of one hand: the actions steer the hand, and the base follows slowly."""
 
 from abc import ABC
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from marl_mm.robot.model import RobotState
 
 HAND = tuple(Entry(f"end_effector_{axis}", "m") for axis in "xyz")
-"""Place of the end-effector, world frame."""
+"""Position of the end-effector, world frame."""
 
 BASE = (Entry("base_x", "m"), Entry("base_y", "m"), Entry("base_yaw", "rad"))
 """Pose of the base, world frame."""
@@ -28,34 +28,34 @@ MODE = Entry("control_mode", "1", 0.0, 1.0)
 """Alpha of the last step."""
 
 GOAL = tuple(Entry(f"goal_{axis}", "m") for axis in "xyz")
-"""Place to go to, world frame."""
+"""Position of the goal, world frame."""
 
 DELTA = tuple(Entry(f"delta_{axis}", "0.1 m", -1.0, 1.0) for axis in "xyz")
-"""Displacement of the end-effector's target from its present place."""
+"""Displacement of the end-effector's target from its present position."""
 
 ALPHA = Entry("alpha", "1", 0.0, 1.0)
-"""Trade-off: 0 accurate hand ... 1 stable base."""
+"""Trade-off of the controller: 0 accurate hand ... 1 stable base."""
 
 
 def names(*entries: Entry) -> tuple[str, ...]:
-    """Names of these entries."""
+    """Names of some entries, in order."""
     return tuple(entry.name for entry in entries)
 
 
 class BasePlan(NamedTuple):
-    """A slow, straight cruise of the base during one step."""
+    """Plan of the base for one step: slow and straight along x."""
 
     start_x: float
-    """Where the base is when the step begins, world [m]."""
+    """Position of the base along x at the step's beginning, world [m]."""
 
     advance: float
-    """Signed length along x [m]; the plan lies on y = 0."""
+    """Signed length of the plan along x [m]; it lies on y = 0."""
 
     direction: float
-    """-1 backward, 0 standing, 1 forward."""
+    """Direction of travel: -1 backward, 0 standing, 1 forward."""
 
     def points(self, ticks: int) -> np.ndarray:
-        """The plan after each tick of the step, shape (ticks, 2) [m]."""
+        """Position of the plan after each tick of the step, shape (ticks, 2) [m]."""
         x = self.start_x + self.advance * np.arange(1, ticks + 1) / ticks
         return np.stack([x, np.zeros(ticks)], axis=1)
 
@@ -66,13 +66,13 @@ class BasePlan(NamedTuple):
 
 @dataclass
 class Course:
-    """Where hand and base are to go."""
+    """Targets of hand and base."""
 
     rotation_w: np.ndarray
-    """Axes of the end-effector at the start, which it keeps, shape (3, 3)."""
+    """Rotation of the end-effector at the start, which it keeps, shape (3, 3)."""
 
     alpha: float
-    """Control mode of the last step."""
+    """Control mode of the last step, 0 to 1."""
 
     target_w: np.ndarray
     """Target of the end-effector in the last step, shape (3,) [m]."""
@@ -83,11 +83,11 @@ class Course:
 
 @dataclass(frozen=True, kw_only=True)
 class CruiseTask(Task, ABC):
-    """Numbers of hand and cruise; ours, as the paper leaves them open."""
+    """Parameters of hand and base, which the paper leaves open."""
 
     own_info: ClassVar[dict[str, str]] = {
-        "d_mm": "end-effector to its target at the step's end [m]",
-        "d_mp": "base to its plan at the step's end [m]",
+        "d_mm": "distance of the end-effector to its target at the step's end [m]",
+        "d_mp": "distance of the base to its plan at the step's end [m]",
     }
 
     action_scale: float = 0.1
@@ -97,21 +97,21 @@ class CruiseTask(Task, ABC):
     """Control mode in the first observation, before any alpha was set."""
 
     random_start_steps: int = 0
-    """Random steps before the episode, unseen by the policy."""
+    """Number of random steps before the episode, unseen by the policy."""
 
     cruise: float = 0.03
-    """Most the base plan advances per step [m]. A plan that kept up with the hand would
-    make all tasks compatible and alpha meaningless."""
+    """Largest advance of the base's plan per step [m]. A plan that kept up with the
+    hand would make all tasks compatible and alpha meaningless."""
 
     stand_off: float = 0.647
-    """The base plan heads for this far behind the hand's target along x [m]: the
+    """Distance along x at which the base's plan stays behind the hand's target [m]: the
     end-effector's distance ahead of the base in the initial posture."""
 
     standing: float = 0.005
-    """A plan that advances less than this has no direction of travel [m]."""
+    """Advance below which a plan has no direction of travel [m]."""
 
     heading_gain: float = 1.0
-    """Heading reference per lateral offset, steering back to y = 0 [rad/m]."""
+    """Gain of the heading reference, which steers a base back to y = 0 [rad/m]."""
 
     heading_limit: float = 0.3
     """Largest heading reference [rad]."""
@@ -128,7 +128,13 @@ class CruiseTask(Task, ABC):
     def place(
         self, attempt: Attempt, marks: tuple[Mark, ...], scene: Scene | None = None
     ) -> None:
-        """Reset the robot, with these things around it."""
+        """Reset the robot in a new world.
+
+        Args:
+            attempt: The episode.
+            marks: Marks that are only seen.
+            scene: Things to handle.
+        """
         (drive,) = attempt.drives
         start = drive.model.evaluate(drive.reset(marks, scene))
         hand_w = self.hand_w(attempt)
@@ -137,7 +143,7 @@ class CruiseTask(Task, ABC):
         attempt.memory = Course(rotation_w, self.initial_alpha, hand_w, still)
 
     def hold(self, attempt: Attempt, target_w: np.ndarray) -> None:
-        """Let the hand stay at a place for a step, unseen by the policy."""
+        """Hold the hand at a position, shape (3,) [m], for one unseen step."""
         attempt.memory.target_w = target_w
         attempt.memory.plan = BasePlan(0.0, 0.0, 0.0)
         attempt.follow([self._order(attempt)])
@@ -154,7 +160,7 @@ class CruiseTask(Task, ABC):
 
     @staticmethod
     def hand_w(attempt: Attempt) -> np.ndarray:
-        """Place of the end-effector now, shape (3,) [m]."""
+        """Present position of the end-effector, world frame, shape (3,) [m]."""
         return attempt.drives[0].world.grasp_position_w()
 
     def act(self, attempt: Attempt, action: Values) -> list[Order]:
@@ -167,14 +173,14 @@ class CruiseTask(Task, ABC):
         return [self._order(attempt)]
 
     def observe(self, attempt: Attempt) -> Values:
-        """Hand, base and control mode."""
+        """Hand, base and control mode, by name."""
         course: Course = attempt.memory
         state = attempt.drives[0].state
         seen = *self.hand_w(attempt), state.q[0], state.q[1], state.yaw, course.alpha
         return dict(zip(names(*HAND, *BASE, MODE), seen, strict=True))
 
     def measure(self, attempt: Attempt) -> dict[str, Any]:
-        """Distances of hand and base to where they were to be."""
+        """Distances of hand and base to their targets [m]."""
         course: Course = attempt.memory
         base_w = attempt.drives[0].state.q[:2]
         return {

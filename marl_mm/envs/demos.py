@@ -1,7 +1,7 @@
 """The random tests of the paper's Fig. 3: one half of the robot moves, the other rests.
 
-(a) The arm reaches a point while the base stands; (b) the base turns to an angle while
-the arm rests.
+In (a) the arm reaches a point while the base stands. In (b) the base turns to an angle
+while the arm rests.
 """
 
 from collections.abc import Callable
@@ -18,33 +18,33 @@ from marl_mm.robot.model import RobotState
 from marl_mm.sim.config import RATE, SimulationConfig
 
 BASE_THEN_POSTURE = cumulative((1, 1, LEFT_OUT, LEFT_OUT, 2))
-"""Without the hand's tasks: in the world's frame they would hold it back."""
+"""Priorities without the hand's tasks, which would hold back the base's turn."""
 
 
 DEMOS = ("arm-reach", "base-turn")
-"""Names on the command line."""
+"""Names of the demos."""
 
 
 class Drift(NamedTuple):
-    """Where the robot ended, and how far what should rest has moved at most.
+    """Errors at the end, and the largest motion of the parts that should rest.
 
-    None where a thing has no target, or is not meant to rest.
+    A number is None if its part has no target, or is not meant to rest.
     """
 
     position_error: float | None
-    """End-effector to its target at the end [m]."""
+    """Distance of the end-effector to its target at the end [m]."""
 
     heading_error: float | None
-    """Heading to its target at the end [rad]."""
+    """Angle of the heading to its target at the end [rad]."""
 
     base_drift: float
-    """Of the base's origin from its start [m]."""
+    """Largest distance of the base's origin from its start [m]."""
 
     heading_drift: float | None
-    """Of the heading from its start [rad]."""
+    """Largest angle of the heading from its start [rad]."""
 
     arm_drift: float | None
-    """Of any joint from its start [rad]."""
+    """Largest angle of any joint from its start [rad]."""
 
 
 def arm_reach(
@@ -53,10 +53,10 @@ def arm_reach(
     """The arm reaches a point while the base stands still.
 
     Args:
-        drive: A robot; it starts anew.
-        target_w: Where to, shape (3,) [m].
-        seconds: How long.
-        watch: Called after each tick.
+        drive: The robot, which is reset.
+        target_w: Target of the end-effector, world frame, shape (3,) [m].
+        seconds: Duration [s].
+        watch: Function that is called after each tick.
     """
     start, rest = _start(drive)
     reference = rest._replace(ee_position_w=np.asarray(target_w, dtype=float))
@@ -72,10 +72,10 @@ def base_turn(
     """The base turns on the spot while the arm rests.
 
     Args:
-        drive: A robot; it starts anew.
-        angle: Where to [rad], within half a turn.
-        seconds: How long.
-        watch: Called after each tick.
+        drive: The robot, which is reset.
+        angle: Target of the heading [rad], within half a turn.
+        seconds: Duration [s].
+        watch: Function that is called after each tick.
     """
     start, rest = _start(drive)
     reference = rest._replace(base_heading=float(angle))
@@ -88,13 +88,13 @@ def base_turn(
 
 
 def demo_drive(visual: bool = False, gui: bool = False) -> Drive:
-    """A robot that holds its arm's posture tightly, and is else as always."""
+    """A robot whose controller holds the arm's posture tightly."""
     controller = ControllerConfig(gains=Gains(posture_rate=12.0))
     return Drive(RobotConfig(), SimulationConfig(), controller, visual, gui)
 
 
 def _start(drive: Drive) -> tuple[RobotState, Reference]:
-    """A new world, and the reference that keeps the robot as it stands there."""
+    """The state in a new world, and the reference that holds the robot there."""
     start = drive.reset()
     terms = drive.model.evaluate(start)
     return start, Reference(

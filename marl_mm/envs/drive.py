@@ -1,7 +1,7 @@
-"""Robots under their controllers: follow references for some ticks, and watch how.
+"""The closed loop: robots under their controllers follow references for some ticks.
 
-Simulator, model and controller meet here and nowhere else. What the limits say is
-watched at 240 Hz where it is needed, and stability every few ticks.
+Simulator, model and controller meet only here. Stability is measured every few ticks;
+a ``Watch`` sees every tick, at 240 Hz.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,10 +26,10 @@ from marl_mm.sim.scene import Mark, Scene
 
 
 class Tick(NamedTuple):
-    """One robot's tick, for those who watch."""
+    """One tick of one robot, for a ``Watch``."""
 
     number: int
-    """Number of the tick in its step."""
+    """Number of the tick within its step."""
 
     state: RobotState
     """State before the tick."""
@@ -38,7 +38,7 @@ class Tick(NamedTuple):
     """Command during the tick."""
 
     terms: ModelTerms
-    """Terms of the model at the state; valid until the robot's next tick."""
+    """Terms of the model at the state, valid until the robot's next tick."""
 
     after: RobotState
     """State after the tick."""
@@ -48,14 +48,14 @@ class Tick(NamedTuple):
 
 
 Watch = Callable[[Tick], None]
-"""Called after each robot's tick."""
+"""Function that is called after each robot's tick."""
 
 
 class Motion(NamedTuple):
-    """What happened during some ticks; extremes are over every few of them."""
+    """Measurements over some ticks; extremes are of every few of them."""
 
     base_acceleration: np.ndarray
-    """Commanded, shape (ticks,) [m/s^2]."""
+    """Commanded forward acceleration of the base, shape (ticks,) [m/s^2]."""
 
     zmp_margin: float
     """Least distance of the zero-moment point to the support polygon's edge [m]."""
@@ -73,10 +73,10 @@ class Motion(NamedTuple):
     """Largest distance of the model's end-effector to the simulator's [m]."""
 
     qp_failures: int
-    """Levels of the hierarchy that found no solution."""
+    """Number of levels of the hierarchy that found no solution."""
 
     safe_ticks: int
-    """Ticks in which no acceleration met all limits and the robot only braked."""
+    """Number of ticks in which no acceleration met all limits: it only braked."""
 
 
 class Drive:
@@ -84,10 +84,10 @@ class Drive:
 
     Args:
         robot: Mass properties and start posture.
-        simulation: Solver and motors.
-        controller: Form, gains and limits.
-        visual: Load meshes for rendering.
-        gui: Open PyBullet's window.
+        simulation: Solver and motors of the simulation.
+        controller: Form, gains and limits of the controller.
+        visual: Whether to load meshes for rendering.
+        gui: Whether to open PyBullet's window.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class Drive:
         self.controller = WholeBodyController(self.limits, controller, RATE)
         self._posture = robot.initial_joints
         self.hand: Hand | None = None
-        """Feels each tick, where there is something to handle."""
+        """The hand that holds a block; None if there is no block."""
 
     def reset(
         self, marks: Sequence[Mark] = (), scene: Scene | None = None
@@ -112,8 +112,8 @@ class Drive:
         """A new world, with the robot at rest in its start posture.
 
         Args:
-            marks: What is only to be seen.
-            scene: What else is there.
+            marks: Marks that are only seen.
+            scene: Things to handle.
         """
         self.world.reset(marks, scene)
         self.state = self.world.read()
@@ -121,16 +121,16 @@ class Drive:
         return self.state
 
     def start_w(self) -> np.ndarray:
-        """Place of the end-effector in the start posture, shape (3,) [m]."""
+        """Position of the end-effector in the start posture, shape (3,) [m]."""
         rest = RobotState(np.array([0, 0, 1, 0, *self._posture]), np.zeros(10))
         return self.model.evaluate(rest).position_w.copy()
 
     def handle(self, scene: Scene, knowledge: Knowledge) -> Hand:
-        """Let the hand feel each tick, to hold what is in the scene.
+        """Give the robot a hand for the block in the scene.
 
         Args:
-            scene: As in ``reset``.
-            knowledge: What the controller knows of the load.
+            scene: The scene of ``reset``.
+            knowledge: Source of the load's mass for the controller.
         """
         self.hand = Hand(self.world.handling, self.model, scene, knowledge)
         return self.hand
@@ -146,11 +146,11 @@ class Drive:
         """Run the controller for some ticks; ``state`` is the robot after them.
 
         Args:
-            reference_at: What the tasks follow.
-            priorities: Who comes first.
-            ticks: Of 1/240 s.
-            every: Ticks between looks at stability.
-            watch: Called after each tick.
+            reference_at: Reference of the controller's tasks at a tick and state.
+            priorities: Priorities of the controller's tasks.
+            ticks: Number of ticks of 1/240 s.
+            every: Number of ticks between measurements of stability.
+            watch: Function that is called after each tick.
         """
         (motion,) = follow(
             [self], [Order(reference_at, priorities)], ticks, every, watch
@@ -160,11 +160,11 @@ class Drive:
     def zmp_b(self, state: RobotState, command: Command) -> np.ndarray:
         """Zero-moment point on the ground in the base frame, shape (2,) [m].
 
-        With the load as it is, whatever the controller knows of it.
+        It counts the load's true mass, whatever the controller knows of it.
 
         Args:
-            state: Where the robot is.
-            command: What it is told there.
+            state: State of the robot.
+            command: Command at this state.
         """
         if self.hand is None:
             return self.model.zmp_b(state, command.acceleration)
@@ -178,7 +178,7 @@ class Drive:
     def look(
         self, state: RobotState, position_w: np.ndarray, command: Command
     ) -> tuple[float, float, float, float, float]:
-        """Margin, tilt, pitch, slip and the model's error at a state: see Motion."""
+        """Margin [m], tilt, pitch [rad], slip [m/s], model's error [m]: see Motion."""
         x, y, z = position_w.tolist()
         ee_x, ee_y, ee_z = self.world.grasp_position_w()
         error = sqrt((x - ee_x) ** 2 + (y - ee_y) ** 2 + (z - ee_z) ** 2)
@@ -195,14 +195,14 @@ def follow(
     every: int,
     watch: Watch | None = None,
 ) -> list[Motion]:
-    """Run robots side by side, tick by tick; each one's motion.
+    """Run robots side by side, tick by tick, and return the motion of each.
 
     Args:
         drives: The robots.
-        orders: What each is to do.
-        ticks: Of 1/240 s.
-        every: Ticks between looks at stability.
-        watch: Called after each robot's tick.
+        orders: The order of each robot.
+        ticks: Number of ticks of 1/240 s.
+        every: Number of ticks between measurements of stability.
+        watch: Function that is called after each robot's tick.
     """
     steps = [_Step(*pair, ticks, every) for pair in zip(drives, orders, strict=True)]
     for k in range(ticks):
@@ -258,11 +258,11 @@ class _Step:
 
 
 def wheel_slip(state: RobotState, rates: tuple[float, float]) -> float:
-    """Larger speed of the two rims over the ground along their way [m/s].
+    """Larger speed of the two rims over the ground, along the wheels [m/s].
 
     Args:
-        state: Of the base.
-        rates: Of the left and the right wheel [rad/s].
+        state: State of the robot.
+        rates: Speeds of the left and the right wheel [rad/s].
     """
     left, right = rates
     forward, turn = state.v[0].item(), WHEEL_ARM * state.v[2].item()

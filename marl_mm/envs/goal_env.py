@@ -36,10 +36,10 @@ def goal_observation(state: np.ndarray, layout: Layout) -> GoalObservation:
 class GoalEnv(gymnasium.Env[GoalObservation, np.ndarray]):
     """Goal environment, ``gymnasium.make("marl_mm/Reach-v0")``.
 
-    ``info`` of a step is listed with its units in ``Task.info``.
+    ``Task.info`` lists the entries of a step's ``info`` with their units.
 
     Args:
-        task: A registered task's name.
+        task: Registered name of the task.
         overrides: Fields of the task to replace, JSON-serialisable.
         render_mode: ``"rgb_array"`` or None.
     """
@@ -66,7 +66,7 @@ class GoalEnv(gymnasium.Env[GoalObservation, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[GoalObservation, dict[str, Any]]:
-        """Begin an episode; ``options={"goal": (x, y, z)}`` sets the goal."""
+        """Begin an episode; ``options={"goal": (x, y, z)}`` sets the goal [m]."""
         super().reset(seed=seed)
         state = self.core.reset(self.np_random, (options or {}).get("goal"))
         return goal_observation(state, self.task.layout), {}
@@ -82,30 +82,30 @@ class GoalEnv(gymnasium.Env[GoalObservation, np.ndarray]):
     def compute_reward(
         self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Infos
     ) -> np.ndarray:
-        """The reward a step would have had with other goals, shapes (..., g) to (...).
+        """The reward of a step with other goals, shapes (..., g) to (...).
 
         Args:
-            achieved_goal: What is compared with the goal, after the step.
-            desired_goal: Goal to judge it by.
-            info: The step's info, or one per row of the goals.
+            achieved_goal: Entries that are compared with the goal, after the step.
+            desired_goal: Goal to judge the step by.
+            info: The step's info, or a sequence with one per row of the goals.
         """
         return self.task.reward(achieved_goal, desired_goal, self._terms(info))
 
     def compute_terminated(
         self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Infos
     ) -> np.ndarray:
-        """Whether a step would have ended the episode with other goals."""
+        """Whether a step would have ended the episode with other goals, shape (...)."""
         _, ended = self.task.judge(achieved_goal, desired_goal, self._terms(info))
         return np.asarray(ended)
 
     def compute_truncated(
         self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Infos
     ) -> np.ndarray:
-        """Goals never truncate an episode; the step count does."""
+        """False, shape (...): goals never truncate an episode, the step count does."""
         return np.zeros(np.shape(achieved_goal)[:-1], bool)
 
     def render(self) -> np.ndarray | None:
-        """A picture, shape (height, width, 3), in mode ``"rgb_array"``."""
+        """A picture, shape (height, width, 3), uint8; None without a render mode."""
         return self.core.render(self.task.camera) if self.render_mode else None
 
     def close(self) -> None:

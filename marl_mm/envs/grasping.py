@@ -1,29 +1,29 @@
 """A script that takes a block: over it, down, close, up, to the goal.
 
-It remembers nothing: what it does follows from the joint state alone, so that it can be
-learnt from the data.
+It has no memory: its action follows from the joint state alone, so that a policy can
+learn it from data.
 """
 
 import numpy as np
 
 CLOSED = 0.0775
-"""Narrower openings hold something [m]: blocks have up to 0.075, the open hand 0.08."""
+"""Opening below which the hand holds something [m]: blocks are up to 0.075 wide."""
 
 HOLDS = 0.025
-"""A block this near to the grasp point is between the closed fingers [m]."""
+"""Distance to the grasp point at which the closed fingers hold a block [m]."""
 
 THERE = 0.012
-"""A block this near is between the open fingers [m]."""
+"""Distance to the grasp point at which a block is between the open fingers [m]."""
 
 OVER = 0.008
-"""Most the hand is off the block along the ground before it goes down [m]."""
+"""Largest horizontal distance to the block at which the hand goes down [m]."""
 
 CLEARANCE = 0.09
-"""Height of the grasp point over the block while it comes [m]: the pads end 1 cm below
-it."""
+"""Height of the grasp point over the block on the approach [m]: the pads end 1 cm
+below the grasp point."""
 
 LIFT = 0.12
-"""Height of the block's centre over its stand before it is carried away [m]."""
+"""Height of the block's centre over its stand at which it is carried away [m]."""
 
 
 def grasping(
@@ -33,14 +33,14 @@ def grasping(
     goal: np.ndarray,
     opening: float,
 ) -> tuple[np.ndarray, bool]:
-    """Where the hand goes from here [m], and whether it closes.
+    """The next displacement of the hand, shape (3,) [m], and whether it closes.
 
     Args:
         hand: Grasp point, shape (3,) [m].
         block: Centre of the block, shape (3,) [m].
-        stand: Middle of its stand's top, shape (3,) [m].
-        goal: Where the block is to go, shape (3,) [m].
-        opening: Between the finger tips [m].
+        stand: Middle of the stand's top, shape (3,) [m].
+        goal: Goal of the block, shape (3,) [m].
+        opening: Distance between the finger tips [m].
     """
     to_block, to_goal = block - hand, goal - block
     near = np.linalg.norm(to_block)

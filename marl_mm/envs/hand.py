@@ -1,4 +1,4 @@
-"""The hand at work: what it holds, what the controller knows of it, what goes wrong."""
+"""The hand with a block: grasp, the controller's knowledge of the load, failures."""
 
 import numpy as np
 
@@ -10,27 +10,27 @@ from marl_mm.sim.handling import Handling, Touches
 from marl_mm.sim.scene import Scene
 
 SLIPPED = 0.03
-"""A held block whose centre has moved this far from where it was between the pads, in
-world axes, is let go [m]: dropped, unless it is back on its stand."""
+"""Distance by which a held block's centre may move between the pads, in world axes
+[m]. Beyond it the block is lost: dropped, unless it is back on its stand."""
 
 EMPTY = 0.9
-"""Pads that come closer than this share of the block's edge have missed it."""
+"""Share of the block's edge: pads that come closer have missed the block."""
 
 LOOK_EVERY = 8
-"""Ticks between looks at contacts."""
+"""Number of ticks between looks at contacts."""
 
 CLEAR = 0.01
-"""Under a block that is clear of its stand [m]."""
+"""Gap under a block that is clear of its stand [m]."""
 
 
 class Hand:
-    """Holds a block, in one episode.
+    """The hand of a robot with a block, in one episode.
 
     Args:
-        handling: The simulator's side.
-        model: The controller's side.
-        scene: What there is to hold.
-        knowledge: What the controller knows of the load.
+        handling: Gripper and block in the simulator.
+        model: Model of the controller.
+        scene: Scene with the block.
+        knowledge: Source of the load's mass for the controller.
     """
 
     def __init__(
@@ -47,13 +47,13 @@ class Hand:
         self.payload = Payload(model, knowledge, RATE)
         self.held = False
         self.clear_ticks = 0
-        """How long a held block has been clear of its stand."""
+        """Number of ticks for which a held block has been clear of its stand."""
 
         self.failure = ""
-        """What went wrong first, in words; or nothing."""
+        """Reason of the first failure; empty without one."""
 
     def grip(self, close: bool) -> None:
-        """Close or open from now on; a block that is let go is no longer held."""
+        """Close or open the gripper; a held block is lost when it opens."""
         if not close and self.held:
             self._lose()
         if close:
@@ -63,18 +63,18 @@ class Hand:
         self._closing = close
 
     def lose_reach(self) -> None:
-        """The block is where the hand cannot take it."""
+        """Fail, as the block is where the hand cannot take it."""
         self.fail("the block is out of reach")
 
     def fail(self, reason: str) -> None:
-        """Something goes wrong; what went wrong first counts."""
+        """Record a failure; the first one counts."""
         self.failure = self.failure or reason
 
     def take(self, grasp_w: np.ndarray) -> None:
-        """The block is between the fingers: hold it from now on.
+        """Hold the block that is between the fingers.
 
         Args:
-            grasp_w: Where the grasp point is, shape (3,) [m].
+            grasp_w: Grasp point, world frame, shape (3,) [m].
         """
         self.grip(True)
         if self._weld:
@@ -93,7 +93,7 @@ class Hand:
         torque: np.ndarray,
         after: RobotState,
     ) -> None:
-        """Take in a tick; see ``Payload.learn``."""
+        """Process a tick of the robot; see ``Payload.learn``."""
         self.payload.learn(before, terms, torque, after)
         self._ticks += 1
         if self._ticks % LOOK_EVERY == 0 and not self.failure:
@@ -120,7 +120,7 @@ class Hand:
             self.lose_reach()
 
     def _is_clear(self, block_w: np.ndarray, touches: Touches) -> bool:
-        """Whether the block touches no stand, and is above it or beside it."""
+        """Whether the block does not touch its stand, and is above or beside it."""
         scene, stand = self._scene, self._scene.stand_size
         if stand is None:
             return True
@@ -136,7 +136,7 @@ class Hand:
             self.take(grasp_w)
 
     def _lose(self) -> None:
-        """What is held no longer is; clear of its stand, it falls."""
+        """Lose the held block; it is dropped if it is clear of its stand."""
         self.held = False
         if self._weld:
             self._handling.unweld()

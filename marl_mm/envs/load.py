@@ -1,4 +1,4 @@
-"""Blocks that tasks have to carry or to take: what is drawn for each episode."""
+"""Blocks to carry or to take, drawn for each episode."""
 
 import math
 from dataclasses import dataclass
@@ -13,40 +13,40 @@ from marl_mm.sim.scene import Block, Grasp
 Interval = tuple[float, float]
 
 WIDEST = 0.075
-"""Edge of a block that open pads, 0.08 apart, can go around [m]."""
+"""Largest edge of a block that fits between the open pads, 0.08 apart [m]."""
 
 FAR = 1.3
-"""Farthest along an axis that a base can take a block [m]: the arm's foot is 0.22 ahead
-of the base, and it reaches 0.855 (Franka data sheet)."""
+"""Largest distance of a block along an axis at which the arm reaches it [m]: the arm's
+foot is 0.22 ahead of the base, and its reach is 0.855 (Franka data sheet)."""
 
 HIGH = 1.4
-"""Highest that it can [m]: the arm's shoulder is at 0.68."""
+"""Largest height of a block in reach [m]: the arm's shoulder is at 0.68."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoadConfig:
-    """A block, drawn for each episode; all numbers ours."""
+    """A block that is drawn for each episode; the paper has none."""
 
     mass: Interval = (0.05, 3.0)
-    """Mass [kg]; the arm carries 3 (Franka data sheet)."""
+    """Interval of the mass [kg]; the arm carries 3 (Franka data sheet)."""
 
     edge: Interval = (0.04, 0.06)
-    """Edge of the cube [m]."""
+    """Interval of the cube's edge [m]."""
 
     friction: Interval = (0.6, 1.0)
-    """Coefficient against the pads."""
+    """Interval of the friction coefficient between block and pads."""
 
     knowledge: Knowledge = "estimated"
-    """Where the controller has the mass from: "estimated" from the joints' torques,
-    "given", or "none". The policy never sees it."""
+    """Source of the mass for the controller: "estimated" from the joints' torques,
+    "given", or "none". The policy never sees the mass."""
 
     grasp: Grasp = "friction"
-    """"friction" holds the block between the pads; "weld" fixes it to the hand."""
+    """Kind of grasp: "friction" between the pads, or "weld", fixed to the hand."""
 
     failure_reward: float = -10.0
-    """Reward of a failure, which ends the episode, instead of minus the distance. In
-    the registered tasks it is less than to stand still until the end costs, so that it
-    does not pay to fail; with more steps it is to be lowered."""
+    """Reward of a failure, which ends the episode, instead of minus the distance. It
+    has to be below the return of standing still until the end, so that failing does not
+    pay: lower it for longer episodes."""
 
     def __post_init__(self) -> None:
         _check_positive(self, "mass", "edge", "friction")
@@ -64,7 +64,7 @@ class LoadConfig:
                 )
 
     def draw(self, rng: np.random.Generator) -> Block:
-        """A block."""
+        """Draw a block."""
         mass, edge, friction = (
             float(rng.uniform(*interval))
             for interval in (self.mass, self.edge, self.friction)
@@ -74,27 +74,27 @@ class LoadConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class StandConfig(LoadConfig):
-    """A block on a stand, drawn for each episode; all numbers ours."""
+    """A block on a stand that is drawn for each episode; the paper has none."""
 
     stand_x: Interval = (0.60, 0.80)
-    """Place of the stand, with the block in its middle, world [m]."""
+    """Interval of the stand's x, world [m]; the block is in its middle."""
 
     stand_y: Interval = (0.42, 0.52)
-    """Place of the stand, world [m]; on the arm's side, and out of the way of a base
-    that passes it."""
+    """Interval of the stand's y, world [m]: on the arm's side, and out of the base's
+    way."""
 
     stand_height: Interval = (0.42, 0.50)
-    """Height of the stand [m]."""
+    """Interval of the stand's height [m]."""
 
     stand_edge: float = 0.14
-    """Edge of its square top [m]."""
+    """Edge of the stand's square top [m]."""
 
     lift: float = 0.0
-    """Height of the goal over where the block is at first [m]; 0: the goal is one of
-    the reach task's."""
+    """Height of the goal over the block's first position [m]; with 0 the goal is drawn
+    as in the reach task."""
 
     hold_ticks: int = 240
-    """Ticks that a block has to be held, clear of its stand, to count as held."""
+    """Number of ticks clear of its stand after which a block counts as held."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -118,16 +118,16 @@ class StandConfig(LoadConfig):
 
 
 def in_reach(block_w: tuple[float, float, float], travel: float) -> bool:
-    """Whether a block can be taken by a hand whose base goes ``travel`` metres."""
+    """Whether a hand can take a block there [m] if its base goes ``travel`` [m]."""
     x, y, z = block_w
     return max(abs(x), abs(y)) <= FAR + travel and z <= HIGH
 
 
 def _check_positive(load: LoadConfig, *names: str) -> None:
-    """Raise for the first field that is no interval above 0.
+    """Raise for a field that is no interval above 0.
 
     Raises:
-        UsageError: Naming it.
+        UsageError: Naming the first such field.
     """
     for name in names:
         low, high = getattr(load, name)

@@ -1,23 +1,23 @@
-"""What a robot is to do during a step: from a task to the controller."""
+"""Orders from a task to the controllers, for one step."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 from marl_mm.control.records import Reference
 
-if TYPE_CHECKING:  # a task's numbers are looked at without the controller
+if TYPE_CHECKING:  # a task's parameters load without the controller
     from marl_mm.control.records import Priorities
     from marl_mm.robot.model import RobotState
 
 ReferenceAt = Callable[[int, "RobotState"], Reference]
-"""Reference at a tick's number and state."""
+"""Function of a tick's number and the robot's state that returns the reference."""
 
 
 class Order(NamedTuple):
-    """What one robot is to do during a step."""
+    """Order to one robot for one step."""
 
     reference_at: ReferenceAt
-    """References of the controller's tasks at each tick."""
+    """Reference of the controller's tasks at each tick."""
 
     priorities: "Priorities"
-    """Which of the controller's tasks come first."""
+    """Priorities of the controller's tasks."""

@@ -22,17 +22,17 @@ AgentDict = dict[str, np.ndarray]
 
 
 def split_state(state: np.ndarray, layout: Layout) -> AgentDict:
-    """Each agent's observation of a joint state, shape (..., n)."""
+    """Each agent's observation of a joint state, shape (..., n), by agent."""
     return {agent.name: state[..., list(agent.observation)] for agent in layout.agents}
 
 
 def split_action(action: np.ndarray, layout: Layout) -> AgentDict:
-    """Each agent's part of the joint action, shape (k,)."""
+    """Each agent's part of the joint action, shape (k,), by agent."""
     return {agent.name: action[list(agent.action)] for agent in layout.agents}
 
 
 def join_actions(actions: Mapping[str, np.ndarray], layout: Layout) -> np.ndarray:
-    """The joint action, shape (k,), of the agents' actions.
+    """The joint action, float64, shape (k,), of the agents' actions.
 
     Raises:
         InvalidActionError: If an agent is missing or its action has another shape.
@@ -57,8 +57,8 @@ class TeamEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
     """Parallel environment, ``marl_mm.envs.parallel_env("Reach-v0")``.
 
     Args:
-        task: A registered task's name.
-        overrides: Fields of the task to replace.
+        task: Registered name of the task.
+        overrides: Fields of the task to replace, JSON-serialisable.
         render_mode: ``"rgb_array"`` or None.
     """
 
@@ -87,17 +87,17 @@ class TeamEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         self._joint: np.ndarray | None = None
 
     def observation_space(self, agent: str) -> spaces.Box:
-        """What an agent observes; the same object at each call."""
+        """Space of an agent's observation; the same object at each call."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Box:
-        """What an agent sets; the same object at each call."""
+        """Space of an agent's action; the same object at each call."""
         return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[AgentDict, dict[str, dict[str, Any]]]:
-        """Begin an episode; ``options={"goal": (x, y, z)}`` sets the goal."""
+        """Begin an episode; ``options={"goal": (x, y, z)}`` sets the goal [m]."""
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
         state = self.core.reset(self._rng, (options or {}).get("goal"))
@@ -131,7 +131,7 @@ class TeamEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         )
 
     def state(self) -> np.ndarray:
-        """The joint state, as in the task's layout.
+        """The joint state, shape (n,), as in the task's layout.
 
         Raises:
             UsageError: If no episode has begun.
@@ -141,7 +141,7 @@ class TeamEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         return self._joint.copy()
 
     def render(self) -> np.ndarray | None:
-        """A picture, shape (height, width, 3), in mode ``"rgb_array"``."""
+        """A picture, shape (height, width, 3), uint8; None without a render mode."""
         return self.core.render(self.task.camera) if self.render_mode else None
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Where datasets of version 1 say that the goal environment is."""
+"""The place of the goal environment that datasets of version 1 name."""
 
 from marl_mm.envs.goal_env import GoalEnv as ReachEnv
 

@@ -1,4 +1,4 @@
-"""The tasks by name, and a task with some of its numbers replaced."""
+"""The registry of tasks, and tasks with some fields replaced."""
 
 import math
 from collections.abc import Mapping
@@ -18,27 +18,25 @@ TASKS: Registry[Task] = Registry(
     [f"marl_mm.envs.tasks.{kind}" for kind in ("reach", "carry", "grasp")],
     of=Task,
 )
-"""Tasks that there are."""
+"""All tasks by name."""
 
 DEFAULT = "Reach-v0"
-"""Task of what names none."""
+"""Name of the default task."""
 
 
 def register_task(name: str, task: Task) -> None:
-    """Make a task known by name, to Gymnasium as ``marl_mm/NAME``, too.
+    """Register a task by name, with Gymnasium as ``marl_mm/NAME``, too.
 
     Raises:
-        UsageError: If it is no task, has no layout or a number without a default, or
-            the name is another task's.
+        UsageError: If it is no task, has no layout or a field without a default, or the
+            name is another task's.
     """
     if isinstance(task, Task):
         defaults(type(task))
         if not isinstance(getattr(task, "layout", None), Layout):
             raise UsageError(f"task {name!r}: {type(task).__name__} has no layout")
     TASKS.add(name, task, caller=2)
-    gymnasium.registry.pop(
-        f"marl_mm/{name}", None
-    )  # of the task that this one replaces
+    gymnasium.registry.pop(f"marl_mm/{name}", None)  # a task that is replaced
     gymnasium.register(
         id=f"marl_mm/{name}",
         entry_point="marl_mm.envs.goal_env:GoalEnv",
@@ -47,10 +45,10 @@ def register_task(name: str, task: Task) -> None:
 
 
 def make_task(name: str = DEFAULT, overrides: Mapping[str, Any] | None = None) -> Task:
-    """A registered task, with some of its numbers replaced.
+    """A registered task, with some of its fields replaced.
 
     Args:
-        name: One of ``TASKS``.
+        name: Registered name of the task.
         overrides: Fields to replace, nested as the task is, for example
             ``{"max_steps": 50, "controller": {"form": "rhp"}}``.
 
@@ -63,7 +61,7 @@ def make_task(name: str = DEFAULT, overrides: Mapping[str, Any] | None = None) -
 
 
 def config_dict(config: Any) -> Any:
-    """A config as nested dictionaries, JSON-serialisable."""
+    """A config as nested dictionaries of JSON values."""
     if is_dataclass(config):
         return {f.name: config_dict(getattr(config, f.name)) for f in fields(config)}
     if hasattr(config, "_asdict"):
@@ -97,16 +95,15 @@ def _replaced(config: Any, overrides: Mapping[str, Any], path: str) -> Any:
 
 
 def _like(current: Any, value: Any, name: str) -> Any:
-    """A value in the type of the one it replaces.
+    """A value, converted to the type of the value that it replaces.
 
     Raises:
-        UsageError: If it is not of that type, or not finite.
+        UsageError: If it is of another type, or not finite.
     """
     if isinstance(current, tuple):
         if not isinstance(value, list | tuple) or len(value) != len(current):
             raise UsageError(f"{name} is {value!r}, expected {len(current)} numbers")
-        pairs = zip(current, value, strict=True)
-        return tuple(_like(one, other, name) for one, other in pairs)
+        return tuple(_like(*pair, name) for pair in zip(current, value, strict=True))
     truth = isinstance(value, bool)
     if isinstance(current, float) and isinstance(value, int | float) and not truth:
         if math.isfinite(value):

@@ -1,7 +1,7 @@
 """Episodes of a policy, in order, in this process or in several.
 
-The result depends on the plans alone: every episode starts from a rebuilt world and
-draws from its own seed, and results come back in the order of the plans.
+The result depends on the plans alone. Every episode starts from a rebuilt world and
+draws from its own seed, and results are returned in the order of the plans.
 """
 
 from collections.abc import Iterable, Iterator
@@ -24,22 +24,22 @@ PURPOSES: tuple[Purpose, ...] = get_args(Purpose)
 
 @dataclass(frozen=True)
 class EpisodePlan:
-    """One episode to run."""
+    """Plan of one episode."""
 
     index: int
-    """Its number in the collection or evaluation."""
+    """Number of the episode in its collection or evaluation."""
 
     seed: int
-    """Of the environment and, through a stream of its own, of the policy."""
+    """Seed of the environment and, by a stream of its own, of the policy."""
 
     goal: tuple[float, ...] | None = None
-    """Goal instead of one drawn from the seed."""
+    """Goal, shape (g,); None if the seed draws it."""
 
 
 def episode_seed(seed: int, index: int, purpose: Purpose) -> int:
     """Seed of one episode, 63 bits, from the seed of the whole and its number.
 
-    Purposes keep evaluation from starting in the very states of a dataset.
+    Evaluations do not start in the states of a dataset, as their purpose is another.
     """
     key = (PURPOSES.index(purpose), index)
     state = np.random.SeedSequence(seed, spawn_key=key).generate_state(1, np.uint64)
@@ -52,7 +52,7 @@ def run_episode(
     plan: EpisodePlan,
     watch: Watch | None = None,
 ) -> Episode:
-    """Run one episode to its end; ``watch`` is called after each controller tick."""
+    """Run one episode to its end; ``watch`` is called after each tick."""
     rng, _ = seeding.np_random(plan.seed)
     layout = core.task.layout
     policy.begin(np.random.default_rng([plan.seed, 1]), layout)
@@ -87,8 +87,8 @@ class Rollouts:
 
     Args:
         task: The task.
-        workers: Processes; 1 of this machine is this one.
-        executor: Of which machines.
+        workers: Number of processes; 1 with "local" is this process.
+        executor: Place of the processes: this machine, or a Ray cluster.
 
     Raises:
         UsageError: If ``workers`` is not positive, or Ray is not installed.
@@ -117,7 +117,7 @@ class Rollouts:
             self._pool.close()
 
     def run(self, policy: Policy, plans: Iterable[EpisodePlan]) -> Iterator[Episode]:
-        """Episodes in the order of ``plans``, which may be endless.
+        """Run episodes and yield them in the order of ``plans``, which may be endless.
 
         Raises:
             WorkerDiedError: If a worker process dies.
@@ -133,7 +133,7 @@ class Rollouts:
     def completed(
         self, policy: Policy, plans: Iterable[EpisodePlan]
     ) -> Iterator[Episode]:
-        """The same episodes, each as soon as it is finished."""
+        """Run episodes and yield each as soon as it is finished."""
         if self._pool is None:
             yield from self.run(policy, plans)
         else:
@@ -151,7 +151,7 @@ def run_episodes(
 
 
 _core: EpisodeCore | None = None
-"""A worker process's own environment."""
+"""Environment of a worker process."""
 
 
 def _start_worker(task: Task) -> None:

@@ -1,7 +1,7 @@
-"""What a task is: everything of an episode that is not the same in all of them.
+"""The base class of tasks: start, actions, observations, rewards and ends of episodes.
 
-A task is a frozen dataclass of numbers with the functions below; it keeps nothing of an
-episode, which is what an ``Attempt`` is for. ``envs/tasks`` has one file a kind.
+A task is a frozen dataclass of parameters with the functions below. It stores nothing
+of an episode: an ``Attempt`` does. ``envs/tasks`` has one file per kind of task.
 """
 
 from abc import ABC, abstractmethod
@@ -20,21 +20,21 @@ from marl_mm.layout import Layout
 from marl_mm.robot.description import RobotConfig
 from marl_mm.sim.config import Camera, SimulationConfig
 
-if TYPE_CHECKING:  # a task's numbers are looked at without the simulator
+if TYPE_CHECKING:  # a task's parameters load without the simulator
     from marl_mm.envs.drive import Drive, Motion, Tick, Watch
 
 Values = Mapping[str, float]
-"""Entries of a joint state or action by name."""
+"""Entries of a joint state or action, by name."""
 
 Terms = Mapping[str, np.ndarray]
-"""What rewards depend on beside the goal, by name; of one step or of many."""
+"""Numbers that rewards depend on beside the goal, by name; of one step or many."""
 
 
 class Attempt:
-    """One episode under way.
+    """One episode in progress.
 
     Args:
-        task: What is attempted.
+        task: The task of the episode.
         drives: The robots, as many as the task has.
     """
 
@@ -42,13 +42,13 @@ class Attempt:
         self.task = task
         self.drives = tuple(drives)
         self.steps = 0
-        """Steps taken."""
+        """Number of steps taken."""
 
         self.goal = np.empty(0)
-        """The goal, shape (g,), in the units of its entries."""
+        """Goal of the episode, shape (g,), in the units of its entries."""
 
         self.memory: Any = None
-        """What the task has to remember, an object of its own."""
+        """Object in which the task stores the episode's data."""
 
     def follow(
         self, orders: Sequence[Order], watch: "Watch | None" = None
@@ -56,8 +56,8 @@ class Attempt:
         """Let every robot follow its order for a step's ticks.
 
         Args:
-            orders: One for each robot.
-            watch: Called after each robot's tick.
+            orders: The order of each robot.
+            watch: Function that is called after each robot's tick.
         """
         from marl_mm.envs.drive import follow
 
@@ -78,13 +78,13 @@ def _both(attempt: Attempt, watch: "Watch | None") -> "Watch":
 
 @dataclass(frozen=True, kw_only=True)
 class ScriptConfig:
-    """What a scripted expert leaves open."""
+    """Settings of a scripted expert."""
 
     alpha: float = 0.0
-    """Alpha, where the script does not choose it: 0 accurate hand ... 1 stable base."""
+    """Alpha that the expert sets: 0 accurate hand ... 1 stable base."""
 
     kp: float = 10.0
-    """Action per distance [1/m]; 10 asks for the place itself within 0.1 m."""
+    """Gain from distance to action [1/m]; 10 asks for the target within 0.1 m."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.alpha <= 1.0:
@@ -95,20 +95,20 @@ class ScriptConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class Task(ABC):
-    """A kind of task with its numbers."""
+    """A kind of task with its parameters."""
 
     about: ClassVar[str] = ""
-    """What there is to do, in a sentence."""
+    """Sentence that says what there is to do."""
 
     layout: ClassVar[Layout]
-    """Layout of joint state and action."""
+    """Layout of the joint state and action."""
 
     robots: ClassVar[int] = 1
     """Number of robots, each in a world of its own."""
 
     needs: ClassVar[tuple[str, ...]] = ()
-    """Names of what rewards depend on beside the goal: step numbers or entries of the
-    state. ``"failed"`` is always there, too."""
+    """Names of the numbers that rewards depend on beside the goal: step numbers or
+    entries of the state. ``"failed"`` is always among the terms."""
 
     own_info: ClassVar[Mapping[str, str]] = {}
     """Meanings, with units, of the step numbers that ``measure`` adds, by name."""
@@ -117,22 +117,22 @@ class Task(ABC):
     """Whether an episode can end in failure."""
 
     camera: ClassVar[Camera] = Camera()
-    """Where pictures are taken from."""
+    """Camera of pictures and films."""
 
     max_steps: int = 25
-    """Steps until truncation (paper, Tables 2, 3)."""
+    """Number of steps until truncation (paper, Tables 2, 3)."""
 
     ticks_per_step: int = 240
-    """Controller ticks per policy step: 1 Hz over 240 Hz (paper, Fig. 2)."""
+    """Number of the controller's ticks per step: 240 Hz over 1 Hz (paper, Fig. 2)."""
 
     look_every: int = 8
-    """Ticks between looks at stability: ZMP margin, tilt, slip, the model's error."""
+    """Number of ticks between measurements of ZMP margin, tilt, slip, model error."""
 
     robot: RobotConfig = field(default_factory=RobotConfig)
-    """Mass properties and start posture."""
+    """Mass properties and start posture of the robot."""
 
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
-    """Solver and motors."""
+    """Solver and motors of the simulation."""
 
     controller: ControllerConfig = field(default_factory=ControllerConfig)
     """Form, gains and limits of the controller."""
@@ -149,7 +149,7 @@ class Task(ABC):
 
     @property
     def highest_return(self) -> float | None:
-        """Bound that no return can pass; None if the task knows none."""
+        """Upper bound of all returns; None if the task has none."""
         return None
 
     # --- Start ---------------------------------------------------------------
@@ -158,10 +158,10 @@ class Task(ABC):
     def begin(
         self, attempt: Attempt, rng: np.random.Generator, goal: np.ndarray | None
     ) -> None:
-        """Draw what is to be drawn, reset the robots, and set ``attempt.goal``.
+        """Draw the random parts, reset the robots, and set ``attempt.goal``.
 
         Args:
-            attempt: A new one; the task may put its own memory into it.
+            attempt: The new episode; the task may set its ``memory``.
             rng: Only source of randomness in the episode.
             goal: Goal to use instead of a drawn one, shape (g,).
         """
@@ -172,8 +172,8 @@ class Task(ABC):
         """Goal of an evaluation's episode; None if its seed draws it.
 
         Args:
-            index: Number of the episode.
-            rng: Stream of the evaluation's goals, which come in order.
+            index: Number of the episode in the evaluation.
+            rng: Random stream of the evaluation's goals, which are drawn in order.
         """
         return None
 
@@ -181,7 +181,7 @@ class Task(ABC):
 
     @abstractmethod
     def act(self, attempt: Attempt, action: Values) -> Sequence[Order]:
-        """What an action asks of each robot.
+        """The order to each robot that an action means.
 
         Args:
             attempt: The episode so far.
@@ -189,18 +189,18 @@ class Task(ABC):
         """
 
     def at_tick(self, attempt: Attempt, tick: "Tick") -> None:  # noqa: B027
-        """Look at a tick of a robot; called only where a task has its own."""
+        """See a tick of a robot; called only for tasks that override it."""
 
     @abstractmethod
     def observe(self, attempt: Attempt) -> Values:
-        """Joint state by name, but for the goal."""
+        """Joint state by name, without the goal."""
 
     def measure(self, attempt: Attempt) -> dict[str, Any]:
-        """Step numbers of the task's own, after a step."""
+        """Step numbers of the task's own, by name, after a step."""
         return {}
 
     def failure(self, attempt: Attempt) -> str:
-        """Why the episode has failed, in words; nothing if it has not."""
+        """Reason of the episode's failure; empty without one."""
         return ""
 
     # --- Reward --------------------------------------------------------------
@@ -212,9 +212,9 @@ class Task(ABC):
         """Whether goals count as reached, shapes (..., g) to (...).
 
         Args:
-            achieved: What is compared with the goal, after the steps.
-            desired: The goals.
-            terms: See ``needs``.
+            achieved: Entries that are compared with the goal, after the steps.
+            desired: Goals of the steps.
+            terms: Numbers by name; see ``needs``.
         """
 
     @abstractmethod
@@ -231,17 +231,17 @@ class Task(ABC):
         return self.reward(achieved, desired, terms), ended
 
     def distance(self, achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
-        """Distance of what was achieved to the goal, shapes (..., g) to (...)."""
+        """Distances of achieved entries to goals, shapes (..., g) to (...)."""
         return goal_distance(achieved, desired)
 
     # --- Expert --------------------------------------------------------------
 
     def expert(self, state: Values, script: ScriptConfig) -> Values:
-        """Joint action by name of a scripted expert that remembers nothing.
+        """Joint action by name of a scripted expert without memory.
 
         Args:
             state: Joint state by name.
-            script: What the script leaves open.
+            script: Settings of the expert.
 
         Raises:
             UsageError: If the task has no expert.

@@ -131,7 +131,9 @@ def collect_dataset(
                 return Collection(_kept(known), len(known), complete=True)
             known |= _begun(journal, about, location, options, steps, task.layout)
             try:
-                collection = _run(policy, keeps, task, options, steps, known, journal, bar)
+                collection = _run(
+                    policy, keeps, task, options, steps, known, journal, bar
+                )
             except HopelessError:
                 if not any(map(keeps, journal.episodes(task.layout).values())):
                     journal.begin(about.to_json())  # empty, it is removed
@@ -231,8 +233,8 @@ def _begun(
     before = journal.about()
     if before is not None and not (options.resume or options.overwrite):
         raise OutputExistsError(
-            f"{location.name} was begun already; go on with `resume=True`, choose another "
-            "`dataset` or add `overwrite=True`"
+            f"{location.name} was begun already; go on with `resume=True`, choose "
+            "another `dataset` or add `overwrite=True`"
         )
     if before is None or options.overwrite:
         replaces = options.overwrite and location.folder.exists()
@@ -296,5 +298,6 @@ def _write(
             write_dataset(location, arrays, provenance, overwrite=True)
     except (OSError, MarlMmError) as error:  # no room
         raise MarlMmError(
-            f"{error}; finished episodes are kept: make room and go on with `resume=True`"
+            f"{error}; finished episodes are kept: make room and go on with "
+            "`resume=True`"
         ) from error

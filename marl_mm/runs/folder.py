@@ -79,8 +79,8 @@ def check_run(
     if not training.resume:
         if (run / CONFIG).exists() and not training.overwrite:
             raise OutputExistsError(
-                f"{run} exists already; go on with `resume=True`, choose another `out` or "
-                "add `overwrite=True`"
+                f"{run} exists already; go on with `resume=True`, choose another "
+                "`out` or add `overwrite=True`"
             )
         stopped_at_once = run.is_dir() and not any(run.iterdir())
         refuse_existing(run, training.overwrite or stopped_at_once)

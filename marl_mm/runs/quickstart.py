@@ -157,9 +157,7 @@ def _timed(stages: dict[str, float], name: str) -> Iterator[None]:
     stages[name] = perf_counter() - begin
 
 
-def _train(
-    data: Dataset, options: Quickstart, progress: Bar
-) -> tuple[Run, Evaluation]:
+def _train(data: Dataset, options: Quickstart, progress: Bar) -> tuple[Run, Evaluation]:
     training = offline_training(
         "mabc",
         eval_episodes=options.size.episodes,

@@ -495,8 +495,8 @@ class SilentInfo(Reach):
     own_info: ClassVar[dict[str, str]] = {**Reach.own_info, "mood": "of the robot"}
 
 
-LEFT_OUT = "LayoutError: Forgets.observe tells no 'base_yaw'"
-NOT_TOLD = "LayoutError: SilentInfo.measure tells no mood"
+LEFT_OUT = "LayoutError: Forgets.observe returns no 'base_yaw'"
+NOT_TOLD = "LayoutError: SilentInfo.measure returns no mood"
 ENDLESS = "an episode goes on after 5 steps"
 NO_NAME = "NeedsNothing.needs has temper, which neither"
 

@@ -19,3 +19,16 @@ def test_numbers_are_not_cut_off(
     (line,) = capsys.readouterr().err.splitlines()
     assert len(line) <= width
     assert re.search(r" 104900/180000 +\d:\d\d:\d\d +left ", line)
+
+
+@pytest.mark.parametrize("vanish", [False, True])
+def test_full_bars_vanish_where_that_is_asked_for(
+    vanish: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with progress_bars(vanish) as bar:
+        full, half = bar("first", 2), bar("second", 2)
+        full(1, "")
+        full(1, "")
+        half(1, "")
+    shown = capsys.readouterr().err
+    assert ("first" in shown) == (not vanish) and "second" in shown

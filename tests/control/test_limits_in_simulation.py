@@ -248,15 +248,16 @@ def test_zero_moment_point(on: bool) -> None:
         assert min(margins) < margin - 0.01
 
 
-def test_a_base_on_its_nose_is_seen() -> None:
-    """With its mass ahead of the front casters it falls forward, pitch positive.
+@pytest.mark.parametrize("forward", [1, -1])
+def test_a_base_on_its_nose_or_back_is_seen(forward: int) -> None:
+    """With its mass beyond the casters it falls; forward its pitch is positive.
 
     (Braking cannot do that: it takes the load, and so the grip, off the wheels.)
     """
-    nose_heavy = RobotConfig(base_mass=60.0, base_com_b=(0.6, 0.0, 0.3))
-    motion = run(lambda k, rest: rest, BASE_AND_POSTURE, 0.5, robot=nose_heavy).motion
+    heavy = RobotConfig(base_mass=60.0, base_com_b=(0.6 * forward, 0.0, 0.3))
+    motion = run(lambda k, rest: rest, BASE_AND_POSTURE, 0.5, robot=heavy).motion
     assert motion.zmp_margin < 0
-    assert 0.02 < motion.base_pitch <= motion.tilt
+    assert 0.02 < forward * motion.base_pitch <= motion.tilt
     assert motion.model_ee_error > 0.01
 
 

@@ -16,7 +16,7 @@ from marl_mm.contracts.episodes import short
 from marl_mm.contracts.tasks import task_claims
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.envs.core import EpisodeCore, motion_info
-from marl_mm.envs.drive import Tick
+from marl_mm.envs.drive import Motion, Tick
 from marl_mm.envs.order import Order
 from marl_mm.envs.registry import TASKS, register_task
 from marl_mm.envs.rollout import EpisodePlan, run_episode
@@ -242,3 +242,13 @@ def test_numbers_of_one_robot_are_its_own() -> None:
     told = motion_info([motion])
     assert told["tilt"] == motion.tilt and told["base_pitch"] == motion.base_pitch
     assert set(told) <= set(episode.info)
+
+
+def test_of_several_robots_the_worst_counts_and_failures_add_up() -> None:
+    calm = Motion(np.zeros(24), 0.2, 0.01, 0.01, 0.1, 0.001, 1, 2)
+    wild = Motion(np.ones(24), 0.1, 0.03, -0.03, 0.3, 0.004, 3, 4)
+    info = motion_info([calm, wild])
+    assert (info["zmp_margin"], info["tilt"], info["base_pitch"]) == (0.1, 0.03, -0.03)
+    assert (info["wheel_slip"], info["model_ee_error"]) == (0.3, 0.004)
+    assert (info["qp_failures"], info["safe_ticks"]) == (4, 6)
+    assert info["base_acceleration_rms"] == 1.0

@@ -1,1 +1,1 @@
-"""Tasks, one file a kind."""
+"""The built-in tasks, one file per kind."""

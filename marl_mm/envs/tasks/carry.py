@@ -1,4 +1,4 @@
-"""Carry: reach with a block in the hand, whose mass the policy does not see."""
+"""Carry: reach with a block of unseen mass in the hand."""
 
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -18,18 +18,18 @@ GOAL_SIZE = 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class Carry(Reach):
-    """Numbers of goals, reward and load."""
+    """Parameters of goals, reward and load."""
 
     about = "Bring a load of unknown mass in the hand to a goal ahead or behind."
     fails: ClassVar[bool] = True
 
     load: LoadConfig = field(default_factory=lambda: LoadConfig(failure_reward=-50.0))
-    """The block in the hand."""
+    """Intervals of the block in the hand."""
 
     def begin(
         self, attempt: Attempt, rng: np.random.Generator, goal: np.ndarray | None
     ) -> None:
-        """Draw goal and block, and let the hand hold it still for as long as a step."""
+        """Draw goal and block, and hold the block still for one step."""
         drawn = np.array(self._draw_goal(rng, ahead=bool(rng.random() < 0.5)))
         block = self.load.draw(rng)
         attempt.goal = drawn if goal is None else goal
@@ -44,12 +44,12 @@ class Carry(Reach):
         self.wander(attempt, rng)
 
     def failure(self, attempt: Attempt) -> str:
-        """What went wrong with the block, or what was hit."""
+        """Loss of the block, or a collision."""
         hand = attempt.drives[0].hand
         return "" if hand is None else hand.failure
 
     def measure(self, attempt: Attempt) -> dict[str, Any]:
-        """Distances of hand and base, and whether the block is held."""
+        """Distances of hand and base [m], and whether the block is held."""
         return {**super().measure(attempt), "held": self.holds(attempt)}
 
     def holds(self, attempt: Attempt) -> bool:
@@ -60,7 +60,7 @@ class Carry(Reach):
     def reward(
         self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
     ) -> np.ndarray:
-        """Reach's, and the load's for a failure."""
+        """Reward of Reach, with the load's reward for a failure."""
         hit = self.reached(achieved, desired, terms)
         goal = np.where(hit, self.goal_reward, -self.distance(achieved, desired))
         failed = terms[FAILED].astype(bool)

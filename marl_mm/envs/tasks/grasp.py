@@ -18,19 +18,19 @@ from marl_mm.layout import Agent, Entry, Layout
 from marl_mm.sim.scene import Mark, Scene
 
 OPENING = Entry("opening", "m", -0.1, 0.1)
-"""Between the finger tips; the hand opens to 0.08."""
+"""Distance between the finger tips; the hand opens to 0.08."""
 
 HELD = Entry("held", "1", 0.0, 1.0)
-"""1 once the block has been held, clear of its stand, for long enough."""
+"""1 if the block has been held clear of its stand for long enough, else 0."""
 
 BLOCK = tuple(Entry(f"block_{axis}", "m") for axis in "xyz")
-"""Centre of the block, world frame."""
+"""Position of the block's centre, world frame."""
 
 STAND = tuple(Entry(f"stand_{axis}", "m") for axis in "xyz")
-"""Middle of the stand's top, world frame."""
+"""Position of the middle of the stand's top, world frame."""
 
 GRIP = Entry("grip", "1", -1.0, 1.0)
-"""Above 0 the hand closes."""
+"""Command of the gripper: it closes above 0."""
 
 LAYOUT = Layout(
     (*HAND, *BASE, MODE, OPENING, HELD, *BLOCK, *STAND, *GOAL),
@@ -46,20 +46,20 @@ LAYOUT = Layout(
     compared=names(*BLOCK),
     desired=names(*GOAL),
 )
-"""The end-effector's agent sees the block, its stand and the gripper's opening; both
-see whether the block is held."""
+"""Layout of the grasping tasks. The end-effector's agent sees the block, its stand and
+the gripper's opening; both agents see whether the block is held."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Grasp(Carry):
-    """Numbers of goals, reward, block and stand."""
+    """Parameters of goals, reward, block and stand."""
 
     about = "Take a block from a stand and bring it to a goal."
     layout = LAYOUT
     needs: ClassVar[tuple[str, ...]] = (*Reach.needs, "held")
 
     load: StandConfig = field(default_factory=StandConfig)
-    """The block on its stand."""
+    """Intervals of the block and its stand."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -99,18 +99,18 @@ class Grasp(Carry):
     def fixed_goal(
         self, index: int, rng: np.random.Generator
     ) -> tuple[float, ...] | None:
-        """Reach's; where the block is only to be lifted, its seed draws the goal."""
+        """Goal as in Reach; None if the block is only lifted: the seed draws it."""
         return None if self.load.lift else super().fixed_goal(index, rng)
 
     def act(self, attempt: Attempt, action: Values) -> list[Order]:
-        """Close or open the hand, and go on as in Reach."""
+        """Close or open the hand, and act as in Reach."""
         hand = attempt.drives[0].hand
         if hand is not None:
             hand.grip(action[GRIP.name] > 0)
         return super().act(attempt, action)
 
     def observe(self, attempt: Attempt) -> Values:
-        """Hand and base as in Reach; opening, block and stand."""
+        """Joint state of Reach, and opening, block and stand."""
         handling = attempt.drives[0].world.handling
         seen = handling.opening(), self.holds(attempt), *handling.block_w()[0]
         entries = names(OPENING, HELD, *BLOCK, *STAND)
@@ -127,12 +127,12 @@ class Grasp(Carry):
     def reached(
         self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
     ) -> np.ndarray:
-        """Whether the block is held, nearer to the goal than the task's distance."""
+        """Whether the block is held within ``success_distance`` of the goal."""
         below = super().reached(achieved, desired, terms)
         return np.asarray(below & terms[HELD.name].astype(bool))
 
     def expert(self, state: Values, script: ScriptConfig) -> Values:
-        """Over the block, down, close, up, to the goal; alpha is held."""
+        """Move over the block, down, close, up and to the goal; alpha is constant."""
         hand, block, stand, goal = (
             np.array([state[entry.name] for entry in entries])
             for entries in (HAND, BLOCK, STAND, GOAL)

@@ -24,47 +24,48 @@ LAYOUT = Layout(
     compared=names(*HAND),
     desired=names(*GOAL),
 )
-"""The balance agent does not see the goal, the end-effector's not the control mode."""
+"""Layout of Reach. The balance agent does not see the goal, and the end-effector's
+agent does not see the control mode."""
 
 _PAIRS = tuple(zip(GOAL, HAND, strict=True))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reach(CruiseTask):
-    """Numbers of goals and reward."""
+    """Parameters of goals and reward."""
 
     about = "Bring the end-effector to a goal ahead or behind."
     layout = LAYOUT
     needs: ClassVar[tuple[str, ...]] = ("d_mm", "d_mp", "base_jerk_rms")
 
     goal_x_forward: Interval = (1.0, 1.5)
-    """Goals ahead, world [m] (paper, Sec. 5.1)."""
+    """Interval of x of goals ahead, world [m] (paper, Sec. 5.1)."""
 
     goal_x_backward: Interval = (-0.8, -0.5)
-    """Goals behind, world [m] (paper, Sec. 5.1); each direction has equal chance."""
+    """Interval of x of goals behind, equally likely, world [m] (paper, Sec. 5.1)."""
 
     goal_y: Interval = (-0.2, 0.2)
-    """Goals, world [m] (paper, Sec. 5.1)."""
+    """Interval of y of goals, world [m] (paper, Sec. 5.1)."""
 
     goal_z: Interval = (0.55, 0.8)
-    """Goals, world [m] (paper, Sec. 5.1)."""
+    """Interval of z of goals, world [m] (paper, Sec. 5.1)."""
 
     success_distance: float = 0.05
-    """Distance to the goal at the end of a step below which it counts as reached, which
-    ends the episode [m]."""
+    """Distance to the goal at a step's end below which it is reached, which ends the
+    episode [m]."""
 
     goal_reward: float = 10.0
     """Reward for reaching the goal, instead of minus the distance (Eq. 6)."""
 
     ee_error_weight: float = 5.0
-    """Cost of d_mm [1/m] (Eq. 7)."""
+    """Weight of d_mm in the reward [1/m] (Eq. 7)."""
 
     base_error_weight: float = 5.0
-    """Cost of d_mp [1/m] (Eq. 8)."""
+    """Weight of d_mp in the reward [1/m] (Eq. 8)."""
 
     jerk_weight: float = 0.0
-    """Cost of the base's rms jerk within a step [s^3/m], see ``MOTION_INFO``; 0 is the
-    paper's reward."""
+    """Weight of the base's rms jerk in the reward [s^3/m], see ``MOTION_INFO``; 0 gives
+    the paper's reward."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -75,13 +76,13 @@ class Reach(CruiseTask):
 
     @property
     def highest_return(self) -> float:
-        """That of a perfect hit: all other rewards are negative."""
+        """Reward of a perfect hit, as all other rewards are negative."""
         return self.goal_reward
 
     def begin(
         self, attempt: Attempt, rng: np.random.Generator, goal: np.ndarray | None
     ) -> None:
-        """Draw a goal, and take the random steps."""
+        """Draw a goal, reset the robot, and take the random steps."""
         drawn = np.array(self._draw_goal(rng, ahead=bool(rng.random() < 0.5)))
         attempt.goal = drawn if goal is None else goal
         self.place(attempt, (Mark(tuple(attempt.goal.tolist())),))
@@ -96,7 +97,7 @@ class Reach(CruiseTask):
     def reached(
         self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
     ) -> np.ndarray:
-        """Whether the distance is below the task's."""
+        """Whether the distance is below ``success_distance``."""
         below: np.ndarray = np.less(
             self.distance(achieved, desired), self.success_distance
         )
@@ -105,13 +106,13 @@ class Reach(CruiseTask):
     def reward(
         self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
     ) -> np.ndarray:
-        """Eq. 6-9 of the paper and the cost of jerk."""
+        """Reward of the paper, Eq. 6-9, minus the cost of jerk."""
         hit = self.reached(achieved, desired, terms)
         goal = np.where(hit, self.goal_reward, -self.distance(achieved, desired))
         return self.charged(goal, terms)
 
     def charged(self, goal: np.ndarray, terms: Terms) -> np.ndarray:
-        """A goal's reward without the costs of hand, base and jerk."""
+        """A goal's reward minus the costs of hand, base and jerk."""
         hand = self.ee_error_weight * terms["d_mm"]
         base = self.base_error_weight * terms["d_mp"]
         jerk = self.jerk_weight * terms["base_jerk_rms"]
@@ -131,7 +132,7 @@ class Reach(CruiseTask):
 
 
 def steer(way: np.ndarray) -> dict[str, float]:
-    """Displacements along a way, shape (3,), cut off at the action's bounds."""
+    """Displacements by name along a vector, shape (3,), clipped to the bounds."""
     return dict(zip(names(*DELTA), np.clip(way, -1.0, 1.0).tolist(), strict=True))
 
 

@@ -1,8 +1,4 @@
-"""The README's tables, made of the committed results.
-
-``python -m marl_mm.eval.readme`` in a clone writes them anew between their marks; a
-test holds that this changes nothing.
-"""
+"""Tables of README and pages, made of the committed results."""
 
 import gzip
 import json
@@ -12,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from marl_mm.cli import COMMANDS, LISTS
 from marl_mm.envs.load import StandConfig
 from marl_mm.envs.registry import TASKS
 from marl_mm.envs.tasks.carry import Carry
@@ -51,20 +48,9 @@ from marl_mm.eval.sweep_tables import (
     worth_table,
 )
 from marl_mm.eval.tables import markdown_table, rate_with_interval
-from marl_mm.files import new_file
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "eval" / "results"
-
-
-def filled(text: str) -> str:
-    """The text with every table between ``<!-- name -->`` and ``<!-- /name -->``."""
-    for name, make in TABLES.items():
-        begin, end = f"<!-- {name} -->\n", f"<!-- /{name} -->"
-        before, found, rest = text.partition(begin)
-        if found:
-            text = before + begin + make() + end + rest.partition(end)[2]
-    return text
 
 
 def _alpha() -> str:
@@ -224,7 +210,17 @@ _NOT_HELD = ("every seed", "d_mm [m]", "d_mp [m]", _PAPER, _DIFFERENCE)
 _NOT_CURED = ("dataset", _PAPER, _DIFFERENCE, "d_mm [m]", "d_mp [m]", "alpha")
 """Columns that tell nothing of why learning fails."""
 
+
+def _commands() -> str:
+    """The commands, and those that list what there is."""
+    lines = [(f"`marl-mm {name}`", about) for name, about in COMMANDS.items()]
+    lists = ", ".join(f"`{name}`" for name in LISTS)
+    lines.append((lists, "what there is of a kind, and where it comes from"))
+    return markdown_table(("command", "what it does"), lines)
+
+
 TABLES: dict[str, Callable[[], str]] = {
+    "commands": _commands,
     "entries": _entries,
     "drawn": _drawn,
     "alpha": _alpha,
@@ -252,15 +248,3 @@ TABLES: dict[str, Callable[[], str]] = {
     "goals": goals_table,
 }
 """Name of the marks, and what stands between them."""
-
-
-def main() -> None:
-    """Write the README's tables anew."""
-    path = ROOT / "README.md"
-    text = filled(path.read_text())
-    with new_file(path) as temporary:
-        temporary.write_text(text)
-
-
-if __name__ == "__main__":
-    main()

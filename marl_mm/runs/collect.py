@@ -1,0 +1,112 @@
+"""Collect a dataset."""
+
+from pathlib import Path
+from typing import Any
+
+from marl_mm.collectors.registry import COLLECTORS
+from marl_mm.datasets.card import keep_card
+from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.datasets.location import locate
+from marl_mm.envs.registry import DEFAULT, TASKS
+from marl_mm.progress import Bar, silent_bar
+from marl_mm.runs.collect_resume import begun_with
+from marl_mm.runs.collecting import Collecting, collect_dataset
+from marl_mm.runs.settings import with_settings, with_values
+
+
+def collect(
+    collector: str = "pd",
+    *,
+    task: str = DEFAULT,
+    dataset: str | Path | None = None,
+    config: Any = None,
+    progress: Bar = silent_bar,
+    **settings: Any,
+) -> Dataset:
+    """Collect a dataset with a scripted or a learnt policy.
+
+    Args:
+        collector: Name of a registered collector.
+        task: Registered name of the task.
+        dataset: Id below ``$MINARI_DATASETS_PATH``, or path; default
+            ``marl_mm/TASK/COLLECTOR-v0``.
+        config: Settings of the collector; default its own.
+        progress: Begins a bar of progress.
+        **settings: Fields of ``Collecting`` (``steps``, ``seed``, ``workers``,
+            ``resume`` ...) and of the collector's config, by name.
+
+    Raises:
+        UsageError: If a setting makes no sense, or the dataset exists.
+        OtherConfigError: If the dataset to resume was collected otherwise.
+        KeyboardInterrupt: After Ctrl-C; the dataset holds the episodes until then.
+    """
+    config = config if config is not None else COLLECTORS.get(collector).config()
+    collecting = Collecting(task=task)
+    name = str(dataset) if dataset is not None else default_dataset(task, collector)
+    if settings.get("resume"):
+        known = begun_settings(name, collector)
+        collecting = with_values(collecting, known)
+        config = with_values(config, known)
+    own = {k: v for k, v in settings.items() if not hasattr(collecting, k)}
+    rest = {k: v for k, v in settings.items() if k not in own}
+    data, complete = collect_into(
+        name,
+        collector,
+        with_settings(f"collector {collector}", config, own),
+        with_settings("collect", collecting, rest),
+        progress,
+    )
+    if not complete:
+        raise KeyboardInterrupt(
+            "stopped; the dataset holds the episodes until then: go on with "
+            "`resume=True`"
+        )
+    return data
+
+
+def collect_into(
+    name: str, collector: str, config: Any, collecting: Collecting, bar: Bar
+) -> tuple[Dataset, bool]:
+    """Collect a dataset and keep its card.
+
+    Args:
+        name: Id or path of the dataset.
+        collector: Name of a registered collector.
+        config: Settings of the collector.
+        collecting: Settings of the collection.
+        bar: Begins a bar of progress.
+
+    Returns:
+        The dataset, and whether it is complete: Ctrl-C may have come before.
+    """
+    location = locate(name)
+    collection = collect_dataset(location, collector, config, collecting, bar=bar)
+    data = load_dataset(location)
+    keep_card(data)
+    return data, collection.complete
+
+
+def begun_settings(name: str, collector: str) -> dict[str, Any]:
+    """Settings, by name, that a collection was begun with; nothing without one.
+
+    Args:
+        name: Id or path of the dataset.
+        collector: Name of the collector that is to go on.
+    """
+    begun = begun_with(locate(name))
+    if begun is None or begun.collector != collector:
+        return {}
+    known = {"task": begun.task, "seed": begun.seed}
+    return known | {**begun.overrides, **(begun.collector_config or {})}
+
+
+def default_dataset(task: str, collector: str) -> str:
+    """Id of a collector's dataset of a task where nobody names another.
+
+    Raises:
+        UsageError: If there is no such task or collector.
+    """
+    TASKS.get(task)
+    folder = task.removesuffix("-v0").replace("Reach", "-reach").strip("-").lower()
+    name = COLLECTORS.get(collector).dataset or collector
+    return f"marl_mm/{folder}/{name}-v0"

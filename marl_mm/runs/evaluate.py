@@ -1,0 +1,85 @@
+"""Evaluate policies on fixed goals."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from marl_mm.envs.registry import make_task
+from marl_mm.eval.evaluate import Evaluation
+from marl_mm.eval.evaluate import evaluate as evaluate_policy
+from marl_mm.files import refuse_existing, write_json
+from marl_mm.progress import Bar, silent_bar
+from marl_mm.runs.policies import load_policy, own_task
+from marl_mm.runs.settings import check_positive, check_seed
+from marl_mm.versions import versions
+
+
+def evaluate(
+    policy: Any,
+    *,
+    episodes: int = 100,
+    seed: int = 0,
+    task: str | None = None,
+    max_steps: int | None = None,
+    workers: int = 1,
+    config: Any = None,
+    progress: Bar = silent_bar,
+    **settings: Any,
+) -> Evaluation:
+    """Evaluate a policy on a seed's goals, half ahead and half behind.
+
+    Args:
+        policy: Run, run folder, checkpoint file, ``pretrained``, a collector's name, or
+            a policy.
+        episodes: Number of goals.
+        seed: Seed of the goals and of random policies.
+        task: Registered name of the task; default the run's own, or Reach-v0.
+        max_steps: Steps per episode; default the task's.
+        workers: Processes; the result does not depend on their number.
+        config: Settings of a collector's policy; default the collector's.
+        progress: Begins a bar of progress.
+        **settings: Settings of a collector's policy, by name.
+
+    Raises:
+        UsageError: If a setting makes no sense, or there is no such policy.
+        CheckpointError: If a run's checkpoint is damaged.
+    """
+    check_positive(episodes=episodes, workers=workers)
+    check_seed(seed)
+    overrides = task_overrides(max_steps)
+    name = task or own_task([policy])
+    actor = load_policy(policy, make_task(name, overrides), config, **settings)
+    called = actor.name if policy is actor else str(getattr(policy, "folder", policy))
+    advance = progress(f"eval {Path(called).name}", episodes)
+    found = evaluate_policy(actor, episodes, seed, name, overrides, workers, advance)
+    return replace(found, policy=called)
+
+
+def evaluations_json(evaluations: Sequence[Evaluation]) -> list[dict[str, Any]]:
+    """Evaluations with the versions of the packages that made them."""
+    return [one.to_json() | {"packages": versions()} for one in evaluations]
+
+
+def save_evaluations(
+    evaluations: Sequence[Evaluation], path: str | Path, overwrite: bool = False
+) -> None:
+    """Write evaluations to a JSON file, with a row per episode.
+
+    Raises:
+        OutputExistsError: If the file exists, unless ``overwrite``.
+    """
+    refuse_existing(Path(path), overwrite)
+    write_json(Path(path), evaluations_json(evaluations))
+
+
+def task_overrides(max_steps: int | None) -> dict[str, Any]:
+    """Settings of a task that are replaced: the steps of an episode, if they are.
+
+    Raises:
+        UsageError: If they are not positive.
+    """
+    if max_steps is None:
+        return {}
+    check_positive(max_steps=max_steps)
+    return {"max_steps": max_steps}

@@ -1,0 +1,210 @@
+"""Film a policy."""
+
+import base64
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
+
+import numpy as np
+
+from marl_mm.envs.demos import Drift, arm_reach, base_turn, demo_drive
+from marl_mm.envs.drive import Tick
+from marl_mm.envs.registry import make_task
+from marl_mm.episode import Episode
+from marl_mm.errors import UsageError
+from marl_mm.eval.goals import goal_set
+from marl_mm.eval.video import (
+    Recorder,
+    check_format,
+    film_episode,
+    film_strip,
+    pictures_of,
+    write_video,
+)
+from marl_mm.files import refuse_existing
+from marl_mm.progress import Bar, silent_bar
+from marl_mm.runs.evaluate import task_overrides
+from marl_mm.runs.policies import load_policy, own_task
+from marl_mm.runs.settings import check_positive, check_seed
+from marl_mm.sim.config import RATE, Camera
+
+Direction = Literal["forward", "backward"]
+
+_STRIP = 6
+"""Pictures of a film strip."""
+
+
+@dataclass(frozen=True)
+class Film:
+    """A filmed episode."""
+
+    episode: Episode
+    """The episode."""
+
+    frames: list[np.ndarray]
+    """Pictures, each of shape (height, width, 3), uint8."""
+
+    fps: int
+    """Pictures per simulated second."""
+
+    task: str
+    """Registered name of the task."""
+
+    policy: str
+    """Name of the policy."""
+
+    def save(self, path: str | Path, overwrite: bool = False) -> None:
+        """Write the film as mp4 or gif, by the name's ending.
+
+        Raises:
+            UsageError: If the ending is another, or the file exists.
+        """
+        check_format(Path(path))
+        refuse_existing(Path(path), overwrite)
+        write_video(Path(path), self.frames, self.fps)
+
+    def strip(self, path: str | Path, overwrite: bool = False) -> None:
+        """Write six pictures of the episode, side by side, as a PNG.
+
+        Raises:
+            UsageError: If the name does not end in .png, or the file exists.
+        """
+        check_strip(Path(path))
+        refuse_existing(Path(path), overwrite)
+        label = f"{self.task}: {len(self.episode)} steps"
+        film_strip(Path(path), [(label, pictures_of(self.frames, self.fps, _STRIP))])
+
+    def __repr__(self) -> str:
+        ending = "reached" if self.episode.success else "did not reach"
+        steps = len(self.episode)
+        return f"<Film: {self.policy} {ending} the goal in {steps} steps>"
+
+    def _repr_html_(self) -> str:
+        """The film itself, for notebooks."""
+        with TemporaryDirectory() as folder:
+            path = Path(folder, "film.mp4")
+            write_video(path, self.frames, self.fps)
+            data = base64.b64encode(path.read_bytes()).decode()
+        return f'<video controls loop src="data:video/mp4;base64,{data}"></video>'
+
+
+def play(
+    policy: Any,
+    *,
+    task: str | None = None,
+    seed: int = 0,
+    direction: Direction | None = None,
+    max_steps: int | None = None,
+    fps: int = 10,
+    gui: bool = False,
+    camera: Camera | None = None,
+    config: Any = None,
+    progress: Bar = silent_bar,
+    **settings: Any,
+) -> Film:
+    """Film an episode of a policy.
+
+    Args:
+        policy: Run, run folder, checkpoint file, ``pretrained``, a collector's name, or
+            a policy.
+        task: Registered name of the task; default the run's own, or Reach-v0.
+        seed: Seed of the goal and of random policies.
+        direction: Side of the robot on which the goal is, where the task does not draw
+            its own; default backward.
+        max_steps: Steps of one second until the episode is cut off; default the task's.
+        fps: Pictures per second of film and of simulated time.
+        gui: Open PyBullet's window and take no pictures; needs a screen.
+        camera: Place of the camera; default the task's.
+        config: Settings of a collector's policy; default the collector's.
+        progress: Begins a bar of progress.
+        **settings: Settings of a collector's policy, by name.
+
+    Raises:
+        UsageError: If a setting makes no sense, or there is no such policy.
+        CheckpointError: If a run's checkpoint is damaged.
+    """
+    check_positive(fps=fps)
+    check_seed(seed)
+    name = task or own_task([policy])
+    own = make_task(name, task_overrides(max_steps))
+    actor = load_policy(policy, own, config, **settings)
+    ahead, behind = goal_set(own, 2, seed)
+    if direction is not None and ahead.goal is None:
+        raise UsageError(f"`direction` is not for {name}: its seed draws the goal")
+    episode, frames = film_episode(
+        own,
+        actor,
+        ahead if direction == "forward" else behind,
+        camera or own.camera,
+        0 if gui else fps,
+        gui,
+        progress(f"play {actor.name}", own.max_steps),
+    )
+    return Film(episode, frames, fps, name, actor.name)
+
+
+def play_demo(
+    name: str,
+    *,
+    target: tuple[float, float, float] = (0.8, 0.3, 0.8),
+    angle: float = 90.0,
+    seconds: float = 4.0,
+    fps: int = 10,
+    gui: bool = False,
+    camera: Camera | None = None,
+    progress: Bar = silent_bar,
+) -> tuple[Drift, list[np.ndarray]]:
+    """Film one half of the robot at work while the other rests; see ``envs.demos``.
+
+    Args:
+        name: ``arm-reach`` or ``base-turn``.
+        target: Place that the hand reaches, world x, y, z [m].
+        angle: Angle by which the base turns, -180 to 180 [deg].
+        seconds: Duration, 0.1 to 60 [s].
+        fps: Pictures per second of film and of simulated time.
+        gui: Open PyBullet's window and take no pictures.
+        camera: Place of the camera.
+        progress: Begins a bar of progress.
+
+    Returns:
+        How far the resting half drifted, and the pictures.
+
+    Raises:
+        UsageError: If a setting makes no sense.
+    """
+    if not 0.1 <= seconds <= 60:
+        raise UsageError(f"`seconds` is {seconds}, expected 0.1 to 60")
+    if not -180 <= angle <= 180:
+        raise UsageError(f"`angle` is {angle}, expected -180 to 180 degrees")
+    if not all(map(math.isfinite, target)):
+        raise UsageError(f"`target` is {target}, expected finite numbers [m]")
+    check_positive(fps=fps)
+    drive = demo_drive(visual=True, gui=gui)
+    film = Recorder(drive.world, camera or Camera(), 0 if gui else fps)
+    advance = progress(f"play {name}", round(seconds * RATE))
+
+    def watch(tick: Tick) -> None:
+        film(tick)
+        advance(1, "")
+
+    try:
+        if name == "arm-reach":
+            drift = arm_reach(drive, np.array(target), seconds, watch)
+        else:
+            drift = base_turn(drive, math.radians(angle), seconds, watch)
+        film.add()
+    finally:
+        drive.close()
+    return drift, film.frames
+
+
+def check_strip(path: Path) -> None:
+    """Raise if a film strip's name has another ending than .png.
+
+    Raises:
+        UsageError: If it has.
+    """
+    if path.suffix != ".png":
+        raise UsageError(f"film strip {path} ends in {path.suffix!r}, expected .png")

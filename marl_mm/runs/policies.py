@@ -1,0 +1,85 @@
+"""Policies by name: runs, the agent that ships, and collectors."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from marl_mm.collectors.registry import COLLECTORS
+from marl_mm.envs.registry import DEFAULT, make_task
+from marl_mm.envs.task import Task
+from marl_mm.errors import UsageError
+from marl_mm.policy import Policy
+from marl_mm.runs.settings import with_settings
+
+AGENT = "pretrained"
+"""Name of the agent that ships, which needs no run folder."""
+
+
+def policy_names() -> tuple[str, ...]:
+    """Policies that need no run folder: the agent that ships, and all collectors'."""
+    return AGENT, *(name for name in COLLECTORS.names() if name != AGENT)
+
+
+def load_policy(
+    source: Any, task: str | Task = DEFAULT, config: Any = None, **settings: Any
+) -> Policy:
+    """A policy of a run, of the agent that ships, or of a collector.
+
+    Args:
+        source: Run, run folder, checkpoint file, ``pretrained``, a collector's name, or
+            a policy, which is returned.
+        task: Task that a collector's policy is to act in.
+        config: Settings of a collector's policy; default the collector's.
+        **settings: Settings of a collector's policy, by name.
+
+    Raises:
+        UsageError: If it is none of these, or has no such setting.
+        CheckpointError: If a run's checkpoint is damaged.
+    """
+    if isinstance(source, str) and source != AGENT and source in COLLECTORS:
+        collector = COLLECTORS.get(source)
+        config = collector.config() if config is None else config
+        config = with_settings(f"collector {source}", config, settings)
+        own = make_task(task) if isinstance(task, str) else task
+        return collector.policy(config, own)
+    if settings:
+        raise UsageError(
+            f"{source!s:.80} takes no settings, got {', '.join(settings)}: they are "
+            "for collectors' policies"
+        )
+    if hasattr(source, "act"):
+        policy: Policy = source
+        return policy
+    path = getattr(source, "folder", source)
+    if path != AGENT and not Path(path).exists():
+        raise UsageError(
+            f"no policy {str(path)!r}: expected {', '.join(policy_names())}, a run "
+            "folder or a checkpoint file"
+        )
+    from marl_mm.algorithms import policy as learned  # torch takes a second to import
+
+    return learned.load_policy(path)
+
+
+def own_task(policies: Sequence[Any]) -> str:
+    """The task that all runs among some policies are for; without runs the default.
+
+    Args:
+        policies: Sources as in ``load_policy``.
+
+    Raises:
+        UsageError: If there are several tasks.
+    """
+    tasks: dict[str, Any] = {}
+    for source in policies:
+        if hasattr(source, "act") or source in policy_names():
+            continue
+        path = Path(getattr(source, "folder", source))
+        config = (path.parent if path.is_file() else path) / "config.json"
+        if config.exists():
+            tasks[json.loads(config.read_text()).get("task", DEFAULT)] = path
+    if len(tasks) > 1:
+        listed = ", ".join(f"{name} for {task}" for task, name in sorted(tasks.items()))
+        raise UsageError(f"runs for several tasks, {listed}: choose one with `task`")
+    return next(iter(tasks), DEFAULT)

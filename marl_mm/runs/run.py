@@ -1,0 +1,124 @@
+"""A trained run: its folder, read when it is asked for."""
+
+import base64
+import html
+import io
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from marl_mm.algorithms.policy import LearnedPolicy, load_policy
+from marl_mm.algorithms.run_config import RunConfig
+from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.errors import UsageError
+from marl_mm.eval.evaluate import Evaluation
+from marl_mm.runs.evaluate import task_overrides
+from marl_mm.runs.folder import BEST_EVALUATION, CONFIG, CURVE, EVALUATION, read_config
+
+_FPS = 1
+"""Pictures per simulated second of a film strip."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run's folder."""
+
+    folder: Path
+    """Folder with the run's config, metrics, checkpoints and evaluations."""
+
+    @property
+    def config(self) -> RunConfig:
+        """The record of what the run is made of.
+
+        Raises:
+            CheckpointError: If it cannot be read.
+        """
+        return read_config(self.folder)
+
+    @property
+    def metrics(self) -> list[dict[str, Any]]:
+        """Rows of ``metrics.jsonl``, in the order of the training."""
+        return read_metrics(self.folder)
+
+    @cached_property
+    def policy(self) -> LearnedPolicy:
+        """The policy of the last checkpoint."""
+        return load_policy(self.folder)
+
+    @property
+    def evaluation(self) -> Evaluation | None:
+        """Evaluation of the last checkpoint; None before the training's end."""
+        return _evaluation(self.folder / EVALUATION)
+
+    @property
+    def best_evaluation(self) -> Evaluation | None:
+        """Evaluation of an online run's best checkpoint; None where there is none."""
+        return _evaluation(self.folder / BEST_EVALUATION)
+
+    def summary(self) -> str:
+        """One line about the success of the last and the best checkpoint."""
+        last, best = self.evaluation, self.best_evaluation
+        text = f"{self.folder}: {_success(last) if last else 'not evaluated'}"
+        return f"{text}; best checkpoint {_success(best)}" if best else text
+
+    def film_strip(self, seed: int = 0) -> bytes:
+        """Pictures of the policy's episodes on a seed's first goals, as a PNG."""
+        from marl_mm.envs.registry import make_task
+        from marl_mm.eval.video import draw_film_strip, film_both_ways
+
+        max_steps = self.config.settings.get("max_steps")
+        task = make_task(self.config.task, task_overrides(max_steps))
+        picture = io.BytesIO()
+        both = film_both_ways(task, self.policy, seed, _FPS)
+        draw_film_strip(picture, both.strips)
+        return picture.getvalue()
+
+    def __repr__(self) -> str:
+        config = self.config
+        about = f"{config.algorithm} on {config.task}, seed {config.seed}"
+        return f"<Run {self.folder}: {about}>"
+
+    def _repr_html_(self) -> str:
+        """Evaluation, learning curve and film strip, for notebooks."""
+        parts = [f"<p>{html.escape(repr(self))}</p>"]
+        if evaluation := self.evaluation:
+            parts.append(evaluation._repr_html_())
+        if (self.folder / CURVE).exists():
+            parts.append(_image((self.folder / CURVE).read_bytes(), "learning curve"))
+        if evaluation:
+            parts.append(_image(self.film_strip(), "film strip"))
+        return "\n".join(parts)
+
+
+def load_run(folder: str | Path) -> Run:
+    """A run that was trained before.
+
+    Raises:
+        UsageError: If the folder holds none.
+    """
+    path = Path(folder)
+    if not (path / CONFIG).exists():
+        seeds = sorted(one.parent.name for one in path.glob(f"*/{CONFIG}"))
+        hint = f": name one of its runs, such as {path / seeds[0]}" if seeds else ""
+        raise UsageError(f"{path} is no run, it has no {CONFIG}{hint}")
+    return Run(path)
+
+
+def _evaluation(path: Path) -> Evaluation | None:
+    return Evaluation.from_json(json.loads(path.read_text())) if path.exists() else None
+
+
+def _success(evaluation: Evaluation) -> str:
+    everything = evaluation.summary["all"]
+    low, high = (100 * bound for bound in everything["interval"])
+    return (
+        f"{100 * evaluation.success_rate:.1f} % of {everything['episodes']} goals "
+        f"reached, 95 % interval [{low:.1f}, {high:.1f}]"
+    )
+
+
+def _image(png: bytes, text: str) -> str:
+    data = base64.b64encode(png).decode()
+    return f'<img alt="{text}" src="data:image/png;base64,{data}">'

@@ -1,0 +1,129 @@
+"""Settings by name: checked, replaced, and taken from what was done before."""
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
+from typing import Any, TypeVar, get_type_hints
+
+from typeguard import TypeCheckError, check_type
+
+from marl_mm.errors import UsageError
+
+T = TypeVar("T")
+
+
+def with_settings(owner: str, record: T, settings: Mapping[str, Any]) -> T:
+    """A dataclass, and those in its fields, with some settings replaced by name.
+
+    Args:
+        owner: Name of what is set, for messages.
+        record: Frozen dataclass with the defaults.
+        settings: New values by name.
+
+    Raises:
+        UsageError: If no field has a name, or a value is of another type.
+    """
+    known = _names(record)
+    for name in settings:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, 1)
+            hint = f"; did you mean {close[0]}?" if close else ""
+            raise UsageError(
+                f"{owner} has no setting {name!r}, expected some of "
+                f"{', '.join(sorted(known))}{hint}"
+            )
+    check_types(owner, record, settings)
+    return with_values(record, settings)
+
+
+def with_values(record: T, values: Mapping[str, Any]) -> T:
+    """A dataclass, and those in its fields, with the values that are known by name."""
+    changes: dict[str, Any] = {}
+    for field in fields(record):  # type: ignore[arg-type]
+        before = getattr(record, field.name)
+        if _is_record(before):
+            changes[field.name] = with_values(before, values)
+        elif field.name in values:
+            value = values[field.name]
+            changes[field.name] = tuple(value) if isinstance(before, tuple) else value
+    return replace(record, **changes)  # type: ignore[type-var]
+
+
+def check_types(owner: str, record: Any, settings: Mapping[str, Any]) -> None:
+    """Raise for a setting whose value is not of its field's type.
+
+    Raises:
+        UsageError: Naming the setting and the type.
+    """
+    hints = get_type_hints(type(record))
+    for field in fields(record):
+        value = getattr(record, field.name)
+        if _is_record(value):
+            check_types(owner, value, settings)
+        elif field.name in settings:
+            try:
+                check_type(settings[field.name], hints[field.name])
+            except TypeCheckError as error:
+                raise UsageError(
+                    f"{owner}: {field.name} is {settings[field.name]!r:.80}, {error}"
+                ) from None
+
+
+def _names(record: Any) -> set[str]:
+    names: set[str] = set()
+    for field in fields(record):
+        value = getattr(record, field.name)
+        names |= _names(value) if _is_record(value) else {field.name}
+    return names
+
+
+def _is_record(value: Any) -> bool:
+    return is_dataclass(value) and not isinstance(value, type)
+
+
+def check_positive(**values: float) -> None:
+    """Raise for the first setting that is less than 1.
+
+    Raises:
+        UsageError: Naming it.
+    """
+    for name, value in values.items():
+        if value < 1:
+            raise UsageError(f"`{name}` is {value}, expected >= 1")
+
+
+def check_seeds(seeds: Sequence[int]) -> None:
+    """Raise for seeds of runs that are none, negative or named twice.
+
+    Raises:
+        UsageError: Naming them.
+    """
+    if not seeds:
+        raise UsageError("`seeds` names no seed, expected at least one")
+    if len(set(seeds)) < len(seeds):
+        listed = " ".join(map(str, seeds))
+        raise UsageError(f"`seeds` is {listed}, expected each seed once")
+    for seed in seeds:
+        check_seed(seed)
+
+
+def check_seed(seed: int) -> None:
+    """Raise for a seed that is negative.
+
+    Raises:
+        UsageError: Naming it.
+    """
+    if seed < 0:
+        raise UsageError(f"the seed is {seed}, expected >= 0")
+
+
+def refuse_both(resume: bool, overwrite: bool) -> None:
+    """Raise if what is there is to be gone on with and to be replaced.
+
+    Raises:
+        UsageError: If it is.
+    """
+    if resume and overwrite:
+        raise UsageError(
+            "`resume=True` and `overwrite=True` contradict each other: choose one"
+        )

@@ -1,0 +1,117 @@
+"""Train policies, from a dataset or from episodes of their own."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from marl_mm.algorithms.registry import TUNED, names
+from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.errors import UsageError
+from marl_mm.progress import Bar, silent_bar
+from marl_mm.runs.folder import check_runs, saved_settings
+from marl_mm.runs.run import Run
+from marl_mm.runs.settings import with_settings, with_values
+from marl_mm.runs.training import Offline, Online, training_of
+
+
+def train(
+    algorithm: str,
+    dataset: str | Path | Dataset | None = None,
+    *,
+    out: str | Path | None = None,
+    seeds: Sequence[int] | None = None,
+    preset: str | None = None,
+    config: Any = None,
+    progress: Bar = silent_bar,
+    **settings: Any,
+) -> list[Run]:
+    """Train and evaluate an algorithm, a run for each seed.
+
+    Args:
+        algorithm: Name of a registered algorithm.
+        dataset: Dataset to learn from, its id or its path; none for an algorithm that
+            learns from episodes of its own, which takes ``demonstrations``.
+        out: Folder of the runs: seed s goes to ``out/s``; default ``runs/ALGORITHM``.
+        seeds: Seeds of the runs; default 0, or when resuming those that there are.
+        preset: Preset of hyper-parameters; default tuned.
+        config: Hyper-parameters in place of the preset's.
+        progress: Begins a bar of progress; with several workers it is called in a
+            thread.
+        **settings: Fields of ``Offline`` or ``Online`` (``eval_episodes``, ``workers``,
+            ``resume`` ...) and of the algorithm's hyper-parameters, by name.
+
+    Raises:
+        UsageError: If a setting makes no sense, or a run exists.
+        OtherConfigError: If a run to resume was made otherwise.
+        DatasetError: If there is nothing to learn from.
+        DivergedError: If a seed diverged; the runs of the others are whole.
+        KeyboardInterrupt: After Ctrl-C; ``resume=True`` goes on.
+    """
+    training = training_of(algorithm, preset or TUNED)
+    folder = Path(out) if out is not None else Path("runs") / algorithm
+    known: dict[str, Any] = {}
+    if settings.get("resume"):
+        known = saved_settings(folder)
+        if preset is None:
+            training = with_values(training, known)
+    if config is not None:
+        training = replace(training, config=config)
+    training = with_settings(algorithm, training, settings)
+    if dataset is None and isinstance(training, Offline):
+        dataset = known.get("dataset")
+    if seeds is None:
+        seeds = known.get("seeds", (0,))
+    return list(trained(training, dataset, folder, seeds, progress))
+
+
+def trained(
+    training: Offline | Online,
+    dataset: str | Path | Dataset | None,
+    out: Path,
+    seeds: Sequence[int],
+    bar: Bar,
+) -> Iterator[Run]:
+    """Runs of the seeds, as they are finished; see ``train``.
+
+    Args:
+        training: Settings of the runs.
+        dataset: Dataset to learn from; None where the algorithm learns online.
+        out: Folder of the runs.
+        seeds: Seeds of the runs.
+        bar: Begins a bar of progress.
+    """
+    check_runs(training, out, seeds)
+    runs = {seed: out / str(seed) for seed in seeds}
+    if isinstance(training, Offline):
+        from marl_mm.runs.seeds import train_offline
+
+        if dataset is None:
+            raise UsageError(
+                f"{training.algorithm} learns from a dataset: name one, such as good-5k"
+            )
+        data = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
+        yield from map(Run, train_offline(data, training, runs, bar))
+        return
+    from marl_mm.runs.online import check_online, check_online_run, train_online_run
+
+    refuse_dataset(training.algorithm, dataset)
+    check_online(training)
+    for seed, run in runs.items():
+        check_online_run(training, seed, run)
+    for seed, run in runs.items():
+        train_online_run(training, seed, run, bar)
+        yield Run(run)
+
+
+def refuse_dataset(algorithm: str, dataset: object) -> None:
+    """Raise if an algorithm that learns online is given a dataset.
+
+    Raises:
+        UsageError: Naming those that learn from one.
+    """
+    if dataset is not None:
+        raise UsageError(
+            f"{algorithm} learns from episodes of its own and takes no `dataset`: use "
+            f"{', '.join(names(online=False))}, or `demonstrations`"
+        )

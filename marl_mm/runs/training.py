@@ -1,0 +1,126 @@
+"""How runs are made: settings of every run, of offline and of online ones."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from marl_mm.algorithms.online import Schedule
+from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
+from marl_mm.runs.settings import check_positive, check_seed, refuse_both
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """Settings of every run."""
+
+    algorithm: str
+    """Registered name of the algorithm."""
+
+    config: Any
+    """Hyper-parameters."""
+
+    preset: str = TUNED
+    """Preset that the hyper-parameters start from: tuned (ours) or paper (the source
+    paper's Tables 2 and 3, where the algorithm has them)."""
+
+    eval_episodes: int = 100
+    """Number of goals of the evaluation after training, kept in eval.json."""
+
+    eval_seed: int = 0
+    """Seed of those goals. The learning curve has goals of its own, of the next
+    seed."""
+
+    max_steps: int | None = None
+    """Steps of an episode, of evaluations too; default the task's."""
+
+    workers: int = 1
+    """Processes that run episodes, and that train seeds from a dataset. The result does
+    not depend on their number."""
+
+    resume: bool = False
+    """Go on where runs were stopped; seeds without a run start. Settings that are left
+    out are those of the first run in the folder."""
+
+    allow_changed_plugin: bool = False
+    """When resuming, go on though a plug-in is another file than before. The run's
+    config keeps both hashes."""
+
+    overwrite: bool = False
+    """Start anew where a run exists."""
+
+    @property
+    def overrides(self) -> dict[str, Any]:
+        """Settings of the task that are replaced."""
+        return {} if self.max_steps is None else {"max_steps": self.max_steps}
+
+    def check(self) -> None:
+        """Raise for settings that make no sense, whatever the algorithm.
+
+        Raises:
+            UsageError: Naming the setting.
+        """
+        check_positive(eval_episodes=self.eval_episodes, workers=self.workers)
+        check_seed(self.eval_seed)
+        refuse_both(self.resume, self.overwrite)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Offline(Training):
+    """Settings of runs that learn from a dataset."""
+
+    task: str | None = None
+    """Task that is evaluated in; default the dataset's."""
+
+    require_success: bool = True
+    """Refuse a dataset in which no episode reaches its goal."""
+
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where to train. On a CPU each seed is a process of one thread, about as many at
+    once as there are workers; on a GPU all seeds are trained side by side."""
+
+    curve_every: int = 2_000
+    """Updates between points of the learning curve."""
+
+    curve_episodes: int = 20
+    """Number of goals per point of the learning curve."""
+
+    stop_unsound: bool = True
+    """Stop a run when a critic's values are a hundred times what any return can be;
+    otherwise only when a number is not finite."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Online(Training):
+    """Settings of runs that learn from episodes of their own."""
+
+    task: str = "Reach-v0"
+    """Task to learn."""
+
+    demonstrations: str | Path | None = None
+    """Dataset, id or path, whose episodes are replayed, too."""
+
+    curve_episodes: int = 50
+    """Number of goals per point of the learning curve."""
+
+    schedule: Schedule = field(default_factory=Schedule)
+    """Times of checkpoints and evaluations."""
+
+
+def offline_training(algorithm: str, name: str = TUNED, **settings: Any) -> Offline:
+    """Settings of an offline algorithm's runs, with some replaced."""
+    return Offline(
+        algorithm=algorithm, config=preset(algorithm, name), preset=name, **settings
+    )
+
+
+def online_training(algorithm: str, name: str = TUNED, **settings: Any) -> Online:
+    """Settings of an online algorithm's runs, with some replaced."""
+    return Online(
+        algorithm=algorithm, config=preset(algorithm, name), preset=name, **settings
+    )
+
+
+def training_of(algorithm: str, name: str = TUNED) -> Offline | Online:
+    """Settings of an algorithm's runs, whichever way it learns."""
+    make = online_training if ALGORITHMS.get(algorithm).online else offline_training
+    return make(algorithm, name)

@@ -1,0 +1,58 @@
+"""What is an id, what is a path, and where either leads."""
+
+from pathlib import Path
+
+import pytest
+
+from marl_mm.datasets.location import Location, find, known_ids, locate
+from marl_mm.errors import UsageError
+
+
+@pytest.mark.parametrize("text", ["pd", "pd-v0", "marl_mm/reach/pd-v0"])
+def test_a_word_is_short_for_an_id(text: str, datasets_home: Path) -> None:
+    folder = datasets_home / "marl_mm/reach/pd-v0"
+    assert locate(text) == Location("marl_mm/reach/pd-v0", folder)
+    assert locate(text).name == "marl_mm/reach/pd-v0"
+
+
+def test_everything_else_is_a_path(
+    datasets_home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for text in ("./my set", str(tmp_path / "my set")):
+        location = locate(text)
+        assert location == Location("marl_mm/local/my-set-v0", tmp_path / "my set")
+        assert location.name == str(tmp_path / "my set")
+    data = tmp_path / "my set" / "data"
+    assert locate(str(data)).folder == data  # a name like any other,
+    data.mkdir(parents=True)
+    (data / "metadata.json").touch()
+    assert locate(str(data)).folder == data.parent  # unless it is Minari's folder
+
+
+@pytest.mark.parametrize("text", ["", "marl_mm/reach/pd", "marl_mm/"])
+def test_no_name_and_half_an_id_are_refused(text: str) -> None:
+    with pytest.raises(UsageError, match=r"expected an id or a path|without its ver"):
+        locate(text)
+
+
+def test_a_word_is_a_folder_here_only_where_there_is_no_such_id(
+    datasets_home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    here = tmp_path / "pd" / "data"
+    here.mkdir(parents=True)
+    (here / "metadata.json").touch()
+    assert find("pd").folder == tmp_path / "pd"
+    locate("pd").working.mkdir(parents=True)  # a collection that has just begun
+    assert find("pd") == locate("pd")
+
+
+def test_ids_are_those_of_whole_datasets(datasets_home: Path) -> None:
+    assert known_ids() == []
+    for name in ("b-v0", "a-v0", ".c-v0.collecting"):
+        data = datasets_home / "marl_mm/reach" / name / "data"
+        data.mkdir(parents=True)
+        (data / "metadata.json").touch()
+    (datasets_home / "marl_mm/reach/d-v0/data").mkdir(parents=True)
+    assert known_ids() == ["marl_mm/reach/a-v0", "marl_mm/reach/b-v0"]

@@ -1,0 +1,107 @@
+"""What README and pages say is true, and what they tell people to type works."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import marl_mm
+from marl_mm.algorithms.registry import ALGORITHMS
+from marl_mm.envs.registry import TASKS
+from marl_mm.eval.ablations import ABLATIONS
+from marl_mm.eval.offline import ablation_table
+from marl_mm.eval.online import SETTINGS
+from marl_mm.eval.online_tables import online_table
+from marl_mm.eval.rows import read_rows
+
+ROOT = Path(__file__).resolve().parents[2]
+README = ROOT / "README.md"
+PAGES = [README, *sorted((ROOT / "docs").rglob("*.md"))]
+RUN = [
+    page for page in PAGES if re.search(r"^```(python|bash)", page.read_text(), re.M)
+]
+
+OFFLINE = {"OMP_NUM_THREADS": "1", "MPLBACKEND": "agg"}
+
+
+def test_generated_pages_and_tables_are_up_to_date(datasets_home: Path) -> None:
+    """If this fails: python tools/pages.py."""
+    made = subprocess.run(
+        [sys.executable, "tools/pages.py", "--check"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    assert (made.returncode, made.stdout) == (0, ""), made.stderr
+
+
+@pytest.mark.skipif(not hasattr(marl_mm, "train"), reason="no marl_mm.train")
+@pytest.mark.slow
+@pytest.mark.parametrize("page", RUN, ids=lambda page: str(page.relative_to(ROOT)))
+def test_code_blocks_run_as_written(page: Path, tmp_path: Path) -> None:
+    script = Path(__file__).with_name("run_blocks.py")
+    datasets = {"MINARI_DATASETS_PATH": str(tmp_path / "datasets")}
+    ran = subprocess.run(
+        [sys.executable, str(script), str(page)],
+        cwd=tmp_path,
+        env=os.environ | OFFLINE | datasets,
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
+    assert ran.returncode == 0, f"{ran.stdout[-1000:]}\n{ran.stderr[-3000:]}"
+
+
+def test_links_lead_to_files() -> None:
+    for page in PAGES:
+        text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.M | re.S)
+        for link in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text):
+            assert (page.parent / link).exists(), f"{page.name}: {link}"
+
+
+def test_how_tos_are_short_and_the_readme_too() -> None:
+    for page in (ROOT / "docs/howto").glob("*.md"):
+        assert len(page.read_text().splitlines()) <= 60, page
+    assert len(README.read_text().splitlines()) <= 200
+
+
+def test_the_readme_names_every_task_and_algorithm() -> None:
+    for name in (*TASKS.names(), *ALGORITHMS.names()):
+        assert f"`{name}`" in README.read_text(), name
+
+
+def test_the_map_of_folders_is_true() -> None:
+    text = README.read_text()
+    listed = re.findall(r"^    (?:  )?([\w.]+/)[ ,]", text, flags=re.MULTILINE)
+    for name in listed:
+        candidates = (ROOT / name, ROOT / "marl_mm" / name)
+        assert any(path.exists() for path in candidates), name
+    assert len(listed) >= 10
+
+
+def test_rates_in_sentences_stand_in_the_committed_tables() -> None:
+    """Each with its deviation, its interval, or both, as whole numbers of one cell."""
+    number = r"(?<![\d.])(\d+\.\d+)"
+    text = " ".join(
+        line
+        for page in (README, *(ROOT / "docs/results").glob("*.md"))
+        for line in page.read_text().splitlines()
+        if not line.startswith("|")
+    )
+    deviations = re.findall(rf"{number} \+- {number}", text)
+    intervals = re.findall(rf"{number}(?: \+- [\d.]+)? % \[{number}, {number}\]", text)
+    results = ROOT / "eval/results"
+    tables = [
+        ablation_table(one, read_rows(results / f"offline/{name}.csv"))
+        for name, one in ABLATIONS.items()
+    ]
+    tables.append(online_table(read_rows(results / "online/online.csv"), SETTINGS))
+    cells = re.findall(
+        rf"{number} \+- {number}(?: \[{number}, {number}\])?", "\n".join(tables)
+    )
+    assert len(deviations) >= 5 and len(intervals) >= 8
+    assert set(deviations) <= {(mean, deviation) for mean, deviation, *_ in cells}
+    assert set(intervals) <= {(mean, low, high) for mean, _, low, high in cells}

@@ -1,0 +1,478 @@
+"""Reference pages, made of the registries and the committed results."""
+
+import ast
+import gzip
+import inspect
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields, is_dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from drawings import CURVES
+
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm
+from marl_mm.datasets.card import card_markdown
+from marl_mm.datasets.dataset import load_dataset
+from marl_mm.envs.registry import TASKS
+from marl_mm.envs.task import Task
+from marl_mm.envs.tasks.carry import Carry
+from marl_mm.envs.tasks.reach import Reach
+from marl_mm.eval.rows import read_rows
+from marl_mm.eval.tables import markdown_table, rate_with_interval
+from marl_mm.layout import Entry, Layout
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "eval/results"
+Row = dict[str, Any]
+
+# --- Tasks -------------------------------------------------------------------
+
+WHAT = {
+    "Reach-v0": "The paper's task: bring the hand to within 5 cm of a goal ahead of the "
+    "robot or behind it.",
+    "SmoothReach-v0": "Reach, where the base's jerk costs, so that alpha matters.",
+    "PreciseReach-v0": "Reach to within 2 cm, from a start that eight random steps made.",
+    "CarryReach-v0": "Reach with a block of unknown mass, up to 3 kg, in the hand.",
+    "Grasp-v0": "Lift a block 10 cm, and hold it off its stand for a second.",
+    "GraspReach-v0": "Take a block from its stand, and bring it to a goal as in Reach.",
+}
+"""What there is to do, by task."""
+
+STRIPS = {
+    "CarryReach-v0": ("carry-reach.png", "the script, which carries"),
+    "Grasp-v0": ("grasp.png", "the script, which lifts"),
+    "GraspReach-v0": ("grasp-reach.png", "the script, which takes and brings"),
+}
+"""Film strip of a task, where it is not Reach's, and who acts in it."""
+
+DATA = {
+    "smooth-30k": "SmoothReach-v0",
+    "precise-30k": "PreciseReach-v0",
+    "marl_mm/carry-reach/scripted-v0": "CarryReach-v0",
+    "marl_mm/grasp/scripted-v0": "Grasp-v0",
+    "marl_mm/grasp-reach/scripted-v0": "GraspReach-v0",
+}
+"""Tasks of the datasets of committed offline results; of the others, Reach-v0."""
+
+NAMES = {
+    "mabc": "MABC",
+    "td3-bc": "TD3+BC",
+    "matd3-bc": "MATD3+BC",
+    "ddpg": "DDPG",
+    "ddpg-her": "DDPG + HER",
+    "maddpg": "MADDPG",
+    "maddpg-her": "MADDPG + HER",
+}
+"""Names of algorithms as papers write them."""
+
+
+def _task_page(name: str) -> str:
+    task = TASKS.get(name)
+    picture, actor = STRIPS.get(name, ("reach.png", "a learnt policy, of Reach-v0,"))
+    parts = [
+        f"# {name}\n",
+        f"**{WHAT[name]}** {_ends(task)} {_best(name)}\n",
+        f"![Film strip: {actor} at work](../../images/{picture})\n",
+        f"Film strip of {actor.rstrip(',')}. Try it: `marl-mm play scripted --task {name} "
+        "--video FILE.mp4`.\n",
+        "## What is seen\n",
+        _entries(task.layout, task.layout.state, "sees"),
+        "Compared with the goal: "
+        f"{_listed(task.layout.compared)} with {_listed(task.layout.desired)}.\n",
+        "## What is set\n",
+        _entries(task.layout, task.layout.action, "sets"),
+        "## Reward\n",
+        _reward(task),
+        "## Numbers\n",
+        f"Fields of `{type(task).__module__}.{type(task).__name__}` that are not its "
+        "defaults: " + (_changed(task) or "none") + ". Replace any of them: "
+        f'`gymnasium.make("marl_mm/{name}", overrides={{...}})`.\n',
+        "## Results\n",
+        _task_results(name),
+    ]
+    return "\n".join(parts)
+
+
+def _ends(task: Task) -> str:
+    end = f"An episode ends after {task.max_steps} steps of a second"
+    failed = ", or where it fails" * task.fails
+    return f"{end}, where the goal is reached{failed}."
+
+
+def _best(name: str) -> str:
+    offline = [
+        row
+        for row in _offline_rows()
+        if _task_of(row) == name and row["setting"] in NAMES
+    ]
+    best = max(offline, key=lambda row: float(row["success"]))
+    online = [row for row in _online_rows() if row["task"] == name]
+    learnt = max((float(row["success_last"]) for row in online), default=None)
+    told = (
+        f"Learnt from data, {NAMES[best['setting']]} reaches {100 * best['success']:.1f} "
+        "% of its goals"
+    )
+    if learnt is None:
+        return f"{told}; nobody has tried to learn it online."
+    return f"{told}; learnt online, {100 * learnt:.1f} %."
+
+
+def _entries(layout: Layout, entries: Sequence[Entry], verb: str) -> str:
+    rows = [
+        (
+            f"`{entry.name}`",
+            "" if entry.unit == "1" else entry.unit,
+            f"[{entry.low:g}, {entry.high:g}]" if abs(entry.low) < 1e9 else "",
+            ", ".join(a.name for a in layout.team if entry.name in getattr(a, verb)),
+        )
+        for entry in entries
+    ]
+    who = "seen by" if verb == "sees" else "set by"
+    return markdown_table(("entry", "unit", "bounds", who), rows)
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names)
+
+
+def _reward(task: Task) -> str:
+    assert isinstance(task, Reach)
+    jerk = f", less {task.jerk_weight:g} of the base's rms jerk within the step [m/s^3]"
+    text = (
+        f"{task.goal_reward:g} where the goal is reached, to within "
+        f"{100 * task.success_distance:g} cm at the end of a step; else minus the "
+        f"distance [m]. Less {task.ee_error_weight:g} d_mm and "
+        f"{task.base_error_weight:g} d_mp, how far hand and base are from their targets "
+        f"at the step's end [m]{jerk if task.jerk_weight else ''} (paper, Eq. 6 to 9). "
+        "The agents share it.\n"
+    )
+    if not isinstance(task, Carry):
+        return text
+    return (
+        f"{text}\nA failure ends the episode and brings {task.load.failure_reward:g}: a "
+        "missed grasp, a drop, a collision, or a block out of reach. "
+        '`info["reason"]` says which. Nothing but friction holds the block; '
+        '`{"load": {"grasp": "weld"}}` fixes it to the hand instead, 1.3 times the '
+        "steps per second. The policy does not see what a block weighs; the controller "
+        "weighs it by the joints' torques "
+        '(`{"load": {"knowledge": "given"}}` tells it).\n'
+    )
+
+
+def _changed(task: Task) -> str:
+    found = [
+        f"`{item.name}` {getattr(task, item.name)}"
+        for item in fields(task)
+        if not is_dataclass(getattr(task, item.name))
+        and getattr(task, item.name) != getattr(type(task)(), item.name)
+    ]
+    return ", ".join(found)
+
+
+def _offline_rows() -> list[Row]:
+    """Rows of the last checkpoints of tuned runs, on every dataset."""
+    rows = [
+        row
+        for table in ("offline", "tasks", "blocks")
+        for row in read_rows(RESULTS / f"offline/{table}.csv")
+    ]
+    return [row for row in rows if row["probe"] == "last"]
+
+
+def _online_rows() -> list[Row]:
+    from marl_mm.eval.online import SETTINGS
+
+    known = {setting.name: setting for setting in SETTINGS}
+    return [
+        row
+        | {
+            "task": known[row["setting"]].task,
+            "algorithm": known[row["setting"]].algorithm,
+            "about": known[row["setting"]].about,
+        }
+        for row in read_rows(RESULTS / "online/online.csv")
+        if known[row["setting"]].library == "marl_mm"
+    ]
+
+
+def _task_of(row: Row) -> str:
+    return DATA.get(row["dataset"], "Reach-v0")
+
+
+def _task_results(name: str) -> str:
+    rows = []
+    path = RESULTS / f"script/{name}.json.gz"
+    if path.exists():
+        (found,) = json.loads(gzip.decompress(path.read_bytes()))
+        summary = found["summary"]["all"]
+        low, high = (100 * bound for bound in found["interval"])
+        reached = f"{100 * found['success_rate']:.1f} [{low:.1f}, {high:.1f}]"
+        rows.append(("the script", "", reached, f"{summary['return']:.2f}"))
+    for row in _offline_rows():
+        if _task_of(row) == name:
+            rows.append(
+                (
+                    NAMES[row["setting"]],
+                    f"from {row['dataset']}",
+                    rate_with_interval(row),
+                    f"{row['return']:.2f}",
+                )
+            )
+    for row in _online_rows():
+        departures = (
+            row["setting"].count("-") > 1 and "demonstrations" not in (row["setting"])
+        )
+        if row["task"] == name and not departures:
+            reached = rate_with_interval(row, "success_last")
+            who = f"online, {row['episodes']} episodes"
+            rows.append((row["about"], who, reached, f"{row['return_last']:.2f}"))
+    header = ("policy", "learnt", "goals reached [%]", "return")
+    return (
+        markdown_table(header, rows)
+        + "\nThree seeds, 200 goals, last checkpoint, 95 % intervals; [what they mean]"
+        "(../../results/index.md).\n"
+    )
+
+
+def _tasks_index() -> str:
+    rows = [
+        (f"[{name}]({name}.md)", WHAT[name], str(task.max_steps), _sizes(task))
+        for name, task in TASKS.items()
+    ]
+    header = ("task", "what there is to do", "steps", "state, action")
+    return (
+        "# Tasks\n\nSix tasks of one robot, each a Gymnasium goal environment "
+        "`marl_mm/TASK` and a PettingZoo parallel one, `parallel_env(TASK)`. "
+        "The first three differ in numbers only; the others have a block. "
+        "Start with `Reach-v0`; compare algorithms on `SmoothReach-v0`, "
+        "`PreciseReach-v0` and `GraspReach-v0`, which still separate them.\n\n"
+        + markdown_table(header, rows)
+        + "\n## Blocks and stands\n\n<!-- drawn -->\n<!-- /drawn -->\n"
+    )
+
+
+def _sizes(task: Task) -> str:
+    return f"{len(task.layout.state)}, {len(task.layout.action)}"
+
+
+# --- Algorithms --------------------------------------------------------------
+
+MODULES = {
+    "mabc": "mabc",
+    "td3-bc": "td3_bc",
+    "matd3-bc": "matd3_bc",
+    "ddpg": "ddpg",
+    "ddpg-her": "ddpg",
+    "maddpg": "maddpg",
+    "maddpg-her": "maddpg",
+}
+"""Files of algorithms, whose first lines say the loss."""
+
+LOSSES = {
+    "mabc": "MSE(a_i, pi_i(o_i)), for each agent i",
+    "td3-bc": "-lambda Q_1(s, pi(s)) + MSE(a, pi(s)), lambda = c / mean |Q_1(s, pi(s))|",
+    "matd3-bc": "-lambda_i Q_i(s, (pi_i(o_i), a_-i)) + MSE(a_i, pi_i(o_i))",
+    "ddpg": "-Q(s, pi(s)) + penalty |pi(s)|^2",
+    "ddpg-her": "-Q(s, pi(s)) + penalty |pi(s)|^2, on relabelled goals",
+    "maddpg": "-Q(s, (pi_i(o_i), a_-i)) + penalty |pi_i(o_i)|^2",
+    "maddpg-her": "-Q(s, (pi_i(o_i), a_-i)) + penalty |pi_i(o_i)|^2, on relabelled goals",
+}
+"""Loss of the actors, in a line."""
+
+
+def _algorithm_page(name: str) -> str:
+    algorithm = ALGORITHMS.get(name)
+    text = ast.get_docstring(
+        ast.parse((ROOT / f"algorithms/{MODULES[name]}.py").read_text())
+    )
+    assert text is not None
+    first, _, rest = text.partition("\n\n")
+    data = "" if algorithm.online else " --dataset good-5k"
+    curve = ""
+    if name in CURVES:
+        where = "`Reach-v0`" if algorithm.online else "good-30k"
+        curve = (
+            f"![Goals reached while {name} learns](../../images/curve-{name}.svg)\n\n"
+            f"Goals reached on {where} while it learns, mean and three seeds.\n"
+        )
+    parts = [
+        f"# {NAMES[name]}\n",
+        f"**{algorithm.about}** Source: {algorithm.source}. {_headline(name)}\n",
+        f"Loss of the actors:\n\n```text\n{LOSSES[name]}\n```\n",
+        f"```sh\nmarl-mm train {name}{data} --seeds 0 1 2\n```\n",
+        curve,
+        "## The update\n",
+        f"[algorithms/{MODULES[name]}.py](../../../algorithms/{MODULES[name]}.py), in the "
+        "paper's order:\n",
+        f"```text\n{first}\n\n{rest}\n```\n",
+        "## What departs from the paper\n",
+        _departures(algorithm),
+        "## Results\n",
+        _algorithm_results(name),
+        "## Hyper-parameters\n",
+        _hyper_parameters(algorithm),
+    ]
+    return "\n".join(part for part in parts if part)
+
+
+def _headline(name: str) -> str:
+    if ALGORITHMS.get(name).online:
+        rows = [row for row in _online_rows() if row["setting"] == name]
+        if not rows:
+            return "No results of it are committed."
+        (row,) = rows
+        return (
+            f"On `Reach-v0` it reaches {100 * row['success_last']:.1f} % of goals in the "
+            f"end, and 70 % of them after {row['to_70']:.0f} episodes."
+        )
+    rows = [row for row in _offline_rows() if row["setting"] == name]
+    good = next(row for row in rows if row["dataset"] == "good-30k")
+    worst = min(rows, key=lambda row: float(row["success"]))
+    return (
+        f"From good-30k it reaches {100 * good['success']:.1f} % of goals; the worst of "
+        f"its committed results is {100 * worst['success']:.1f} %, from "
+        f"{worst['dataset']}."
+    )
+
+
+def _departures(algorithm: Algorithm) -> str:
+    tuned, paper = algorithm.presets[TUNED], algorithm.presets[PAPER]
+    documented = _field_texts(type(tuned))
+    rows = [
+        (f"`{item.name}`", *values, documented[item.name])
+        for item in fields(tuned)
+        if (values := tuple(str(getattr(one, item.name)) for one in (tuned, paper)))[0]
+        != values[1]
+    ]
+    if not rows:
+        return "Nothing that is a number: its presets `tuned` and `paper` are equal.\n"
+    header = ("field", "`tuned`, the default", "`paper`", "meaning")
+    return (
+        "`--preset paper` takes the paper's numbers, and where it is silent its "
+        "sources' choices.\n\n" + markdown_table(header, rows)
+    )
+
+
+def _hyper_parameters(algorithm: Algorithm) -> str:
+    config = algorithm.presets[TUNED]
+    documented = _field_texts(type(config))
+    rows = [
+        (f"`{item.name}`", str(getattr(config, item.name)), documented[item.name])
+        for item in fields(config)
+    ]
+    return markdown_table(("field", "default", "meaning"), rows)
+
+
+def _field_texts(kind: type) -> dict[str, str]:
+    """Docstrings that stand under the fields of a dataclass and of its bases."""
+    texts: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        if not is_dataclass(base):
+            continue
+        (tree,) = ast.parse(inspect.getsource(base)).body
+        assert isinstance(tree, ast.ClassDef)
+        name = ""
+        for node in tree.body:
+            if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+                name = node.target.id
+            elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+                if name:
+                    texts[name] = " ".join(str(node.value.value).split())
+                name = ""
+    return {name: text.replace("|", "\\|") for name, text in texts.items()}
+
+
+def _algorithm_results(name: str) -> str:
+    if ALGORITHMS.get(name).online:
+        rows = [
+            (
+                row["about"],
+                row["task"],
+                rate_with_interval(row, "success_last"),
+                f"{row['to_70']:.0f}" if row["to_70"] == row["to_70"] else "-",
+                f"{row['return_last']:.2f}",
+            )
+            for row in _online_rows()
+            if row["algorithm"] == name
+        ]
+        if not rows:
+            return "None are committed: `marl-mm train` makes yours.\n"
+        header = ("setting", "task", "goals reached [%]", "episodes to 70 %", "return")
+        return (
+            markdown_table(header, rows)
+            + "\n[Online learning](../../results/online.md).\n"
+        )
+    rows = [
+        (
+            row["dataset"],
+            _task_of(row),
+            rate_with_interval(row),
+            f"{row['return']:.2f}",
+        )
+        for row in _offline_rows()
+        if row["setting"] == name
+    ]
+    header = ("dataset", "task", "goals reached [%]", "return")
+    return (
+        markdown_table(header, rows)
+        + "\n[Offline learning](../../results/offline.md).\n"
+    )
+
+
+def _algorithms_index() -> str:
+    rows = [
+        (
+            f"[{NAMES[name]}]({name}.md)",
+            f"`{LOSSES[name]}`".replace("|", "\\|"),
+            "online" if algorithm.online else "from a dataset",
+            algorithm.source,
+        )
+        for name, algorithm in ALGORITHMS.items()
+    ]
+    return (
+        "# Algorithms\n\nStart with MABC: it has one choice less than the others, and "
+        "good data are enough for it. TD3+BC and MATD3+BC add critics, which pay where "
+        "data are mixed or the task pays for what they do not show; DDPG and MADDPG "
+        "learn in the environment itself.\n\n"
+        + markdown_table(("algorithm", "loss of the actors", "learns", "source"), rows)
+    )
+
+
+# --- Datasets ----------------------------------------------------------------
+
+
+def _dataset_page(name: str) -> str:
+    """The card of a dataset that ships, but for where it lies here."""
+    card = load_dataset(name).card()
+    rows = card_markdown(card).split("\n\n")[1]
+    kept = [line for line in rows.splitlines() if not line.startswith("| path |")]
+    share = card["success"]
+    about = (
+        f"**{card['steps']:,} steps in {card['episodes']} episodes of `{card['task']}`, "
+        f"by the {card['collector']} agent, which reaches its goal in all of them that "
+        f"are kept: {share['forward']['episodes']} ahead, "
+        f"{share['backward']['episodes']} behind.** It ships with the package, so that "
+        f"`marl-mm train mabc --dataset {name}` starts at once; MABC and TD3+BC learn to "
+        "reach nearly every goal from it. As all of it is good, no critic sees from it "
+        "what a bad action is worth.\n"
+    )
+    drawing = f"![Returns and alphas of {name}](../../images/card-{name}.svg)\n"
+    return "\n".join((f"# {name}\n", about, drawing, "\n".join(kept), ""))
+
+
+PAGES: dict[str, Callable[[], str]] = {
+    "reference/tasks/index.md": _tasks_index,
+    **{
+        f"reference/tasks/{name}.md": partial(_task_page, name)
+        for name in TASKS.names()
+    },
+    "reference/algorithms/index.md": _algorithms_index,
+    **{
+        f"reference/algorithms/{name}.md": partial(_algorithm_page, name)
+        for name in ALGORITHMS.names()
+    },
+    "reference/datasets/good-5k.md": partial(_dataset_page, "good-5k"),
+}
+"""Path below docs/, and what makes the page."""
