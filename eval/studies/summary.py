@@ -56,7 +56,7 @@ def summarize(study: Study, store: RowStore, seeds: Sequence[int]) -> list[Row]:
             ", ".join(f"{seed} after {ends[seed]}" for seed in seeds if seed in ends),
         )
         if study.table == "episodes":
-            summary.append(_by_setting(own))
+            summary.append(row_of_setting(own))
         else:
             summary += _by_probe(study, own)
     return summary
@@ -140,7 +140,8 @@ def worth_of_alpha(learnt: Sequence[Row], held: Mapping[float, Sequence[Row]]) -
 # --- A row per setting -------------------------------------------------------
 
 
-def _by_setting(own: CellRows) -> Row:
+def row_of_setting(own: CellRows) -> Row:
+    """Success at the end and at best, and the episodes that it took, of one cell."""
     seeds = sorted({row["seed"] for row in own.curves})
     by_seed = [[row for row in own.curves if row["seed"] == seed] for seed in seeds]
     row: Row = {"setting": own.cell[1].name, "seeds": len(seeds)}

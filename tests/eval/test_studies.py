@@ -28,7 +28,6 @@ from marl_mm.errors import (
     UnknownDatasetError,
     UsageError,
 )
-from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies import rows as study_rows
 from marl_mm.eval.studies.data import Datasets
@@ -39,7 +38,6 @@ from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.study import (
     BEST,
     LAST,
-    Mix,
     Online,
     Probe,
     Reported,
@@ -48,7 +46,6 @@ from marl_mm.eval.studies.study import (
     Study,
     cell_name,
 )
-from marl_mm.eval.studies.summary import worth_of_alpha
 from marl_mm.eval.studies.targets import GROUPS, STUDIES
 from marl_mm.progress import silent_bar
 from marl_mm.runs.training import offline_training
@@ -199,23 +196,6 @@ def test_a_declaration_that_makes_no_sense_is_refused(
 ) -> None:
     with pytest.raises(UsageError, match=complaint):
         make()
-
-
-def test_the_learnt_alpha_is_compared_with_the_best_held_one() -> None:
-    def rows(*returns: float) -> list[Row]:
-        cells = product((0, 1), (0, 1))  # seeds and goals
-        return [
-            {"seed": seed, "goal": goal, "return": one}
-            for (seed, goal), one in zip(cells, returns, strict=True)
-        ]
-
-    held = {0.0: rows(0, 0, 0, 0), 0.5: rows(1, 2, 1, 2), 1.0: rows(4, 0, 0, 0)}
-    worth = worth_of_alpha(rows(2, 4, 1, 3), held)
-    assert worth["best_held"] == 0.5
-    assert worth["over_held"] == (1 + 2 + 0 + 1) / 4
-    low, high = worth["over_held_interval"]
-    assert low == pytest.approx(1 - 12.706 / 2, abs=1e-2)  # seeds: 1.5 and 0.5; t(1)
-    assert high == pytest.approx(1 + 12.706 / 2, abs=1e-2)
 
 
 # --- Rows --------------------------------------------------------------------
