@@ -19,14 +19,9 @@ from torch.optim.swa_utils import get_ema_multi_avg_fn
 from marl_mm.algorithms.actors import blank_actor, joint_action
 from marl_mm.algorithms.ddpg_config import DdpgConfig
 from marl_mm.algorithms.demonstrations import Demonstrations
+from marl_mm.algorithms.diagnostics import DIAGNOSED, saturation
 from marl_mm.algorithms.explore import Explorer
-from marl_mm.algorithms.networks import (
-    DIAGNOSED,
-    Critic,
-    Normalizer,
-    descend,
-    saturation,
-)
+from marl_mm.algorithms.networks import Critic, Normalizer, descend
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.replay import (
     DRAWN_TOGETHER,
@@ -34,6 +29,7 @@ from marl_mm.algorithms.replay import (
     Judge,
     Replay,
     concatenated,
+    highest_target,
 )
 from marl_mm.algorithms.statistics import RunningStatistics
 from marl_mm.episode import Episode
@@ -53,59 +49,7 @@ class Ddpg:
 
     base_name: ClassVar[str] = "ddpg"
 
-    def __init__(
-        self,
-        config: DdpgConfig,
-        judge: Judge,
-        seed: int,
-        demonstrations: Sequence[Episode],
-        layout: Layout,
-    ) -> None:
-        self.config, self.layout = config, layout
-        self.name = self.base_name + "-her" * (config.hindsight > 0)
-        self.episodes = self.env_steps = self.updates = 0
-        self.replay = Replay(config.capacity, config.hindsight, judge, layout)
-        self._highest = judge.highest_return if config.clip_targets else None
-        self._demonstrations = Demonstrations(
-            demonstrations, config.demonstration_successes, config.hindsight, judge
-        )
-        self._rng = np.random.default_rng(seed)
-        self._statistics = RunningStatistics(len(layout.state), config.std_floor)
-        # --- Networks --------------------------------------------------------
-        with torch.random.fork_rng():
-            torch.manual_seed(seed)
-            self.critic = Critic(
-                Normalizer.blank(len(layout.state)),
-                len(layout.action),
-                config.hidden,
-                layer_norm=config.layer_norm,
-            )
-            self.agents = {
-                agent.name: blank_actor(agent, config.hidden)
-                for agent in self._layouts()
-            }
-        self._target_critic = deepcopy(self.critic)
-        self._target_agents = deepcopy(self.agents)
-        actors = [p for a in self.agents.values() for p in a.actor.parameters()]
-        self._critic_optimizer = torch.optim.Adam(
-            self.critic.parameters(), lr=config.critic_learning_rate, fused=True
-        )
-        self._actor_optimizer = torch.optim.Adam(
-            actors, lr=config.actor_learning_rate, fused=True
-        )
-        self._online = [*self.critic.parameters(), *actors]
-        self._targets = [
-            *self._target_critic.parameters(),
-            *(p for a in self._target_agents.values() for p in a.actor.parameters()),
-        ]
-        self._follow = get_ema_multi_avg_fn(1 - config.target_rate)  # type: ignore[no-untyped-call]
-
     # --- Experience ----------------------------------------------------------
-
-    @property
-    def warm(self) -> bool:
-        """Whether there is enough experience to learn from."""
-        return self.env_steps >= self.config.warm_up
 
     def behaviour(self) -> Explorer:
         """Who runs the next episodes: at random until ``warm``, then with noise."""
@@ -143,8 +87,7 @@ class Ddpg:
             next_value = self._target_critic(next_state, next_action)
             alive = 1 - batch.terminated
             target = batch.reward + self.config.discount * alive * next_value
-            if self._highest is not None:
-                target = target.clamp_max(self._highest)
+            target.clamp_max_(self._highest_target)  # ours; in the paper it is infinite
 
         critic_loss = functional.mse_loss(self.critic(state, batch.action), target)
         descend(self._critic_optimizer, critic_loss)
@@ -155,15 +98,71 @@ class Ddpg:
         self._follow(self._targets, self._online, None)
         return {"loss/critic": critic_loss.item(), "loss/actor": actor_loss.item()}
 
-    def _layouts(self) -> tuple[AgentLayout, ...]:
-        """Actors that it has."""
-        return (self.layout.joint,)
-
     def _actor_loss(self, batch: Batch) -> torch.Tensor:
         action = joint_action(self.agents, batch.observation)
         value = self.critic(batch.observation, action)
         loss: torch.Tensor = -value.mean()
+        # Ours; in the paper the penalty is 0.
         return loss + self.config.action_penalty * action.square().mean()
+
+    # --- Networks ------------------------------------------------------------
+
+    def __init__(
+        self,
+        config: DdpgConfig,
+        judge: Judge,
+        seed: int,
+        demonstrations: Sequence[Episode],
+        layout: Layout,
+    ) -> None:
+        self.config, self.layout = config, layout
+        self.name = self.base_name + "-her" * (config.hindsight > 0)
+        self.episodes = self.env_steps = self.updates = 0
+        self.replay = Replay(config.capacity, config.hindsight, judge, layout)
+        self._highest_target = highest_target(judge, config.clip_targets)
+        self._demonstrations = Demonstrations(
+            demonstrations, config.demonstration_successes, config.hindsight, judge
+        )
+        self._rng = np.random.default_rng(seed)
+        self._statistics = RunningStatistics(len(layout.state), config.std_floor)
+        with torch.random.fork_rng():
+            torch.manual_seed(seed)
+            self.critic = Critic(
+                Normalizer.blank(len(layout.state)),
+                len(layout.action),
+                config.hidden,
+                layer_norm=config.layer_norm,
+            )
+            self.agents = {
+                agent.name: blank_actor(agent, config.hidden)
+                for agent in self._layouts()
+            }
+        self._target_critic = deepcopy(self.critic)
+        self._target_agents = deepcopy(self.agents)
+        actors = [p for a in self.agents.values() for p in a.actor.parameters()]
+        self._critic_optimizer = torch.optim.Adam(
+            self.critic.parameters(), lr=config.critic_learning_rate, fused=True
+        )
+        self._actor_optimizer = torch.optim.Adam(
+            actors, lr=config.actor_learning_rate, fused=True
+        )
+        self._online = [*self.critic.parameters(), *actors]
+        self._targets = [
+            *self._target_critic.parameters(),
+            *(p for a in self._target_agents.values() for p in a.actor.parameters()),
+        ]
+        self._follow = get_ema_multi_avg_fn(1 - config.target_rate)  # type: ignore[no-untyped-call]
+
+    def _layouts(self) -> tuple[AgentLayout, ...]:
+        """Actors that it has."""
+        return (self.layout.joint,)
+
+    # --- Batches -------------------------------------------------------------
+
+    @property
+    def warm(self) -> bool:
+        """Whether there is enough experience to learn from."""
+        return self.env_steps >= self.config.warm_up
 
     def _batches(self, count: int) -> Iterator[Batch]:
         """Batches, drawn many at a time: relabelling costs hardly more for many."""

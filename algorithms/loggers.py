@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from secrets import token_hex
 from typing import Any, Protocol
 
 from marl_mm.errors import UsageError
@@ -126,6 +127,8 @@ class WandbLogger:
         settings = wandb.Settings(silent=True, console="off", disable_git=True)
         wandb.setup(settings=settings)
         before = [*run.glob("wandb/*/run-*.wandb")] if rows else []
+        # Given none, it would take that of the process's last run.
+        own = before[0].stem.removeprefix("run-") if before else token_hex(4)
         config = run / "config.json"
         self._clock = clock
         try:
@@ -134,7 +137,7 @@ class WandbLogger:
                 dir=run,
                 group=run.parent.name or None,
                 name=f"{run.parent.name}/{run.name}",
-                id=before[0].stem.removeprefix("run-") if before else None,
+                id=own,
                 resume="allow" if before else None,
                 config=json.loads(config.read_text()) if config.exists() else None,
                 reinit="create_new",  # several seeds of a process side by side

@@ -45,8 +45,8 @@ class Matd3Bc(Td3Bc):
             action = (now if self.config.others == "policy" else batch.action).clone()
             action[..., entries] = own
             value = self.critics.first(state, action, pair)
-            error = self._imitation(action, state, batch, value, entries, pair)
-            loss = error - self._weight(value) * value.mean(dim=1)
+            error = self._imitation.error(action, state, batch, value, entries, pair)
+            loss = error - self._lambda(value) * value.mean(dim=1)
             self.actors.descend(agent.name, loss)
             losses[f"loss/{agent.name}"] = loss.detach()
             losses[f"loss/imitation/{agent.name}"] = error.detach()

@@ -6,12 +6,6 @@ from itertools import pairwise
 import torch
 from torch import nn
 
-DIAGNOSED = 1_024
-"""Transitions that diagnostics look at."""
-
-_SATURATED = 0.98
-"""Beyond this an action counts as saturated, in [-1, 1] coordinates."""
-
 
 class Normalizer(nn.Module):
     """Shifts and scales observations by statistics kept as buffers.
@@ -135,11 +129,6 @@ class ActionScale:
     def denormalize(self, action: torch.Tensor) -> torch.Tensor:
         """From [-1, 1] to the action space."""
         return self._low + (action + 1) / 2 * self._range
-
-
-def saturation(action: torch.Tensor) -> torch.Tensor:
-    """Share of entries near their bounds, shapes (..., n, k) to (...)."""
-    return (action.abs() > _SATURATED).float().mean(dim=(-2, -1))
 
 
 def descend(optimizer: torch.optim.Optimizer, loss: torch.Tensor) -> None:

@@ -5,7 +5,6 @@ beside the last one in ``best.pt``.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -17,10 +16,11 @@ from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.loggers import DEFAULT_LOGGERS, Row
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.runlog import RunLog, is_best
+from marl_mm.algorithms.schedule import Schedule
 from marl_mm.algorithms.speed import prepare_for_small_networks
 from marl_mm.algorithms.train import Evaluate
 from marl_mm.episode import Episode
-from marl_mm.errors import DivergedError, UsageError
+from marl_mm.errors import DivergedError
 from marl_mm.progress import Advance, silent
 
 RunEpisodes = Callable[[Explorer, Iterable[int]], Iterator[Episode]]
@@ -74,28 +74,6 @@ class OnlineAlgorithm(Resumable, Protocol):
 
     def diagnose(self) -> dict[str, float]:
         """What there is to know of actors and critic now."""
-
-
-@dataclass(frozen=True)
-class Schedule:
-    """When the loop looks at what has been learnt."""
-
-    epoch: int = 20
-    """Episodes between checkpoints and rows of metrics (Table 2)."""
-
-    evaluate_every: int = 2
-    """Epochs between evaluations."""
-
-    patience: int = 500
-    """Episodes without a better success rate after which training ends, once it has
-    been over one half; 0 trains all episodes."""
-
-    def __post_init__(self) -> None:
-        for name in ("epoch", "evaluate_every"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"{name} is {getattr(self, name)}, expected >= 1")
-        if self.patience < 0:
-            raise UsageError(f"patience is {self.patience}, expected >= 0")
 
 
 def train_online(

@@ -5,6 +5,7 @@ end of a later step of its own episode (strategy ``future``), and reward and ter
 are computed anew.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -34,6 +35,18 @@ class Judge(Protocol):
         self, achieved: np.ndarray, desired: np.ndarray, terms: Mapping[str, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Reward and termination of steps by these goals, shapes (n, g) to (n,)."""
+
+
+def highest_target(judge: Judge, clip: bool) -> float:
+    """Bound of critics' targets: the task's highest return, or infinite.
+
+    Args:
+        judge: The task.
+        clip: Whether there is a bound, as nothing but a perfect hit is worth as much
+            (Andrychowicz 2017, appendix A).
+    """
+    highest = judge.highest_return if clip else None
+    return math.inf if highest is None else highest
 
 
 def normalized_actions(actions: np.ndarray, layout: Layout) -> np.ndarray:

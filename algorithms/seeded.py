@@ -14,13 +14,8 @@ from torch import nn
 
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.ensemble import Ensemble, Learner
-from marl_mm.algorithms.networks import (
-    Actor,
-    Normalizer,
-    perceptron,
-    saturation,
-)
-from marl_mm.layout import AgentLayout, Layout, columns, in_order
+from marl_mm.algorithms.networks import Actor, Normalizer, perceptron
+from marl_mm.layout import AgentLayout, columns, in_order
 
 TWINS = 2
 """Critics of a pair (Fujimoto 2018)."""
@@ -220,7 +215,7 @@ class SeededCritics:
 
 
 Parts = Mapping[str, SeededActors | SeededCritics]
-"""What a learner is made of, by name in its state."""
+"""Networks of a learner by their name in its state."""
 
 
 def parts_state(parts: Parts, number: int) -> dict[str, Any]:
@@ -244,24 +239,6 @@ def load_parts(parts: Parts, states: Sequence[Mapping[str, Any]]) -> None:
 
 def _learners(name: str) -> str:
     return f"{name.removesuffix('s')}_learners"
-
-
-def imitation_errors(
-    now: torch.Tensor, action: torch.Tensor, layout: Layout
-) -> dict[str, torch.Tensor]:
-    """Mean square difference to actions of the data by entry, and saturation.
-
-    Args:
-        now: What the actors do, in [-1, 1], shape (S, n, k).
-        action: What the data did, likewise.
-        layout: Layout of the actions.
-    """
-    errors = (now - action).square().mean(dim=1)
-    names = layout.action_names
-    return {
-        **{f"imitation/{name}": errors[:, i] for i, name in enumerate(names)},
-        "action/saturation": saturation(now),
-    }
 
 
 @contextmanager

@@ -11,10 +11,6 @@ from marl_mm.errors import UsageError
 WEIGHTED = ("delta_x", "delta_y", "delta_z", "alpha")
 """Entries of the action whose imitation can be weighted; others weigh 1."""
 
-LEAST_SPREAD = 0.1
-"""Imitation errors are divided by an entry's standard deviation in the data, by this at
-least, as a share of half its range."""
-
 
 @dataclass(frozen=True)
 class Td3BcConfig:

@@ -1,1 +1,1 @@
-"""Scripted policies and the loop that turns policies into datasets."""
+"""Collectors: policies, and the loop that turns their episodes into datasets."""

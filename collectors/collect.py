@@ -1,9 +1,9 @@
-"""The collecting loop: run a policy until a dataset has its steps.
+"""The collecting loop: run a policy until a dataset has enough steps.
 
-Attempt i is seeded from (seed, i) and attempts are kept in order of i, so the result
-depends neither on the number of workers nor on when the loop was interrupted. A dataset
-of N steps is the shortest run of whole kept episodes with at least N steps, so that a
-longer one begins with the shorter.
+Attempt i is seeded from (seed, i), and attempts are kept in the order of i. The result
+therefore depends neither on the number of workers nor on interruptions. A dataset of N
+steps is the shortest sequence of whole kept episodes with at least N steps, so that a
+longer dataset begins with a shorter one.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -17,22 +17,24 @@ from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
 
 RunEpisodes = Callable[[Policy, Iterable[EpisodePlan]], Iterator[Episode]]
-"""Runs episodes and yields each when it is finished, in whatever order."""
+"""Function that runs episodes and yields each when it is finished, in any order."""
 
 _HOPELESS = 200
-"""Attempts in a row without one to keep, after which the loop gives up."""
+"""Number of rejected attempts in a row after which the loop gives up."""
 
 
 @dataclass(frozen=True)
 class Collection:
-    """What the loop brought home."""
+    """Result of the collecting loop."""
 
     episodes: list[Episode]
+    """Kept episodes, in order."""
+
     attempts: int
-    """Episodes run, kept or not."""
+    """Number of episodes run, kept or not."""
 
     complete: bool
-    """False where Ctrl-C ended the loop early."""
+    """Whether the loop had its steps before Ctrl-C ended it."""
 
 
 def collect(
@@ -48,15 +50,14 @@ def collect(
     """Collect whole episodes until they have ``steps`` steps, or until Ctrl-C.
 
     Args:
-        policy: Who acts.
-        keeps: Whether an episode is kept.
-        run: Runs the attempts.
+        policy: Policy that acts.
+        keeps: Function that says whether an episode is kept.
+        run: Function that runs the attempts.
         steps: Least number of steps of the kept episodes.
-        seed: Of the whole collection.
-        advance: Told the kept steps.
-        known: Attempts that were made before, by number; None for one that was not
-            kept.
-        keep_safe: Told each new attempt as soon as it is finished.
+        seed: Seed of the collection.
+        advance: Function that is called with the kept steps.
+        known: Attempts that were made before, by number; None for rejected attempts.
+        keep_safe: Function that is called with each new attempt when it is finished.
 
     Raises:
         UsageError: If ``steps`` is not positive or ``seed`` is negative.
@@ -104,7 +105,7 @@ def _in_order(
     known: Mapping[int, Episode | None],
     keep_safe: Callable[[Episode], None],
 ) -> Iterator[Episode | None]:
-    """Attempts 0, 1, ..., the known ones and new ones that come in any order."""
+    """Attempts 0, 1, ... in order; new ones may finish in any order."""
     waiting: dict[int, Episode] = {}
     for number in count():
         if number in known:

@@ -15,21 +15,21 @@ from marl_mm.layout import Layout
 
 @dataclass(frozen=True)
 class MediumConfig:
-    """How long it is random, and who comes then (paper, Sec. 5.4.2)."""
+    """Settings of the medium collector (paper, Sec. 5.4.2)."""
 
     random_steps: int = 10
-    """Random steps at the start of each episode; the agent has the rest."""
+    """Number of random steps at the start of each episode; the agent has the rest."""
 
     agent: str = "pretrained"
-    """The agent that ships, or a run folder or checkpoint file."""
+    """Agent that acts: "pretrained", which ships, a run folder or a checkpoint file."""
 
     def __post_init__(self) -> None:
         if self.random_steps < 0:
-            raise UsageError(f"random steps are {self.random_steps}, expected >= 0")
+            raise UsageError(f"random_steps is {self.random_steps}, expected >= 0")
 
 
 class MediumPolicy:
-    """Random actions, then an agent's.
+    """Policy of random actions at first, then of an agent.
 
     Raises:
         UsageError: If there is no such agent.
@@ -44,7 +44,7 @@ class MediumPolicy:
         self._agent = load_agent(config.agent)
 
     def describe(self) -> dict[str, Any]:
-        """The config, and whose weights they are."""
+        """The config, and the fingerprint of the agent's weights."""
         return asdict(self.config) | {"weights": self._agent.fingerprint}
 
     def begin(self, rng: np.random.Generator, layout: Layout) -> None:
@@ -54,7 +54,7 @@ class MediumPolicy:
         self._agent.begin(rng, layout)
 
     def act(self, state: np.ndarray) -> np.ndarray:
-        """Uniform in the action space at first, then what the agent does."""
+        """An action drawn uniformly at first, then the agent's."""
         self._steps += 1
         early = self._steps <= self.config.random_steps
         return (self._random if early else self._agent).act(state)

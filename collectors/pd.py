@@ -1,4 +1,4 @@
-"""The PD collector: steer the hand straight to the goal, alpha by a declared rule."""
+"""The PD collector: it steers the hand straight to the goal, with alpha by a rule."""
 
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
@@ -15,27 +15,27 @@ AlphaRule = Literal["constant", "direction", "room"]
 
 @dataclass(frozen=True)
 class PdConfig:
-    """a = kp (goal - hand) - kd v_hand, clipped to the action space."""
+    """Settings of the PD collector: a = kp (goal - hand) - kd v_hand, clipped."""
 
     kp: float = 10.0
-    """Action per distance [1/m]; 10 asks for the goal itself within 0.1 m."""
+    """Gain from distance to action [1/m]; 10 asks for the goal itself within 0.1 m."""
 
     kd: float = 1.0
-    """Action per speed of the hand over the last step [s/m]."""
+    """Gain from the hand's displacement over the last step to action [s/m]."""
 
     alpha_rule: AlphaRule = "constant"
-    """"constant": always ``alpha``. "direction": 1 for goals ahead, ``alpha`` behind.
-    "room": from 1 down to ``alpha`` as the hand nears its own base."""
+    """Rule of alpha. "constant": always ``alpha``. "direction": 1 for goals ahead,
+    ``alpha`` behind. "room": from 1 down to ``alpha`` as the hand nears the base."""
 
     alpha: float = 0.5
-    """The constant, or the rule's lowest value; 0 accurate hand ... 1 stable base. At
-    0.5 stability has three quarters of the hierarchy."""
+    """Alpha of rule "constant", or the lowest alpha of the others: 0 accurate hand ...
+    1 stable base. At 0.5 stability has three quarters of the hierarchy."""
 
     room_start: float = 0.64
-    """Hand ahead of the base at which rule "room" leaves 1 [m]."""
+    """Distance of the hand ahead of the base at which rule "room" leaves 1 [m]."""
 
     room_end: float = 0.47
-    """Hand ahead of the base at which rule "room" reaches ``alpha`` [m]."""
+    """Distance of the hand ahead of the base at which rule "room" is ``alpha`` [m]."""
 
     def __post_init__(self) -> None:
         for name in ("kp", "kd", "room_start", "room_end"):
@@ -70,11 +70,11 @@ class PdPolicy:
         return asdict(self.config)
 
     def begin(self, rng: np.random.Generator, layout: Layout) -> None:
-        """Forget the last episode's hand.
+        """Forget the position of the hand in the last episode.
 
         Raises:
-            LayoutError: If there is no hand, base or goal, or more to be set than a
-                displacement and alpha.
+            LayoutError: If the layout has no hand, base or goal, or other actions than
+                a displacement and alpha.
         """
         self._last_ee: np.ndarray | None = None
         self._hand = layout.columns(*names(*HAND))
@@ -88,7 +88,7 @@ class PdPolicy:
             )
 
     def act(self, state: np.ndarray) -> np.ndarray:
-        """Deterministic in the episode's states."""
+        """The PD action, a function of the episode's states so far."""
         config = self.config
         hand, goal = state[self._hand], state[self._goal]
         speed = np.zeros(3) if self._last_ee is None else hand - self._last_ee

@@ -1,4 +1,4 @@
-"""The pretrained collector: a learnt agent, with or without noise; "good" data."""
+"""The pretrained collector: a learnt agent, with or without noise ("good" data)."""
 
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PretrainedConfig:
-    """Which agent, and how exactly it acts."""
+    """Settings of the pretrained collector."""
 
     agent: str = "pretrained"
-    """The agent that ships, or a run folder or checkpoint file."""
+    """Agent that acts: "pretrained", which ships, a run folder or a checkpoint file."""
 
     noise: float = 0.0
-    """Standard deviation of Gaussian noise on its actions; they are clipped after."""
+    """Standard deviation of Gaussian noise on the actions, in their units."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.noise <= 10.0:
@@ -29,7 +29,7 @@ class PretrainedConfig:
 
 
 class PretrainedPolicy:
-    """An agent's actions, and noise.
+    """Policy of an agent with noise.
 
     Raises:
         UsageError: If there is no such agent.
@@ -43,7 +43,7 @@ class PretrainedPolicy:
         self._agent = load_agent(config.agent)
 
     def describe(self) -> dict[str, Any]:
-        """The config, and whose weights they are."""
+        """The config, and the fingerprint of the agent's weights."""
         return asdict(self.config) | {"weights": self._agent.fingerprint}
 
     def begin(self, rng: np.random.Generator, layout: Layout) -> None:

@@ -11,11 +11,11 @@ from marl_mm.layout import Layout
 
 @dataclass(frozen=True)
 class RandomConfig:
-    """Nothing to set."""
+    """Settings of the random collector: none."""
 
 
 class RandomPolicy:
-    """Acts without looking."""
+    """Policy of random actions."""
 
     name = "random"
 
@@ -23,7 +23,7 @@ class RandomPolicy:
         self.config = config
 
     def describe(self) -> dict[str, Any]:
-        """The config."""
+        """No settings."""
         return {}
 
     def begin(self, rng: np.random.Generator, layout: Layout) -> None:
@@ -31,7 +31,7 @@ class RandomPolicy:
         self._rng, self._low, self._high = rng, layout.low, layout.high
 
     def act(self, state: np.ndarray) -> np.ndarray:
-        """Uniform in the action space."""
+        """An action drawn uniformly from the action space."""
         return self._rng.uniform(self._low, self._high).astype(np.float32)
 
 

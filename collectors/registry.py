@@ -1,4 +1,4 @@
-"""Collectors by name: who acts, and which of the episodes a dataset keeps."""
+"""The registry of collectors: the policy that acts, and the episodes that are kept."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,23 +30,23 @@ class Collector:
     """
 
     about: str
-    """What it does, in a sentence for helps."""
+    """Sentence for help texts that says what the collector does."""
 
     config: type
-    """Frozen dataclass of its settings, all with defaults."""
+    """Frozen dataclass of the collector's settings, all with defaults."""
 
     policy: Callable[[Any, Task], Policy]
-    """Makes the policy of a config for a task; it raises a ``UsageError`` for what
-    makes no sense there."""
+    """Function of a config and a task that returns the policy; it raises a
+    ``UsageError`` for settings that make no sense in the task."""
 
     keeps: Callable[[Episode], bool] = everything
-    """Whether a dataset keeps an episode."""
+    """Function that says whether a dataset keeps an episode."""
 
     max_steps: int | None = None
-    """Steps of an episode where nobody says another number; None: the task's."""
+    """Default number of steps of an episode; None for the task's."""
 
     dataset: str | None = None
-    """Name of its datasets where nobody says another; None: the collector's."""
+    """Default name of the datasets; None for the collector's name."""
 
     def __post_init__(self) -> None:
         defaults(self.config)
@@ -61,4 +61,4 @@ COLLECTORS: Registry[Collector] = Registry(
     of=Collector,
     taken=("paper",),  # marl-mm collect paper: all of the paper's datasets
 )
-"""Collectors that there are."""
+"""All collectors by name."""

@@ -1,4 +1,4 @@
-"""Whether an episode's seed and actions give it again, to the last bit."""
+"""Replay: whether an episode's seed and actions repeat it to the last bit."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -18,7 +18,7 @@ from marl_mm.workers import ordered_map
 
 
 class ReplayPolicy:
-    """Acts as an episode did.
+    """Policy that repeats the actions of an episode.
 
     Args:
         episode: The episode.
@@ -29,15 +29,15 @@ class ReplayPolicy:
         self._actions = episode.actions
 
     def describe(self) -> dict[str, Any]:
-        """Nothing to set."""
+        """No settings."""
         return {}
 
     def begin(self, rng: np.random.Generator, layout: Layout) -> None:
-        """From the first action on."""
+        """Start with the first action."""
         self._step = 0
 
     def act(self, state: np.ndarray) -> np.ndarray:
-        """The next action; after the last one, that again."""
+        """The next action; the last one is repeated."""
         action = self._actions[min(self._step, len(self._actions) - 1)]
         self._step += 1
         return np.asarray(action)
@@ -47,10 +47,10 @@ def replay(dataset: Dataset, workers: int = 1) -> Iterator[str | None]:
     """Run each episode again in the environment that it was collected in.
 
     Returns:
-        For each episode in order, what differs; None if nothing does.
+        For each episode in order, a text about the first difference, or None.
 
     Raises:
-        DatasetError: If the dataset does not say where its episodes come from.
+        DatasetError: If episodes were imported, so that their origin is unknown.
     """
     arrays, origins = dataset.arrays, dataset.provenance.origins
     items = []
@@ -69,7 +69,7 @@ def replay(dataset: Dataset, workers: int = 1) -> Iterator[str | None]:
 
 
 _cores: dict[str, EpisodeCore] = {}
-"""A process's own environments."""
+"""Environments of this process, by task."""
 
 
 def _difference(item: tuple[Task, Episode]) -> str | None:
@@ -81,25 +81,24 @@ def _difference(item: tuple[Task, Episode]) -> str | None:
     again = run_episode(_cores[key], ReplayPolicy(episode), plan)
     if again.info.keys() != episode.info.keys():
         differ = again.info.keys() ^ episode.info.keys()
-        return f"only one of replay and file tells {', '.join(sorted(differ))}"
+        return f"only one of replay and file has {', '.join(sorted(differ))}"
     pairs = {
         name: (getattr(again, name), getattr(episode, name))
         for name in ("states", "actions", "rewards", "terminated", "truncated", "start")
     }
     pairs |= {f"info {key}": (again.info[key], episode.info[key]) for key in again.info}
-    for name, (one, other) in pairs.items():
-        if one.dtype != other.dtype:
-            return f"{name} is {one.dtype} in the replay, {other.dtype} in the file"
-        if one.shape != other.shape or one.tobytes() != other.tobytes():
-            return f"{name} differ: {_first_difference(one, other)}"
+    for name, (here, there) in pairs.items():
+        if here.dtype != there.dtype:
+            return f"{name} is {here.dtype} in the replay, {there.dtype} in the file"
+        if here.shape != there.shape or here.tobytes() != there.tobytes():
+            return f"{name} differ: {_first_difference(here, there)}"
     return None
 
 
-def _first_difference(one: np.ndarray, other: np.ndarray) -> str:
-    if one.shape != other.shape:
-        return f"shape {one.shape} in the replay, {other.shape} in the file"
-    same = one.view(np.uint8).reshape(*one.shape, -1) == other.view(np.uint8).reshape(
-        *one.shape, -1
-    )
-    where = tuple(np.argwhere(~same.all(axis=-1))[0].tolist())
-    return f"at {list(where)} {one[where]} in the replay, {other[where]} in the file"
+def _first_difference(here: np.ndarray, there: np.ndarray) -> str:
+    if here.shape != there.shape:
+        return f"shape {here.shape} in the replay, {there.shape} in the file"
+    bits = (side.view(np.uint8).reshape(*side.shape, -1) for side in (here, there))
+    same = np.equal(*bits).all(axis=-1)
+    where = tuple(np.argwhere(~same)[0].tolist())
+    return f"at {list(where)} {here[where]} in the replay, {there[where]} in the file"

@@ -12,11 +12,11 @@ from marl_mm.layout_diff import refuse_other_layout
 
 
 class ScriptedPolicy:
-    """Acts as the task's expert.
+    """Policy of the task's expert.
 
     Args:
-        config: What the script leaves open.
-        task: Whose expert acts.
+        config: Settings of the expert.
+        task: Task whose expert acts.
     """
 
     name = "scripted"
@@ -29,11 +29,11 @@ class ScriptedPolicy:
         return asdict(self.config)
 
     def begin(self, rng: np.random.Generator, layout: Layout) -> None:
-        """Nothing to remember between episodes."""
+        """Check the layout; the expert has no memory."""
         refuse_other_layout("the script", self._task.layout, "the task", layout)
 
     def act(self, state: np.ndarray) -> np.ndarray:
-        """A function of the joint state."""
+        """The expert's action, a function of the joint state."""
         layout = self._task.layout
         seen = dict(zip(layout.state_names, state.tolist(), strict=True))
         action = self._task.expert(seen, self.config)

@@ -1,4 +1,4 @@
-"""Many episodes as one set of arrays: what files, caches and views are made of."""
+"""Many episodes as one set of arrays, from which files, caches and views are made."""
 
 import struct
 import zipfile
@@ -19,46 +19,46 @@ from marl_mm.layout_diff import layout_diff
 
 @dataclass(frozen=True)
 class EpisodeArrays:
-    """E episodes of n steps in all, one after the other."""
+    """Arrays of E episodes with n steps in all, one after the other."""
 
     states: np.ndarray
-    """Joint states, each episode's last one included, shape (n + E, d)."""
+    """Joint states, including the last one of each episode, shape (n + E, d)."""
 
     actions: np.ndarray
-    """Shape (n, k), float32."""
+    """Joint actions, shape (n, k), float32."""
 
     rewards: np.ndarray
-    """Shape (n,)."""
+    """Rewards of the steps, shape (n,)."""
 
     terminated: np.ndarray
-    """Shape (n,), bool."""
+    """Whether a step reached the goal or failed, shape (n,), bool."""
 
     truncated: np.ndarray
-    """Shape (n,), bool."""
+    """Whether the episode ran out of steps, shape (n,), bool."""
 
     info: dict[str, np.ndarray]
     """Step numbers by name, shape (n,) each; see ``Task.info``."""
 
     lengths: np.ndarray
-    """Steps of each episode, shape (E,)."""
+    """Number of steps of each episode, shape (E,)."""
 
     seeds: np.ndarray
-    """Shape (E,), int64."""
+    """Seed of each episode, shape (E,), int64."""
 
     indices: np.ndarray
-    """Number of the attempt in its collection, shape (E,)."""
+    """Number of each episode's attempt in its collection, shape (E,)."""
 
     starts: np.ndarray
-    """Configurations of the robots at each start, shape (E, 11 R)."""
+    """Configurations of the robots at each start, shape (E, 11 R); see ``Episode``."""
 
     sources: np.ndarray
-    """Name of the policy that acted, shape (E,), text."""
+    """Name of the policy that acted in each episode, shape (E,), text."""
 
     origins: np.ndarray
     """Id of the dataset that each episode was collected for, shape (E,), text."""
 
     origin_episodes: np.ndarray
-    """Its number there, shape (E,)."""
+    """Number of each episode in that dataset, shape (E,)."""
 
     layout: Layout
     """Layout of states and actions."""
@@ -68,7 +68,7 @@ class EpisodeArrays:
 
     @property
     def steps(self) -> int:
-        """N."""
+        """Number of steps, n."""
         return len(self.rewards)
 
     @cached_property
@@ -76,7 +76,7 @@ class EpisodeArrays:
         return np.cumsum(self.lengths)
 
     def episode(self, number: int) -> Episode:
-        """One episode, whose arrays are views of these."""
+        """The episode of a number, whose arrays are views."""
         end, length = int(self._ends[number]), int(self.lengths[number])
         steps = slice(end - length, end)
         return Episode(
@@ -104,7 +104,7 @@ class EpisodeArrays:
         return np.roll(self.is_last_state(), 1)
 
     def step_episode(self) -> np.ndarray:
-        """The number of each step's episode, shape (n,)."""
+        """Number of each step's episode, shape (n,)."""
         return np.repeat(np.arange(len(self)), self.lengths)
 
     def returns(self) -> np.ndarray:
@@ -118,7 +118,7 @@ class EpisodeArrays:
         return np.asarray(self.terminated[last] & ~self.failed()[last])
 
     def failed(self) -> np.ndarray:
-        """Steps that ended their episode without success, shape (n,), bool."""
+        """Whether a step ended its episode without success, shape (n,), bool."""
         return failures(self.terminated, self.info["is_success"])
 
     def first_states(self) -> np.ndarray:
@@ -130,16 +130,16 @@ class EpisodeArrays:
         return directions(self.first_states(), self.layout)
 
     def reward_terms(self, needs: Iterable[str]) -> dict[str, np.ndarray]:
-        """What the steps' rewards depend on beside the goal; see ``Task.needs``."""
+        """Numbers that rewards depend on beside the goal; see ``Task.needs``."""
         after = self.states[~self.is_first_state()]
         return reward_terms(needs, self.info, self.failed(), after, self.layout)
 
     def named(self, origins: np.ndarray, numbers: np.ndarray) -> "EpisodeArrays":
-        """The same episodes, said to come from these episodes of these datasets."""
+        """The same episodes with other origins, ids of datasets, and numbers there."""
         return replace(self, origins=origins, origin_episodes=numbers)
 
     def select(self, numbers: Sequence[int] | np.ndarray) -> "EpisodeArrays":
-        """These episodes, in this order, as copies."""
+        """Copies of the episodes of these numbers, in this order."""
         chosen = np.asarray(numbers, dtype=np.int64)
         lengths = self.lengths[chosen]
         begins = self._ends[chosen] - lengths
@@ -162,44 +162,46 @@ _DAMAGE = (
     *(OSError, ValueError, KeyError, EOFError, RuntimeError, OverflowError),
     *(MemoryError, zipfile.BadZipFile, zlib.error, struct.error, TypeError),
 )
-"""What reading a damaged npz file raises."""
+"""Exceptions that reading a damaged npz file raises."""
 
 _PER_EPISODE = ("seeds", "indices", "starts", "sources", "origins", "origin_episodes")
 
 _ARRAYS = tuple(
-    one.name for one in fields(EpisodeArrays) if one.name not in ("info", "layout")
+    field.name
+    for field in fields(EpisodeArrays)
+    if field.name not in ("info", "layout")
 )
 """Fields of ``EpisodeArrays`` that are arrays."""
 
 
 def arrays_of(episodes: Iterable[Episode], origin: str) -> EpisodeArrays:
-    """Episodes that were collected for a dataset, in the order of that dataset.
+    """Arrays of episodes that were collected for a dataset, in its order.
 
     Args:
-        episodes: At least one.
-        origin: The dataset's id.
+        episodes: Episodes, at least one.
+        origin: Id of the dataset.
 
     Raises:
-        DatasetError: If there are no episodes, or they are not alike.
+        DatasetError: If there are no episodes, or their layouts or infos differ.
     """
     listed = list(episodes)
     if not listed:
         raise DatasetError(f"no episode for {origin}")
     layout, info = listed[0].layout, list(listed[0].info)
-    for one in listed:
-        _refuse_unlike(layout, info, one.layout, one.info)
+    for episode in listed:
+        _refuse_unlike(layout, info, episode.layout, episode.info)
     return EpisodeArrays(
-        states=np.concatenate([one.states for one in listed]),
-        actions=np.concatenate([one.actions for one in listed]),
-        rewards=np.concatenate([one.rewards for one in listed]),
-        terminated=np.concatenate([one.terminated for one in listed]),
-        truncated=np.concatenate([one.truncated for one in listed]),
-        info={key: np.concatenate([one.info[key] for one in listed]) for key in info},
-        lengths=np.array([len(one) for one in listed]),
-        seeds=np.array([one.seed for one in listed]),
-        indices=np.array([one.index for one in listed]),
-        starts=np.stack([one.start for one in listed]),
-        sources=np.array([one.source for one in listed]),
+        states=np.concatenate([e.states for e in listed]),
+        actions=np.concatenate([e.actions for e in listed]),
+        rewards=np.concatenate([e.rewards for e in listed]),
+        terminated=np.concatenate([e.terminated for e in listed]),
+        truncated=np.concatenate([e.truncated for e in listed]),
+        info={key: np.concatenate([e.info[key] for e in listed]) for key in info},
+        lengths=np.array([len(e) for e in listed]),
+        seeds=np.array([e.seed for e in listed]),
+        indices=np.array([e.index for e in listed]),
+        starts=np.stack([e.start for e in listed]),
+        sources=np.array([e.source for e in listed]),
         origins=np.array([origin] * len(listed)),
         origin_episodes=np.arange(len(listed)),
         layout=layout,
@@ -207,10 +209,10 @@ def arrays_of(episodes: Iterable[Episode], origin: str) -> EpisodeArrays:
 
 
 def joined(parts: Sequence[EpisodeArrays]) -> EpisodeArrays:
-    """The episodes of several, one after the other.
+    """The episodes of several sets of arrays, one after the other.
 
     Raises:
-        DatasetError: If they are not alike.
+        DatasetError: If their layouts or infos differ.
     """
     layout, keys = parts[0].layout, list(parts[0].info)
     for part in parts:
@@ -233,11 +235,11 @@ def _refuse_unlike(
         )
     if set(keys) != info.keys():
         differ = sorted(set(keys) ^ info.keys())
-        raise DatasetError(f"only some of the episodes tell {', '.join(differ)}")
+        raise DatasetError(f"only some of the episodes have {', '.join(differ)}")
 
 
 def save_arrays(file: Path | IO[bytes], arrays: EpisodeArrays, compress: bool) -> None:
-    """Write arrays as one npz file; their layout stands beside it."""
+    """Write arrays as one npz file, without their layout."""
     values = {f"info/{key}": value for key, value in arrays.info.items()}
     values |= {name: getattr(arrays, name) for name in _ARRAYS}
     (np.savez_compressed if compress else np.savez)(file, allow_pickle=False, **values)
@@ -248,10 +250,10 @@ def load_arrays(file: Path | IO[bytes], layout: Layout) -> EpisodeArrays:
 
     Args:
         file: The npz file.
-        layout: Layout of its states and actions.
+        layout: Layout of the states and actions.
 
     Raises:
-        DatasetError: If it is damaged, or of another layout.
+        DatasetError: If the file is damaged, or of another layout.
     """
     try:
         with np.load(file, allow_pickle=False) as values:

@@ -1,6 +1,6 @@
-"""A dataset's card: what is in it, as numbers, as text, and as a figure.
+"""Cards of datasets: their contents as numbers, as text and as a figure.
 
-It is kept with the dataset: ``card.json``, ``card.md`` and ``card.png``.
+A card is stored with its dataset as ``card.json``, ``card.md`` and ``card.png``.
 """
 
 import io
@@ -28,8 +28,8 @@ _BASE = ("base_x", "base_y")
 def card(dataset: "Dataset") -> dict[str, Any]:
     """Size, successes, lengths, returns, alphas, coverage and sources of a dataset.
 
-    Everything is JSON-serialisable. A histogram has ten bins of equal width from
-    ``low`` to ``high``.
+    The values are JSON-serialisable; lengths are in steps. A histogram has ten bins of
+    equal width from ``low`` to ``high``.
     """
     arrays = dataset.arrays
     ours = dataset.metadata["marl_mm"]
@@ -58,12 +58,12 @@ def card(dataset: "Dataset") -> dict[str, Any]:
 
 
 def coverage(arrays: EpisodeArrays) -> dict[str, float]:
-    """How many different things the data show, by counting cells.
+    """Variety of the data: the numbers of cells that states and actions fall into.
 
-    A state's cell: where the goal is seen from what is compared with it, and, where the
-    layout has them, the hand from the base, in cubes of 10 cm. A state and action's:
-    that, and a third of each action's range. After Schweighofer 2022, who count unique
-    pairs.
+    A state's cell has cubes of 10 cm for the vector from the compared entries to the
+    goal and, where the layout has them, for the vector from the base to the hand. The
+    cell of a state and an action has thirds of each action's range, too. After
+    Schweighofer 2022, who count unique pairs.
     """
     states = arrays.states[~arrays.is_last_state()]
     layout = arrays.layout
@@ -84,9 +84,9 @@ def coverage(arrays: EpisodeArrays) -> dict[str, float]:
 
 
 def keep_card(dataset: "Dataset") -> dict[str, Any]:
-    """Write a dataset's card beside it as JSON, Markdown and figure; return it.
+    """Write a dataset's card into its folder as JSON, Markdown and figure; return it.
 
-    Where there is no room or permission, nothing is written.
+    Without room or permission, nothing is written.
     """
     values = card(dataset)
     kept = {key: value for key, value in values.items() if key != "path"}
@@ -107,7 +107,7 @@ def keep_card(dataset: "Dataset") -> dict[str, Any]:
 
 
 def write_card(dataset: "Dataset", values: dict[str, Any], stem: Path) -> None:
-    """Write a card as Markdown and figure: what it is called, without its ending."""
+    """Write a card as Markdown and figure; ``stem`` is their path without ending."""
     from marl_mm.datasets.card_figure import draw_card  # matplotlib takes a second
 
     kept = {key: value for key, value in values.items() if key != "path"}
@@ -119,14 +119,14 @@ def write_card(dataset: "Dataset", values: dict[str, Any], stem: Path) -> None:
 
 
 def card_text(values: dict[str, Any]) -> str:
-    """The card as lines."""
+    """The card as lines of text."""
     rows = _rows(values)
     width = max(len(name) for name, _ in rows)
     return "\n".join(f"{name:<{width}}  {text}" for name, text in rows)
 
 
 def card_markdown(values: dict[str, Any], figure: str = "card.png") -> str:
-    """The card as a Markdown page with its figure, a file beside it."""
+    """The card as a Markdown page that shows the figure, a file beside it."""
     rows = "\n".join(f"| {name} | {text} |" for name, text in _rows(values))
     return f"# {values['id']}\n\n| | |\n| --- | --- |\n{rows}\n\n![card]({figure})\n"
 
@@ -152,9 +152,9 @@ def _rows(values: dict[str, Any]) -> list[tuple[str, str]]:
         f"to hand; {seen['state_action_cells']} with the action by thirds"
     )
     texts["sources"] = "; ".join(
-        f"{one['steps']} steps ({_percent(one['share'])}) of {one['dataset']} by "
-        f"{one['collector']}"
-        for one in values["sources"]
+        f"{row['steps']} steps ({_percent(row['share'])}) of {row['dataset']} by "
+        f"{row['collector']}"
+        for row in values["sources"]
     )
     return [(key.replace("_", " "), text) for key, text in texts.items()]
 
@@ -181,13 +181,13 @@ def _percent(rate: float | None) -> str:
 
 
 def bars(counts: list[int]) -> str:
-    """A histogram in one line."""
+    """A histogram as one line of text."""
     top = max(max(counts), 1)
     return "".join(" ▁▂▃▄▅▆▇█"[-(-8 * count // top)] for count in counts)
 
 
 def _rejected(ours: dict[str, Any]) -> int | None:
-    """Episodes that were collected and not kept; of mixes, nobody knows."""
+    """Number of episodes that were run and not kept; None of mixes."""
     attempts = ours.get("attempts")
     return None if attempts is None else attempts - int(ours["episodes"])
 
@@ -202,7 +202,7 @@ def _ways(ahead: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _alphas(arrays: EpisodeArrays) -> dict[str, Any]:
-    """Spread and histogram of alpha, where the layout has it."""
+    """Spread and histogram of alpha, if the layout has it."""
     if "alpha" not in arrays.layout.action_names:
         return {}
     alphas = arrays.actions[:, arrays.layout.action_names.index("alpha")].astype(float)

@@ -1,4 +1,4 @@
-"""A dataset's card as one figure."""
+"""The figure of a dataset's card."""
 
 from pathlib import Path
 from typing import IO, Any
@@ -53,7 +53,7 @@ def draw_card(
 
 
 def _actions(others: Axes, alphas: Axes, arrays: EpisodeArrays) -> None:
-    """Alpha has axes of its own."""
+    """Draw histograms of the actions; alpha has its own axes."""
     layout = arrays.layout
     span = min(layout.low), max(layout.high)
     for column, name in enumerate(layout.action_names):
@@ -76,7 +76,7 @@ def _actions(others: Axes, alphas: Axes, arrays: EpisodeArrays) -> None:
 def _goals(axes: Axes, arrays: EpisodeArrays) -> None:
     goals, reached = arrays.first_states()[:, arrays.layout.goal], arrays.successes()
     plane = [0, min(1, goals.shape[1] - 1)]
-    size = float(np.clip(200 / np.sqrt(len(goals)), 2, 8))  # [pt]: all can be seen
+    size = float(np.clip(200 / np.sqrt(len(goals)), 2, 8))  # [pt]: all stay visible
     for chosen, color, label in (
         (reached, _REACHED, "goal reached"),
         (~reached, _MISSED, "missed"),

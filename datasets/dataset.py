@@ -1,8 +1,8 @@
 """A dataset in memory: its episodes, and flat views of their transitions.
 
-One set of arrays holds everything; episodes, and what an agent sees and sets, are views
-of it. Only an observation whose entries do not follow one another in the joint state is
-a copy.
+One set of arrays holds everything. Episodes, and observations and actions of agents,
+are views of it, except for observations whose entries are not consecutive in the joint
+state: these are copies.
 """
 
 import hashlib
@@ -25,25 +25,25 @@ from marl_mm.layout import columns
 
 @dataclass(frozen=True)
 class Transitions:
-    """Steps of all episodes, one after the other; n of them."""
+    """The n steps of all episodes, one after the other."""
 
     observation: np.ndarray
-    """Shape (n, d)."""
+    """Observations before the steps, shape (n, d)."""
 
     action: np.ndarray
-    """Shape (n, k), float32."""
+    """Actions, shape (n, k), float32."""
 
     reward: np.ndarray
-    """Shape (n,)."""
+    """Rewards, shape (n,)."""
 
     next_observation: np.ndarray
-    """Shape (n, d)."""
+    """Observations after the steps, shape (n, d)."""
 
     terminated: np.ndarray
-    """Shape (n,), bool."""
+    """Whether a step reached the goal or failed, shape (n,), bool."""
 
     truncated: np.ndarray
-    """Shape (n,), bool."""
+    """Whether the episode ran out of steps, shape (n,), bool."""
 
     episode: np.ndarray
     """Number of each step's episode in the dataset, shape (n,)."""
@@ -58,7 +58,7 @@ class Transitions:
     def part(
         self, observation: tuple[int, ...], action: tuple[int, ...]
     ) -> "Transitions":
-        """Some entries of observation and action, everything else shared."""
+        """The transitions with some entries of observation and action only."""
         return Transitions(
             self.observation[:, columns(observation)],
             self.action[:, columns(action)],
@@ -75,8 +75,13 @@ class Dataset:
     """Episodes with their metadata."""
 
     location: Location
+    """Id and folder."""
+
     metadata: dict[str, Any]
+    """Metadata of Minari, and ours under the key ``marl_mm``."""
+
     arrays: EpisodeArrays
+    """Arrays of all episodes."""
 
     def __repr__(self) -> str:
         count, steps = len(self.arrays), self.arrays.steps
@@ -95,16 +100,16 @@ class Dataset:
 
     @cached_property
     def provenance(self) -> Provenance:
-        """Where the episodes come from.
+        """The record of where the episodes come from.
 
         Raises:
-            DatasetError: If the metadata do not say what they must.
+            DatasetError: If the metadata lack a part of it.
         """
         return Provenance.from_json(self.metadata["marl_mm"])
 
     @cached_property
     def episodes(self) -> list[Episode]:
-        """In order; their arrays are views."""
+        """Episodes, in order; their arrays are views."""
         return [self.arrays.episode(number) for number in range(len(self.arrays))]
 
     @cached_property
@@ -122,14 +127,14 @@ class Dataset:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Hash of all observations, actions and rewards."""
+        """Hash of all observations, actions and rewards, 16 hex digits."""
         joint, digest = self._joint, hashlib.sha256()
         for array in (joint.observation, joint.action, joint.reward, joint.episode):
             digest.update(array.tobytes())
         return digest.hexdigest()[:16]
 
     def identity(self) -> dict[str, str]:
-        """Which dataset it is, for the config of a run."""
+        """Id, path and fingerprint, for the config of a run."""
         return {
             "id": self.metadata["dataset_id"],
             "path": str(self.location.folder),
@@ -137,11 +142,11 @@ class Dataset:
         }
 
     def joint(self) -> Transitions:
-        """Joint states and joint actions."""
+        """Transitions with joint states, shape (n, d), and actions, shape (n, k)."""
         return self._joint
 
     def agents(self) -> dict[str, Transitions]:
-        """Each agent's own observation and action, in the order of the agents."""
+        """Transitions with each agent's observation and action, by agent, in order."""
         return {
             agent.name: self._joint.part(agent.observation, agent.action)
             for agent in self.arrays.layout.agents
@@ -152,12 +157,13 @@ def load_dataset(name: str | Path | Location) -> Dataset:
     """Read a dataset by id or path.
 
     Args:
-        name: An id such as ``marl_mm/reach/pd-v0``, a short one such as ``pd``, a path,
-            or a location.
+        name: Id such as ``marl_mm/reach/pd-v0``, or a path, or a location. A plain word
+            such as ``pd`` is short for ``marl_mm/reach/pd-v0``, always of ``reach``.
 
     Raises:
-        UnknownDatasetError: If there is none; the message names similar ones.
-        DatasetError: If its files are damaged.
+        UnknownDatasetError: If no dataset has this name; the message names similar
+            ones.
+        DatasetError: If the files are damaged.
     """
     location = name if isinstance(name, Location) else existing(str(name))
     metadata = read_metadata(location)
@@ -165,7 +171,7 @@ def load_dataset(name: str | Path | Location) -> Dataset:
 
 
 def existing(text: str) -> Location:
-    """Where a dataset to read is; the one that ships is unpacked at its first use."""
+    """Location of a dataset to read; the shipped one is unpacked at its first use."""
     location = find(text)
     if location == locate(SHIPPED) and not location.folder.exists():
         shipped.install(location)

@@ -1,4 +1,4 @@
-"""Datasets in the flat layouts that other libraries read: one HDF5 file each."""
+"""Export of datasets as flat arrays in one HDF5 file, which other libraries read."""
 
 import json
 from collections.abc import Callable
@@ -16,25 +16,31 @@ from marl_mm.registry import Registry
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetForm:
-    """A way to lay a dataset out as flat arrays."""
+    """A form of export: the flat arrays of a dataset."""
 
     about: str
-    """What the arrays are, in a sentence."""
+    """Sentence that describes the arrays."""
 
     tables: Callable[[Dataset], dict[str, np.ndarray]]
-    """The arrays by key."""
+    """Function of a dataset that returns the arrays by key."""
 
 
 DATASET_FORMS: Registry[DatasetForm] = Registry("form", of=DatasetForm)
-"""Ways to write datasets as one HDF5 file."""
+"""All forms of export by name."""
 
 
 def export(dataset: Dataset, form: str, path: Path, overwrite: bool) -> None:
-    """Write all steps, one after the other, in one of ``DATASET_FORMS``.
+    """Write all steps of a dataset, one after the other, into an HDF5 file.
+
+    Args:
+        dataset: The dataset.
+        form: Name of one of ``DATASET_FORMS``.
+        path: File to write.
+        overwrite: Whether an existing file may be replaced.
 
     Raises:
         OutputExistsError: If the file exists and may not be replaced.
-        UsageError: If it is a folder.
+        UsageError: If the path is a folder.
     """
     if path.is_dir():
         raise UsageError(f"{path} is a folder, expected a file to write")

@@ -1,8 +1,8 @@
-"""Minari's HDF5 layout, ``episode_i/...``: the only file that reads and writes it.
+"""Minari's HDF5 format, ``episode_i/...``; the only file that reads and writes it.
 
-It is written with the library's compact layout, which Minari reads like its own but
-which needs a fifth of the space: most episodes are so short that the records about
-chunks would outweigh the numbers.
+Arrays are written in HDF5's compact layout, which Minari reads like its own. It needs a
+fifth of the space: most episodes are so short that the records about chunks would
+outweigh the numbers.
 """
 
 import re
@@ -26,31 +26,33 @@ _DAMAGE = (
     *(OSError, KeyError, ValueError, RuntimeError, TypeError, MemoryError),
     OverflowError,
 )
-"""What the library raises for files that are not as they should be."""
+"""Exceptions that h5py raises for damaged files."""
 
 _START = "initial_configuration"
 
 
 @dataclass(frozen=True)
 class Field:
-    """What one array of an episode must be."""
+    """Key, type and shape of an array that an episode must have."""
 
     key: str
+    """Key of the array within the episode's group."""
+
     kind: str
-    """"float", "bool" or "number": what of numpy's kinds of types is accepted."""
+    """Accepted kind of type: "float", "bool" or "number"."""
 
     columns: int | None = None
-    """Entries of a row; None for numbers."""
+    """Number of columns; None for one-dimensional arrays."""
 
     extra: int = 0
-    """Rows beyond the episode's steps."""
+    """Number of rows beyond the episode's steps."""
 
 
 _KINDS = {"float": "f", "bool": "b", "number": "fiub"}
 
 
 def episode_fields(layout: Layout) -> tuple[Field, ...]:
-    """What every episode of goal-dictionary observations has."""
+    """Arrays that every episode with goal-dictionary observations has."""
     goal = len(layout.desired)
     return (
         Field("observations/observation", "float", len(layout.state) - goal, 1),
@@ -67,7 +69,7 @@ def write_hdf5(path: Path, arrays: EpisodeArrays) -> None:
     """Write all episodes into a new file.
 
     Raises:
-        MarlMmError: If there is no room for it.
+        MarlMmError: If there is no room for the file.
     """
     compact = _without_times()
     compact.set_layout(h5py.h5d.COMPACT)
@@ -93,7 +95,7 @@ def _write(group: Any, name: str, values: np.ndarray, compact: Any) -> None:
 
 
 def _without_times() -> Any:
-    """Properties of arrays whose bytes do not depend on when they are written."""
+    """Properties of an array that keep the time of writing out of the file."""
     properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     properties.set_obj_track_times(False)
     return properties
@@ -114,7 +116,7 @@ def _contents(episode: Episode) -> dict[str, np.ndarray]:
 
 
 def _attributes(arrays: EpisodeArrays, number: int) -> dict[str, Any]:
-    """Per-episode metadata; those down to ``rewards_max`` are Minari's own."""
+    """Metadata of an episode; those down to ``rewards_max`` are Minari's."""
     episode = arrays.episode(number)
     rewards = episode.rewards
     return {
@@ -139,10 +141,10 @@ def _attributes(arrays: EpisodeArrays, number: int) -> dict[str, Any]:
 def write_tables(
     path: Path, tables: dict[str, np.ndarray], attributes: dict[str, Any]
 ) -> None:
-    """Write flat arrays by key, compressed, with attributes of the whole.
+    """Write flat arrays by key, compressed, and attributes of the file.
 
     Raises:
-        MarlMmError: If there is no room for them.
+        MarlMmError: If there is no room for the file.
     """
     with _new_hdf5(path) as file:
         for key, values in tables.items():
@@ -155,7 +157,7 @@ def _new_hdf5(path: Path, **options: Any) -> Iterator[Any]:
     try:
         with h5py.File(path, "w", **options) as file:
             yield file
-    except (OSError, RuntimeError) as error:  # what it raises depends on the moment
+    except (OSError, RuntimeError) as error:  # either, depending on the moment
         found = re.search("error message = '([^']+)'", str(error))
         reason = found[1] if found else " ".join(str(error).split())
         raise MarlMmError(f"cannot write {path.name}: {reason:.160}") from error
@@ -163,10 +165,10 @@ def _new_hdf5(path: Path, **options: Any) -> Iterator[Any]:
 
 @contextmanager
 def open_hdf5(path: Path) -> Iterator[Any]:
-    """An HDF5 file to read.
+    """Open an HDF5 file for reading.
 
     Raises:
-        DatasetError: If it, or what is read of it in the block, is damaged.
+        DatasetError: If the file is damaged, or a part that the block reads.
     """
     try:
         with h5py.File(path, "r") as file:
@@ -181,16 +183,16 @@ def open_hdf5(path: Path) -> Iterator[Any]:
 def read_hdf5(
     path: Path, total: int, layout: Layout, info: Sequence[str]
 ) -> EpisodeArrays:
-    """All episodes of a file of ours.
+    """All episodes of a file that ``write_hdf5`` wrote.
 
     Args:
         path: The file.
-        total: How many episodes it has.
-        layout: Layout of their states and actions.
-        info: Names of their step numbers.
+        total: Number of episodes in the file.
+        layout: Layout of the states and actions.
+        info: Names of the step numbers.
 
     Raises:
-        DatasetError: If it is damaged; naming episode, key and what was expected.
+        DatasetError: If the file is damaged, naming episode, key and expectation.
     """
     episodes, origins, numbers = [], [], []
     wanted = *episode_fields(layout), *(Field(f"infos/{key}", "number") for key in info)
@@ -222,7 +224,7 @@ def read_hdf5(
 
 
 def achieved_goals(path: Path, total: int) -> np.ndarray:
-    """What the file says was compared with the goal, shape (n + E, g)."""
+    """Achieved goals as the file has them, shape (n + E, g)."""
     with open_hdf5(path) as file:
         names = (f"episode_{i}/observations/achieved_goal" for i in range(total))
         return np.concatenate([file[name][()] for name in names])
@@ -235,13 +237,13 @@ def states_of(values: dict[str, np.ndarray], layout: Layout) -> np.ndarray:
 
 
 def episode_groups(file: Any) -> list[Any]:
-    """Minari's episodes in a file, in order; none if it is of another layout."""
+    """Groups of Minari's episodes in a file, in order; empty for other formats."""
     names = [name for name in file if re.fullmatch(r"episode_\d+", name)]
     return [file[name] for name in sorted(names, key=lambda name: int(name[8:]))]
 
 
 def optional(group: Any, key: str) -> np.ndarray | None:
-    """An array of numbers, if there is one of this name."""
+    """The array of numbers of this key; None if there is none."""
     node = group.get(key)
     if not isinstance(node, h5py.Dataset) or node.dtype.kind not in _KINDS["number"]:
         return None
@@ -253,10 +255,15 @@ def _has(group: Any, key: str) -> bool:
 
 
 def checked(path: Path, group: Any, wanted: tuple[Field, ...]) -> dict[str, np.ndarray]:
-    """Arrays by key, as long as ``rewards``.
+    """Arrays of a group by key, all as long as ``rewards``.
+
+    Args:
+        path: The file, for messages.
+        group: Group to read.
+        wanted: Arrays that it must have.
 
     Raises:
-        DatasetError: If one is missing, or of another type or shape, or not finite.
+        DatasetError: If an array is missing, of another type or shape, or not finite.
     """
     where = f"{path}, {group.name.removeprefix('/')}".rstrip(", ")
     ordered = sorted(wanted, key=lambda field: field.key != "rewards")
@@ -266,7 +273,7 @@ def checked(path: Path, group: Any, wanted: tuple[Field, ...]) -> dict[str, np.n
         try:
             node = h5py.h5d.open(group.id, field.key.encode())  # the fast way
         except KeyError:
-            missing = [repr(one.key) for one in wanted if not _has(group, one.key)]
+            missing = [repr(item.key) for item in wanted if not _has(group, item.key)]
             raise DatasetError(f"{where} has no array {', '.join(missing)}") from None
         shape, kind = node.shape, node.dtype
         if kind.kind not in _KINDS[field.kind]:

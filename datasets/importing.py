@@ -1,4 +1,4 @@
-"""Datasets of others, brought into ours: Minari's episodes or flat HDF5 arrays."""
+"""Import of files of others: Minari's episodes or flat HDF5 arrays."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -38,7 +38,7 @@ _SHARED = (
 
 
 def flat_fields(layout: Layout) -> tuple[Field, ...]:
-    """Of the flat form, as in D4RL; ``marl-mm datasets export`` writes it."""
+    """Arrays of the flat form, as in D4RL; ``export`` writes it, too."""
     state = len(layout.state)
     return (
         *_SHARED,
@@ -49,7 +49,7 @@ def flat_fields(layout: Layout) -> tuple[Field, ...]:
 
 
 def agents_fields(layout: Layout) -> tuple[Field, ...]:
-    """Of the form with one group per agent."""
+    """Arrays of the form with one group per agent."""
     state = len(layout.state)
     return (
         *_SHARED,
@@ -63,60 +63,62 @@ def agents_fields(layout: Layout) -> tuple[Field, ...]:
 
 
 _SAME = 1e-4
-"""Difference of two observations that were one before somebody rounded them."""
+"""Tolerance within which two observations count as equal (files may store float32)."""
 
 _PATIENCE = 30.0
-"""Seconds that reading a small file may take."""
+"""Longest time that reading a small file may take [s]."""
 
 _SLOWEST = 200_000.0
-"""Bytes per second that a large one is read at, at least: a tenth of what is usual."""
+"""Least speed of reading a large file [bytes/s]: a tenth of the usual speed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImportForm:
-    """A way in which others lay out episodes in an HDF5 file."""
+    """A form of import: a format of episodes in an HDF5 file."""
 
     about: str
-    """What the file holds, in a sentence."""
+    """Sentence that describes the file."""
 
     fits: Callable[[Any], bool]
-    """Whether an open file is of this form; the first one that fits is taken."""
+    """Whether an open file is of this form; the first form that fits is taken."""
 
     episodes: Callable[[Path, Any, Layout, list[str]], list[Episode]]
-    """Reads the episodes of an open file, of a layout and with step numbers of these
-    names."""
+    """Function that reads the episodes of an open file. It is given the file's path,
+    the file, the layout and the names of the step numbers."""
 
     by_agent: bool = False
-    """Whether actions stand agent by agent, so that the agents have to be the same."""
+    """Whether actions are stored by agent, so that the agents have to be equal."""
 
 
 IMPORTS: Registry[ImportForm] = Registry("form", of=ImportForm)
-"""Ways in which files of others are read, the last one added first."""
+"""All forms of import by name; the last one added is tried first."""
 
 
 @dataclass(frozen=True)
 class Foreign:
-    """What a file holds."""
+    """Contents of a file that others wrote."""
 
     arrays: EpisodeArrays
+    """Arrays of all episodes."""
+
     task: str
-    """Task whose rewards they are."""
+    """Registered name of the task whose rewards these are."""
 
 
 def read_foreign(path: Path, dataset_id: str, task: str | None = None) -> Foreign:
-    """The episodes of a file that somebody else wrote.
+    """The episodes of a file that others wrote.
 
     Args:
-        path: An HDF5 file, or the folder of a Minari dataset.
-        dataset_id: Id of the dataset that they are to be.
-        task: Task whose rewards they are; default what the file says, and Reach-v0
-            where it says nothing.
+        path: HDF5 file, or folder of a Minari dataset.
+        dataset_id: Id of the dataset that is made of it.
+        task: Registered name of the task whose rewards these are; default the file's
+            own, or Reach-v0 if it names none.
 
     Raises:
-        UsageError: If there is no such file or task, or the file tells of other entries
-            than the task's.
-        DatasetError: If it cannot be read, or is not what a dataset must be; naming the
-            key, what was got and what was expected.
+        UsageError: If there is no such file or task, or the file's layout is not the
+            task's.
+        DatasetError: If the file cannot be read, or holds impossible values. The
+            message names the key, what was got and what was expected.
     """
     for inner in (path / "data" / FILE, path / FILE):
         if inner.exists():
@@ -131,8 +133,8 @@ def read_foreign(path: Path, dataset_id: str, task: str | None = None) -> Foreig
         raise DatasetError(f"{path} is no HDF5 file, or a damaged one ({size} bytes)")
     seconds = _PATIENCE + path.stat().st_size / _SLOWEST
     try:
-        said = task or apart(_said, path, seconds) or DEFAULT
-        arrays = apart(_read, (path, dataset_id, said), seconds)
+        name = task or apart(_task_of, path, seconds) or DEFAULT
+        arrays = apart(_read, (path, dataset_id, name), seconds)
     except UsageError as error:
         way_out = "" if task else ", or give `task`"
         raise UsageError(f"{path}: {error}{way_out}") from error
@@ -142,23 +144,23 @@ def read_foreign(path: Path, dataset_id: str, task: str | None = None) -> Foreig
         ) from error
     if problems := problems_of(arrays):
         raise DatasetError(f"{path}: {'; '.join(problems)}")
-    return Foreign(arrays, said)
+    return Foreign(arrays, name)
 
 
-def _said(path: Path) -> str | None:
-    """The task that a file names; damaged ones can crash the library, or never end."""
+def _task_of(path: Path) -> str | None:
+    """Name of the task in a file; reading a damaged file can crash or never end."""
     with open_hdf5(path) as file:
-        task = _told(path, file).get("task")
+        task = _metadata(path, file).get("task")
     return task if isinstance(task, str) else None
 
 
-def _read(what: tuple[Path, str, str]) -> EpisodeArrays:
-    """The episodes of a file."""
-    path, dataset_id, name = what
+def _read(arguments: tuple[Path, str, str]) -> EpisodeArrays:
+    """The episodes of a file; arguments are its path, the dataset's id and the task."""
+    path, dataset_id, name = arguments
     task = make_task(name)
     with open_hdf5(path) as file:
         forms = [form for _, form in reversed(IMPORTS.items()) if form.fits(file)]
-        theirs = _layout(_told(path, file))
+        theirs = _layout(_metadata(path, file))
         if theirs is not None:
             agents = forms[0].by_agent
             refuse_other_layout("its data", theirs, name, task.layout, agents)
@@ -166,29 +168,29 @@ def _read(what: tuple[Path, str, str]) -> EpisodeArrays:
     return arrays_of(episodes, dataset_id)
 
 
-def _told(path: Path, file: Any) -> Mapping[str, Any]:
-    """What a file says of itself, or our own metadata beside it say."""
+def _metadata(path: Path, file: Any) -> Mapping[str, Any]:
+    """Attributes of a file, or our metadata beside it."""
     if "task" in file.attrs:
         return dict(file.attrs)
     try:
-        told = json.loads((path.parent / "metadata.json").read_text())["marl_mm"]
+        ours = json.loads((path.parent / "metadata.json").read_text())["marl_mm"]
     except (OSError, ValueError, KeyError, TypeError):
         return {}
-    return told if isinstance(told, dict) else {}
+    return ours if isinstance(ours, dict) else {}
 
 
-def _layout(told: Mapping[str, Any]) -> Layout | None:
-    """The layout that is told, or that version 1 had with the entries that are."""
-    layout = told.get("layout")
+def _layout(metadata: Mapping[str, Any]) -> Layout | None:
+    """The layout in the metadata, or the one of version 1 with the same entries."""
+    layout = metadata.get("layout")
     if layout is None:
-        return dataset_layout(told) if "state" in told else None
+        return dataset_layout(metadata) if "state" in metadata else None
     return Layout.from_json(json.loads(layout) if isinstance(layout, str) else layout)
 
 
 def _episode(
     path: Path, number: int, group: Any, layout: Layout, names: list[str]
 ) -> Episode:
-    """One of Minari's episodes with goal-dictionary observations."""
+    """An episode of Minari's format with goal-dictionary observations."""
     values = checked(path, group, episode_fields(layout))
     info = {key: optional(group, f"infos/{key}") for key in names}
     seed = group.attrs.get("seed", -1)
@@ -278,7 +280,7 @@ def _built(
     seed: int,
     layout: Layout,
 ) -> Episode:
-    """An episode of our types; what nobody measured is NaN."""
+    """An episode in our types; step numbers that the file lacks are NaN."""
     states = states.astype(np.float64)
     way = states[1:, layout.achieved] - states[1:, layout.goal]
     known = {

@@ -1,7 +1,7 @@
-"""Finished episodes of a collection that is under way, each one durable.
+"""Journal of a collection in progress, which stores each finished episode durably.
 
-An SQLite file in a folder beside the dataset: whatever kills the collection, and
-wherever, it holds all episodes that were finished before. It goes when the dataset is
+It is an SQLite file in a folder beside the dataset. Whatever kills the collection, the
+journal holds all episodes that were finished before. It is deleted when the dataset is
 complete.
 """
 
@@ -23,9 +23,9 @@ FILE = "episodes.sqlite"
 
 
 def begun() -> dict[str, int | None]:
-    """Episodes of the collections below the root that are under way or stopped, by id.
+    """Numbers of episodes in all unfinished collections below the root, by id.
 
-    None where the journal cannot be read.
+    A number is None if its journal cannot be read.
     """
     root = datasets_root()
     counts = {}
@@ -39,13 +39,13 @@ def begun() -> dict[str, int | None]:
 
 
 def noted(folder: Path) -> dict[str, Any] | None:
-    """What is being collected; None if nothing was begun, or it cannot be read."""
+    """The record of a collection; None if nothing was begun, or it cannot be read."""
     text = _asked(folder, "select text from about")
     return None if text is None else json.loads(text)
 
 
 def _asked(folder: Path, question: str) -> Any:
-    """One value of a journal that another process may be writing."""
+    """A value from a journal that another process may be writing."""
     address = f"{(folder / FILE).absolute().as_uri()}?mode=rw"  # does not create it
     try:
         with closing(sqlite3.connect(address, uri=True)) as file:
@@ -56,14 +56,14 @@ def _asked(folder: Path, question: str) -> Any:
 
 
 class Journal:
-    """Episodes by their number; use it in a ``with`` block.
+    """Finished episodes by number; use it in a ``with`` block.
 
     Args:
-        folder: Where; it is created.
+        folder: Folder of the journal, which is created.
 
     Raises:
-        DatasetError: If there is one and it is damaged.
-        MarlMmError: If it cannot be written.
+        DatasetError: If the existing journal is damaged.
+        MarlMmError: If the journal cannot be written.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -83,25 +83,25 @@ class Journal:
         self._file.close()
 
     def about(self) -> dict[str, Any] | None:
-        """What is being collected; None if nothing was begun."""
+        """The record of the collection; None if nothing was begun."""
         with self._errors():
             row = self._file.execute("select text from about").fetchone()
         return None if row is None else json.loads(row[0])
 
     def begin(self, about: dict[str, Any]) -> None:
-        """Forget everything and note what is being collected."""
+        """Delete everything and store the record of a collection."""
         with self._errors(), self._file:
             self._file.execute("delete from episodes")
         self.note(about)
 
     def note(self, about: dict[str, Any]) -> None:
-        """Note what is being collected, and keep the episodes."""
+        """Store the record of the collection, and keep the episodes."""
         with self._errors(), self._file:
             self._file.execute("delete from about")
             self._file.execute("insert into about values (?)", [json.dumps(about)])
 
     def add(self, episode: Episode) -> None:
-        """Keep an episode; when this returns, it is on the disk."""
+        """Store an episode; when this returns, it is on the disk."""
         blob = io.BytesIO()
         save_arrays(blob, arrays_of([episode], ""), compress=False)
         with self._errors(), self._file:
@@ -116,10 +116,10 @@ class Journal:
         return int(count)
 
     def episodes(self, layout: Layout) -> dict[int, Episode]:
-        """All episodes by their number.
+        """All episodes by number.
 
         Args:
-            layout: Layout of their states and actions.
+            layout: Layout of the states and actions.
         """
         with self._errors():
             rows = self._file.execute("select number, npz from episodes").fetchall()

@@ -1,7 +1,8 @@
-"""Where a dataset is: an id below the datasets' root, or a path.
+"""Locations of datasets: an id below the datasets' root, or a path.
 
-A text like ``marl_mm/reach/pd-v0`` is an id, and a plain word such as ``pd`` is short
-for that; everything else, such as ``./pd``, is a path.
+A text such as ``marl_mm/reach/pd-v0`` is an id. A plain word such as ``pd`` is short
+for that, whatever the task: short names belong to ``reach``, and datasets of other
+tasks are named by their ids. Everything else, such as ``./pd``, is a path.
 """
 
 import os
@@ -12,7 +13,7 @@ from pathlib import Path
 from marl_mm.errors import UsageError
 
 SHIPPED = "marl_mm/reach/good-5k-v0"
-"""The dataset that ships; its first use writes it below the root."""
+"""Id of the dataset that ships; its first use writes it below the root."""
 
 _ID = re.compile(r"([a-zA-Z0-9_-]{2,}/)+[a-zA-Z0-9_-]+-v\d+")
 _WORD = re.compile(r"[a-zA-Z0-9_][a-zA-Z0-9_-]*")
@@ -20,25 +21,28 @@ _WORD = re.compile(r"[a-zA-Z0-9_][a-zA-Z0-9_-]*")
 
 @dataclass(frozen=True)
 class Location:
-    """A dataset's id and folder."""
+    """Id and folder of a dataset."""
 
     id: str
+    """Id of the dataset, such as ``marl_mm/reach/pd-v0``."""
+
     folder: Path
+    """Folder of the dataset."""
 
     @property
     def data(self) -> Path:
-        """Minari's folder within, with the HDF5 file and its metadata."""
+        """Folder with Minari's HDF5 file and metadata."""
         return self.folder / "data"
 
     @property
     def name(self) -> str:
-        """What it is found by: its id below the datasets' root, its path elsewhere."""
+        """Name that finds it: the id below the datasets' root, the path elsewhere."""
         below_root = self.folder == datasets_root() / self.id
         return self.id if below_root else str(self.folder)
 
     @property
     def working(self) -> Path:
-        """What a collection into the folder keeps while it is under way."""
+        """Folder of the journal while a collection is in progress."""
         return self.folder.with_name(f".{self.folder.name}.collecting")
 
 
@@ -49,7 +53,7 @@ def datasets_root() -> Path:
 
 
 def locate(text: str) -> Location:
-    """The location an id or a path means, whether it exists or not.
+    """Location of an id, a short name or a path, whether it exists or not.
 
     Raises:
         UsageError: If the text is empty, or an id of ours without a version.
@@ -70,7 +74,7 @@ def locate(text: str) -> Location:
 
 
 def find(text: str) -> Location:
-    """The location of a dataset to read: a word can be one in this folder, too.
+    """Location of a dataset to read; a word may also name a folder in this one.
 
     Raises:
         UsageError: If the text is empty, or an id of ours without a version.
@@ -83,7 +87,7 @@ def find(text: str) -> Location:
 
 
 def known_ids() -> list[str]:
-    """Ids of all datasets below the root, sorted."""
+    """Ids of all datasets below the datasets' root, sorted."""
     root = datasets_root()
     found = root.glob("**/data/metadata.json") if root.exists() else []
     folders = (path.parent.parent.relative_to(root) for path in found)

@@ -1,7 +1,7 @@
-"""Take a collected dataset into the package, as the one that ships.
+"""Copy a collected dataset into the package as the one that ships.
 
-First ``marl-mm collect pretrained --steps 5000 --dataset marl_mm/reach/good-5k-v0``,
-then ``python -m marl_mm.datasets.make_shipped``.
+First run ``marl-mm collect pretrained --steps 5000 --dataset
+marl_mm/reach/good-5k-v0``, then ``python -m marl_mm.datasets.make_shipped``.
 """
 
 from marl_mm.datasets.arrays import save_arrays
@@ -22,11 +22,11 @@ _DERIVED = frozenset(
         "metadata_sha256",
     }
 )
-"""What is written anew when the dataset is unpacked."""
+"""Keys that are computed anew when the dataset is unpacked."""
 
 
 def main() -> None:
-    """Compress the dataset of the shipped one's name into the package."""
+    """Compress the dataset with the shipped one's id into the package."""
     location = locate(SHIPPED)
     metadata = read_metadata(location)
     with new_file(ARRAYS) as temporary:

@@ -1,4 +1,4 @@
-"""Where episodes come from: typed records of what datasets say of themselves."""
+"""Provenance of episodes, as datasets record it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -9,19 +9,19 @@ from marl_mm.errors import DatasetError
 
 @dataclass(frozen=True, kw_only=True)
 class Origin:
-    """One collection: the task, and who acted in it."""
+    """One collection: the task, and the collector that acted in it."""
 
     task: str | None = None
-    """Registered name of the task; None in files that do not say."""
+    """Registered name of the task; None in files without one."""
 
     overrides: Mapping[str, Any] = field(default_factory=dict)
-    """Numbers of the task that were replaced."""
+    """Fields of the task that were replaced."""
 
     config: Mapping[str, Any] = field(default_factory=dict)
-    """All numbers of the task."""
+    """All fields of the task."""
 
     collector: str | None = None
-    """Name of the collector; None of imported episodes."""
+    """Name of the collector; None for imported episodes."""
 
     collector_config: Mapping[str, Any] | None = None
     """Settings of the collector."""
@@ -30,7 +30,7 @@ class Origin:
     """Seed of the collection."""
 
     weights: str | None = None
-    """Fingerprint of the agent that acted, if one did."""
+    """Fingerprint of the learnt agent that acted; None without one."""
 
     file: str | None = None
     """Name of the file that imported episodes come from."""
@@ -39,22 +39,22 @@ class Origin:
     """SHA-256 of the plug-ins that task and collector come from, by file name."""
 
     def to_json(self) -> dict[str, Any]:
-        """The record without what it does not know."""
-        return _told(self)
+        """The record as JSON values, without empty fields."""
+        return _filled(self)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Provenance:
-    """What a dataset says of its making."""
+    """Provenance of a whole dataset."""
 
     task: str
     """Registered name of the task whose rewards these are."""
 
     overrides: Mapping[str, Any] = field(default_factory=dict)
-    """Numbers of the task that were replaced."""
+    """Fields of the task that were replaced."""
 
     collector: str
-    """Name of the collector, or of the way in which the dataset was made of others."""
+    """Name of the collector, or of the recipe by which it was made from others."""
 
     seed: int | None = None
     """Seed of the collection or of the draw."""
@@ -63,75 +63,75 @@ class Provenance:
     """Settings of the collector."""
 
     config: Mapping[str, Any] = field(default_factory=dict)
-    """All numbers of the task."""
+    """All fields of the task."""
 
     weights: str | None = None
-    """Fingerprint of the agent that acted, if one did."""
+    """Fingerprint of the learnt agent that acted; None without one."""
 
     plugins: Mapping[str, str] = field(default_factory=dict)
     """SHA-256 of the plug-ins that task and collector come from, by file name."""
 
     origins: Mapping[str, Origin] = field(default_factory=dict)
-    """Collections that the episodes come from, by the ids of their datasets; left out,
-    they were all collected for this one."""
+    """Collections of the episodes, by the ids of their datasets. If it is empty, all
+    episodes were collected for this dataset."""
 
     recipe: Mapping[str, Any] | None = None
-    """How the episodes were chosen from others."""
+    """Recipe by which the episodes were chosen from others; None of collections."""
 
     sources: Sequence[Mapping[str, str]] | None = None
-    """Ids and fingerprints of the datasets that they were chosen from."""
+    """Ids and fingerprints of the datasets that the episodes were chosen from."""
 
     packages: Mapping[str, str] | None = None
-    """Versions of what made it; left out, those of now."""
+    """Versions of the packages that made it; None stands for those of now."""
 
     attempts: int | None = None
-    """Episodes run, kept or not; None where nobody counted."""
+    """Number of episodes run, kept or not; None if it was not counted."""
 
     steps_asked: int | None = None
-    """Steps asked for."""
+    """Number of steps asked for; None if it was not recorded."""
 
     complete: bool = True
     """Whether the collection was not stopped early."""
 
     @classmethod
     def collected(cls, origin: Origin, **more: Any) -> "Provenance":
-        """Of one collection."""
+        """Provenance of a dataset of one collection."""
         if origin.task is None or origin.collector is None:
             raise DatasetError("a collection has a task and a collector")
         return cls(**{name: getattr(origin, name) for name in _SHARED}, **more)
 
     @property
     def own_origin(self) -> Origin:
-        """The collection, if the dataset is of one."""
+        """The record of the collection, of datasets of one collection."""
         return Origin(**{name: getattr(self, name) for name in _SHARED})
 
     def to_json(self, dataset_id: str) -> dict[str, Any]:
         """The record for the metadata of a dataset of this id."""
         origins = self.origins or {dataset_id: self.own_origin}
         return {
-            **_told(self),
+            **_filled(self),
             "seed": self.seed,
             "attempts": self.attempts,
             "complete": self.complete,
-            "origins": {name: one.to_json() for name, one in origins.items()},
+            "origins": {name: origin.to_json() for name, origin in origins.items()},
         }
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> "Provenance":
-        """What a dataset's metadata say.
+        """The provenance in a dataset's metadata.
 
         Raises:
-            DatasetError: If they lack what every dataset says, or say it otherwise.
+            DatasetError: If a required field is missing, or of another type.
         """
-        known = {one.name for one in fields(cls)} & values.keys()
-        told = {name: values[name] for name in known}
+        known = {item.name for item in fields(cls)} & values.keys()
+        filled = {name: values[name] for name in known}
         try:
-            of_origin = {one.name for one in fields(Origin)}
-            told["origins"] = {
+            of_origin = {item.name for item in fields(Origin)}
+            filled["origins"] = {
                 str(name): Origin(**{k: v for k, v in about.items() if k in of_origin})
                 for name, about in values.get("origins", {}).items()
             }
-            found = cls(**told)
+            found = cls(**filled)
         except (TypeError, AttributeError) as error:
             raise DatasetError(f"metadata.json: {error}") from error
         if not isinstance(found.task, str) or not isinstance(found.overrides, Mapping):
@@ -142,14 +142,14 @@ class Provenance:
         return found
 
 
-_SHARED = {one.name for one in fields(Provenance)} & {
-    one.name for one in fields(Origin)
+_SHARED = {item.name for item in fields(Provenance)} & {
+    item.name for item in fields(Origin)
 }
 
 
-def _told(record: Origin | Provenance) -> dict[str, Any]:
-    """A record's fields that hold something."""
-    values = {one.name: getattr(record, one.name) for one in fields(record)}
+def _filled(record: Origin | Provenance) -> dict[str, Any]:
+    """Fields of a record that are not empty."""
+    values = {item.name: getattr(record, item.name) for item in fields(record)}
     return {
         name: value
         for name, value in values.items()

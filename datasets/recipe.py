@@ -1,4 +1,4 @@
-"""Datasets made of others' episodes: mixed, split, filtered, with their provenance."""
+"""Datasets made from others' episodes, by mixing, splitting and filtering."""
 
 import hashlib
 from collections.abc import Sequence
@@ -18,26 +18,35 @@ from marl_mm.errors import UsageError
 
 @dataclass(frozen=True)
 class Part:
-    """What a mix takes from one dataset."""
+    """Part of a mix, from one dataset."""
 
     dataset: Dataset
+    """Dataset that the episodes are drawn from."""
+
     steps: int
-    """At least: episodes are whole."""
+    """Least number of steps; episodes stay whole."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """Episodes and how they were chosen."""
+    """Episodes that were chosen from datasets."""
 
     arrays: EpisodeArrays
+    """Arrays of the chosen episodes."""
+
     provenance: Provenance
+    """Provenance of the episodes, with the way in which they were chosen."""
 
 
 def mix(parts: Sequence[Part], seed: int) -> Recipe:
-    """So many steps of each dataset, drawn at random, in the order of the parts.
+    """Draw episodes with so many steps from each dataset, in the order of the parts.
 
-    Of a random order of a part's episodes, the shortest beginning with at least its
-    steps is taken, and kept in the order of the dataset.
+    The episodes of a part are shuffled. The shortest beginning with at least the part's
+    steps is taken, and sorted into the order of the dataset.
+
+    Args:
+        parts: Parts of the mix, of different datasets.
+        seed: Seed of the draw.
 
     Raises:
         UsageError: If a part has too few steps or is named twice, the tasks differ, or
@@ -62,13 +71,13 @@ def mix(parts: Sequence[Part], seed: int) -> Recipe:
 
 
 def split(dataset: Dataset, share: float, seed: int) -> tuple[Recipe, Recipe]:
-    """Two datasets: a share of the episodes drawn at random, and all others.
+    """Split a dataset into a random share of its episodes, and all others.
 
     Args:
-        dataset: Of whose episodes each goes into one of the two.
-        share: Of the episodes, strictly between 0 and 1, for the first; both get at
-            least one.
-        seed: Of the draw.
+        dataset: Dataset to split.
+        share: Share of the episodes in the first result, strictly between 0 and 1; both
+            results have at least one episode.
+        seed: Seed of the draw.
 
     Raises:
         UsageError: If the share makes no sense or there is only one episode.
@@ -92,26 +101,26 @@ def split(dataset: Dataset, share: float, seed: int) -> tuple[Recipe, Recipe]:
 
 @dataclass(frozen=True)
 class Condition:
-    """Which episodes a filter keeps: those that meet everything that is set."""
+    """Condition of a filter: episodes are kept if they meet all fields that are set."""
 
     success: bool | None = None
-    """Only those that reached their goal, or only those that did not."""
+    """Whether the kept episodes reached their goal; None keeps both."""
 
     direction: Literal["forward", "backward"] | None = None
-    """Only those whose goal is on this side of the start."""
+    """Side of the start on which the kept episodes' goals are; None keeps both."""
 
     min_return: float | None = None
-    """Least sum of rewards."""
+    """Lower bound of the return, a sum of rewards; None for no bound."""
 
     max_return: float | None = None
-    """Largest sum of rewards."""
+    """Upper bound of the return, a sum of rewards; None for no bound."""
 
 
 def filtered(dataset: Dataset, condition: Condition) -> Recipe:
-    """The episodes that meet a condition, in order.
+    """Choose the episodes that meet a condition, in order.
 
     Raises:
-        UsageError: If none does, or nothing is set.
+        UsageError: If no episode meets it, or no field is set.
     """
     arrays = dataset.arrays
     asked = {key: value for key, value in vars(condition).items() if value is not None}
@@ -142,7 +151,7 @@ def filtered(dataset: Dataset, condition: Condition) -> Recipe:
 
 
 def write_mix(location: Location, recipe: Recipe, overwrite: bool = False) -> None:
-    """Write what a recipe gave; see ``write_alone``."""
+    """Write the episodes of a recipe as a dataset; see ``write_alone``."""
     write_alone(location, recipe.arrays, recipe.provenance, overwrite)
 
 
@@ -150,9 +159,9 @@ def _refuse_unequal(datasets: Sequence[Dataset]) -> None:
     folders: dict[str, Path] = {}
     for dataset in datasets:
         name, folder = dataset.metadata["dataset_id"], dataset.location.folder
-        if (other := folders.setdefault(name, folder)) != folder:
+        if (first := folders.setdefault(name, folder)) != folder:
             raise UsageError(
-                f"{other} and {folder} are both called {name}: make one of them anew "
+                f"{first} and {folder} are both called {name}: make one of them anew "
                 "under another name"
             )
     if len(folders) < len(datasets):
@@ -167,42 +176,43 @@ def _refuse_unequal(datasets: Sequence[Dataset]) -> None:
 def _refuse_twins(chosen: Sequence[EpisodeArrays], parts: Sequence[Part]) -> None:
     """Raise if an episode would be in a mix twice.
 
-    Two collections of one policy and seed begin alike, whatever they are called.
+    Two collections with the same policy and seed begin alike, whatever their names.
     """
     owners: dict[bytes, int] = {}
     for number, arrays in enumerate(chosen):
         for i in range(len(arrays)):
             episode = arrays.episode(i)
-            # At random and medium begin alike; who acted is part of what it is.
+            # Random and medium begin alike: the policy is part of the content.
             content = episode.source.encode() + episode.states.tobytes()
             content += episode.actions.tobytes()
             owner = owners.setdefault(hashlib.sha256(content).digest(), number)
             if owner != number:
-                one, other = parts[owner].dataset, parts[number].dataset
+                twins = (parts[i].dataset for i in (owner, number))
+                names = (twin.metadata["dataset_id"] for twin in twins)
                 raise UsageError(
-                    f"{one.metadata['dataset_id']} and {other.metadata['dataset_id']} "
-                    "hold the same episodes: mix one of them, or one of another seed"
+                    f"{' and '.join(names)} hold the same episodes: mix one of them, "
+                    "or one of another seed"
                 )
 
 
 def _described(datasets: Sequence[Dataset], recipe: dict[str, Any]) -> Provenance:
-    """What is made of these datasets says so.
+    """Provenance of episodes that were chosen from these datasets.
 
     Raises:
-        UsageError: If two of them say something else of one origin.
+        UsageError: If two of them record different origins of the same name.
     """
-    made_of = [dataset.provenance for dataset in datasets]
+    sources = [dataset.provenance for dataset in datasets]
     origins: dict[str, Origin] = {}
-    for one in made_of:
-        for name, origin in one.origins.items():
+    for source in sources:
+        for name, origin in source.origins.items():
             if origins.setdefault(name, origin) != origin:
                 raise UsageError(
                     f"two different datasets are called {name}: collect one of them "
                     "under another name"
                 )
-    longest = max(one.overrides.get("max_steps", 0) for one in made_of)
+    longest = max(source.overrides.get("max_steps", 0) for source in sources)
     return Provenance(
-        task=made_of[0].task,
+        task=sources[0].task,
         overrides={"max_steps": longest} if longest else {},
         collector=recipe["kind"],
         seed=recipe.get("seed"),
@@ -212,5 +222,5 @@ def _described(datasets: Sequence[Dataset], recipe: dict[str, Any]) -> Provenanc
             for dataset in datasets
         ],
         origins=origins,
-        complete=all(one.complete for one in made_of),
+        complete=all(source.complete for source in sources),
     )

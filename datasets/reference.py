@@ -1,9 +1,8 @@
-"""Returns to measure others by, per task: random as 0, the best agent at hand as 1.
+"""Reference returns of each task, with which Minari normalises scores.
 
-That is the pretrained agent on the task it learnt, and the PD agent on others.
-
-Measured, and kept in ``reference_scores.json`` with the command that made them. Minari
-normalises scores with them.
+Random actions score 0. The better of the pretrained agent, on the task that it learnt,
+and the PD agent scores 1. ``reference_scores.json`` holds the measured returns and the
+command that measured them.
 """
 
 import json
@@ -14,7 +13,7 @@ FILE = "reference_scores.json"
 
 
 def reference_scores(task: str | None) -> dict[str, Any]:
-    """Minari's metadata of a task's reference scores; nothing for unknown tasks."""
+    """Minari's metadata of a task's reference scores; empty for unknown tasks."""
     text = resources.files("marl_mm.datasets").joinpath(FILE).read_text()
     scores = json.loads(text)["tasks"].get(task)
     if scores is None:

@@ -1,8 +1,8 @@
-"""A dataset that ships, so that offline training starts without collecting.
+"""The dataset that ships, so that offline training starts without collecting.
 
-5,000 steps of the pretrained agent, as compressed arrays in the package. The first use
-of its name, ``good-5k``, writes it below the datasets' root, where Minari finds it too.
-``make_shipped`` makes the file anew.
+It has 5,000 steps of the pretrained agent, as compressed arrays in the package. The
+first use of its name, ``good-5k``, writes it below the datasets' root, where Minari
+finds it, too. ``make_shipped`` makes the file anew.
 """
 
 import json
@@ -21,10 +21,10 @@ DESCRIPTION = FOLDER / "good-5k.json"
 
 
 def install(location: Location) -> None:
-    """Write the dataset that ships, unless it is there by now.
+    """Write the dataset that ships, unless it exists by now.
 
     Args:
-        location: Of ``SHIPPED``.
+        location: Location of ``SHIPPED``.
     """
     with only_here(location.working, wait=True):
         if not location.folder.exists():

@@ -1,9 +1,9 @@
-"""A dataset's folder: Minari's ``data/``, our metadata in it, and a cache beside it.
+"""The folder of a dataset: Minari's ``data/``, our metadata in it, and a cache.
 
-The canonical form is joint: goal-dictionary observations, joint action, team reward.
-Our own metadata stand under the key ``marl_mm``, with a hash of the data and one of
+The stored form is joint: goal-dictionary observations, joint actions, team rewards. Our
+own metadata are under the key ``marl_mm``, with a hash of the data and one of
 themselves. ``cache/`` holds the same episodes as flat arrays, named after the data's
-hash: it is written with the dataset, and again if it is missing.
+hash. It is written with the dataset, and again if it is missing.
 """
 
 import difflib
@@ -46,7 +46,7 @@ from marl_mm.version1 import dataset_layout
 from marl_mm.versions import versions
 
 SCHEMA = 3
-"""Version of our metadata; 2 had no layout, and is read as well."""
+"""Version of our metadata; version 2 had no layout, and is read, too."""
 
 OWN_FILES = frozenset(
     {
@@ -59,7 +59,7 @@ OWN_FILES = frozenset(
         "card.png",
     }
 )
-"""What a dataset's folder may hold, beside arrays in the cache."""
+"""Files and folders that a dataset's folder may hold, beside arrays in the cache."""
 
 
 def write_dataset(
@@ -71,14 +71,14 @@ def write_dataset(
     """Write a dataset; it appears whole or not at all.
 
     Args:
-        location: Where.
-        arrays: The episodes.
-        provenance: Where the episodes come from.
-        overwrite: Replace a dataset that is there already.
+        location: Id and folder of the dataset.
+        arrays: Arrays of the episodes.
+        provenance: Provenance of the episodes.
+        overwrite: Whether an existing dataset may be replaced.
 
     Raises:
-        OutputExistsError: If it exists and may not be replaced.
-        UsageError: If something else is there.
+        OutputExistsError: If the dataset exists and may not be replaced.
+        UsageError: If the folder holds other files.
     """
     refuse_existing(location.folder, overwrite)
     refuse_foreign(location)
@@ -114,7 +114,7 @@ def write_alone(
     provenance: Provenance,
     overwrite: bool = False,
 ) -> None:
-    """``write_dataset`` where no collection is under way.
+    """Write a dataset, as ``write_dataset`` does, unless a collection is in progress.
 
     Raises:
         UsageError: If another process is writing it, or a collection was begun there.
@@ -132,9 +132,9 @@ def write_alone(
 
 
 def env_spec(provenance: Provenance) -> EnvSpec | None:
-    """The environment that a dataset's episodes come from, if its task is known.
+    """Gymnasium's specification of a dataset's environment; None for unknown tasks.
 
-    Its number of steps stands in the specification, too: d3rlpy reads it there.
+    It includes the number of steps, which d3rlpy reads there.
     """
     if provenance.task not in TASKS:
         return None
@@ -145,10 +145,10 @@ def env_spec(provenance: Provenance) -> EnvSpec | None:
 
 
 def refuse_foreign(location: Location) -> None:
-    """Raise before a folder that holds more than a dataset would be replaced.
+    """Raise before a folder with other files than a dataset's would be replaced.
 
     Raises:
-        UsageError: If it does.
+        UsageError: If the folder holds other files.
     """
     folder = location.folder
     if not folder.exists():
@@ -162,7 +162,7 @@ def refuse_foreign(location: Location) -> None:
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether a dataset's folder may hold this, also where its writer was killed."""
+    """Whether a dataset's folder may hold this path, also after a writer was killed."""
     return (
         str(path) in OWN_FILES
         or (path.parts[0] == "cache" and path.suffix == ".npz")
@@ -176,7 +176,7 @@ def read_metadata(location: Location) -> dict[str, Any]:
     Raises:
         UnknownDatasetError: If there is no such dataset; the message names similar
             ones.
-        DatasetError: If the metadata are damaged or not ours.
+        DatasetError: If the metadata are damaged, or of another format.
     """
     if not location.folder.exists():
         raise UnknownDatasetError(_why_unknown(location))
@@ -202,7 +202,7 @@ def read_metadata(location: Location) -> dict[str, Any]:
     if ours.get("metadata_sha256") != _metadata_digest(metadata):
         raise DatasetError(
             f"{path} is damaged: it is not as it was written; marl-mm datasets import "
-            "takes what was changed on purpose"
+            "takes files that were changed on purpose"
         )
     return metadata
 
@@ -211,7 +211,7 @@ def layout_in(metadata: dict[str, Any]) -> Layout:
     """The layout of a dataset's states and actions.
 
     Raises:
-        DatasetError: If the metadata have none, or one that makes no sense.
+        DatasetError: If the metadata have no layout, or one that makes no sense.
     """
     ours = metadata["marl_mm"]
     try:
@@ -243,12 +243,12 @@ def read_arrays(
     """All episodes of a dataset, in order.
 
     Args:
-        location: Where.
-        metadata: From ``read_metadata``.
-        cached: Whether the cache is asked first, and written if it is missing.
+        location: Id and folder of the dataset.
+        metadata: Result of ``read_metadata``.
+        cached: Whether to read the cache first, and write it if it is missing.
 
     Raises:
-        DatasetError: If the data are not what was written.
+        DatasetError: If the data are not as they were written.
     """
     path = location.data / FILE
     expected = metadata["marl_mm"]["data_sha256"]
@@ -275,13 +275,13 @@ def read_arrays(
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file's bytes."""
+    """SHA-256 of a file's bytes, in hex digits."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def cache_file(folder: Path, digest: str) -> Path:
-    """Where the flat arrays of data with this hash are."""
+    """Path of the flat arrays of data with this hash."""
     return folder / "cache" / f"{digest[:16]}.npz"
 
 
@@ -331,7 +331,7 @@ def _metadata(
 
 
 def sign_metadata(path: Path) -> None:
-    """Write a hash of the metadata into them."""
+    """Store the metadata's checksum inside the metadata."""
     metadata = json.loads(path.read_text())
     metadata["marl_mm"]["metadata_sha256"] = _metadata_digest(metadata)
     path.write_text(json.dumps(metadata))
@@ -345,7 +345,7 @@ def _metadata_digest(metadata: dict[str, Any]) -> str:
 
 
 def statistics(arrays: EpisodeArrays) -> dict[str, Any]:
-    """Mean and deviation of every entry of states and actions."""
+    """Mean and standard deviation of every entry of states and actions."""
     states = arrays.states[~arrays.is_last_state()]
     actions = arrays.actions.astype(float)
     return {
@@ -357,7 +357,7 @@ def statistics(arrays: EpisodeArrays) -> dict[str, Any]:
 
 
 def _name_namespaces(location: Location) -> None:
-    """Minari lists datasets of a namespace only if the namespace says it is one."""
+    """Write the metadata of the namespace, without which Minari does not list it."""
     folder = Path(location.id).parent
     path = datasets_root() / folder / "namespace_metadata.json"
     if not path.exists():

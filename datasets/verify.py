@@ -1,4 +1,4 @@
-"""What can be wrong with a dataset's files, checked without the simulator."""
+"""Checks of a dataset's files, without the simulator."""
 
 import json
 from dataclasses import fields
@@ -21,10 +21,10 @@ from marl_mm.errors import DatasetError
 
 
 def verify(location: Location) -> list[str]:
-    """Problems of a dataset: schema, hashes, finiteness, ranges, ends, cache, card.
+    """Check schema, hashes, finiteness, ranges, ends, cache and card of a dataset.
 
     Returns:
-        One line each; none if all is well.
+        One line per problem; empty if all is well.
 
     Raises:
         UnknownDatasetError: If there is no such dataset.
@@ -45,7 +45,7 @@ def verify(location: Location) -> list[str]:
 
 
 def problems_of(arrays: EpisodeArrays) -> list[str]:
-    """What cannot be in episodes, whoever wrote them: ranges, goals, ends."""
+    """Problems of episodes from any source: ranges, goals, ends."""
     return [*_values(arrays), *_ends(arrays)]
 
 
@@ -57,9 +57,9 @@ def _counts(arrays: EpisodeArrays, metadata: dict[str, Any]) -> list[str]:
         "steps": (ours["steps"], arrays.steps),
     }
     problems = [
-        f"metadata.json: {name} is {said}, the file has {counted}"
-        for name, (said, counted) in pairs.items()
-        if said != counted
+        f"metadata.json: {name} is {recorded}, the file has {counted}"
+        for name, (recorded, counted) in pairs.items()
+        if recorded != counted
     ]
     if json.loads(json.dumps(statistics(arrays))) != ours["statistics"]:
         problems.append("metadata.json: the statistics are not those of the data")
@@ -70,7 +70,7 @@ def _values(arrays: EpisodeArrays) -> list[str]:
     layout = arrays.layout
     low, high = np.array(layout.low), np.array(layout.high)
     outside = (arrays.actions < low) | (arrays.actions > high)
-    least, most = np.array([(one.low, one.high) for one in layout.state]).T
+    least, most = np.array([(entry.low, entry.high) for entry in layout.state]).T
     beyond = ((arrays.states < least) | (arrays.states > most)).any(axis=1)
     moved = np.diff(arrays.states[:, layout.goal], axis=0)[~arrays.is_last_state()[:-1]]
     checks = {
@@ -78,11 +78,11 @@ def _values(arrays: EpisodeArrays) -> list[str]:
         "states outside of their entries' bounds": beyond.sum(),
         "goals that move within an episode": moved.any(axis=1).sum(),
     }
-    return [f"{count} {what}" for what, count in checks.items() if count]
+    return [f"{count} {text}" for text, count in checks.items() if count]
 
 
 def _infos(arrays: EpisodeArrays) -> list[str]:
-    """What others' files lack is NaN; of ours everything was measured."""
+    """Problems of step numbers: only episodes from files of others may have NaN."""
     ours = np.repeat(arrays.sources != IMPORTED, arrays.lengths)
     counts = {
         key: int((~np.isfinite(values[ours])).sum())
@@ -95,8 +95,8 @@ def _infos(arrays: EpisodeArrays) -> list[str]:
 def _achieved(arrays: EpisodeArrays, location: Location) -> list[str]:
     achieved = achieved_goals(location.data / FILE, len(arrays))
     count = (achieved != arrays.states[:, arrays.layout.achieved]).any(axis=1).sum()
-    what = "achieved goals are not where the hand, or the block, is"
-    return [f"{count} {what}"] if count else []
+    text = "achieved goals are not where the hand, or the block, is"
+    return [f"{count} {text}"] if count else []
 
 
 def _ends(arrays: EpisodeArrays) -> list[str]:
@@ -112,7 +112,7 @@ def _ends(arrays: EpisodeArrays) -> list[str]:
             (arrays.terminated & arrays.truncated).sum()
         ),
     }
-    return [f"{count} {what}" for what, count in checks.items() if count]
+    return [f"{count} {text}" for text, count in checks.items() if count]
 
 
 def _cache(arrays: EpisodeArrays, location: Location) -> list[str]:
@@ -127,7 +127,7 @@ def _cache(arrays: EpisodeArrays, location: Location) -> list[str]:
     names = [field.name for field in fields(arrays) if field.name not in others]
     pairs = [(getattr(arrays, name), getattr(cached, name)) for name in names]
     pairs += [(arrays.info[key], cached.info.get(key)) for key in arrays.info]
-    equal = all(other is not None and _same(one, other) for one, other in pairs)
+    equal = all(other is not None and _same(own, other) for own, other in pairs)
     return [] if equal else [f"{path} is not what the data are: delete it"]
 
 
@@ -142,8 +142,8 @@ def _card(location: Location) -> list[str]:
     return []
 
 
-def _same(one: np.ndarray, other: np.ndarray) -> bool:
-    """To the last bit; of texts, whatever space they have."""
-    if one.dtype.kind == "U":
-        return np.array_equal(one, other)
-    return one.shape == other.shape and one.tobytes() == other.tobytes()
+def _same(own: np.ndarray, other: np.ndarray) -> bool:
+    """Whether arrays are equal to the bit; texts may differ in their width."""
+    if own.dtype.kind == "U":
+        return np.array_equal(own, other)
+    return own.shape == other.shape and own.tobytes() == other.tobytes()

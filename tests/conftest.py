@@ -1,6 +1,12 @@
 """What several test files share: the robot, random states, small datasets."""
 
 import os
+
+# Tests run beside each other: those of several processes say how many, and threads of
+# torch on cores that are taken wait for each other ten times as long as they compute.
+os.environ.setdefault("PYTHON_CPU_COUNT", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # read where a library starts its threads
+
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -19,9 +25,6 @@ from marl_mm.layout import Layout
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
-
-os.environ.setdefault("PYTHON_CPU_COUNT", "1")
-"""Tests run beside each other: those of several processes say how many."""
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 MakeEpisode = Callable[..., Episode]

@@ -136,7 +136,7 @@ def bench_side_by_side(
     for count in (1, seeds):
         algorithm = Td3Bc(config, arrays, rewards, range(count), device)
         with matrix_products("auto"):
-            _rate(algorithm.update, _TURN)
+            _rate(algorithm.update, min(updates, _TURN))  # warms caches
             algorithm.diagnose()["q/data"].cpu()  # waits for what is under way
             begin = perf_counter()
             for _ in range(updates):

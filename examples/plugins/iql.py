@@ -5,59 +5,52 @@ twin critics: (Q_j(s, a) - r - gamma (1 - terminated) V(s'))^2; of the actor:
 exp(beta (min_j Q_j'(s, a) - V(s))) MSE(a, pi(s)).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 
-from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.config_checks import Precision, check_ranges
-from marl_mm.algorithms.networks import DIAGNOSED, Normalizer
-from marl_mm.algorithms.offline_batches import OfflineBatches
+from marl_mm.algorithms.diagnostics import DIAGNOSED, imitation_errors
+from marl_mm.algorithms.offline_learner import OfflineLearner
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm
 from marl_mm.algorithms.replay import Judge
-from marl_mm.algorithms.seeded import (
-    SeededActors,
-    SeededCritics,
-    imitation_errors,
-    load_parts,
-    parts_state,
-)
+from marl_mm.algorithms.seeded import SeededCritics
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.layout import JOINT_NAME
 
 
 @dataclass(frozen=True)
 class IqlConfig:
-    """Hyper-parameters; the source's where it names them, untuned."""
+    """Hyper-parameters: the source's where it names them, untuned."""
 
     updates: int = 8_000
-    """Gradient steps."""
+    """Number of gradient steps."""
 
     batch_size: int = 256
-    """Transitions per update."""
+    """Number of transitions per update."""
 
     learning_rate: float = 3e-4
     """Learning rate of Adam."""
 
     discount: float = 0.95
-    """gamma."""
+    """Discount of rewards per step, gamma."""
 
     target_rate: float = 0.005
-    """tau of the target critics."""
+    """Rate of the target critics per update, tau."""
 
     expectile: float = 0.7
-    """tau of V's loss."""
+    """Expectile of V's loss, tau."""
 
     temperature: float = 3.0
-    """beta, the weight of the advantage in the actor's loss."""
+    """Weight of the advantage in the actor's loss, beta."""
 
     hidden: tuple[int, ...] = (128, 128)
-    """Units of the hidden layers."""
+    """Numbers of units of the hidden layers."""
 
     std_floor: float = 0.01
-    """Least standard deviation an observation is scaled by."""
+    """Least standard deviation that observations are scaled by."""
 
     precision: Precision = "auto"
     """Precision of products of float32 matrices."""
@@ -67,10 +60,11 @@ class IqlConfig:
         check_ranges(self, positive, ("temperature",), ("discount", "expectile"))
 
 
-class Iql:
-    """Learns from a dataset's transitions, for several seeds at once."""
+class Iql(OfflineLearner):
+    """One actor, values and twin critics; see ``OfflineLearner``."""
 
     name: ClassVar[str] = "iql"
+    config: IqlConfig
 
     def __init__(
         self,
@@ -80,21 +74,20 @@ class Iql:
         seeds: Sequence[int],
         device: str = "cpu",
     ) -> None:
-        self.config, self.seeds, self.step = config, tuple(seeds), 0
-        self.layout, self.bounds = arrays.layout, dict[str, float]()
-        sizes = config.batch_size, (0.0, 0.0)  # goals stay as they are
-        self._batches = OfflineBatches(arrays, *sizes, judge, seeds, device)
-        states = torch.from_numpy(arrays.states).float()
-        self.normalizer = Normalizer.of(states, config.std_floor).to(device)
+        shares = 0.0, 0.0  # goals stay as they are
         rest = config.learning_rate, seeds, device
-        self.actors = SeededActors(
-            (self.layout.joint,), self.normalizer, config.hidden, *rest
-        )
+        super().__init__(config, arrays, judge, seeds, device, rest[0], shares)
         width = len(self.layout.state)
         self.values = SeededCritics(width, 1, config.hidden, False, *rest)
         width += len(self.layout.action)
         self.critics = SeededCritics(width, 1, config.hidden, False, *rest)
         self._targets = self.critics.copy()
+        self._parts = {
+            "actors": self.actors,
+            "values": self.values,
+            "critics": self.critics,
+            "targets": self._targets,
+        }
 
     def update(self) -> dict[str, torch.Tensor]:
         """One gradient step; losses of each seed, shape (S,)."""
@@ -129,29 +122,10 @@ class Iql:
 
     @torch.no_grad()
     def diagnose(self) -> dict[str, torch.Tensor]:
-        """How far the actor is from some of the data, shape (S,)."""
+        """Distances of the actor to some of the data's actions, shape (S,)."""
         state, action = self._batches.some(DIAGNOSED)
         inputs = self.normalizer(state).expand(len(self.seeds), -1, -1)
         return imitation_errors(self.actors.joint(inputs), action, self.layout)
-
-    def agents(self, number: int) -> dict[str, AgentActor]:
-        """One seed's actor as it is now."""
-        return self.actors.agents(number)
-
-    def state(self, number: int) -> dict[str, Any]:
-        """Everything that one seed needs to act and to resume bit-equally."""
-        own = parts_state(self._parts(), number)
-        return {"step": self.step, **own, "batches": self._batches.state(number)}
-
-    def load_states(self, states: Sequence[Mapping[str, Any]]) -> None:
-        """Continue all seeds from their ``state``."""
-        self.step = states[0]["step"]
-        load_parts(self._parts(), states)
-        self._batches.load_states([state["batches"] for state in states])
-
-    def _parts(self) -> dict[str, Any]:
-        own = {"actors": self.actors, "values": self.values, "critics": self.critics}
-        return own | {"targets": self._targets}
 
 
 _about = "IQL: in-sample values, advantage-weighted cloning."

@@ -13,16 +13,16 @@ from marl_mm.layout import Layout
 
 @dataclass(frozen=True)
 class NoisyPdConfig:
-    """How far it drifts off."""
+    """Settings of the noisy PD collector."""
 
     noise: float = 0.3
-    """Standard deviation of the drift, of half of each action's range."""
+    """Standard deviation of the drift, as a share of half of each action's range."""
 
     memory: float = 0.7
-    """Share of the drift that is left after a step, 0 to below 1."""
+    """Share of the drift that remains after a step, 0 to below 1."""
 
     pd: PdConfig = field(default_factory=lambda: PdConfig(alpha_rule="room"))
-    """Gains and alpha of the agent."""
+    """Settings of the PD agent."""
 
     def __post_init__(self) -> None:
         if not (0.0 <= self.noise <= 10.0 and 0.0 <= self.memory < 1.0):
@@ -33,7 +33,7 @@ class NoisyPdConfig:
 
 
 class NoisyPd:
-    """Acts as PD does, and drifts."""
+    """Policy of the PD agent with a drift."""
 
     name = "noisy-pd"
 
@@ -45,13 +45,13 @@ class NoisyPd:
         return asdict(self.config)
 
     def begin(self, rng: np.random.Generator, layout: Layout) -> None:
-        """Take the episode's stream of random numbers; no drift yet."""
+        """Take the episode's stream of random numbers, and start without drift."""
         self._pd.begin(rng, layout)
         self._rng, self._low, self._high = rng, layout.low, layout.high
         self._drift = np.zeros(len(layout.action))
 
     def act(self, state: np.ndarray) -> np.ndarray:
-        """PD's action and the drift, within the action space."""
+        """The PD action plus the drift, clipped to the action space."""
         memory = self.config.memory
         fresh = self._rng.normal(0.0, self.config.noise, len(self._drift))
         self._drift = memory * self._drift + np.sqrt(1 - memory**2) * fresh

@@ -15,12 +15,12 @@ TEAM = (
     Agent("ground", (*SEEN, *GROUND), names(*DELTA[:2])),
     Agent("balance", (*SEEN, MODE.name), names(ALPHA)),
 )
-"""Not in the order of the action's entries, which nothing may depend on."""
+"""Three agents, deliberately not in the order of the action's entries."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThreeAgents(Reach):
-    """Numbers of Reach."""
+    """Reach by three agents."""
 
     about = "Bring the end-effector to a goal, by three agents."
     layout = replace(LAYOUT, team=TEAM)

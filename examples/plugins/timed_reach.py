@@ -15,7 +15,7 @@ _hand, _balance = LAYOUT.team
 
 @dataclass(frozen=True, kw_only=True)
 class TimedReach(Reach):
-    """Numbers of Reach."""
+    """Reach with the time left in the balance agent's observation."""
 
     about = "Bring the end-effector to a goal, and see the time that is left."
     layout = replace(
@@ -34,12 +34,12 @@ register_task("TimedReach-v0", TimedReach())
 
 
 TEMPO = Entry("tempo", "1", 0.0, 1.0)
-"""Share of the episode's steps that are over: as wide a state, another meaning."""
+"""Share of the episode's steps that are over: a state of equal width."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PacedReach(TimedReach):
-    """Numbers of Reach; the end-effector's agent sees the time that is over."""
+    """Reach with the time that is over in the end-effector agent's observation."""
 
     about = "Bring the end-effector to a goal, and see the time that is over."
     layout = replace(

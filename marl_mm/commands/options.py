@@ -5,20 +5,19 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import field, fields, make_dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
-from rich.console import Console
 
 import marl_mm
 from marl_mm.collectors.registry import COLLECTORS
-from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import Location
 from marl_mm.envs.registry import TASKS
-from marl_mm.eval.evaluate import Evaluation
-from marl_mm.eval.metrics import failures_in_words
-from marl_mm.eval.tables import evaluation_table
 from marl_mm.runs.policies import AGENT
+
+if TYPE_CHECKING:  # a help takes neither data nor the simulator
+    from marl_mm.datasets.dataset import Dataset
+    from marl_mm.eval.evaluate import Evaluation
 
 T = TypeVar("T")
 
@@ -65,8 +64,13 @@ def _attribute(name: str) -> str:
     return "policy_" + re.sub(r"\W", "_", name)
 
 
-def print_evaluations(evaluations: Sequence[Evaluation]) -> None:
+def print_evaluations(evaluations: Sequence["Evaluation"]) -> None:
     """A table on the terminal; into a pipe, with names in full."""
+    from rich.console import Console
+
+    from marl_mm.eval.metrics import failures_in_words
+    from marl_mm.eval.tables import evaluation_table
+
     console = Console()
     if not console.is_terminal:
         longest = max(len(evaluation.policy) for evaluation in evaluations)
@@ -78,13 +82,15 @@ def print_evaluations(evaluations: Sequence[Evaluation]) -> None:
             print(f"{evaluation.policy} failed: {failures_in_words(failures)}")
 
 
-def read_dataset(name: str | Location) -> Dataset:
+def read_dataset(name: str | Location) -> "Dataset":
     """A dataset, with a line on stderr if its collection was stopped.
 
     Raises:
         UnknownDatasetError: If there is none.
         DatasetError: If its files are damaged.
     """
+    from marl_mm.datasets.dataset import load_dataset
+
     dataset = load_dataset(name)
     warn_if_stopped(dataset.location, dataset.metadata)
     return dataset

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Generic, TypeVar
 
 import tyro
 
-from marl_mm.algorithms.online import Schedule
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, names, preset
+from marl_mm.algorithms.schedule import Schedule
 from marl_mm.commands.options import REGISTERED
 from marl_mm.commands.parser import Subcommand, parse_subcommand, value_of
 from marl_mm.envs.registry import DEFAULT

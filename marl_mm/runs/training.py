@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from marl_mm.algorithms.online import Schedule
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
+from marl_mm.algorithms.schedule import Schedule
 from marl_mm.runs.settings import check_positive, check_seed, refuse_both
 
 

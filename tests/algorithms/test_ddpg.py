@@ -220,6 +220,7 @@ def test_the_critic_sees_everything(episodes: list[Episode]) -> None:
         assert (gradient != 0).any(dim=0).all()
 
 
+@pytest.mark.slow
 def test_critic_and_actor_solve_a_task_of_one_step(make_episode: MakeEpisode) -> None:
     """Reward 1 - |a - a*|^2, in [-1, 1], at the end of every episode of one step: the
     critic finds it, and the actor finds a*."""

@@ -2,10 +2,12 @@
 
 import csv
 import sys
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,20 +52,29 @@ def learn(
 
 def sent(run: Path) -> list[dict[str, float]]:
     """Rows in the local files of Weights & Biases, oldest first."""
-    from wandb.proto import wandb_internal_pb2
-    from wandb.sdk.internal.datastore import DataStore
-
     rows = []
-    for path in sorted(run.glob("wandb/*run-*/*.wandb")):
-        store = DataStore()
-        store.open_for_scan(str(path))
-        while (data := store.scan_data()) is not None:
-            record = wandb_internal_pb2.Record()
-            record.ParseFromString(data)
+    for path in run.glob("wandb/*run-*/*.wandb"):
+        end = time.monotonic() + 60  # its own process writes them
+        while not (records := recorded(path)) or not records[-1].HasField("exit"):
+            assert time.monotonic() < end
+            time.sleep(0.1)
+        for record in records:
             if record.HasField("history"):
                 items = {i.key or i.nested_key[0]: i for i in record.history.item}
                 rows.append({k: float(i.value_json) for k, i in items.items()})
-    return rows
+    return sorted(rows, key=lambda row: row["_timestamp"])
+
+
+def recorded(path: Path) -> list[Any]:
+    from wandb.proto import wandb_internal_pb2
+    from wandb.sdk.internal.datastore import DataStore
+
+    store, records = DataStore(), []
+    store.open_for_scan(str(path))
+    while (data := store.scan_data()) is not None:
+        records.append(wandb_internal_pb2.Record())
+        records[-1].ParseFromString(data)
+    return records
 
 
 def tabled(run: Path) -> list[dict[str, float]]:

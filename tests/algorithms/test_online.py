@@ -18,11 +18,12 @@ from marl_mm.algorithms.ddpg_config import DdpgConfig
 from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.maddpg import Maddpg
 from marl_mm.algorithms.maddpg_config import MaddpgConfig
-from marl_mm.algorithms.online import Schedule, is_flat, train_online
+from marl_mm.algorithms.online import is_flat, train_online
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.pretrained import load_pretrained, ship
 from marl_mm.algorithms.registry import preset
 from marl_mm.algorithms.runlog import CurvePoint, RunLog, read_metrics
+from marl_mm.algorithms.schedule import Schedule
 from marl_mm.algorithms.train import resume
 from marl_mm.cli import main
 from marl_mm.envs.parallel import split_action

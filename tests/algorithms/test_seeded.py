@@ -8,11 +8,11 @@ import pytest
 import torch
 from torch import nn
 
+from marl_mm.algorithms.diagnostics import imitation_errors
 from marl_mm.algorithms.networks import Normalizer, perceptron
 from marl_mm.algorithms.seeded import (
     SeededActors,
     SeededCritics,
-    imitation_errors,
     load_parts,
     parts_state,
 )

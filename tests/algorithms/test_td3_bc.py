@@ -348,7 +348,7 @@ def test_what_hardly_varies_is_imitated_most(arrays: EpisodeArrays) -> None:
     actions[:, 0] = np.where(np.arange(len(actions)) % 2, REACH.high[0], REACH.low[0])
     actions[:, 3] = 0.7
     known = replace(arrays, actions=actions)
-    weights = Td3Bc(Td3BcConfig(**SMALL), known, JUDGE, [0])._weights
+    weights = Td3Bc(Td3BcConfig(**SMALL), known, JUDGE, [0])._imitation.weights
     assert weights[3] / weights[0] == pytest.approx(100.0, rel=1e-2)
     assert weights.argmax() == 3
 

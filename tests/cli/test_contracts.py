@@ -697,9 +697,10 @@ class ForgetsOptimiser(Mabc):
 class ForgetsTargets(Td3Bc):
     """Checkpoints lack the targets."""
 
-    def _parts(self) -> Any:
-        parts = super()._parts().items()
-        return {name: part for name, part in parts if not name.startswith("target")}
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        parts = self._parts.items()
+        self._parts = {name: p for name, p in parts if not name.startswith("target")}
 
 
 class ForgetsStep(Mabc):

@@ -22,7 +22,7 @@ from marl_mm.datasets.dataset import load_dataset
 from marl_mm.envs import make_task, parallel_env
 from marl_mm.envs.registry import TASKS
 from marl_mm.errors import PluginError, UsageError
-from marl_mm.eval import evaluate
+from marl_mm.eval.evaluate import evaluate
 from marl_mm.eval.metrics import METRICS
 from marl_mm.registry import Registry
 
@@ -88,6 +88,7 @@ def test_an_algorithm_of_ones_own_is_trained_resumed_evaluated_and_exported(
     assert run("play", out / "0", "--max-steps", 1, "--video", tmp_path / "x.gif") == 0
 
 
+@pytest.mark.slow
 def test_seeds_in_processes_of_their_own_find_the_plugin(
     datasets_home: Path, tmp_path: Path
 ) -> None:
@@ -322,7 +323,7 @@ def test_what_a_script_registers_works_in_workers(tmp_path: Path) -> None:
         "from marl_mm.envs import make_task, register_task\n"
         "from marl_mm.envs.tasks.reach import Reach\n"
         "from marl_mm.collectors.random import RandomConfig, RandomPolicy\n"
-        "from marl_mm.eval import evaluate\n"
+        "from marl_mm.eval.evaluate import evaluate\n"
         "class Mine(Reach):\n    pass\n"
         "register_task('Mine-v0', Mine(max_steps=2))\n"
         "if __name__ == '__main__':\n"

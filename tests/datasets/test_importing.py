@@ -264,6 +264,7 @@ def fuzz(path: Path, rng: np.random.Generator) -> str:
     return kind
 
 
+@pytest.mark.slow
 def test_damaged_files_give_clear_errors(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -20,7 +20,7 @@ from marl_mm.envs.rollout import EpisodePlan, run_episode
 from marl_mm.envs.task import ScriptConfig
 from marl_mm.envs.tasks.grasp import LAYOUT as HANDLING
 from marl_mm.errors import UsageError
-from marl_mm.eval import evaluate
+from marl_mm.eval.evaluate import evaluate
 from marl_mm.layout import Layout
 
 OpenWorld = Callable[..., EpisodeCore]

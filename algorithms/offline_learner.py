@@ -1,0 +1,72 @@
+"""What offline algorithms share: batches, input statistics, actors and their state."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+
+from marl_mm.algorithms.actors import AgentActor
+from marl_mm.algorithms.networks import Normalizer
+from marl_mm.algorithms.offline_batches import OfflineBatches
+from marl_mm.algorithms.replay import Judge
+from marl_mm.algorithms.seeded import Parts, SeededActors, load_parts, parts_state
+from marl_mm.datasets.arrays import EpisodeArrays
+from marl_mm.layout import AgentLayout
+
+
+class OfflineLearner:
+    """Learns from a dataset's transitions, for several seeds at once.
+
+    Args:
+        config: Hyper-parameters, with ``batch_size``, ``hidden`` and ``std_floor``.
+        arrays: The dataset's episodes.
+        judge: The task's reward and termination.
+        seeds: Seeds of initial weights and batches, S of them.
+        device: "cpu" or "cuda".
+        rate: Learning rate of the actors.
+        shares: Shares of transitions with another goal, see ``OfflineBatches``.
+    """
+
+    def __init__(
+        self,
+        config: Any,
+        arrays: EpisodeArrays,
+        judge: Judge,
+        seeds: Sequence[int],
+        device: str,
+        rate: float,
+        shares: tuple[float, float],
+    ) -> None:
+        self.config, self.seeds, self.step = config, tuple(seeds), 0
+        self.layout = arrays.layout
+        self.layouts = self._layouts()
+        self.bounds: dict[str, float] = {}
+        self._batches = OfflineBatches(
+            arrays, config.batch_size, shares, judge, seeds, device
+        )
+        states = torch.from_numpy(arrays.states).float()
+        self.normalizer = Normalizer.of(states, config.std_floor).to(device)
+        self.actors = SeededActors(
+            self.layouts, self.normalizer, config.hidden, rate, seeds, device
+        )
+        self._parts: Parts = {"actors": self.actors}
+        """Networks by their name in the state."""
+
+    def _layouts(self) -> tuple[AgentLayout, ...]:
+        """Layout of each actor: of one that sees and sets everything."""
+        return (self.layout.joint,)
+
+    def agents(self, number: int) -> dict[str, AgentActor]:
+        """One seed's actors as they are now."""
+        return self.actors.agents(number)
+
+    def state(self, number: int) -> dict[str, Any]:
+        """Everything that one seed needs to act and to resume bit-equally."""
+        own = parts_state(self._parts, number)
+        return {"step": self.step, **own, "batches": self._batches.state(number)}
+
+    def load_states(self, states: Sequence[Mapping[str, Any]]) -> None:
+        """Continue all seeds from their ``state``."""
+        self.step = states[0]["step"]
+        load_parts(self._parts, states)
+        self._batches.load_states([state["batches"] for state in states])
