@@ -8,8 +8,8 @@ from typing import Any
 
 from marl_mm.algorithms.checkpoint import BEST as BEST_FILE
 from marl_mm.algorithms.checkpoint import FILE
-from marl_mm.algorithms.online import Schedule
 from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.algorithms.schedule import Schedule
 from marl_mm.algorithms.speed import matrix_products, prepare_for_small_networks
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import Location

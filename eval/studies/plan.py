@@ -77,7 +77,7 @@ def missing_cells(
     for cell, probes, asked in _cells(options, studies):
         source, setting = cell
         training = training_of(source, setting, options.small)
-        with _advising("name another `out`"):
+        with _advising("name another folder with `out`"):
             record = made_of(setting, training)
             seeds = options.store.missing(cell, asked, probes, record)
         if not seeds:
@@ -114,9 +114,9 @@ def _check(
 ) -> None:
     """Raise before any work is done for what would stop a cell's runs."""
     if dataset is not None:
-        with _advising("name another `out`"):
+        with _advising("name another folder with `out`"):
             options.store.check_dataset(cell, dataset.identity())
-    with _advising("name another `runs`, or delete this folder"):
+    with _advising("name another folder with `runs`, or delete this one"):
         jobs[0].learner.check({job.seed: job.run for job in jobs})
 
 

@@ -174,7 +174,7 @@ class RowStore:
                 raise MarlMmError(
                     f"{self._path(cell, '.csv.gz')} has other evaluations of seed "
                     f"{seed}, of a training with another learning curve: name another "
-                    "`out`, or delete the cell's three files"
+                    "folder with `out`, or delete the cell's three files"
                 )
 
     def evaluations(
