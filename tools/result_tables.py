@@ -29,7 +29,6 @@ from marl_mm.eval.bench.tables import (
 )
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies.alpha import worth_table as alpha_worth_table
-from marl_mm.eval.studies.online import CELLS
 from marl_mm.eval.studies.ours import BLOCKS
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.sweep_summary import responses
@@ -102,8 +101,7 @@ def _online() -> str:
 
 
 def _learnt() -> str:
-    labels = {name: setting.about for name, (_, setting) in CELLS.items()}
-    return alpha_worth_table(read_rows(RESULTS / "studies/alpha_worth.csv"), labels)
+    return alpha_worth_table(read_rows(RESULTS / "studies/alpha_worth.csv"))
 
 
 def _steps() -> str:

@@ -4,116 +4,132 @@ Worth: the return of a trained agent against the same agent with its alpha held 
 value, on the same goals.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 
+from marl_mm.algorithms.checkpoint import BEST
+from marl_mm.algorithms.policy import load_policy
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.episode import Episode
 from marl_mm.eval.goals import goal_set
 from marl_mm.eval.intervals import bootstrap_interval
 from marl_mm.eval.metrics import Row, alphas
+from marl_mm.eval.rows import read_rows, write_csv
+from marl_mm.eval.studies.held import FixedAlpha
+from marl_mm.eval.studies.online import STUDIES
+from marl_mm.eval.studies.options import StudyOptions
+from marl_mm.eval.studies.plan import run_folder
 from marl_mm.eval.tables import markdown_table
-from marl_mm.layout import Layout
 from marl_mm.policy import Policy
-from marl_mm.progress import Advance, silent
+from marl_mm.progress import Bar
+from marl_mm.runs.folder import read_config
+
+ABOUT = "What alpha the trained agents choose, and what it is worth."
+"""Title."""
 
 ALPHAS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.8, 0.9, 1.0)
 """Alphas that are held, closer where the best one lies on ``SmoothReach-v0``."""
 
 LEARNT = "learnt"
 
+CHOOSING = STUDIES["online"].part(
+    None, ("ddpg-her", "ddpg-her-smooth", "maddpg-her-smooth")
+)
+"""Agents that are looked at."""
 
-class FixedAlpha:
-    """A policy whose alpha is held, and which does not notice.
+LABELS = {setting.name: setting.about for _, setting in CHOOSING.cells}
 
-    Where the state has the last alpha, the policy sees the one that it chose itself: a
-    joint actor would otherwise move the hand differently, too.
-
-    Args:
-        policy: Who sets the rest of the action.
-        alpha: 0 accurate hand ... 1 stable base.
-    """
-
-    def __init__(self, policy: Policy, alpha: float) -> None:
-        self._policy, self._alpha = policy, alpha
-        self.name = f"{policy.name}, alpha {alpha:g}"
-        self._chosen: float | None = None
-
-    def describe(self) -> dict[str, Any]:
-        """The alpha, and the policy's own settings."""
-        return {"alpha": self._alpha, **self._policy.describe()}
-
-    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
-        """A new episode of the policy, too."""
-        self._policy.begin(rng, layout)
-        self._mode = layout.columns("control_mode")
-        self._place = layout.settings("alpha")
-        self._chosen = None
-
-    def act(self, state: np.ndarray) -> np.ndarray:
-        """The policy's action with the held alpha."""
-        seen = state.copy()
-        if self._chosen is not None:
-            seen[self._mode] = self._chosen
-        action = self._policy.act(seen).copy()
-        self._chosen = float(action[self._place].item())
-        action[self._place] = self._alpha
-        return action
+GOALS, STEPS, WORTH = "alpha_goals.csv.gz", "alpha_steps.csv", "alpha_worth.csv"
+"""Files of the rows, of alpha over time, and of the table."""
 
 
-def worth_rows(
-    policy: Policy,
-    task: str,
-    goals: int,
-    seed: int,
-    alphas: Sequence[float] = ALPHAS,
-    overrides: Mapping[str, Any] | None = None,
-    workers: int = 1,
-    advance: Advance = silent,
-) -> tuple[list[Row], list[Episode]]:
-    """Returns per goal, with the learnt alpha and with each fixed one.
+def make_worth(options: StudyOptions, bar: Bar) -> str:
+    """Run trained agents with the learnt alpha and with held ones, and draw the worth.
 
     Args:
-        policy: A trained agent.
-        task: Task that it was trained in.
-        goals: Number of goals, half ahead.
-        seed: Seed of the goals.
-        alphas: Alphas that are held.
-        overrides: Settings of the task that are replaced.
-        workers: Processes.
-        advance: Told the episodes.
+        options: Where the runs of ``CHOOSING`` are, and where results go.
+        bar: Begins a bar of progress.
 
     Returns:
-        Rows of ``alpha`` (a number or ``learnt``), goal, direction, success and return;
-        and the episodes with the learnt alpha.
+        The table, as Markdown.
     """
-    config = make_task(task, overrides)
-    plans = goal_set(config, goals, seed)
+    goals, alphas = (2, ALPHAS[::6]) if options.small else (100, ALPHAS)
     rows: list[Row] = []
-    learnt: list[Episode] = []
-    actors: list[tuple[float | str, Policy]] = [(LEARNT, policy)]
-    actors += [(alpha, FixedAlpha(policy, alpha)) for alpha in alphas]
-    with Rollouts(config, workers) as rollouts:
-        for alpha, actor in actors:
-            for episode in rollouts.run(actor, plans):
-                rows.append(
-                    {
-                        "task": task,
-                        "alpha": alpha,
-                        "goal": episode.index,
-                        "direction": episode.direction,
-                        "success": int(episode.success),
-                        "steps": len(episode),
-                        "return": episode.episode_return,
-                    }
-                )
-                if alpha == LEARNT:
-                    learnt.append(episode)
-                advance(1, f"{task} alpha {alpha}")
-    return rows, learnt
+    steps: list[Row] = []
+    for cell in CHOOSING.cells:
+        for seed in options.seeds_of(CHOOSING):
+            run = run_folder(options, cell, seed)
+            made_of = read_config(run).to_json()
+            changed = {k: made_of[k] for k in ("max_steps",) if k in made_of}
+            task = make_task(made_of["task"], changed)
+            policy = load_policy(run / BEST)
+            actors: list[tuple[float | str, Policy]] = [(LEARNT, policy)]
+            actors += [(alpha, FixedAlpha(policy, alpha)) for alpha in alphas]
+            advance = bar(f"{cell[1].name} {seed}", goals * len(actors))
+            head: Row = {"setting": cell[1].name, "seed": seed, "task": made_of["task"]}
+            learnt: list[Episode] = []
+            # Goals of seeds 0 and 1 are the runs' own evaluations.
+            plans = goal_set(task, goals, seed=2)
+            with Rollouts(task, options.workers) as rollouts:
+                for alpha, actor in actors:
+                    for episode in rollouts.run(actor, plans):
+                        rows.append(head | _goal(alpha, episode))
+                        learnt += [episode] * (alpha == LEARNT)
+                        advance(1, f"alpha {alpha}")
+            steps += [head | row for row in _steps(learnt)]
+    write_csv(options.results / GOALS, rows)
+    write_csv(options.results / STEPS, steps)
+    return draw_worth(options.results, options.results)
+
+
+def _goal(alpha: float | str, episode: Episode) -> Row:
+    return {
+        "alpha": alpha,
+        "goal": episode.index,
+        "direction": episode.direction,
+        "success": int(episode.success),
+        "steps": len(episode),
+        "return": episode.episode_return,
+    }
+
+
+def _steps(episodes: Sequence[Episode]) -> Iterator[Row]:
+    """Alpha at each step of the episodes that come to it, by direction."""
+    for direction in ("forward", "backward"):
+        own = [alphas(e) for e in episodes if e.direction == direction]
+        for step in range(max(map(len, own), default=0)):
+            values = [one[step] for one in own if len(one) > step]
+            yield {
+                "direction": direction,
+                "step": step + 1,
+                "episodes": len(values),
+                "mean": float(np.mean(values)),
+                "std": float(np.std(values)),
+            }
+
+
+def draw_worth(results: Path, folder: Path) -> str:
+    """Write the table and the figure of the learnt alpha's worth, from its rows.
+
+    Args:
+        results: Folder of the rows.
+        folder: Folder of table and figure.
+
+    Returns:
+        The table, as Markdown.
+
+    Raises:
+        UsageError: If there are no rows.
+    """
+    from marl_mm.eval.studies.figures import alpha_figure  # imports matplotlib
+
+    summary = summarize_worth(read_rows(results / GOALS))
+    write_csv(folder / WORTH, summary)
+    alpha_figure(read_rows(results / STEPS), summary, LABELS, folder / "alpha.png")
+    return worth_table(summary)
 
 
 def summarize_worth(rows: Sequence[Row]) -> list[Row]:
@@ -147,34 +163,13 @@ def _summarize_agent(rows: Sequence[Row], setting: str, seed: int) -> Iterator[R
         }
 
 
-def alpha_steps(task: str, episodes: Sequence[Episode]) -> Iterator[Row]:
-    """Alpha at each step of the episodes that come to it, by direction."""
-    for direction in ("forward", "backward"):
-        own = [alphas(e) for e in episodes if e.direction == direction]
-        for step in range(max(map(len, own), default=0)):
-            values = [one[step] for one in own if len(one) > step]
-            yield {
-                "task": task,
-                "direction": direction,
-                "step": step + 1,
-                "episodes": len(values),
-                "mean": float(np.mean(values)),
-                "std": float(np.std(values)),
-            }
-
-
 def _returns(rows: Sequence[Row], alpha: float | str) -> np.ndarray:
     own = [row for row in rows if row["alpha"] == alpha]
     return np.array([row["return"] for row in sorted(own, key=lambda r: r["goal"])])
 
 
-def worth_table(summary: Sequence[Row], labels: Mapping[str, str]) -> str:
-    """The learnt alpha against the best one held, an agent a row, as Markdown.
-
-    Args:
-        summary: Rows of ``summarize_worth``.
-        labels: Descriptions of the settings by name.
-    """
+def worth_table(summary: Sequence[Row]) -> str:
+    """The learnt alpha against the best one held, an agent a row, as Markdown."""
     lines = []
     for cell in dict.fromkeys((row["setting"], row["seed"]) for row in summary):
         own = [row for row in summary if (row["setting"], row["seed"]) == cell]
@@ -182,7 +177,7 @@ def worth_table(summary: Sequence[Row], labels: Mapping[str, str]) -> str:
         low, high = best["difference_interval"]
         lines.append(
             (
-                labels[best["setting"]],
+                LABELS[best["setting"]],
                 best["task"],
                 str(best["seed"]),
                 str(best["goals"]),

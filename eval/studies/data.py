@@ -22,6 +22,11 @@ FEW = 30
 Tell = Callable[[str], None]
 """Called with what a reader should know while it happens."""
 
+
+def silence(text: str) -> None:
+    """For callers who do not want to be told."""
+
+
 _DECLARED: tuple[Source | Mix, ...] = (*paper.GOOD, paper.PD_30K, *paper.MIXES)
 _KNOWN = {source.name: source for source in (*_DECLARED, *ours.OTHER_TASKS)}
 """Declared sources by the word that an id is short for."""
@@ -40,7 +45,7 @@ class Datasets:
     executor: Executor = "local"
     """Processes of this machine, or of a Ray cluster."""
 
-    tell: Tell = lambda text: None
+    tell: Tell = silence
     bar: Bar = silent_bar
 
     def find(self, data: Data) -> Dataset:

@@ -1,13 +1,14 @@
 """Runs studies: what is missing is trained, its rows are kept, and tables are drawn."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from marl_mm.errors import FailedRunsError
 from marl_mm.eval.rows import write_csv
-from marl_mm.eval.studies.data import Datasets, Tell
-from marl_mm.eval.studies.jobs import Complaint, Job, do_jobs
+from marl_mm.eval.studies.data import Datasets, Tell, silence
+from marl_mm.eval.studies.jobs import Job, do_jobs
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.plan import (
     Wanted,
@@ -16,103 +17,148 @@ from marl_mm.eval.studies.plan import (
     missing_cells,
     plan_table,
 )
-from marl_mm.eval.studies.study import Curves, Study, cell_name
+from marl_mm.eval.studies.study import Curves, Study
 from marl_mm.eval.studies.summary import summarize
 from marl_mm.eval.studies.table import Table
 from marl_mm.files import refuse_existing
 from marl_mm.progress import Bar, silent_bar
-from marl_mm.runs.settings import check_positive, check_seeds
+
+Studies = Mapping[str, Study]
+"""Studies by the name of their files."""
 
 
-def run_studies(
-    studies: Mapping[str, Study],
-    options: StudyOptions,
-    tell: Tell = lambda text: None,
-    bar: Bar = silent_bar,
-) -> Iterator[tuple[str, Table]]:
-    """Make what is missing of some studies, and draw them.
-
-    Args:
-        studies: Studies by the name of their files.
-        options: How studies are run.
-        tell: Told what a reader should know while it happens.
-        bar: Begins a bar of progress; it is called in a thread.
-
-    Yields:
-        Names and tables that are drawn.
+@dataclass(frozen=True)
+class Engine:
+    """Runs studies.
 
     Raises:
-        UsageError: If a table exists, or a dataset is not there.
-        OtherConfigError: If rows or runs there were made with something else.
-        FailedRunsError: At the end; what could be drawn has been.
-        KeyboardInterrupt: After Ctrl-C, saying how to go on.
+        UsageError: If an option makes no sense.
     """
-    for name, study in studies.items():
-        for end in (".csv", ".png")[: 1 + bool(study.figure)]:
-            again = options.overwrite or options.resume
-            refuse_existing(options.results / f"{name}{end}", again)
-    wanted, failed = make_rows(studies, options, tell, bar)
-    incomplete = {cell_name(one.cell) for one in wanted if failed.keys() & one.runs}
-    drawn = []
-    for name, study in studies.items():
-        if incomplete.isdisjoint(map(cell_name, study.cells)):
-            yield name, draw(name, study, options, options.results)
-            drawn.append(name)
-    if failed:
-        reasons = "; ".join(f"{run}: {why}" for run, why in failed.items())
-        total = sum(len(one.jobs) for one in wanted)
-        raise FailedRunsError(
-            f"{len(failed)} of {total} runs failed, the same with `resume=True` tries "
-            f"them again; drawn: {', '.join(drawn) or 'nothing'}; {reasons}"
-        )
 
+    options: StudyOptions
+    """How studies are run."""
 
-def plan_studies(
-    studies: Mapping[str, Study], options: StudyOptions, tell: Tell, bar: Bar
-) -> str:
-    """What is missing of some studies, and about how long it will take, as Markdown.
+    tell: Tell = silence
+    """Told what a reader should know while it happens."""
 
-    Args:
-        studies: Studies by name.
-        options: How studies are run.
-        tell: Told which datasets are missing.
-        bar: Begins a bar of progress.
+    bar: Bar = silent_bar
+    """Begins a bar of progress; it is called in a thread."""
 
-    Raises:
-        OtherConfigError: If rows there were made with something else.
-    """
-    _check_options(options)
-    datasets = _datasets(options, tell, bar)
-    wanted = missing_cells(options, studies.values(), datasets, plan=True)
-    measured = not options.small
-    if measured:
-        wanted = estimated(wanted, bar)
-    return plan_table(wanted, options.workers, measured)
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense."""
+        self.options.check_settings()
 
+    def run(self, studies: Studies) -> Iterator[tuple[str, Table]]:
+        """Make what is missing of some studies, draw them, and yield their tables.
 
-def draw(name: str, study: Study, options: StudyOptions, folder: Path) -> Table:
-    """Write a study's table, and its figure if it has one, from its rows.
+        Raises:
+            UsageError: If a table exists, or a dataset is not there.
+            OtherConfigError: If rows or runs there were made with something else.
+            FailedRunsError: At the end; what could be drawn has been.
+            KeyboardInterrupt: After Ctrl-C, saying how to go on.
+        """
+        again = self.options.overwrite or self.options.resume
+        for name, study in studies.items():
+            for end in (".csv", ".png")[: 1 + bool(study.figure)]:
+                refuse_existing(self.options.results / f"{name}{end}", again)
+        try:
+            self.make_rows(studies)
+        except FailedRunsError as error:
+            failed: FailedRunsError | None = error
+        else:
+            failed = None
+        for name, study in studies.items():
+            if failed is None or not self._missing({name: study}):
+                yield name, self.draw(name, study, self.options.results)
+        if failed is not None:
+            raise failed
 
-    Args:
-        name: Name of the files.
-        study: The study.
-        options: Where its rows are, and which seeds count.
-        folder: Folder of the files.
+    def plan(self, studies: Studies) -> str:
+        """What is missing, and about how long it will take, as Markdown.
 
-    Raises:
-        UsageError: If rows are missing.
-    """
-    store, seeds = options.store, options.seeds_of(study)
-    rows = summarize(study, store, seeds)
-    write_csv(folder / f"{name}.csv", rows)
-    figure = None
-    if study.figure:
+        Raises:
+            OtherConfigError: If rows there were made with something else.
+        """
+        wanted = self._missing(studies, plan=True)
+        if not self.options.small:
+            wanted = estimated(wanted, self.bar)
+        return plan_table(wanted, self.options.workers, not self.options.small)
+
+    def draw(self, name: str, study: Study, folder: Path) -> Table:
+        """Write a study's table, and its figure if it has one, from its rows.
+
+        Args:
+            name: Name of the files.
+            study: The study.
+            folder: Folder of the files.
+
+        Raises:
+            UsageError: If rows are missing.
+        """
+        store, seeds = self.options.store, self.options.seeds_of(study)
+        rows = summarize(study, store, seeds)
+        write_csv(folder / f"{name}.csv", rows)
+        if not study.figure:
+            return Table(study, rows)
         from marl_mm.eval.studies.figures import curves_figure  # imports matplotlib
 
         curves = study.figure if isinstance(study.figure, Curves) else Curves()
         figure = folder / f"{name}.png"
         curves_figure(study, curves, store, seeds, figure)
-    return Table(study, rows, figure)
+        return Table(study, rows, figure)
+
+    def make_rows(self, studies: Studies) -> None:
+        """Do what is missing; a cell's rows are kept as soon as all its runs are done.
+
+        Raises:
+            FailedRunsError: If runs failed; the others are done.
+            KeyboardInterrupt: After Ctrl-C, saying how to go on.
+        """
+        options = self.options
+        wanted = self._missing(studies)
+        cell_of = {job.run: one for one in wanted for job in one.jobs}
+
+        def keep_if_done(one: Wanted) -> None:
+            if all(job.done for job in one.jobs):
+                runs = {job.seed: job.run for job in one.jobs}
+                options.store.keep(one.cell, runs, one.probes)
+
+        def done(job: Job) -> None:
+            keep_if_done(cell_of[job.run])
+
+        for one in wanted:
+            keep_if_done(one)
+        if all(job.done for one in wanted for job in one.jobs):
+            return
+        if not options.small:
+            wanted = estimated(wanted, self.bar)
+        left = [job for one in wanted for job in one.jobs if not job.done]
+        text = (
+            f"{len(left)} of {len(cell_of)} runs are missing in {options.runs_folder}"
+        )
+        time = (
+            "" if options.small else f", about {hours(left, options.workers):.1f} hours"
+        )
+        self.tell(f"{text}{time}; after Ctrl-C, go on with `resume=True`")
+        pool = options.workers, options.executor
+        try:
+            failed = do_jobs(left, *pool, done, self.tell, self.bar)
+        except KeyboardInterrupt:
+            text = f"stopped in {options.runs_folder}: go on with `resume=True`"
+            raise KeyboardInterrupt(text) from None
+        if failed:
+            reasons = "; ".join(f"{run}: {why}" for run, why in failed.items())
+            raise FailedRunsError(
+                f"{len(failed)} of {len(cell_of)} runs failed, the same with "
+                f"`resume=True` tries them again: {reasons}"
+            )
+
+    def _missing(self, studies: Studies, plan: bool = False) -> list[Wanted]:
+        options = self.options
+        small = options.runs_folder / "datasets" if options.small else None
+        pool = options.workers, options.executor
+        datasets = Datasets(small, *pool, self.tell, self.bar)
+        return missing_cells(options, studies.values(), datasets, plan)
 
 
 def compare(results: Path, draw: Callable[[Path], object]) -> dict[Path, str]:
@@ -137,59 +183,3 @@ def compare(results: Path, draw: Callable[[Path], object]) -> dict[Path, str]:
                 same = known.read_bytes() == drawn.read_bytes()
                 states[known] = "the same" if same else "another"
     return states
-
-
-def make_rows(
-    studies: Mapping[str, Study], options: StudyOptions, tell: Tell, bar: Bar
-) -> tuple[Sequence[Wanted], dict[Path, Complaint]]:
-    """Do what is missing; a cell's rows are kept as soon as all its runs are done.
-
-    Returns:
-        Cells that lacked rows, and runs that failed with the reason.
-
-    Raises:
-        KeyboardInterrupt: After Ctrl-C, saying how to go on.
-    """
-    _check_options(options)
-    datasets = _datasets(options, tell, bar)
-    wanted: Sequence[Wanted] = missing_cells(options, studies.values(), datasets)
-    cell_of = {job.run: one for one in wanted for job in one.jobs}
-
-    def keep_if_done(one: Wanted) -> None:
-        if all(job.done for job in one.jobs):
-            runs = {job.seed: job.run for job in one.jobs}
-            options.store.keep(one.cell, runs, one.probes)
-
-    for one in wanted:
-        keep_if_done(one)
-    left = [job for one in wanted for job in one.jobs if not job.done]
-    if not left:
-        return wanted, {}
-    text = f"{len(left)} of {len(cell_of)} runs are missing in {options.runs_folder}"
-    if not options.small:
-        wanted = estimated(wanted, bar)
-        left = [job for one in wanted for job in one.jobs if not job.done]
-        text += f", about {hours(left, options.workers):.1f} hours"
-    tell(f"{text}; after Ctrl-C, go on with `resume=True`")
-
-    def done(job: Job) -> None:
-        keep_if_done(cell_of[job.run])
-
-    try:
-        failed = do_jobs(left, options.workers, options.executor, done, tell, bar)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(
-            f"stopped in {options.runs_folder}: go on with `resume=True`"
-        ) from None
-    return wanted, failed
-
-
-def _check_options(options: StudyOptions) -> None:
-    check_positive(workers=options.workers)
-    if options.seeds is not None:
-        check_seeds(options.seeds)
-
-
-def _datasets(options: StudyOptions, tell: Tell, bar: Bar) -> Datasets:
-    small = options.runs_folder / "datasets" if options.small else None
-    return Datasets(small, options.workers, options.executor, tell, bar)

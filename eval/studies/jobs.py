@@ -12,8 +12,8 @@ from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.errors import MarlMmError, WorkerDiedError
 from marl_mm.eval.evaluate import evaluate
-from marl_mm.eval.studies.alpha import FixedAlpha
 from marl_mm.eval.studies.data import Tell
+from marl_mm.eval.studies.held import FixedAlpha
 from marl_mm.eval.studies.learners import Learner
 from marl_mm.eval.studies.rows import is_probed
 from marl_mm.eval.studies.study import Probe

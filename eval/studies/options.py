@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from marl_mm.algorithms.config_checks import Precision
 from marl_mm.eval.studies.rows import RowStore
-from marl_mm.eval.studies.study import Budget, Study
+from marl_mm.eval.studies.study import Study
+from marl_mm.runs.settings import check_positive, check_seeds
 from marl_mm.workers import Executor
 
 RESULTS = "results"
@@ -28,7 +30,7 @@ class StudyOptions:
     """Seeds of the runs of every source and setting, not their number; default 0 1 2,
     or what the study declares."""
 
-    budget: Budget = "full"
+    budget: Literal["full", "smoke"] = "full"
     """"smoke": hardly any training, and datasets of a few steps, to see that everything
     works."""
 
@@ -47,6 +49,16 @@ class StudyOptions:
 
     overwrite: bool = False
     """Replace tables and figures that exist; runs are never replaced."""
+
+    def check_settings(self) -> None:
+        """Raise for options that make no sense.
+
+        Raises:
+            UsageError: Naming the option.
+        """
+        check_positive(workers=self.workers)
+        if self.seeds is not None:
+            check_seeds(self.seeds)
 
     @property
     def small(self) -> bool:

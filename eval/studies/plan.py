@@ -46,11 +46,6 @@ class Wanted:
     jobs: tuple[Job, ...]
     """One per seed; some may be done."""
 
-    @property
-    def runs(self) -> set[Path]:
-        """Folders of the jobs."""
-        return {job.run for job in self.jobs}
-
 
 def missing_cells(
     options: StudyOptions,

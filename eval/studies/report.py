@@ -18,13 +18,12 @@ from marl_mm.eval.bench.tables import (
     offline_speed_table,
 )
 from marl_mm.eval.rows import read_rows
-from marl_mm.eval.studies.alpha import worth_table
-from marl_mm.eval.studies.online import CELLS
+from marl_mm.eval.studies.alpha import ABOUT, WORTH, worth_table
 from marl_mm.eval.studies.paper import NOTE
 from marl_mm.eval.studies.sweep_summary import responses
 from marl_mm.eval.studies.sweep_tables import sweep_text
 from marl_mm.eval.studies.table import Table
-from marl_mm.eval.studies.targets import EXTRAS, STUDIES, WORTH
+from marl_mm.eval.studies.targets import STUDIES
 from marl_mm.eval.tables import markdown_html, markdown_table, rows_table
 from marl_mm.versions import versions
 
@@ -116,11 +115,8 @@ def _studies(folder: Path) -> Iterator[Section]:
             title, text = study.about, f"{Table(study, rows).markdown()}\n{NOTE}"
         yield _drawn(name, title, target, text, folder)
     if (folder / WORTH).exists():
-        labels = {name: setting.about for name, (_, setting) in CELLS.items()}
-        text = worth_table(read_rows(folder / WORTH), labels)
-        yield _drawn("alpha", EXTRAS["alpha"].about, "alpha", text, folder)
-    if (folder / "fig6.png").exists():
-        yield _drawn("fig6", EXTRAS["fig6"].about, "fig6", "", folder)
+        text = worth_table(read_rows(folder / WORTH))
+        yield _drawn("alpha", ABOUT, "alpha", text, folder)
     made_of = sorted(folder.glob("rows/*/*.json"))
     if made_of:
         details = [

@@ -16,8 +16,6 @@ from marl_mm.runs.settings import check_positive, with_settings
 if TYPE_CHECKING:
     from marl_mm.eval.studies.table import Table
 
-Budget = Literal["full", "smoke"]
-
 
 def _check_name(name: str) -> None:
     if not re.fullmatch(r"[A-Za-z][\w.-]*", name):
@@ -386,47 +384,34 @@ class Study:
         self,
         out: str | Path | None = None,
         *,
-        runs: str | Path | None = None,
         name: str = "study",
-        seeds: Sequence[int] | None = None,
-        workers: int = 1,
-        budget: Budget = "full",
-        resume: bool = False,
-        overwrite: bool = False,
         progress: Bar = silent_bar,
+        **options: Any,
     ) -> "Table":
         """Train and evaluate what is missing, and draw the table and the figure.
 
         Args:
             out: Folder of the table, the figure and their rows; default RUNS/results.
-            runs: Folder of the raw runs; default runs/studies, or runs/studies-smoke.
             name: Name of the table's and the figure's files.
-            seeds: Seeds of the runs; default as many as declared.
-            workers: Runs at once; the result does not depend on their number.
-            budget: ``smoke`` hardly trains, to see that everything works.
-            resume: Go on after an interruption.
-            overwrite: Replace a table and a figure that exist.
             progress: Begins a bar of progress; it is called in a thread.
+            **options: Fields of ``StudyOptions``: ``runs``, ``seeds``, ``workers``,
+                ``budget``, ``resume``, ``overwrite`` ...
 
         Raises:
-            UsageError: If a dataset is not there, or the table exists.
+            UsageError: If an option makes no sense, or the table exists.
             OtherConfigError: If rows or runs there were made otherwise.
             FailedRunsError: If runs failed.
             KeyboardInterrupt: After Ctrl-C; ``resume=True`` goes on.
         """
-        from marl_mm.eval.studies.engine import run_studies
+        from marl_mm.eval.studies.engine import Engine
         from marl_mm.eval.studies.options import StudyOptions
 
-        options = StudyOptions(
-            runs=None if runs is None else Path(runs),
-            out=None if out is None else Path(out),
-            seeds=None if seeds is None else tuple(seeds),
-            workers=workers,
-            budget=budget,
-            resume=resume,
-            overwrite=overwrite,
-        )
-        return dict(run_studies({name: self}, options, bar=progress))[name]
+        paths = {"out": out, "runs": options.pop("runs", None)}
+        options |= {key: Path(path) for key, path in paths.items() if path is not None}
+        if options.get("seeds") is not None:
+            options["seeds"] = tuple(options["seeds"])
+        chosen = with_settings("study", StudyOptions(), options)
+        return dict(Engine(chosen, bar=progress).run({name: self}))[name]
 
 
 def _check_cell(cell: Any) -> None:

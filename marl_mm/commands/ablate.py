@@ -6,30 +6,27 @@ kept, interrupted ones go on.
 
 import runpy
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 from marl_mm.commands.options import COMMITTED
 from marl_mm.commands.parser import Subcommand, parse_options, parse_subcommand
+from marl_mm.commands.wording import as_options
 from marl_mm.errors import FailedRunsError, MarlMmError, UsageError
 from marl_mm.eval.rows import to_json
-from marl_mm.eval.studies.engine import compare, draw, plan_studies, run_studies
+from marl_mm.eval.studies.alpha import ABOUT, CHOOSING, WORTH, draw_worth, make_worth
+from marl_mm.eval.studies.engine import Engine, compare
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.study import Study
 from marl_mm.eval.studies.sweep import draw_sweep
-from marl_mm.eval.studies.targets import (
-    EXTRAS,
-    GROUPS,
-    STUDIES,
-    draw_worth,
-    make_extra,
-)
+from marl_mm.eval.studies.targets import GROUPS, STUDIES
+from marl_mm.files import refuse_existing
 from marl_mm.progress import progress_bars
 from marl_mm.workers import available_cores
 
-_OF_FILE = ".py:"
+_OF_FILE, _ALPHA = ".py:", "alpha"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,62 +58,74 @@ class Ablate(StudyOptions):
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm ablate``."""
-    if arguments and _OF_FILE in arguments[0]:
-        path, _, target = arguments[0].partition(_OF_FILE)
-        options = parse_options(Ablate, "marl-mm ablate", arguments[1:])
-        studies = {target.lower(): _declared(Path(f"{path}.py"), target)}
-        extras: Sequence[str] = ()
-    else:
-        target, options = _parsed(arguments)
-        names = GROUPS.get(target, (target,))
-        studies = {name: STUDIES[name] for name in names if name in STUDIES}
-        extras = [name for name in names if name in EXTRAS]
+    target, options, studies = _parsed(arguments)
+    with_alpha = _ALPHA in GROUPS.get(target, (target,)) and _OF_FILE not in target
     if options.datasets is not None or options.settings is not None:
-        studies = _parts(studies, options, target)
+        if len(studies) != 1:
+            raise UsageError(f"--settings and --datasets are for a study, not {target}")
+        ((name, study),) = studies.items()
+        part = study.part(options.datasets, options.settings)
+        if options.check and len(part.cells) < len(study.cells):
+            raise UsageError("--check is for whole tables, without --settings")
+        whole = len(part.cells) == len(study.cells)
+        studies = {name if whole else f"{name}-part": part}
     if options.check:
-        check_tables(_checks(options, studies, extras))
+        check_tables(_checks(options, studies, with_alpha))
         return
     with progress_bars(vanish=True) as bar:
+        engine = Engine(options, _tell, bar)
+        needed = studies | ({_ALPHA: CHOOSING} if with_alpha else {})
         if options.plan:
-            needed = {n: one for n in extras if (one := EXTRAS[n].study) is not None}
-            print(plan_studies(studies | needed, options, _tell, bar), end="")
+            print(engine.plan(needed), end="")
             return
+        again = options.overwrite or options.resume
+        if with_alpha:
+            refuse_existing(options.results / WORTH, again)
         failures: list[MarlMmError] = []
         tables = {}
         try:
-            for name, table in run_studies(studies, options, _tell, bar):
+            for name, table in engine.run(studies):
                 tables[name] = table.rows
                 if not options.json:
                     print(f"{table.study.about}\n\n{table.markdown()}")
         except FailedRunsError as error:
             failures.append(error)
-        for name in extras:
+        if with_alpha:
             try:
-                text = make_extra(name, options, _tell, bar)
+                engine.make_rows({_ALPHA: CHOOSING})
+                text = make_worth(options, bar)
+                print(text, file=sys.stderr if options.json else sys.stdout)
             except FailedRunsError as error:
                 failures.append(error)
-            else:
-                print(text, file=sys.stderr if options.json else sys.stdout)
     if options.json:
         print(to_json(tables))
     _raise(failures)
 
 
-def _parsed(arguments: Sequence[str]) -> tuple[str, Ablate]:
-    abouts = {name: one.about for name, one in (STUDIES | EXTRAS).items()} | {
+def _parsed(arguments: Sequence[str]) -> tuple[str, Ablate, dict[str, Study]]:
+    """The target, the options, and the studies that the target stands for."""
+    if arguments and _OF_FILE in arguments[0]:
+        path, _, name = arguments[0].partition(_OF_FILE)
+        own = parse_options(Ablate, "marl-mm ablate", arguments[1:])
+        return arguments[0], own, {name.lower(): _declared(Path(f"{path}.py"), name)}
+    abouts = {name: study.about for name, study in STUDIES.items()} | {
+        _ALPHA: ABOUT,
         "paper": "The paper's own: Tables 4 and 5 and Figs. 4 to 10, in one night.",
         "all": "Every table and figure.",
     }
-    commands = {name: Subcommand(Ablate(), about) for name, about in abouts.items()}
-    about = (
+    target, options = parse_subcommand(
+        {name: Subcommand(Ablate(), about) for name, about in abouts.items()},
+        "marl-mm ablate",
         "Reproduce figures and tables, training the runs they need. FILE.py:NAME is a "
-        "study of your own, an object NAME of class marl_mm.Study."
+        "study of your own, an object NAME of class marl_mm.Study.",
+        arguments,
     )
-    return parse_subcommand(commands, "marl-mm ablate", about, arguments)
+    names = GROUPS.get(target, (target,))
+    return target, options, {name: STUDIES[name] for name in names if name in STUDIES}
 
 
 def _tell(text: str) -> None:
-    print(text.replace("`resume=True`", "--resume"), file=sys.stderr)
+    print(as_options(text), file=sys.stderr)
 
 
 def _declared(path: Path, name: str) -> Study:
@@ -147,38 +156,43 @@ def _declared(path: Path, name: str) -> Study:
     )
 
 
-def _parts(
-    studies: Mapping[str, Study], options: Ablate, target: str
-) -> dict[str, Study]:
-    """The asked part of a study.
+# --- Whether tables are what their rows give ---------------------------------
 
-    Raises:
-        UsageError: If the target is none, or is several.
-    """
-    if len(studies) != 1:
-        raise UsageError(f"--settings and --datasets are for a study, not for {target}")
-    ((name, study),) = studies.items()
-    part = study.part(options.datasets, options.settings)
-    if len(part.cells) == len(study.cells):
-        return {name: study}
-    if options.check:
-        raise UsageError("--check is for whole tables, without --datasets, --settings")
-    return {f"{name}-part": part}
+Check = tuple[Path, Callable[[Path], object]]
+"""A folder of tables, and what draws them into another folder."""
 
 
-def check_tables(checks: Sequence[tuple[Path, Callable[[Path], object]]]) -> None:
+def _checks(
+    options: Ablate, studies: dict[str, Study], with_alpha: bool
+) -> Sequence[Check]:
+    """Checks of the tables that there are."""
+    committed = not (options.out or options.runs or options.small)
+    if committed and COMMITTED.exists():
+        options = replace(options, out=COMMITTED / "studies")
+    results, engine = options.results, Engine(options)
+    checks: list[Check] = [
+        (results, partial(engine.draw, name, study))
+        for name, study in studies.items()
+        if len(studies) == 1 or (results / f"{name}.csv").exists()
+    ]
+    if with_alpha and (not studies or (results / WORTH).exists()):
+        checks.append((results, partial(draw_worth, results)))
+    swept = COMMITTED / "alpha"
+    if committed and len(studies) == len(STUDIES) and swept.exists():
+        checks.append((swept, partial(draw_sweep, swept)))
+    return checks
+
+
+def check_tables(checks: Sequence[Check]) -> None:
     """Print of every table whether it is what its rows give.
-
-    Args:
-        checks: Folders of tables, and what draws them into another folder.
 
     Raises:
         MarlMmError: If one is not; failures do not stop the others.
     """
     failures: list[MarlMmError] = []
-    for folder, again in checks:
+    for folder, draw in checks:
         try:
-            states = compare(folder, again)
+            states = compare(folder, draw)
         except MarlMmError as error:
             failures.append(error)
             continue
@@ -189,33 +203,6 @@ def check_tables(checks: Sequence[tuple[Path, Callable[[Path], object]]]) -> Non
             text = f"{', '.join(wrong)}: not what the rows there give; draw again with "
             failures.append(MarlMmError(f"{text}--overwrite"))
     _raise(failures)
-
-
-def _checks(
-    options: Ablate, studies: Mapping[str, Study], extras: Sequence[str]
-) -> list[tuple[Path, Callable[[Path], object]]]:
-    """Folders of the tables that there are, and what draws them into another folder.
-
-    Raises:
-        UsageError: If the target has no table.
-    """
-    committed = not (options.out or options.runs or options.small)
-    if committed and COMMITTED.exists():
-        options = replace(options, out=COMMITTED / "studies")
-    results = options.results
-    checks: list[tuple[Path, Callable[[Path], object]]] = [
-        (results, partial(draw, name, study, options))
-        for name, study in studies.items()
-        if len(studies) == 1 or (results / f"{name}.csv").exists()
-    ]
-    if "alpha" in extras:
-        checks.append((results, partial(draw_worth, results)))
-    swept = COMMITTED / "alpha"
-    if committed and len(studies) == len(STUDIES) and swept.exists():
-        checks.append((swept, partial(draw_sweep, swept)))
-    if not checks:
-        raise UsageError(f"--check is for tables, and {' '.join(extras)} has none")
-    return checks
 
 
 def _raise(failures: Sequence[MarlMmError]) -> None:

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from marl_mm.algorithms.pretrained import load_pretrained
 from marl_mm.cli import main
 from marl_mm.errors import DivergedError
 from marl_mm.eval.rows import read_rows
@@ -52,11 +51,8 @@ def test_online_targets_from_raw_runs(
     trained = {path: path.stat().st_mtime_ns for path in runs.rglob("*")}
     assert ablate(runs, tmp_path, "fig4") == 0
     assert ablate(runs, tmp_path, "fig5") == 0
-    assert ablate(runs, tmp_path, "fig6") == 0
-    for number in (4, 5, 6):
+    for number in (4, 5):
         assert (tmp_path / f"fig{number}.png").stat().st_size > 5_000
-    assert ablate(runs, tmp_path, "pretrained") == 0
-    assert load_pretrained(tmp_path / "pretrained_agent").name == "pretrained"
     assert {path: path.stat().st_mtime_ns for path in runs.rglob("*")} == trained
     capsys.readouterr()
     assert ablate(runs, tmp_path, "fig4") == 2
@@ -141,5 +137,3 @@ def test_rows_that_are_not_there_are_told(
     for target, file in (("online", "ddpg.csv.gz"), ("alpha", "alpha_goals.csv.gz")):
         assert main(["ablate", target, "--out", str(tmp_path), "--check"]) == 2
         assert file in capsys.readouterr().err
-    assert main(["ablate", "fig6", "--check"]) == 2
-    assert "--check is for tables, and fig6 has none" in capsys.readouterr().err

@@ -328,7 +328,7 @@ def test_a_run_that_fails_does_not_stop_the_others(
     asked[1] = f"{own}:FAILS"
     assert main(asked) == 1
     complaint = capsys.readouterr().err
-    assert "2 of 4 runs failed, the same command with --resume tries" in complaint
+    assert "2 of 4 runs failed, the same with --resume tries" in complaint
     assert "huge/1: " in complaint and "MemoryError" in complaint
     assert (tmp_path / "runs/results/rows/good-5k/width-16.csv.gz").exists()
     assert main([*asked, "--settings", "width-16"]) == 0

@@ -16,8 +16,9 @@ from marl_mm.envs.registry import make_task
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.eval.intervals import success_interval
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.studies.alpha import ALPHAS, LEARNT, FixedAlpha, summarize_worth
+from marl_mm.eval.studies.alpha import ALPHAS, LEARNT, summarize_worth
 from marl_mm.eval.studies.figures import on_a_grid
+from marl_mm.eval.studies.held import FixedAlpha
 from marl_mm.eval.studies.online import STUDIES
 from marl_mm.eval.studies.summary import (
     CellRows,
