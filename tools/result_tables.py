@@ -14,6 +14,12 @@ from study_tables import (
     steps_table,
     updates_table,
 )
+from sweep_tables import (
+    alpha_table,
+    load_table,
+    response_table,
+    worth_table,
+)
 
 from marl_mm.cli import COMMANDS, LISTS
 from marl_mm.envs.load import StandConfig
@@ -32,12 +38,6 @@ from marl_mm.eval.studies.alpha import worth_table as alpha_worth_table
 from marl_mm.eval.studies.ours import BLOCKS
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.sweep_summary import responses
-from marl_mm.eval.studies.sweep_tables import (
-    alpha_table,
-    load_table,
-    response_table,
-    worth_table,
-)
 from marl_mm.eval.studies.table import CRITICS, IQM, RETURN, Table
 from marl_mm.eval.studies.targets import STUDIES
 from marl_mm.eval.tables import markdown_table, rate_with_interval

@@ -47,14 +47,10 @@ GOALS, STEPS, WORTH = "alpha_goals.csv.gz", "alpha_steps.csv", "alpha_worth.csv"
 
 
 def make_worth(options: StudyOptions, bar: Bar) -> str:
-    """Run trained agents with the learnt alpha and with held ones, and draw the worth.
-
-    Args:
-        options: Where the runs of ``CHOOSING`` are, and where results go.
-        bar: Begins a bar of progress.
+    """Run the agents of ``CHOOSING`` with the learnt alpha and with held ones.
 
     Returns:
-        The table, as Markdown.
+        The table of ``draw_worth``.
     """
     goals, alphas = (2, ALPHAS[::6]) if options.small else (100, ALPHAS)
     rows: list[Row] = []
@@ -112,17 +108,10 @@ def _steps(episodes: Sequence[Episode]) -> Iterator[Row]:
 
 
 def draw_worth(results: Path, folder: Path) -> str:
-    """Write the table and the figure of the learnt alpha's worth, from its rows.
-
-    Args:
-        results: Folder of the rows.
-        folder: Folder of table and figure.
+    """Write table and figure of the learnt alpha's worth into a folder, from its rows.
 
     Returns:
         The table, as Markdown.
-
-    Raises:
-        UsageError: If there are no rows.
     """
     from marl_mm.eval.studies.figures import alpha_figure  # imports matplotlib
 

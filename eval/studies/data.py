@@ -49,11 +49,7 @@ class Datasets:
     bar: Bar = silent_bar
 
     def find(self, data: Data) -> Dataset:
-        """A dataset that is there and whole.
-
-        Raises:
-            UnknownDatasetError: If it is not, and what would be done about it.
-        """
+        """A dataset that is there and whole; an UnknownDatasetError if it is not."""
         data = _declared(data)
         if isinstance(data, str):
             return load_dataset(data)

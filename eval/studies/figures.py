@@ -19,15 +19,7 @@ PAPER_COLORS = ("#c8553d", "#2e7d4f", "#1b6ca8", "#8a6fb0", "#8a8a8a", "#c9a227"
 def curves_figure(
     study: Study, curves: Curves, store: RowStore, seeds: Sequence[int], path: Path
 ) -> None:
-    """Draw learning curves: mean and deviation over seeds, a line per cell.
-
-    Args:
-        study: Study of the cells.
-        curves: How they are drawn.
-        store: Rows of the cells.
-        seeds: Seeds of the runs that count.
-        path: PNG file.
-    """
+    """Draw learning curves into a PNG: mean and deviation over seeds, a line a cell."""
     panels: dict[str, list[Cell]] = {}
     for cell in study.cells:
         panels.setdefault(_panel(cell, curves), []).append(cell)

@@ -30,6 +30,9 @@ _TIMED = 30
 _ONLINE_RUN = 600.0
 """Length of an online run, about [s]."""
 
+GOAL = 0.03
+"""Length of an evaluated episode, about [s]."""
+
 
 @dataclass(frozen=True)
 class Learner:
@@ -63,15 +66,7 @@ class Learner:
         return (LAST,) if isinstance(self.training, Offline) else (LAST, BEST)
 
     def check(self, runs: Mapping[int, Path]) -> None:
-        """Raise before any work is done for what would stop a run.
-
-        Args:
-            runs: Folders of the runs, by seed.
-
-        Raises:
-            OtherConfigError: If a run was made with something else.
-            UsageError: If something cannot be run.
-        """
+        """Raise before any work is done for what would stop runs, by seed."""
         if isinstance(self.training, Offline):
             offline.check_offline(self.dataset, self.training, runs, further=False)
             return
@@ -84,32 +79,21 @@ class Learner:
                 online.check_online_run(training, seed, run, further=False)
 
     def train(self, seed: int, run: Path, bar: Bar) -> None:
-        """Train and evaluate a run; one that diverges counts as it was before.
-
-        Args:
-            seed: Seed of the run.
-            run: Folder of the run.
-            bar: Begins a bar of progress.
-
-        Raises:
-            DivergedError: If it diverged before its first checkpoint.
-        """
-        if self.sb3:
-            sb3.train_sb3_run(self._online, seed, run, bar)
-        elif isinstance(self.training, Offline):
-            dataset, training = self.dataset, self.training
-            try:
-                offline.train_offline_run(dataset, training, seed, run, bar)
-            except DivergedError:
-                if not (run / FILE).exists():
-                    raise
-                offline.evaluate_offline_run(dataset, training, run, bar, "eval")
-        else:
-            try:
+        """Train and evaluate a run; one that diverges counts as it was before."""
+        training = self.training
+        try:
+            if self.sb3:
+                sb3.train_sb3_run(self._online, seed, run, bar)
+            elif isinstance(training, Offline):
+                offline.train_offline_run(self.dataset, training, seed, run, bar)
+            else:
                 online.train_online_run(self._online, seed, run, bar)
-            except DivergedError:
-                if not (run / BEST_FILE).exists():
-                    raise
+        except DivergedError:
+            if not all((run / file).exists() for file in (FILE, BEST_FILE)):
+                raise
+            if isinstance(training, Offline):
+                offline.evaluate_offline_run(self.dataset, training, run, bar, "eval")
+            else:
                 online.evaluate_online_run(self._online, run, bar)
 
     @property
@@ -130,7 +114,7 @@ class Learner:
                 algorithm.update()
         return (perf_counter() - begin) / _TIMED
 
-    def seconds_left(self, run: Path, per_update: float, per_goal: float) -> float:
+    def seconds_left(self, run: Path, per_update: float) -> float:
         """How long the rest of a run's training takes, about."""
         training = self.training
         rows = read_metrics(run) if (run / FILE).exists() else []
@@ -138,16 +122,16 @@ class Learner:
             done = rows[-1]["episode"] / training.config.episodes if rows else 0.0
             return float(_ONLINE_RUN * (1.0 - done))
         updates = training.config.updates - (rows[-1]["step"] if rows else 0)
-        points = -(-updates // training.curve_every) + (not rows)
-        return float(updates * per_update + points * training.curve_episodes * per_goal)
+        goals = updates / training.curve_every * training.curve_episodes
+        return float(updates * per_update + goals * GOAL)
 
 
 def training_of(source: Data | Online, setting: Setting, small: bool) -> Training:
     """Settings of a cell's runs, but for where its dataset is.
 
     Args:
-        source: What a run learns from.
-        setting: How it learns.
+        source: Source of what is learnt.
+        setting: How to learn.
         small: Whether hardly anything is trained.
     """
     training: Training

@@ -4,19 +4,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import perf_counter
 
 from marl_mm.algorithms.config_checks import Precision
 from marl_mm.algorithms.speed import resolved
-from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import SHIPPED
-from marl_mm.envs.registry import make_task
 from marl_mm.errors import OtherConfigError, UnknownDatasetError, UsageError
-from marl_mm.eval.evaluate import evaluate
 from marl_mm.eval.studies.data import Datasets
 from marl_mm.eval.studies.jobs import Job
-from marl_mm.eval.studies.learners import Learner, made_of, training_of
+from marl_mm.eval.studies.learners import GOAL, Learner, made_of, training_of
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.study import (
     Cell,
@@ -32,9 +28,6 @@ from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar
 from marl_mm.runs.training import Offline, Training
 from marl_mm.runs.training import Online as OnlineTraining
-
-_STEPS = 12
-"""Steps of an evaluated episode, about, of agents that reach; others take all."""
 
 
 @dataclass(frozen=True)
@@ -55,12 +48,7 @@ def missing_cells(
 ) -> list[Wanted]:
     """Cells of some studies without rows, each once, and the runs that make these.
 
-    Args:
-        options: How studies are run.
-        studies: Studies of the cells.
-        datasets: Finds the datasets of cells, and makes what is missing of them.
-        plan: Make none: say what is missing, and count as if learnt from the one that
-            ships.
+    Missing datasets are made, but for a plan: there they count as the one that ships.
 
     Raises:
         UsageError: If two settings share a name.
@@ -179,44 +167,23 @@ def _job(
 def estimated(wanted: Sequence[Wanted], bar: Bar) -> list[Wanted]:
     """With how long each job will take, from short measurements on this machine."""
     per_update: dict[str, float] = {}
-    per_step: dict[str, float] = {}
     known = []
     advance = bar("measuring", len(wanted))
-    for cell in wanted:
-        jobs = []
-        for job in cell.jobs:
+    for one in wanted:
+        name, jobs = one.cell[1].name, []
+        for job in one.jobs:
             if not job.done:
-                name, task = cell.cell[1].name, job.learner.task
                 if name not in per_update:
                     per_update[name] = job.learner.seconds_per_update()
-                if task not in per_step:
-                    per_step[task] = _seconds_per_step(task)
-                seconds = _seconds(job, per_update[name], per_step[task])
+                probes = sum(not job.has(probe) for probe in job.probes)
+                seconds = probes * job.learner.training.eval_episodes * GOAL
+                if not job.trained:
+                    seconds += job.learner.seconds_left(job.run, per_update[name])
                 job = replace(job, seconds=seconds)
             jobs.append(job)
-        known.append(replace(cell, jobs=tuple(jobs)))
+        known.append(replace(one, jobs=tuple(jobs)))
         advance(1, "")
     return known
-
-
-def _seconds(job: Job, per_update: float, per_step: float) -> float:
-    """What is missing of a job, about."""
-    training = job.learner.training
-    most = training.max_steps or make_task(job.learner.task).max_steps
-    episode = per_step * (most if training.preset == "paper" else _STEPS)
-    probes = sum(not job.has(probe) for probe in job.probes)
-    left = 0.0
-    if not job.trained:
-        left = job.learner.seconds_left(job.run, per_update, episode)
-    return left + probes * training.eval_episodes * episode
-
-
-def _seconds_per_step(task: str) -> float:
-    evaluate(RandomPolicy(RandomConfig()), 1, task=task)  # compiles
-    begin = perf_counter()
-    evaluation = evaluate(RandomPolicy(RandomConfig()), 3, task=task)
-    steps: int = sum(row["steps"] for row in evaluation.rows)
-    return (perf_counter() - begin) / steps
 
 
 def hours(jobs: Iterable[Job], workers: int) -> float:
@@ -225,13 +192,7 @@ def hours(jobs: Iterable[Job], workers: int) -> float:
 
 
 def plan_table(wanted: Sequence[Wanted], workers: int, measured: bool) -> str:
-    """What is missing, a line per cell, as Markdown; the last line is the sum.
-
-    Args:
-        wanted: Cells that lack rows.
-        workers: Runs at once.
-        measured: Whether it is known how long jobs take.
-    """
+    """What is missing, a line per cell, as Markdown; the last line is the sum."""
 
     def line(source: str, about: str, jobs: Sequence[Job]) -> list[str]:
         left = [job for job in jobs if not job.done]

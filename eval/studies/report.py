@@ -20,8 +20,6 @@ from marl_mm.eval.bench.tables import (
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies.alpha import ABOUT, WORTH, worth_table
 from marl_mm.eval.studies.paper import NOTE
-from marl_mm.eval.studies.sweep_summary import responses
-from marl_mm.eval.studies.sweep_tables import sweep_text
 from marl_mm.eval.studies.table import Table
 from marl_mm.eval.studies.targets import STUDIES
 from marl_mm.eval.tables import markdown_html, markdown_table, rows_table
@@ -138,9 +136,8 @@ def _drawn(name: str, title: str, target: str, text: str, folder: Path) -> Secti
 
 def _sweep(folder: Path) -> Iterator[Section]:
     if (folder / "alpha.csv").exists():
-        paths = [folder / f"{name}.csv" for name in ("alpha", "worth", "loads")]
-        summary, worth, loads = (read_rows(p) if p.exists() else [] for p in paths)
-        text = _html(sweep_text(summary, responses(summary), worth, loads))
+        tables = [read_rows(path) for path in sorted(folder.glob("*.csv"))]
+        text = _html("\n".join(map(rows_table, tables)))
         media = [_media(path) for path in sorted(folder.glob("*.png"))]
         command = f"marl-mm sweep-alpha --out {folder} --overwrite"
         yield Section("sweep", "What alpha does", command, text, media)

@@ -23,6 +23,9 @@ from marl_mm.eval.rows import as_read, read_rows, write_csv
 from marl_mm.eval.studies.study import BEST, LAST, Cell, Probe, cell_name
 from marl_mm.files import only_here, write_json
 
+_CURVES = ".curve.csv.gz"
+"""End of the name of a cell's learning curves."""
+
 _MEASURED = {
     "step": ("steps", "return", "final_distance", "d_mm", "d_mp", "alpha"),
     "episode": ("steps", "return", "d_mm", "d_mp", "base_jerk_rms", "alpha"),
@@ -43,14 +46,7 @@ _CURVE = {
 def is_probed(
     run: Path, probe: Probe, goals: int, overrides: Mapping[str, Any]
 ) -> bool:
-    """Whether a run has been evaluated so.
-
-    Args:
-        run: Folder of the run.
-        probe: Way of the evaluation.
-        goals: Number of goals.
-        overrides: Settings of the task that are replaced beside the probe's.
-    """
+    """Whether a run has been evaluated so, on as many goals of such a task."""
     path = probe.file(run)
     if not path.exists():
         return False
@@ -78,19 +74,12 @@ class RowStore:
     ) -> list[int]:
         """Seeds without the rows of all these probes.
 
-        Args:
-            cell: The rows' cell.
-            seeds: Wanted seeds.
-            probes: Wanted probes.
-            made_of: What the runs of the rows must have been made of.
-
         Raises:
-            OtherConfigError: If there are rows of runs of another config.
+            OtherConfigError: If there are rows of runs that were not made of this.
         """
-        path = self._path(cell, ".json")
-        if not path.exists():
+        path, known = self._path(cell, ".json"), self._record(cell)
+        if not known:
             return list(seeds)
-        known = json.loads(path.read_text())
         ways = {probe.name: probe.way for probe in probes}
         there = {name: ways[name] for name in ways if name in known["probes"]}
         recorded = made_of if "algorithm" in known else {}  # of some it is not known
@@ -104,20 +93,14 @@ class RowStore:
         Raises:
             OtherConfigError: Naming what differs.
         """
-        path = self._path(cell, ".json")
-        known = json.loads(path.read_text()) if path.exists() else {}
-        if known.get("dataset"):
-            refuse_other_config(path, known, {"dataset": _bytes_of(identity)})
+        if (known := self._record(cell)).get("dataset"):
+            mine = {"dataset": _bytes_of(identity)}
+            refuse_other_config(self._path(cell, ".json"), known, mine)
 
     def keep(
         self, cell: Cell, runs: Mapping[int, Path], probes: Sequence[Probe]
     ) -> None:
-        """Take the rows of finished runs; those of other seeds and probes stay.
-
-        Args:
-            cell: The rows' cell.
-            runs: Folders of the runs, by seed.
-            probes: Evaluations that they have.
+        """Take the rows of finished runs, by seed; those of others stay.
 
         Raises:
             MarlMmError: If rows that stay are of another training.
@@ -130,15 +113,14 @@ class RowStore:
     ) -> None:
         own = product(runs.items(), probes)
         rows = [row for (seed, run), probe in own for row in _goals(run, seed, probe)]
-        path = self._path(cell, ".json")
-        known = json.loads(path.read_text()) if path.exists() else {}
-        ways = known.get("probes", {}) | {probe.name: probe.way for probe in probes}
+        ways = self._record(cell).get("probes", {})
+        ways |= {probe.name: probe.way for probe in probes}
         new = {(row["seed"], row["probe"]) for row in rows}
         kept = [r for r in self._rows(cell) if (r["seed"], r["probe"]) not in new]
         rows += kept
         rows.sort(key=lambda r: (r["seed"], r["probe"], r["goal"]))
         curve = [row for seed, run in runs.items() for row in _curve(run, seed)]
-        curves = self._curves(cell)
+        curves = self._rows(cell, _CURVES)
         again = {row["seed"] for row in kept} & set(runs)
         self._check_same_training(cell, again, as_read(curve), curves)
         curve += [row for row in curves if row["seed"] not in runs]
@@ -160,8 +142,8 @@ class RowStore:
             "diverged": {str(seed): ends[seed] for seed in sorted(ends)},
             **config,
         }
-        write_json(path, record)
-        write_csv(self._path(cell, ".curve.csv.gz"), curve)
+        write_json(self._path(cell, ".json"), record)
+        write_csv(self._path(cell, _CURVES), curve)
         write_csv(self._path(cell, ".csv.gz"), rows)  # last: without, it is missing
 
     def _check_same_training(
@@ -180,11 +162,7 @@ class RowStore:
     def evaluations(
         self, cell: Cell, seeds: Sequence[int], probes: Sequence[Probe]
     ) -> list[Row]:
-        """A row per seed, probe and goal.
-
-        Raises:
-            UsageError: If some are missing.
-        """
+        """A row per seed, probe and goal; a UsageError if some are missing."""
         wanted = set(product(seeds, [probe.name for probe in probes]))
         rows = [r for r in self._rows(cell) if (r["seed"], r["probe"]) in wanted]
         if {(r["seed"], r["probe"]) for r in rows} != wanted:
@@ -192,14 +170,10 @@ class RowStore:
         return rows
 
     def curves(self, cell: Cell, seeds: Sequence[int]) -> list[Row]:
-        """A row per seed and point of the learning curve.
-
-        Raises:
-            UsageError: If there are none of a seed.
-        """
-        rows = [row for row in self._curves(cell) if row["seed"] in seeds]
+        """A row per seed and point of its learning curve; likewise."""
+        rows = [r for r in self._rows(cell, _CURVES) if r["seed"] in seeds]
         if {row["seed"] for row in rows} != set(seeds):
-            raise self._lacking(cell, ".curve.csv.gz", seeds)
+            raise self._lacking(cell, _CURVES, seeds)
         return rows
 
     def _lacking(self, cell: Cell, end: str, seeds: Sequence[int]) -> UsageError:
@@ -211,17 +185,16 @@ class RowStore:
 
     def diverged(self, cell: Cell) -> dict[int, int]:
         """Updates after which runs diverged, by seed; what they had learnt counts."""
+        known = self._record(cell).get("diverged", {})
+        return {int(seed): step for seed, step in known.items()}
+
+    def _rows(self, cell: Cell, end: str = ".csv.gz") -> list[Row]:
+        path = self._path(cell, end)
+        return read_rows(path) if path.exists() else []
+
+    def _record(self, cell: Cell) -> dict[str, Any]:
         path = self._path(cell, ".json")
-        known = json.loads(path.read_text()) if path.exists() else {}
-        return {int(seed): step for seed, step in known.get("diverged", {}).items()}
-
-    def _rows(self, cell: Cell) -> list[Row]:
-        path = self._path(cell, ".csv.gz")
-        return read_rows(path) if path.exists() else []
-
-    def _curves(self, cell: Cell) -> list[Row]:
-        path = self._path(cell, ".curve.csv.gz")
-        return read_rows(path) if path.exists() else []
+        return json.loads(path.read_text()) if path.exists() else {}
 
     def _path(self, cell: Cell, end: str) -> Path:
         source, setting = cell_name(cell)

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -23,11 +23,6 @@ def _check_name(name: str) -> None:
             f"name is {name!r}, expected a letter and then letters, digits, '-', '_' "
             "or '.'"
         )
-
-
-def _check_choice(what: str, value: str, choices: Sequence[str]) -> None:
-    if value not in choices:
-        raise UsageError(f"{what} is {value!r}, expected one of {', '.join(choices)}")
 
 
 # --- Sources -----------------------------------------------------------------
@@ -60,11 +55,7 @@ class Source:
     """Shorter source of the same collector, task and seed that this one begins with."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be collected.
-
-        Raises:
-            UsageError: Naming what it is.
-        """
+        """Refuse what cannot be collected, and name it."""
         make_task(self.task)
         check_positive(steps=self.steps)
         _ = self.config
@@ -113,11 +104,7 @@ class Online:
     """Name of the source in rows; default made of the fields above."""
 
     def __post_init__(self) -> None:
-        """Name it.
-
-        Raises:
-            UsageError: If there is no such task.
-        """
+        """Refuse a task that is not there, and name it."""
         make_task(self.task)
         if not self.name:
             beside = (
@@ -169,11 +156,7 @@ class Setting:
     """Implementation: ours, or Stable-Baselines3's DDPG + HER."""
 
     def __post_init__(self) -> None:
-        """Refuse what could not be run.
-
-        Raises:
-            UsageError: Saying what could.
-        """
+        """Refuse what could not be run."""
         _check_name(self.name)
         if self.goals < 2 or self.goals % 2:
             raise UsageError(f"goals is {self.goals}, expected 2, 4, 6 ...: each way")
@@ -181,18 +164,12 @@ class Setting:
 
     @property
     def config(self) -> Any:
-        """Hyper-parameters.
-
-        Raises:
-            UsageError: If a change is no hyper-parameter, or none that makes sense.
-        """
+        """Hyper-parameters."""
         default = preset(self.algorithm, self.preset)
-        what = f"setting {self.name!r}"
         try:
-            return with_settings(f"{what}, {self.algorithm},", default, self.changes)
+            return with_settings(self.algorithm, default, self.changes)
         except UsageError as error:
-            known = str(error).startswith(what)
-            raise error if known else UsageError(f"{what}: {error}") from None
+            raise UsageError(f"setting {self.name!r}: {error}") from None
 
     @property
     def online(self) -> bool:
@@ -220,13 +197,12 @@ class Probe:
     """Alpha that is held, whatever the policy sets; None: the policy's."""
 
     def __post_init__(self) -> None:
-        """Refuse what could not be done.
-
-        Raises:
-            UsageError: Saying what could.
-        """
+        """Refuse what could not be done."""
         _check_name(self.name)
-        _check_choice("checkpoint", self.checkpoint, ("last", "best"))
+        if self.checkpoint not in ("last", "best"):
+            raise UsageError(
+                f"checkpoint is {self.checkpoint!r}, expected one of last, best"
+            )
         if self.alpha is not None and not 0 <= self.alpha <= 1:
             raise UsageError(f"alpha is {self.alpha}, expected a number in [0, 1]")
         make_task(overrides=self.overrides)  # raises
@@ -234,12 +210,8 @@ class Probe:
     @property
     def way(self) -> dict[str, Any]:
         """What is done, whatever it is called."""
-        overrides = dict(self.overrides)
-        return {
-            "checkpoint": self.checkpoint,
-            "overrides": overrides,
-            "alpha": self.alpha,
-        }
+        known = asdict(self)
+        return {key: known[key] for key in ("checkpoint", "overrides", "alpha")}
 
     def file(self, run: Path) -> Path:
         """Where a run keeps the evaluation."""
@@ -339,11 +311,7 @@ class Study:
     episodes that it took."""
 
     def __post_init__(self) -> None:
-        """Refuse what could not be told apart, or cannot learn so.
-
-        Raises:
-            UsageError: Naming it.
-        """
+        """Refuse what could not be told apart, or cannot learn so."""
         if not self.cells:
             raise UsageError(f"{self.about!r} has no cells")
         for cell in self.cells:
@@ -361,11 +329,7 @@ class Study:
     def part(
         self, datasets: Sequence[str] | None, settings: Sequence[str] | None
     ) -> "Study":
-        """The cells of some sources and settings, by name; None: of all.
-
-        Raises:
-            UsageError: If there are none.
-        """
+        """The cells of some sources and settings, by name; None: of all."""
         known = [cell_name(cell) for cell in self.cells]
         sources = _chosen("datasets", datasets, [name for name, _ in known])
         ways = _chosen("settings", settings, [name for _, name in known])

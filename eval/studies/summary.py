@@ -35,16 +35,7 @@ class CellRows:
 
 
 def summarize(study: Study, store: RowStore, seeds: Sequence[int]) -> list[Row]:
-    """The rows of a study's table.
-
-    Args:
-        study: The study.
-        store: Rows of its cells.
-        seeds: Seeds of the runs that count.
-
-    Raises:
-        UsageError: If rows are missing.
-    """
+    """The rows of a study's table; a UsageError if rows of its cells are missing."""
     summary: list[Row] = []
     for cell in study.cells:
         rows = store.evaluations(cell, seeds, study.probes)
@@ -123,10 +114,6 @@ def worth_of_alpha(learnt: Sequence[Row], held: Mapping[float, Sequence[Row]]) -
     """Return with the learnt alpha less that with the best one held.
 
     Paired by seed and goal; the interval is that of ``interval_of_mean``.
-
-    Args:
-        learnt: Evaluated goals.
-        held: The same seeds and goals, by the alpha held.
     """
     best = max(held, key=lambda alpha: float(returns_of(held[alpha]).mean()))
     difference = returns_of(learnt) - returns_of(held[best])

@@ -29,7 +29,6 @@ from marl_mm.eval.studies.sweep_summary import (
     summarize_loads,
     worth_of_a_rule,
 )
-from marl_mm.eval.studies.sweep_tables import sweep_text
 from marl_mm.files import new_folder, refuse_existing, write_json
 from marl_mm.jit import source_fingerprint
 from marl_mm.progress import Bar
@@ -132,18 +131,11 @@ class Sweep:
 
 def run_sweep(
     sweep: Sweep, workers: int, resume: bool, overwrite: bool, bar: Bar
-) -> tuple[dict[str, Any], str]:
-    """Run a sweep, and write its rows, tables and figures.
-
-    Args:
-        sweep: What is swept.
-        workers: Processes; the result does not depend on their number.
-        resume: Keep what an interrupted sweep has finished.
-        overwrite: Replace the results if they exist.
-        bar: Begins a bar of progress.
+) -> dict[str, list[Row]]:
+    """Run a sweep, or the rest of it, and write its rows, tables and figures.
 
     Returns:
-        The means, and the tables' text.
+        Tables by name.
 
     Raises:
         UsageError: If something makes no sense, or the results exist.
@@ -172,46 +164,31 @@ def run_sweep(
     return result
 
 
-def draw_sweep(results: Path, folder: Path) -> tuple[dict[str, Any], str]:
-    """Write all tables and figures of a sweep, from its rows.
-
-    Args:
-        results: Folder of the rows.
-        folder: Folder of tables and figures.
+def draw_sweep(results: Path, folder: Path) -> dict[str, list[Row]]:
+    """Write tables and figures of a sweep into a folder, from its rows in another.
 
     Returns:
-        The means, and the tables' text.
-
-    Raises:
-        UsageError: If there are no rows.
+        Tables by name.
     """
     from marl_mm.eval.figures import alpha_pareto, alpha_response, load_response
 
-    rows = read_rows(results / EPISODES)
-    carried = results / LOAD_EPISODES
+    rows, carried = read_rows(results / EPISODES), results / LOAD_EPISODES
     long, short = (
         [row for row in rows if row["max_steps"] == steps]
         for steps in (LONG_EPISODE, SHORT_EPISODE)
     )
-    summary = summarize_cells(long)
+    alphas = summarize_cells(long)
     loads = summarize_loads(read_rows(carried)) if carried.exists() else []
     worth = worth_of_a_rule(short, SMOOTH) if short else []
-    answer = responses(summary)
-    write_csv(folder / "alpha.csv", summary)
-    alpha_response(summary, folder / "response.png")
-    alpha_pareto(summary, folder / "pareto.png")
-    if worth:
-        write_csv(folder / "worth.csv", worth)
+    tables = {"alpha": alphas, "worth": worth, "loads": loads}
+    for name, table in tables.items():
+        if table:
+            write_csv(folder / f"{name}.csv", table)
+    alpha_response(alphas, folder / "response.png")
+    alpha_pareto(alphas, folder / "pareto.png")
     if loads:
-        write_csv(folder / "loads.csv", loads)
         load_response(loads, folder / "loads.png")
-    means = {
-        "alphas": summary,
-        "responses": [asdict(one) for one in answer],
-        "worth": worth,
-        "loads": loads,
-    }
-    return means, sweep_text(summary, answer, worth, loads)
+    return {**tables, "responses": responses(alphas)}
 
 
 def _run(

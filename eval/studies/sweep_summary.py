@@ -1,7 +1,6 @@
 """What the alpha sweep shows: means over goals, evenness, and what alpha is worth."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,55 +54,33 @@ def _mean(rows: Sequence[Row], name: str) -> float:
     return float(np.mean([row[name] for row in rows]))
 
 
-@dataclass(frozen=True)
-class Response:
-    """How the robot answers to alpha, going backward."""
+def responses(summaries: Sequence[Row]) -> list[Row]:
+    """How evenly the robot answers to alpha, a row per task and form.
 
-    task: str
-    form: str
-    largest_share: float
-    """Of the whole change in steps, made by one step of the alpha grid."""
-
-    at: float
-    """The alpha below that step."""
-
-    d_mm_falls: float
-    """Largest decrease of d_mm from one alpha to the next [m]; it should grow."""
-
-    d_mp_rises: float
-    """Largest increase of d_mp from one alpha to the next [m]; it should fall."""
-
-    hump: float
-    """Forward d_mm at its worst alpha, beyond the larger of both ends' [m]."""
-
-
-def responses(summaries: Sequence[Row]) -> list[Response]:
-    """One per task and form, from the rows of the fixed alphas."""
+    ``largest_share`` is of the whole change in steps going backward, made by one step
+    of the alpha grid, from alpha ``at`` on. ``d_mm_falls`` and ``d_mp_rises`` are the
+    largest changes the wrong way from one alpha to the next [m]; ``hump`` is the
+    forward d_mm at its worst alpha, beyond the larger of both ends' [m].
+    """
     fixed = [row for row in summaries if row["rule"] == "constant"]
     found = []
     for task, form in sorted({(row["task"], row["form"]) for row in fixed}):
         own = [row for row in fixed if (row["task"], row["form"]) == (task, form)]
-        back = sorted(
-            (row for row in own if row["direction"] == "backward"),
-            key=lambda row: row["alpha"],
-        )
-        ahead = sorted(
-            (row for row in own if row["direction"] == "forward"),
-            key=lambda row: row["alpha"],
-        )
+        own.sort(key=lambda row: float(row["alpha"]))
+        back = [row for row in own if row["direction"] == "backward"]
         steps = np.array([row["steps"] for row in back])
         shares = np.diff(steps) / max(steps[-1] - steps[0], 1e-9)
-        hand = np.array([row["d_mm"] for row in ahead])
+        hand = [row["d_mm"] for row in own if row["direction"] == "forward"]
         found.append(
-            Response(
-                task,
-                form,
-                float(shares.max()),
-                back[int(shares.argmax())]["alpha"],
-                float(-np.diff([row["d_mm"] for row in back]).min()),
-                float(np.diff([row["d_mp"] for row in back]).max()),
-                float(hand.max() - max(hand[0], hand[-1])),
-            )
+            {
+                "task": task,
+                "form": form,
+                "largest_share": float(shares.max()),
+                "at": back[int(shares.argmax())]["alpha"],
+                "d_mm_falls": float(-np.diff([row["d_mm"] for row in back]).min()),
+                "d_mp_rises": float(np.diff([row["d_mp"] for row in back]).max()),
+                "hump": float(max(hand) - max(hand[0], hand[-1])),
+            }
         )
     return found
 

@@ -2,12 +2,12 @@
 
 import math
 from base64 import b64encode
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.studies.study import Online, Probe, Reported, Study, cell_name
+from marl_mm.eval.studies.study import Cell, Online, Probe, Reported, Study, cell_name
 from marl_mm.eval.studies.summary import LEVELS
 from marl_mm.eval.tables import (
     markdown_html,
@@ -42,9 +42,9 @@ IQM = "IQM at the end [%]"
 class Line:
     """A cell in a table."""
 
-    study: Study
-    number: int
-    """Place of the cell in the study."""
+    cell: Cell
+    reported: Reported | None
+    """Result of others."""
 
     rows: Mapping[str, Row]
     """Rows of the table by probe; those with a row per setting have one only."""
@@ -53,22 +53,6 @@ class Line:
     def row(self) -> Row:
         """The row of the first probe, or of the setting."""
         return next(iter(self.rows.values()))
-
-    @property
-    def reported(self) -> Reported | None:
-        """What others report."""
-        return self.study.reported.get(cell_name(self.study.cells[self.number]))
-
-    @property
-    def about(self) -> str:
-        """Description of the setting."""
-        return self.study.cells[self.number][1].about
-
-    @property
-    def task(self) -> str:
-        """Task of a cell that learns online."""
-        source, _ = self.study.cells[self.number]
-        return source.task if isinstance(source, Online) else ""
 
 
 @dataclass(frozen=True)
@@ -100,22 +84,16 @@ class Table:
         heads = [column.head for column in columns]
         return markdown_table(*without(heads, lines, leave_out))
 
-    def _lines(self) -> list[Line]:
-        by_setting = self.study.table == "episodes"
-        lines = []
-        for number, cell in enumerate(self.study.cells):
+    def _lines(self) -> Iterator[Line]:
+        for cell in self.study.cells:
             source, setting = cell_name(cell)
-            own = {
-                row.get("probe", ""): row
-                for row in self.rows
-                if row["setting"] == setting
-                and (by_setting or row["dataset"] == source)
-            }
-            ordered = (
-                own if by_setting else {p.name: own[p.name] for p in self.study.probes}
-            )
-            lines.append(Line(self.study, number, ordered))
-        return lines
+            own = [r for r in self.rows if r["setting"] == setting]
+            if self.study.table == "episodes":
+                rows = {"": own[0]}
+            else:
+                probes = {r["probe"]: r for r in own if r["dataset"] == source}
+                rows = {probe.name: probes[probe.name] for probe in self.study.probes}
+            yield Line(cell, self.study.reported.get((source, setting)), rows)
 
     def __repr__(self) -> str:
         return f"<Table {self.study.about!r}: {len(self.study.cells)} cells>"
@@ -141,7 +119,7 @@ def _of_probes(study: Study, rows: Sequence[Row]) -> list[Column]:
     first, *others = study.probes
     columns = [
         Column("dataset", lambda line: str(line.row["dataset"])),
-        Column("setting", lambda line: line.about),
+        Column("setting", lambda line: line.cell[1].about),
         Column(
             f"goals reached [%], {first.about}",
             lambda line: rate_with_interval(line.row),
@@ -206,7 +184,7 @@ def _difference(line: Line) -> str:
     theirs = line.reported
     if theirs is None or theirs.success is None:
         return ""
-    config = line.study.cells[line.number][1].config
+    config = line.cell[1].config
     if theirs.updates not in (None, getattr(config, "updates", None)):
         return ""
     return f"{100 * line.row['success'] - theirs.success:+.1f}"
@@ -241,9 +219,14 @@ def _episodes(level: float) -> Column:
     return Column(f"episodes to {100 * level:.0f} %", text)
 
 
+def _task(line: Line) -> str:
+    source, _ = line.cell
+    return source.task if isinstance(source, Online) else ""
+
+
 _OF_EPISODES = [
-    Column("setting", lambda line: line.about),
-    Column("task", lambda line: line.task),
+    Column("setting", lambda line: line.cell[1].about),
+    Column("task", _task),
     Column("seeds", lambda line: str(line.row["seeds"])),
     Column(
         "success at the end [%]",

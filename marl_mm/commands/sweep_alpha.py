@@ -1,12 +1,13 @@
 """marl-mm sweep-alpha: what alpha does, in tables and figures."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from marl_mm.commands.ablate import check_tables
 from marl_mm.commands.parser import parse_options
+from marl_mm.eval.rows import to_json
 from marl_mm.eval.studies.sweep import Sweep, draw_sweep, run_sweep
+from marl_mm.eval.tables import rows_table
 from marl_mm.progress import progress_bars
 from marl_mm.workers import available_cores
 
@@ -44,7 +45,11 @@ def main(arguments: Sequence[str]) -> None:
         check_tables([(options.out, lambda folder: draw_sweep(options.out, folder))])
         return
     with progress_bars() as bar:
-        means, text = run_sweep(
+        tables = run_sweep(
             options, options.workers, options.resume, options.overwrite, bar
         )
-    print(json.dumps(means, indent=2) if options.json else f"{text}\n{options.out}")
+    if options.json:
+        print(to_json(tables))
+    else:
+        print(rows_table(tables["responses"]), rows_table(tables["loads"]), sep="\n")
+        print(f"{options.out}: {', '.join(tables)}")

@@ -621,7 +621,7 @@ def test_what_there_is_no_data_for_is_collected_first(
         (["own.py:WIDTH"], "has no Study called 'WIDTH', expected one of WIDTHS, F"),
         (["none.py:WIDTHS"], "there is no file"),
         (["broken.py:X"], "broken.py cannot be run: ZeroDivisionError: division by"),
-        (["odd.py:X"], "odd.py: setting 'own', td3-bc, has no setting 'hiden'"),
+        (["odd.py:X"], "odd.py: setting 'own': td3-bc has no setting 'hiden'"),
         (
             ["own.py:WIDTHS", "--settings", "width-8"],
             "--settings has no 'width-8': exp",

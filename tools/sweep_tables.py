@@ -1,9 +1,8 @@
-"""What an alpha sweep found, as Markdown."""
+"""Tables of pages about the alpha sweep."""
 
 from collections.abc import Iterable, Sequence
 
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.studies.sweep_summary import Response
 from marl_mm.eval.tables import markdown_table
 
 ALPHA_HEADER = (
@@ -54,28 +53,21 @@ def _pair(form: str, values: Iterable[float]) -> str:
     return ", ".join(form.format(value) for value in values)
 
 
-def response_table(responses: Sequence[Response]) -> str:
+def response_table(responses: Sequence[Row]) -> str:
     """How evenly each form answers to alpha, as Markdown."""
     header = (
-        "task",
-        "form",
-        "largest share of one alpha step",
-        "at alpha",
-        "d_mm falls by [m]",
-        "d_mp rises by [m]",
-        "hump ahead [m]",
+        *("task", "form", "largest share of one alpha step", "at alpha"),
+        *("d_mm falls by [m]", "d_mp rises by [m]", "hump ahead [m]"),
     )
     lines = [
         (
-            one.task,
-            one.form,
-            f"{100 * one.largest_share:.0f} %",
-            f"{one.at:g}",
-            f"{max(one.d_mm_falls, 0):.4f}",
-            f"{max(one.d_mp_rises, 0):.4f}",
-            f"{max(one.hump, 0):.4f}",
+            row["task"],
+            row["form"],
+            f"{100 * row['largest_share']:.0f} %",
+            f"{row['at']:g}",
+            *(f"{max(row[k], 0):.4f}" for k in ("d_mm_falls", "d_mp_rises", "hump")),
         )
-        for one in responses
+        for row in responses
     ]
     return markdown_table(header, lines)
 
@@ -151,42 +143,3 @@ def load_table(summary: Sequence[Row]) -> str:
 def _in_mm(row: Row, name: str) -> str:
     value, *ends = (1000 * x for x in (row[name], *row[f"{name}_interval"]))
     return "{:.1f} [{:.1f}, {:.1f}]".format(value, *ends)
-
-
-def sweep_text(
-    summaries: Sequence[Row],
-    responses: Sequence[Response],
-    worth: Sequence[Row],
-    loads: Sequence[Row],
-) -> str:
-    """Everything of an alpha sweep as one Markdown text."""
-    parts = [
-        "The PD agent at fixed alphas, half of the goals ahead and half behind. "
-        "d_mm and d_mp: how far hand and base are from their targets at the end of a "
-        "step. Steps to the goal, 50 where it was missed; the return is that of the "
-        "registered task, which ends after 25. Pairs are backward, forward.\n",
-        "## How evenly the robot answers, going backward\n",
-        "The share of the steps' growth from alpha 0 to 1 that one tenth of alpha "
-        "makes at most; how much d_mm falls or d_mp rises from one alpha to the next "
-        "at most, where it should do the opposite; and how much worse the hand is "
-        "ahead at some alpha than at both ends.\n",
-        response_table(responses),
-    ]
-    if worth:
-        parts += [
-            "## What a state-dependent alpha is worth on SmoothReach-v0\n",
-            "On goals that were not used to choose the rules, paired by goal.\n",
-            worth_table(worth),
-        ]
-    if loads:
-        parts += [
-            "## What alpha is worth with a load\n",
-            "The same goals with each mass on CarryReach-v0. Distances of the zero-"
-            "moment point to the edges of the support, the least of an episode, mean "
-            "over goals; swing: how far it moves along the base. What alpha 1 gains "
-            "over alpha 0 is paired by goal.\n",
-            load_table(loads),
-        ]
-    for task, form in sorted({(row["task"], row["form"]) for row in summaries}):
-        parts += [f"## {task}, {form}\n", alpha_table(summaries, task, form)]
-    return "\n".join(parts)
