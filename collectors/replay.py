@@ -14,6 +14,7 @@ from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError
 from marl_mm.layout import Layout
 from marl_mm.layout_diff import refuse_other_layout
+from marl_mm.progress import Advance, silent
 from marl_mm.workers import ordered_map
 
 
@@ -102,3 +103,24 @@ def _first_difference(here: np.ndarray, there: np.ndarray) -> str:
     same = np.equal(*bits).all(axis=-1)
     where = tuple(np.argwhere(~same)[0].tolist())
     return f"at {list(where)} {here[where]} in the replay, {there[where]} in the file"
+
+
+def problems(
+    dataset: Dataset, workers: int = 1, advance: Advance = silent
+) -> list[str]:
+    """Episodes that their seeds and actions do not give again, and what differs.
+
+    Args:
+        dataset: Its episodes are run again.
+        workers: Processes.
+        advance: Called after each episode.
+
+    Raises:
+        DatasetError: If the dataset does not say where its episodes come from.
+    """
+    found = []
+    for number, difference in enumerate(replay(dataset, workers)):
+        advance(1, "")
+        if difference is not None:
+            found.append(f"episode {number}: {difference}")
+    return found

@@ -17,8 +17,9 @@ from marl_mm.datasets import shipped
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.datasets.card import card, card_html
 from marl_mm.datasets.location import SHIPPED, Location, find, locate
+from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Provenance
-from marl_mm.datasets.storage import read_arrays, read_metadata
+from marl_mm.datasets.storage import read_arrays
 from marl_mm.episode import Episode
 from marl_mm.layout import columns
 

@@ -6,8 +6,9 @@ marl_mm/reach/good-5k-v0``, then ``python -m marl_mm.datasets.make_shipped``.
 
 from marl_mm.datasets.arrays import save_arrays
 from marl_mm.datasets.location import SHIPPED, locate
+from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.shipped import ARRAYS, DESCRIPTION
-from marl_mm.datasets.storage import read_arrays, read_metadata
+from marl_mm.datasets.storage import read_arrays
 from marl_mm.files import new_file, write_json
 
 _DERIVED = frozenset(

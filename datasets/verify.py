@@ -9,13 +9,8 @@ import numpy as np
 from marl_mm.datasets.arrays import EpisodeArrays, load_arrays
 from marl_mm.datasets.hdf5 import FILE, achieved_goals
 from marl_mm.datasets.location import Location
-from marl_mm.datasets.storage import (
-    cache_file,
-    file_digest,
-    read_arrays,
-    read_metadata,
-    statistics,
-)
+from marl_mm.datasets.metadata import read_metadata, statistics
+from marl_mm.datasets.storage import cache_file, file_digest, read_arrays
 from marl_mm.episode import IMPORTED
 from marl_mm.errors import DatasetError
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from marl_mm.runs.run import load_run
     from marl_mm.runs.train import train
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Online",

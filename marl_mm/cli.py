@@ -15,6 +15,7 @@ COMMANDS = {
     "collect": "collect a dataset with a scripted or a learnt policy",
     "datasets": "list, show, mix, split, filter, verify, export, import, delete",
     "train": "train a policy: from a dataset, or online",
+    "runs": "list runs with their scores",
     "eval": "evaluate runs and scripted policies on fixed goals",
     "export": "a policy as TorchScript or ONNX",
     "play": "film an episode, or watch it in a window",

@@ -137,7 +137,9 @@ def workers_of() -> WorkersOf:
     def found(pid: int) -> list[psutil.Process]:
         command = psutil.Process(pid)
         direct = command.children()
-        return [one for one in command.children(recursive=True) if one not in direct]
+        return [
+            child for child in command.children(recursive=True) if child not in direct
+        ]
 
     return found
 

@@ -78,7 +78,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _subjects(what: str, task: str) -> Iterator[Subject]:
-    """What a plug-in has registered, or what has a name."""
+    """Everything that a plug-in has registered, or that has a name."""
     kinds: tuple[tuple[Registry[Any], Any, Any], ...] = (
         (TASKS, short, tasks.task_claims),
         (ALGORITHMS, learners.candidate, algorithms.algorithm_claims),

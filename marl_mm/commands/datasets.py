@@ -1,7 +1,6 @@
 """marl-mm datasets: what there is, what is in it, and new ones made of it."""
 
 import json
-import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -25,28 +24,19 @@ from marl_mm.commands.datasets_make import (
 from marl_mm.commands.options import read_dataset, warn_if_stopped
 from marl_mm.commands.parser import parse_subcommand
 from marl_mm.commands.wording import as_options
-from marl_mm.datasets import shipped
 from marl_mm.datasets.card import card, card_markdown, card_text, keep_card
+from marl_mm.datasets.catalogue import catalogue, check_deletable, delete
 from marl_mm.datasets.dataset import existing, load_dataset
 from marl_mm.datasets.export import DATASET_FORMS, export
-from marl_mm.datasets.journal import begun
-from marl_mm.datasets.location import (
-    SHIPPED,
-    Location,
-    datasets_root,
-    find,
-    known_ids,
-    locate,
-)
-from marl_mm.datasets.storage import read_metadata, refuse_foreign
+from marl_mm.datasets.location import datasets_root, find, known_ids
+from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.verify import verify
-from marl_mm.errors import DatasetError, MarlMmError, UnknownDatasetError, UsageError
-from marl_mm.files import only_here
+from marl_mm.errors import DatasetError, UsageError
 from marl_mm.progress import progress_bar
 from marl_mm.runs.settings import check_positive
 from marl_mm.workers import available_cores
 
-_BEGUN = "being collected, or stopped: go on with marl-mm collect ... --resume"
+_COUNTS = ("steps", "episodes")
 
 
 @dataclass(frozen=True)
@@ -79,7 +69,7 @@ class Verify:
     """Ids or paths."""
 
     replay: bool = False
-    """Also run every episode again and compare all bits."""
+    """Run every episode again, too, and compare all bits."""
 
     workers: int = field(default_factory=available_cores)
     """Processes that replay."""
@@ -159,22 +149,14 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _list(command: List) -> None:
-    under_way = begun()
-    rows = [_entry(name) for name in known_ids() if name not in under_way]
-    rows += [
-        {"id": name, "steps": None, "episodes": count, "note": _BEGUN}
-        for name, count in under_way.items()
-    ]
-    rows.sort(key=lambda row: row["id"])
-    if not locate(SHIPPED).folder.exists():
-        rows.append(_shipped_entry())
+    rows = [row | {"note": as_options(row["note"])} for row in catalogue()]
     if command.json:
         print(json.dumps(rows, indent=2))
         return
     name = Column("id", overflow="fold")
     table = Table(name, "steps", "episodes", "note", title=f"below {datasets_root()}")
     for row in rows:
-        counts = (_text(row[key]) for key in ("steps", "episodes"))
+        counts = ("-" if row[key] is None else str(row[key]) for key in _COUNTS)
         table.add_row(row["id"], *counts, row["note"])
     console = Console()
     if not console.is_terminal:  # whole ids, for whoever searches them
@@ -182,38 +164,6 @@ def _list(command: List) -> None:
     console.print(table)
     if not known_ids():
         print("make one of your own: marl-mm collect pd")
-
-
-def _entry(name: str) -> dict[str, Any]:
-    try:
-        ours = read_metadata(Location(name, datasets_root() / name))["marl_mm"]
-    except MarlMmError as error:
-        return {
-            "id": name,
-            "steps": None,
-            "episodes": None,
-            "note": as_options(str(error)),
-        }
-    return {
-        "id": name,
-        "steps": ours["steps"],
-        "episodes": ours["episodes"],
-        "note": "" if ours.get("complete") else "of a collection that was stopped",
-    }
-
-
-def _shipped_entry() -> dict[str, Any]:
-    arrays = shipped.shipped_arrays()
-    return {
-        "id": SHIPPED,
-        "steps": arrays.steps,
-        "episodes": len(arrays),
-        "note": "ships with marl_mm: written here at its first use",
-    }
-
-
-def _text(count: int | None) -> str:
-    return "-" if count is None else str(count)
 
 
 def _show(command: Show) -> None:
@@ -253,17 +203,11 @@ def _verify(command: Verify) -> None:
 
 
 def _replayed(name: str, workers: int) -> list[str]:
-    from marl_mm.collectors.replay import replay  # which needs the simulator
+    from marl_mm.collectors.replay import problems  # which needs the simulator
 
     dataset = load_dataset(name)
-    differences = replay(dataset, workers)
     with progress_bar("replay", len(dataset.arrays)) as advance:
-        problems = []
-        for number, difference in enumerate(differences):
-            advance(1, "")
-            if difference is not None:
-                problems.append(f"episode {number}: {difference}")
-    return problems
+        return problems(dataset, workers, advance)
 
 
 def _export(command: Export) -> None:
@@ -288,11 +232,7 @@ def _export(command: Export) -> None:
 
 def _delete(command: Delete) -> None:
     location = find(command.dataset)
-    if not location.folder.exists() and not location.working.exists():
-        raise UnknownDatasetError(f"no dataset {command.dataset!r} to delete")
-    refuse_foreign(location)
-    if location.folder.exists() and not location.data.is_dir():
-        raise UsageError(f"{location.folder} is no dataset: it is not deleted")
+    check_deletable(location)
     if not command.yes:
         if not sys.stdin.isatty():
             raise UsageError("nobody is here to answer: add --yes to delete")
@@ -303,10 +243,7 @@ def _delete(command: Delete) -> None:
         if answer.strip().lower() not in ("y", "yes"):
             print(json.dumps({"deleted": None}) if command.json else "kept")
             return
-    with only_here(location.working):
-        if location.folder.exists():
-            shutil.rmtree(location.folder)
-        shutil.rmtree(location.working)
+    delete(location)
     if command.json:
         print(json.dumps({"deleted": str(location.folder)}))
     else:

@@ -33,7 +33,7 @@ class Mix:
     """Id or path of the mix."""
 
     seed: int = 0
-    """Of the draw."""
+    """Seed of the draw."""
 
     overwrite: bool = False
     """Replace the mix if it exists."""
@@ -50,13 +50,13 @@ class Split:
     """Id or path."""
 
     out: str | None = None
-    """What the new ids begin with; default the dataset's own."""
+    """Beginning of the new ids; default the dataset's own."""
 
     share: float = 0.8
-    """Of the episodes that go into the first one."""
+    """Share of the episodes that go into the first dataset."""
 
     seed: int = 0
-    """Of the draw."""
+    """Seed of the draw."""
 
     overwrite: bool = False
     """Replace them if they exist."""
@@ -102,7 +102,7 @@ class Import:
     desired_goal, as in the task's layout. Or flat arrays: observations (n, d),
     actions (n, k), next_observations, rewards, terminals, timeouts; or what export
     writes per agent.
-    Where its episodes were collected is not kept, and nothing can replay them.
+    The place where its episodes were collected is not kept: nothing can replay them.
     """
 
     file: tyro.conf.Positional[Path]

@@ -37,10 +37,11 @@ class Eval:
     """Run folders, checkpoint files, "pretrained" or names of collectors."""
 
     episodes: int = 100
-    """Goals: half ahead and half behind, where the task does not draw its own."""
+    """Number of goals: half ahead and half behind, where the task does not draw its
+    own."""
 
     seed: int = 0
-    """Of the goals and of random policies."""
+    """Seed of the goals and of random policies."""
 
     task: Annotated[
         str | None,
@@ -51,10 +52,10 @@ class Eval:
     """Steps per episode; default the task's."""
 
     workers: int = field(default_factory=available_cores)
-    """Processes; the result does not depend on it."""
+    """Processes; the result does not depend on their number."""
 
     out: Path | None = None
-    """Also write everything, with one row per episode, to this JSON file."""
+    """JSON file to write everything to, with a row per episode."""
 
     overwrite: bool = False
     """Replace OUT if it exists."""

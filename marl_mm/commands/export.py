@@ -67,11 +67,11 @@ def main(arguments: Sequence[str]) -> None:
             f"--out {out} is a folder, expected a file such as {out}/{name}"
         )
     refuse_existing(out, options.overwrite)
-    told = export_policy(policy, out, options.format, options.agent)
+    about = export_policy(policy, out, options.format, options.agent)
     if options.json:
-        print(json.dumps({"file": str(out), **told}, indent=2))
+        print(json.dumps({"file": str(out), **about}, indent=2))
         return
     print(
-        f"{out}: {', '.join(told['observation'])} -> {', '.join(told['action'])}; "
-        f"actions differ from the run's by at most {told['largest_difference']:.1g}"
+        f"{out}: {', '.join(about['observation'])} -> {', '.join(about['action'])}; "
+        f"actions differ from the run's by at most {about['largest_difference']:.1g}"
     )

@@ -1,4 +1,4 @@
-"""What several commands share: defaults, and policies by name."""
+"""Options and lines of output that several commands share."""
 
 import re
 import sys
@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # a help takes neither data nor the simulator
 T = TypeVar("T")
 
 COMMITTED = Path(marl_mm.__file__).parent / "eval" / "results"
-"""In a clone, the results that its tables are made of."""
+"""Folder of the committed results, in a clone."""
 
 REGISTERED = " or ".join((", ".join(TASKS.names()[:-1]), TASKS.names()[-1]))
 """The tasks, for helps."""

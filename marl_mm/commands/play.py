@@ -31,14 +31,14 @@ class Play:
     take no goal and no task, and hold the arm's posture tightly."""
 
     video: Path | None = None
-    """Where to write the film, .mp4 or .gif; default episode.mp4, or none with
+    """File of the film, .mp4 or .gif; default episode.mp4, or none with
     --strip."""
 
     strip: Path | None = None
-    """Where to write six pictures of the episode, side by side: a PNG."""
+    """File of six pictures of the episode, side by side: a PNG."""
 
     direction: Direction | None = None
-    """On which side of the robot the goal is, where the task does not draw its own;
+    """Side of the robot on which the goal is, where the task does not draw its own;
     default backward."""
 
     seed: int = 0
@@ -65,17 +65,17 @@ class Play:
     """Print the episode's row as JSON."""
 
     camera: Camera = field(default_factory=Camera)
-    """Where to look from."""
+    """Place of the camera."""
 
     target: tuple[float, float, float] = (0.8, 0.3, 0.8)
-    """Where the hand goes in "arm-reach", world x, y, z [m]; it starts at 0.65, 0.10,
-    0.58."""
+    """Place that the hand reaches in "arm-reach", world x, y, z [m]; it starts at
+    0.65, 0.10, 0.58."""
 
     angle: float = 90.0
-    """How far the base turns in "base-turn", -180 to 180 [deg]."""
+    """Angle by which the base turns in "base-turn", -180 to 180 [deg]."""
 
     seconds: float = 4.0
-    """How long "arm-reach" and "base-turn" take [s]."""
+    """Duration of "arm-reach" and "base-turn" [s]."""
 
     @property
     def film(self) -> Path | None:
@@ -86,7 +86,7 @@ class Play:
 
     @property
     def where(self) -> str:
-        """What is written, before what is told of it."""
+        """Names of the files that are written, before the line about them."""
         files = ", ".join(str(file) for file in (self.film, self.strip) if file)
         return files and f"{files}: "
 

@@ -9,10 +9,12 @@ from typing import Annotated, Any, Generic, TypeVar
 import tyro
 
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, names, preset
+from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.algorithms.schedule import Schedule
 from marl_mm.commands.options import REGISTERED
 from marl_mm.commands.parser import Subcommand, parse_subcommand, value_of
 from marl_mm.envs.registry import DEFAULT
+from marl_mm.errors import UsageError
 from marl_mm.progress import progress_bars
 from marl_mm.runs import training
 from marl_mm.runs.settings import with_values
@@ -78,6 +80,7 @@ class Online(_Options, training.Online, Generic[C]):
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm train``."""
+    repeated, arguments = _without_config(arguments)
     started_from = value_of(arguments, "--preset", TUNED)
     offline, online = names(online=False), names(online=True)
     commands: dict[str, type | Subcommand] = {
@@ -91,11 +94,13 @@ def main(arguments: Sequence[str]) -> None:
     named = value_of(arguments, "--preset", "")  # asks for that preset's values
     if "--resume" in arguments and arguments[0] in commands and not named:
         commands[arguments[0]] = _resumed(arguments)
+    if repeated is not None:
+        commands[repeated.algorithm] = _repeated(repeated, arguments)
     name, options = parse_subcommand(
         commands,
         "marl-mm train",
         f"Train a policy: from a dataset file ({', '.join(offline)}), or from its own "
-        "episodes.",
+        "episodes. --config RUN/config.json, in place of an algorithm, repeats a run.",
         arguments,
     )
     _train(name, options)
@@ -118,6 +123,34 @@ def _train(name: str, options: Offline[Any] | Online[Any]) -> None:
     finally:  # if some seeds diverge, others do not
         if options.json and results:
             print(json.dumps(results, indent=2))
+
+
+def _without_config(
+    arguments: Sequence[str],
+) -> tuple[RunConfig | None, Sequence[str]]:
+    """The record that ``--config`` names, and the words with its algorithm instead."""
+    if not arguments or arguments[0].partition("=")[0] != "--config":
+        return None, arguments
+    from marl_mm.runs.folder import read_config
+
+    file = value_of(arguments, "--config", "")
+    if not Path(file).exists():
+        raise UsageError(f"there is no {file!r}, expected a run or its config.json")
+    config = read_config(Path(file))
+    rest = arguments[1:] if "=" in arguments[0] else arguments[2:]
+    return config, (config.algorithm, *rest)
+
+
+def _repeated(config: RunConfig, arguments: Sequence[str]) -> Subcommand:
+    """Options whose defaults are the values of a run's record."""
+    from marl_mm.runs.folder import settings_of
+    from marl_mm.runs.train import dataset_of
+
+    if not value_of(arguments, "--dataset", ""):
+        dataset_of(config)  # is that which it learnt from
+    subcommand = _subcommand(config.algorithm, TUNED)
+    options = with_values(subcommand.default, settings_of(config))
+    return subcommand._replace(default=options)
 
 
 def _resumed(arguments: Sequence[str]) -> Subcommand:

@@ -11,11 +11,11 @@ from typing import Literal, NamedTuple, get_args
 from marl_mm.errors import UsageError
 
 Knowledge = Literal["estimated", "given", "none"]
-"""Where the controller has a load's mass from: the joints' torques, the start, or
-nowhere."""
+"""Source of the load's mass: estimate from the joints' torques, given at the start, or
+none."""
 
 Form = Literal["blend", "rhp", "rhp-literal"]
-"""How alpha enters: blend of two strict hierarchies, or one fractional hierarchy."""
+"""Use of alpha: in a blend of two strict hierarchies, or in one fractional one."""
 
 FORMS: tuple[Form, ...] = get_args(Form)
 
@@ -32,94 +32,94 @@ class Gains(NamedTuple):
     """Feedback rates of the tasks."""
 
     ee_rate: float = 5.0
-    """End-effector position error to speed [1/s]."""
+    """Rate from end-effector position error to speed [1/s]."""
 
     ee_speed: float = 0.5
-    """Largest speed wanted of the end-effector [m/s]."""
+    """Largest target speed of the end-effector [m/s]."""
 
     ee_speed_rate: float = 12.0
-    """End-effector speed error to acceleration [1/s]."""
+    """Rate from end-effector speed error to acceleration [1/s]."""
 
     ee_rotation_rate: float = 6.0
-    """End-effector orientation, critically damped [rad/s]."""
+    """Natural frequency of the hand's orientation, critically damped [rad/s]."""
 
     base_rate: float = 2.0
-    """Base distance behind its plan to speed [1/s]."""
+    """Rate from the base's distance to its plan to speed [1/s]."""
 
     base_catch: float = 0.3
     """Largest speed added to catch up with the plan [m/s]."""
 
     base_speed_rate: float = 6.0
-    """Base speed error to acceleration [1/s]."""
+    """Rate from base speed error to acceleration [1/s]."""
 
     heading_rate: float = 4.0
-    """Heading, critically damped [rad/s]."""
+    """Natural frequency of the heading, critically damped [rad/s]."""
 
     posture_rate: float = 2.5
-    """Arm posture, critically damped [rad/s]."""
+    """Natural frequency of the arm posture, critically damped [rad/s]."""
 
 
 class HierarchyConfig(NamedTuple):
     """Numbers of the recursion over levels."""
 
     damping: float = 1e-3
-    """eps: weight of |x|^2 in every level."""
+    """Weight of |x|^2 in every level, eps."""
 
     projector_damping: float = 1e-3
-    """A row of squared norm n^2 is projected out by n^2 / (n^2 + this); positive."""
+    """Damping of the projector: a row of squared norm n^2 is projected out by n^2 /
+    (n^2 + damping)."""
 
     rho: float = 1.0
     """Weight of |x|^2 - |P x|^2 from the second level on (fractional form)."""
 
     protection: float = 30.0
-    """A task with psi strictly between 0 and 1 above a level keeps this psi (1 - psi)
-    as extra weight in it (fractional form; nothing for strict priorities)."""
+    """Factor of the extra weight psi (1 - psi) that a task keeps at a level below one
+    with psi between 0 and 1 (fractional form; 0 for strict priorities)."""
 
     weighted: bool = True
-    """Weight a task by how much its psi rises at a level. Without this, and with rho 0,
-    each level is the plain least squares of Eq. 3: form "rhp-literal"."""
+    """Whether a task is weighted by the rise of its psi at a level. Without, and with
+    rho 0, each level is the plain least squares of Eq. 3: form "rhp-literal"."""
 
     margin: float = 1e-8
-    """Levels below the first contain x = 0 with this to spare."""
+    """Slack of the limits around x = 0 below the first level, in each row's unit."""
 
     tolerance: float = 1e-9
-    """A closed-form level this far outside a limit still counts as inside."""
+    """Excess over a limit up to which a closed-form level counts as inside."""
 
     iterations: int = 100
-    """Most steps of a level's QP (active-set; ProxQP has its own cap)."""
+    """Iteration limit of a level's QP (active-set; ProxQP has its own)."""
 
 
 class LimitConfig(NamedTuple):
-    """Shape of the limits on acceleration."""
+    """Parameters of the limits on acceleration."""
 
     horizon: float = 4 / 240
-    """Time in which a velocity limit may be reached [s]."""
+    """Least time to reach a velocity limit [s]."""
 
     speed_share: float = 0.98
-    """Share of the speed limits that is used, so that what the robot does not follow
-    exactly stays inside them, too."""
+    """Share of the speed limits that is used; the rest is for tracking errors."""
 
     joint_margin: float = 0.01
-    """The braking bound stops this far before a joint's limit [rad]."""
+    """Distance to a joint's limit at which the braking bound stops [rad]."""
 
     keep_out: float = 0.45
-    """The end-effector stays this far ahead of the base's origin [m]."""
+    """Least distance of the end-effector ahead of the base's origin [m]."""
 
     keep_out_rate: float = 8.0
-    """Of the exponential barrier in front of the keep-out plane [1/s]."""
+    """Rate of the exponential barrier in front of the keep-out plane [1/s]."""
 
     keep_out_acceleration: float = 40.0
-    """Most the barrier may ask for, before the box has its say [m/s^2]; at 8 a fast
-    hand passed the plane by 8 cm."""
+    """Largest acceleration that the barrier demands, before the box limits it [m/s^2].
+    At 8 a fast hand passed the plane by 8 cm."""
 
     traction: float = 100.0
-    """Most force of a drive wheel on the ground along its way, and of both across it
+    """Largest force of a drive wheel on the ground along its way, and of both across it
     [N]. The wheels carry about 300 N each, but a swinging arm unloads one of them;
     where they slip, the arm does not accelerate as commanded, and its limits fail."""
 
     zmp: bool = False
-    """Keep the zero-moment point inside the support polygon; with the default base it
-    is there anyway."""
+    """Whether the zero-moment point is kept inside the support polygon; with the
+    default base it is there anyway."""
 
     zmp_margin: float = 0.03
     """Least distance of the zero-moment point to the support polygon's edge [m]."""
@@ -127,7 +127,7 @@ class LimitConfig(NamedTuple):
 
 @dataclass(frozen=True)
 class ControllerConfig:
-    """Everything the whole-body controller can be told."""
+    """Settings of the whole-body controller."""
 
     form: Form = "blend"
     """"blend" mixes the two strict hierarchies; "rhp" is one fractional hierarchy, the
@@ -138,14 +138,18 @@ class ControllerConfig:
     "daqp" is the same with another solver (optional extra ``bench``)."""
 
     response: float = 2.0
-    """Stability's share in the hierarchy is 1 - (1 - alpha) ** this. At 1 it is alpha
-    itself (Eq. 4), and half of the robot's response lies in alpha's last tenth."""
+    """Exponent of alpha's response: the share of stability is 1 - (1 - alpha) **
+    response. At 1 it is alpha itself (Eq. 4), and half of the robot's response lies in
+    alpha's last tenth."""
 
     gains: Gains = field(default_factory=Gains)
+    """Feedback rates of the tasks."""
 
     hierarchy: HierarchyConfig = field(default_factory=HierarchyConfig)
+    """Numbers of the recursion over levels."""
 
     limits: LimitConfig = field(default_factory=LimitConfig)
+    """Parameters of the limits on acceleration."""
 
     def __post_init__(self) -> None:
         for name, value, choices in (

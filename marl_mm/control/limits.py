@@ -11,7 +11,7 @@ from marl_mm.robot.description import WHEEL_SEPARATION
 from marl_mm.robot.support import SUPPORT_B
 
 TORQUE, BOX, KEEP_OUT, WHEELS, TRACTION, ZMP = 0, 7, 16, 17, 19, 22
-"""Where each kind of row begins."""
+"""First row of each kind."""
 
 TORQUE_ROWS = slice(TORQUE, BOX)
 BOX_ROWS = slice(BOX, KEEP_OUT)
@@ -20,7 +20,7 @@ TRACTION_ROWS = slice(TRACTION, ZMP)
 ZMP_ROWS = slice(ZMP, ZMP + len(SUPPORT_B))
 
 ROWS = ZMP
-"""Rows without the zero-moment point's."""
+"""Number of rows without those of the zero-moment point."""
 
 LIMIT_NAMES = (
     *(f"torque of arm joint {i + 1}" for i in range(7)),
@@ -35,18 +35,18 @@ LIMIT_NAMES = (
     "side force on the wheels",
     *(f"zero-moment point at edge {i + 1}" for i in range(len(SUPPORT_B))),
 )
-"""What each row limits."""
+"""Limited quantity of each row."""
 
 LEAST_WIDTH = 2e-3
-"""A box row is at least this wide [rad/s^2]."""
+"""Least width of a box row [m/s^2], [rad/s^2]."""
 
 UNBOUNDED = 1e9
-"""A bound that is none, and still a number to calculate with."""
+"""Value of a bound that does not bind."""
 
 WHEEL_ARM = WHEEL_SEPARATION / 2
-"""Rim speed per yaw rate of the base [m]."""
+"""Lever of a drive wheel: rim speed per yaw rate of the base [m]."""
 
 
 def row_count(config: LimitConfig) -> int:
-    """Rows at every state."""
+    """Number of rows with this config."""
     return ROWS + (len(SUPPORT_B) if config.zmp else 0)

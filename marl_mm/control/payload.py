@@ -1,8 +1,8 @@
-"""What the controller knows of the mass in the hand.
+"""Estimate of the mass in the hand, from the torques of the joints.
 
-The joints' torques tell it: what they push beyond what the robot's own motion needs
-moves the load. Along y = J' (a + g), the torques per kilogram in the hand, the load's
-mass goes towards what explains the rest best, as a momentum observer would have it.
+Torques beyond those of the robot's own motion move the load. Along y = J' (a + g), the
+torques per kilogram in the hand, the estimate goes towards the mass that explains them
+best, as in a momentum observer.
 """
 
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ SETTLING = 0.25
 """Time constant of the estimate [s]."""
 
 MOST = 10.0
-"""Of the estimate [kg]: far beyond what the arm carries (3 kg, Franka data sheet)."""
+"""Largest estimate [kg]: far beyond what the arm carries (3 kg, Franka data sheet)."""
 
 _UP = np.array([0.0, 0.0, GRAVITY])
 
@@ -26,8 +26,8 @@ class Payload:
     """Keeps the load in a robot's model.
 
     Args:
-        model: The controller's; its hand gets heavier.
-        knowledge: Where the mass is from.
+        model: Model of the controller, whose hand gets heavier.
+        knowledge: Source of the mass.
         rate: Ticks per second.
     """
 
@@ -37,22 +37,22 @@ class Payload:
 
     @property
     def mass(self) -> float:
-        """In the model [kg]."""
+        """Mass of the load in the model [kg]."""
         return self._mass
 
     def hold(self, mass: float, size: tuple[float, float, float]) -> None:
-        """Something is in the hand from now on.
+        """Take a load into the hand.
 
         Args:
-            mass: What it weighs [kg].
-            size: Of the cuboid whose inertia it has [m].
+            mass: True mass [kg].
+            size: Edges of the cuboid whose inertia it has [m].
         """
         self._held, self._size, self._true = True, size, mass
         self._set(mass if self._knowledge == "given" else 0.0)
 
     @contextmanager
     def revealed(self) -> Iterator[None]:
-        """Have the load in the model as it is, for those who judge the controller."""
+        """Have the true load in the model, to judge the controller by."""
         self._model.carry(self._true, self._size)
         try:
             yield
@@ -60,7 +60,7 @@ class Payload:
             self._model.carry(self._mass, self._size)
 
     def release(self) -> None:
-        """The hand is empty."""
+        """Empty the hand."""
         self._held, self._size, self._true = False, (0.05, 0.05, 0.05), 0.0
         self._set(0.0)
 
@@ -71,12 +71,12 @@ class Payload:
         torque: np.ndarray,
         after: RobotState,
     ) -> None:
-        """Take in a tick.
+        """Update the estimate by one tick.
 
         Args:
             before: State at its beginning.
-            terms: The model there, with the load as known.
-            torque: Of the arm joints during the tick, shape (7,) [N m].
+            terms: Model at that state, with the load as estimated.
+            torque: Torques of the arm joints during the tick, shape (7,) [N m].
             after: State at its end.
         """
         if not self._held or self._knowledge != "estimated":

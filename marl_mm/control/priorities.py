@@ -1,4 +1,4 @@
-"""Who comes first: the paper's two priority tables and what lies between them.
+"""Priorities: the paper's two tables and the mixes of them.
 
 Cumulative coding: a task of strict level L has psi = 0 above row L and 1 from it down,
 so that interpolated columns never decrease. Table 1, Eq. 4 of the paper. Columns: base
@@ -16,10 +16,10 @@ REACHING_LEVELS = (3, 3, 1, 2, 4)
 LEVELS = 4
 
 LEFT_OUT = LEVELS + 1
-"""As a task's level: it has no part in the hierarchy."""
+"""Level of a task that has no part in the hierarchy."""
 
 HANDLED = 1e-5
-"""A task is handled at a level when its psi rises by more than this."""
+"""Rise of psi above which a level handles a task."""
 
 
 def cumulative(levels: tuple[int, ...]) -> np.ndarray:
@@ -33,7 +33,7 @@ REACHING = cumulative(REACHING_LEVELS)
 
 
 def stability_share(alpha: float, response: float) -> float:
-    """What alpha is worth in the hierarchy: 0 at 0, 1 at 1, early where response > 1.
+    """Share of stability at alpha: 0 at 0, 1 at 1, rising early where response > 1.
 
     The hand is held back by base tasks of weight s against (1 - s) of its own, so that
     it gives way as 1 / (1 - s): almost nothing happens before s is near 1. With s =

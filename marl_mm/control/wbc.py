@@ -1,8 +1,8 @@
 """The whole-body controller: from state and reference to base acceleration and torques.
 
 Variables u, shape (9,): base forward [m/s^2], base yaw [rad/s^2], seven arm joints
-[rad/s^2]. Five tasks compete for them (Table 1 of the paper); alpha says who comes
-first: 1 a stable base, 0 an accurate hand (Eq. 4).
+[rad/s^2]. Five tasks compete for them (Table 1 of the paper); alpha sets their
+priorities: 1 a stable base first, 0 an accurate hand (Eq. 4).
 """
 
 from collections.abc import Iterator
@@ -71,7 +71,7 @@ class WholeBodyController:
         return self.solve(state, terms, reference, self.priorities(alpha))
 
     def priorities(self, alpha: float) -> Priorities:
-        """Who comes first at alpha: 0 reaching ... 1 stability.
+        """Priorities at alpha: 0 reaching first ... 1 stability first.
 
         Raises:
             UsageError: If alpha is not in [0, 1].
@@ -97,8 +97,8 @@ class WholeBodyController:
         Args:
             state: The robot now.
             terms: The model at that state.
-            reference: What the tasks follow.
-            priorities: Who comes first.
+            reference: Targets of the tasks.
+            priorities: Priorities of the tasks.
 
         Raises:
             NonFiniteStateError: If the state holds, or the solution would hold, a NaN.

@@ -10,21 +10,23 @@ BODY_SIZE = (0.90, 0.58, 0.30)
 """Base body, length x width x height [m] (MiR data sheet; see the URDF)."""
 
 WHEEL_RADIUS = 0.0625
-"""[m] (MiR data sheet)."""
+"""Radius of the drive wheels [m] (MiR data sheet)."""
 
 WHEEL_SEPARATION = 0.4452
-"""Between the two drive wheels [m] (MiR data sheet)."""
+"""Distance between the two drive wheels [m] (MiR data sheet)."""
 
 CASTER_X = (0.341, -0.270)
-"""Front and rear casters in the base frame [m] (public mir_robot description)."""
+"""Positions of front and rear casters along x of the base frame [m] (public mir_robot
+description)."""
 
 CASTER_Y = 0.203
-"""Casters stand at plus and minus this [m] (public mir_robot description)."""
+"""Distance of the casters from the base's midline [m] (public mir_robot
+description)."""
 
 
 @dataclass(frozen=True)
 class RobotConfig:
-    """What public descriptions of the base disagree about, and the start posture."""
+    """Uncertain mass properties of the base, and the start posture."""
 
     base_mass: float = 82.0
     """Mass of the base without its wheels of 1 kg each [kg]."""
@@ -40,10 +42,10 @@ class RobotConfig:
 
 
 PAD_SIZE = (0.020, 0.014, 0.022)
-"""Of a finger's pad, a box [m]; ours, after the finger's mesh."""
+"""Edges of a finger's pad, a box [m]; ours, after the finger's mesh."""
 
 PAD_Z = 0.0425
-"""The pad's centre along the finger [m]: the grasp frame is at 0.045."""
+"""Position of the pad's centre along the finger [m]; the grasp frame is at 0.045."""
 
 
 def urdf_xml(config: RobotConfig, solid: bool = False) -> str:

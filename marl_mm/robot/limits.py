@@ -1,4 +1,4 @@
-"""What the robot may do: the data sheets' limits in one record."""
+"""Limits of the robot: the data sheets' numbers in one record."""
 
 from typing import NamedTuple
 
@@ -9,29 +9,30 @@ from marl_mm.robot.description import RobotConfig, urdf_xml
 from marl_mm.robot.names import ARM_JOINTS, WHEEL_JOINTS
 
 ARM_ACCELERATION = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
-"""[rad/s^2] (Franka Emika control parameters; a URDF has no place for them)."""
+"""Acceleration limits of the arm joints [rad/s^2] (Franka Emika control parameters; a
+URDF has no place for them)."""
 
 BASE_SPEED = 1.0
-"""[m/s] (MiR data sheet)."""
+"""Speed limit of the base [m/s] (MiR data sheet)."""
 
 BASE_ACCELERATION = 2.0
-"""[m/s^2] (MiR navigation parameters)."""
+"""Acceleration limit of the base [m/s^2] (MiR navigation parameters)."""
 
 BASE_YAW_RATE = 1.5
-"""[rad/s] (MiR navigation parameters)."""
+"""Yaw rate limit of the base [rad/s] (MiR navigation parameters)."""
 
 BASE_YAW_ACCELERATION = 2.5
-"""[rad/s^2] (MiR navigation parameters)."""
+"""Yaw acceleration limit of the base [rad/s^2] (MiR navigation parameters)."""
 
 
 class RobotLimits(NamedTuple):
     """Limits in the order of the controller's variables: base (2), then arm (7)."""
 
     speed: np.ndarray
-    """Absolute velocity, shape (9,): [m/s], [rad/s], seven times [rad/s]."""
+    """Largest absolute velocities, shape (9,): [m/s], [rad/s], seven times [rad/s]."""
 
     acceleration: np.ndarray
-    """Absolute acceleration, shape (9,): [m/s^2], [rad/s^2], seven times [rad/s^2]."""
+    """Largest absolute accelerations, shape (9,): [m/s^2], then [rad/s^2]."""
 
     lower: np.ndarray
     """Lowest arm joint positions, shape (7,) [rad]."""
@@ -40,10 +41,10 @@ class RobotLimits(NamedTuple):
     """Highest arm joint positions, shape (7,) [rad]."""
 
     torque: np.ndarray
-    """Absolute arm joint torque, shape (7,) [N m]."""
+    """Largest absolute torques of the arm joints, shape (7,) [N m]."""
 
     wheel_speed: float
-    """Absolute speed of a drive wheel [rad/s]."""
+    """Largest absolute speed of a drive wheel [rad/s]."""
 
 
 def robot_limits(config: RobotConfig) -> RobotLimits:

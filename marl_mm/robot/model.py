@@ -15,7 +15,7 @@ from marl_mm.robot.description import RobotConfig, urdf_xml
 from marl_mm.robot.names import FINGER_JOINTS, GRASP_FRAME, WHEEL_JOINTS
 
 GRAVITY = 9.81
-"""[m/s^2]"""
+"""Acceleration of gravity [m/s^2]."""
 
 ACTUATED = np.array([0, 2, 3, 4, 5, 6, 7, 8, 9])
 """Entries of v the controller moves: all but the lateral one, shape (9,)."""
@@ -24,7 +24,7 @@ _WORLD = pin.LOCAL_WORLD_ALIGNED
 
 
 class RobotState(NamedTuple):
-    """Where the robot is and how it moves."""
+    """Configuration and velocity of the robot at one instant."""
 
     q: np.ndarray
     """Configuration, shape (11,)."""
@@ -39,33 +39,33 @@ class RobotState(NamedTuple):
 
 
 class ModelTerms(NamedTuple):
-    """What the controller needs of the model at one state; frame axes are world's."""
+    """Kinematics and dynamics at one state, in the axes of the world."""
 
     position_w: np.ndarray
-    """End-effector, shape (3,) [m]."""
+    """Position of the end-effector, shape (3,) [m]."""
 
     rotation_w: np.ndarray
-    """End-effector's axes as columns, shape (3, 3)."""
+    """Axes of the end-effector as columns, shape (3, 3)."""
 
     velocity_w: np.ndarray
-    """End-effector, shape (6,): linear [m/s], angular [rad/s]."""
+    """Velocity of the end-effector, shape (6,): linear [m/s], angular [rad/s]."""
 
     jacobian: np.ndarray
-    """End-effector, shape (6, 10): linear rows, then angular."""
+    """Jacobian of the end-effector, shape (6, 10): linear rows, then angular."""
 
     bias_acceleration: np.ndarray
-    """Jacobian's rate times v, shape (6,) [m/s^2], [rad/s^2]."""
+    """Rate of the Jacobian times v, shape (6,) [m/s^2], [rad/s^2]."""
 
     mass_matrix: np.ndarray
-    """Shape (10, 10), upper and lower triangle filled."""
+    """Mass matrix, both triangles filled, shape (10, 10)."""
 
     nonlinear: np.ndarray
     """Coriolis, centrifugal and gravity forces, shape (10,) [N], [N m]."""
 
     wrench: np.ndarray
-    """The ground's wrench about the base's origin, shape (6, 11): force rows [N], then
-    moment [N m]; per acceleration, and in the last column without any. Zero unless the
-    model evaluates balance."""
+    """Wrench of the ground about the base's origin, shape (6, 11): rows of force [N],
+    then moment [N m]. A column per acceleration, and a last one at zero acceleration.
+    All zero unless the model evaluates balance."""
 
 
 class RobotModel:
@@ -73,7 +73,7 @@ class RobotModel:
 
     Args:
         config: Mass properties.
-        balance: Also evaluate what the zero-moment point depends on.
+        balance: Whether to evaluate the ground's wrench, too.
     """
 
     def __init__(self, config: RobotConfig, balance: bool = False) -> None:
@@ -97,8 +97,8 @@ class RobotModel:
         """Count a load at the grasp point as part of the hand from now on.
 
         Args:
-            mass: [kg]; 0 for an empty hand.
-            size: Of the cuboid whose inertia it has [m].
+            mass: Mass of the load [kg]; 0 empties the hand.
+            size: Edges of the cuboid whose inertia it has [m].
         """
         load = self._grasp_h.act(pin.Inertia.FromBox(mass, *size))
         self._model.inertias[self._hand] = self._empty + load if mass else self._empty
@@ -134,7 +134,7 @@ class RobotModel:
         )
 
     def _evaluate_ground(self, state: RobotState) -> None:
-        """The rate of the centroidal momentum less gravity, moved to the base."""
+        """Write the wrench: rate of centroidal momentum less gravity, at the base."""
         model, data, wrench = self._model, self._data, self._wrench
         pin.computeCentroidalMomentumTimeVariation(
             model, data, state.q, state.v, self._no_acceleration
@@ -149,8 +149,8 @@ class RobotModel:
         """Zero-moment point on the ground in the base frame, shape (2,) [m].
 
         Args:
-            state: Where the robot is.
-            acceleration: The controller's variables, shape (9,).
+            state: State of the robot.
+            acceleration: Controller's variables u, shape (9,).
         """
         full = np.zeros(self._model.nv)
         full[ACTUATED] = acceleration

@@ -1,14 +1,14 @@
 """Names in the URDF, in the order in which vectors hold them."""
 
 ARM_JOINTS = tuple(f"panda_joint{i}" for i in range(1, 8))
-"""Shoulder to wrist; every arm vector has shape (7,) in this order."""
+"""Arm joints, shoulder to wrist; every arm vector has shape (7,) in this order."""
 
 FINGER_JOINTS = ("panda_finger_joint1", "panda_finger_joint2")
 
 BASE_LINK = "base_link"
 
 ARM_LINKS = tuple(f"panda_link{i}" for i in range(8))
-"""Foot to flange."""
+"""Links of the arm, foot to flange."""
 
 HAND_LINK = "panda_hand"
 
@@ -20,4 +20,4 @@ GRASP_FRAME = "grasp"
 """Frame of the end-effector, between the finger tips."""
 
 GRASP_JOINT = "grasp_joint"
-"""The fixed joint that carries the grasp frame."""
+"""Fixed joint that carries the grasp frame."""

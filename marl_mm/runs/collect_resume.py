@@ -1,4 +1,4 @@
-"""What an earlier collection into a dataset left, and whether another may go on."""
+"""Resuming a collection: the remains of an earlier one, and whether they fit."""
 
 import shutil
 from typing import Any
@@ -8,14 +8,14 @@ from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import FILE as JOURNAL
 from marl_mm.datasets.journal import Journal, noted
 from marl_mm.datasets.location import Location
+from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Origin, Provenance
-from marl_mm.datasets.storage import read_metadata
 from marl_mm.episode import Episode
 from marl_mm.errors import OtherConfigError
 
 
 def begun_with(location: Location) -> Provenance | None:
-    """What a collection that may go on was begun with; None if there is none."""
+    """The record that a collection began with; None where there is none."""
     if about := noted(location.working):
         return Provenance.from_json(about)
     if not location.folder.exists():

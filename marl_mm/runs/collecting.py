@@ -11,8 +11,9 @@ from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.journal import FILE as JOURNAL
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import Location
+from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Origin, Provenance
-from marl_mm.datasets.storage import read_metadata, refuse_foreign, write_dataset
+from marl_mm.datasets.storage import refuse_foreign, write_dataset
 from marl_mm.envs.registry import DEFAULT, TASKS, config_dict, make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.envs.task import Task
@@ -182,7 +183,7 @@ def _kept(known: dict[int, Episode | None]) -> list[Episode]:
 def _steps(
     options: Collecting, begun: dict[str, Any] | None, mine: Location | None
 ) -> int:
-    """How many steps to collect.
+    """Number of steps to collect.
 
     Raises:
         UsageError: If more were asked for before.
@@ -229,7 +230,7 @@ def _begun(
     steps: int,
     layout: Layout,
 ) -> dict[int, Episode | None]:
-    """What a journal holds; a new one, or one to overwrite, begins."""
+    """Attempts in a journal; a new one, or one to overwrite, begins."""
     before = journal.about()
     if before is not None and not (options.resume or options.overwrite):
         raise OutputExistsError(

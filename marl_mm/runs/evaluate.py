@@ -58,7 +58,7 @@ def evaluate(
 
 def evaluations_json(evaluations: Sequence[Evaluation]) -> list[dict[str, Any]]:
     """Evaluations with the versions of the packages that made them."""
-    return [one.to_json() | {"packages": versions()} for one in evaluations]
+    return [each.to_json() | {"packages": versions()} for each in evaluations]
 
 
 def save_evaluations(

@@ -34,8 +34,8 @@ BEST_EVALUATION = "eval_best.json"
 CURVE = "learning_curve.png"
 SB3_BEST = "best.zip"
 
-_MADE = ("eval*.json", *(f"*{one.suffix}" for _, one in POLICY_FORMATS.items()))
-"""What is made of a run's policies: evaluations and exports."""
+_MADE = ("eval*.json", *(f"*{form.suffix}" for _, form in POLICY_FORMATS.items()))
+"""Files that are made of a run's policies: evaluations and exports."""
 
 
 def check_runs(training: Training, out: Path, seeds: Sequence[int]) -> None:
@@ -119,9 +119,9 @@ def refuse_other(run: Path, config: RunConfig, ignored: Sequence[str] = ()) -> N
     theirs, mine = read_config(run).to_json(), as_json(config.to_json())
     for key in ("packages", *ignored):
         mine.pop(key, None)
-    for one in (theirs, mine):  # a dataset may have moved
-        if one.get("dataset"):
-            one["dataset"].pop("path", None)
+    for values in (theirs, mine):  # a dataset may have moved
+        if values.get("dataset"):
+            values["dataset"].pop("path", None)
     refuse_other_config(run, theirs, mine)
 
 
@@ -138,7 +138,7 @@ def start_run(run: Path, config: RunConfig) -> None:
 
 
 def saved_settings(out: Path) -> dict[str, Any]:
-    """What the first run in a folder was made of, by name; nothing without runs.
+    """Settings of the first run in a folder, by name; none without runs.
 
     Its dataset counts as ``dataset`` and as ``demonstrations``, and ``seeds`` are those
     of all runs.
@@ -156,21 +156,27 @@ def saved_settings(out: Path) -> dict[str, Any]:
     )
     if not seeds:
         return {}
-    config = read_config(out / str(seeds[0])).to_json()
-    dataset = (config["dataset"] or {}).get("path")
-    return config | {"seeds": seeds, "dataset": dataset, "demonstrations": dataset}
+    return settings_of(read_config(out / str(seeds[0]))) | {"seeds": seeds}
 
 
-def read_config(run: Path) -> RunConfig:
-    """What a run is made of.
+def settings_of(config: RunConfig) -> dict[str, Any]:
+    """The settings of a run by name; see ``saved_settings``."""
+    dataset = (config.dataset or {}).get("path")
+    values = {"seeds": [config.seed], "dataset": dataset, "demonstrations": dataset}
+    return config.to_json() | values
+
+
+def read_config(path: Path) -> RunConfig:
+    """The record of a run, of its folder or of a file.
 
     Raises:
         CheckpointError: If it cannot be read.
     """
+    file = path / CONFIG if path.is_dir() else path
     try:
-        return RunConfig.from_json(json.loads((run / CONFIG).read_text()))
+        return RunConfig.from_json(json.loads(file.read_text()))
     except (OSError, ValueError, AttributeError) as error:
-        raise CheckpointError(f"cannot read {run / CONFIG}: {error}") from error
+        raise CheckpointError(f"cannot read {file}: {error}") from error
 
 
 def continue_run(
@@ -233,7 +239,7 @@ def evaluate_run(
 
 
 def curve_point(evaluation: Evaluation) -> CurvePoint:
-    """What a learning curve keeps of an evaluation."""
+    """The numbers of an evaluation that a learning curve keeps."""
     point: dict[str, float] = {}
     for name, part in evaluation.summary.items():
         point[f"success/{name}"] = part["success_rate"]

@@ -199,6 +199,7 @@ def train_side_by_side(
             training.curve_every,
             advance,
             training.stop_unsound,
+            training.logger,
         )
     for seed, run in runs.items():
         evaluate_offline_run(dataset, training, run, bar, f"eval {seed}")

@@ -147,7 +147,15 @@ def _train(training: Online, seed: int, run: Path, bar: Bar) -> None:
             )
 
         advance = bar(f"{algorithm.name} {seed}", training.config.episodes)
-        train_online(algorithm, run, run_episodes, point, training.schedule, advance)
+        train_online(
+            algorithm,
+            run,
+            run_episodes,
+            point,
+            training.schedule,
+            advance,
+            training.logger,
+        )
 
 
 def _demonstrations(training: Online) -> Dataset | None:

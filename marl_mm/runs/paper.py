@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import Location, locate
+from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.recipe import Part, mix, write_mix
-from marl_mm.datasets.storage import read_metadata
 from marl_mm.errors import DatasetError, UsageError
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.collect_resume import begun_with
@@ -86,7 +86,7 @@ def collect_paper(paper: Paper, bar: Bar = silent_bar) -> Iterator[Dataset]:
 
 
 def paper_location(name: str) -> Location:
-    """Where one of the paper's datasets is."""
+    """Location of a dataset of the paper."""
     return locate(f"marl_mm/reach/{name}-v0")
 
 
@@ -133,7 +133,7 @@ def _mix(name: str, location: Location, paper: Paper) -> None:
 
 
 def _fits(location: Location, steps: int, paper: Paper) -> bool:
-    """Whether what is there can be kept and gone on with.
+    """Whether a dataset that is there can be kept and gone on with.
 
     Raises:
         UsageError: If it cannot, and may not be replaced.

@@ -40,7 +40,7 @@ FPS = 8
 
 @dataclass(frozen=True)
 class Size:
-    """How much of everything."""
+    """Amounts of data, training and evaluation."""
 
     steps: int
     """Steps of the dataset."""
@@ -77,13 +77,13 @@ class Quickstart:
 
     @property
     def size(self) -> Size:
-        """How much of everything."""
+        """Amounts of data, training and evaluation."""
         return SMALL if self.small else FULL
 
 
 @dataclass(frozen=True)
 class Result:
-    """What the chain has made."""
+    """Numbers of the whole chain."""
 
     values: dict[str, Any]
     """Wall times [s], the dataset's card and the evaluations, JSON-serialisable."""

@@ -12,7 +12,7 @@ from typing import Any
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.algorithms.runlog import read_metrics
-from marl_mm.errors import UsageError
+from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.runs.evaluate import task_overrides
 from marl_mm.runs.folder import BEST_EVALUATION, CONFIG, CURVE, EVALUATION, read_config
@@ -100,14 +100,31 @@ def load_run(folder: str | Path) -> Run:
     """
     path = Path(folder)
     if not (path / CONFIG).exists():
-        seeds = sorted(one.parent.name for one in path.glob(f"*/{CONFIG}"))
+        seeds = sorted(config.parent.name for config in path.glob(f"*/{CONFIG}"))
         hint = f": name one of its runs, such as {path / seeds[0]}" if seeds else ""
         raise UsageError(f"{path} is no run, it has no {CONFIG}{hint}")
     return Run(path)
 
 
+def find_runs(folder: str | Path) -> list[Run]:
+    """All runs below a folder, by name.
+
+    Raises:
+        UsageError: If there is no such folder.
+    """
+    root = Path(folder)
+    if not root.is_dir():
+        raise UsageError(f"{root} is no folder, expected one with runs in it")
+    return [Run(config.parent) for config in sorted(root.rglob(CONFIG))]
+
+
 def _evaluation(path: Path) -> Evaluation | None:
-    return Evaluation.from_json(json.loads(path.read_text())) if path.exists() else None
+    if not path.exists():
+        return None
+    try:
+        return Evaluation.from_json(json.loads(path.read_text()))
+    except (ValueError, KeyError, TypeError) as error:
+        raise CheckpointError(f"cannot read {path}: {error}") from error
 
 
 def _success(evaluation: Evaluation) -> str:

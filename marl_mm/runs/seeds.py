@@ -56,7 +56,7 @@ def train_offline(
         elif min(processes, training.workers) > 1:
             parts = _apart(dataset, training, runs, processes, bar)
         else:
-            parts = (_try(dataset, training, dict([one]), bar) for one in runs.items())
+            parts = (_try(dataset, training, {s: run}, bar) for s, run in runs.items())
         failures = []
         for trained in parts:
             if isinstance(trained, DivergedError):
@@ -97,7 +97,7 @@ def _apart(
 
 
 _process: tuple[Any, ...] = ()
-"""What a process that trains seeds was begun with."""
+"""Dataset, settings and channels of a process that trains seeds."""
 
 
 def _begin_process(*arguments: Any) -> None:

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from marl_mm.algorithms.registry import TUNED, names
+from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.errors import UsageError
 from marl_mm.progress import Bar, silent_bar
-from marl_mm.runs.folder import check_runs, saved_settings
+from marl_mm.runs.folder import check_runs, saved_settings, settings_of
 from marl_mm.runs.run import Run
 from marl_mm.runs.settings import with_settings, with_values
 from marl_mm.runs.training import Offline, Online, training_of
@@ -63,6 +64,45 @@ def train(
     if seeds is None:
         seeds = known.get("seeds", (0,))
     return list(trained(training, dataset, folder, seeds, progress))
+
+
+def repeat(
+    config: RunConfig, *, out: str | Path, progress: Bar = silent_bar, **settings: Any
+) -> Run:
+    """Make a run again from its record, to the same bytes on the same machine.
+
+    Args:
+        config: Record of the run, as ``load_run(...).config``.
+        out: Folder of the new run: seed s goes to ``out/s``.
+        progress: Begins a bar of progress.
+        **settings: Settings in place of the run's, by name.
+
+    Raises:
+        UsageError: If the run's dataset is gone or another, or the new run exists.
+    """
+    training = with_values(training_of(config.algorithm), settings_of(config))
+    training = with_settings(config.algorithm, training, settings)
+    dataset = dataset_of(config) if isinstance(training, Offline) else None
+    runs = trained(training, dataset, Path(out), (config.seed,), progress)
+    (run,) = runs
+    return run
+
+
+def dataset_of(config: RunConfig) -> Dataset | None:
+    """The dataset that a run learnt from; None if it learnt from nobody's episodes.
+
+    Raises:
+        UsageError: If the dataset is gone or another by now.
+    """
+    if config.dataset is None:
+        return None
+    data = load_dataset(config.dataset["path"])
+    if data.fingerprint != config.dataset["fingerprint"]:
+        raise UsageError(
+            f"{config.dataset['path']} has the fingerprint {data.fingerprint}, the run "
+            f"learnt from {config.dataset['fingerprint']}: name its `dataset`"
+        )
+    return data
 
 
 def trained(

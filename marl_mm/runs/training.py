@@ -1,9 +1,10 @@
-"""How runs are made: settings of every run, of offline and of online ones."""
+"""Settings of runs: of all, of offline and of online ones."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from marl_mm.algorithms.loggers import DEFAULT_LOGGERS, check_loggers
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
 from marl_mm.algorithms.schedule import Schedule
 from marl_mm.runs.settings import check_positive, check_seed, refuse_both
@@ -37,12 +38,15 @@ class Training:
     """Processes that run episodes, and that train seeds from a dataset. The result does
     not depend on their number."""
 
+    logger: tuple[str, ...] = DEFAULT_LOGGERS
+    """Loggers beside metrics.jsonl: tensorboard, csv, wandb (Weights & Biases)."""
+
     resume: bool = False
     """Go on where runs were stopped; seeds without a run start. Settings that are left
     out are those of the first run in the folder."""
 
     allow_changed_plugin: bool = False
-    """When resuming, go on though a plug-in is another file than before. The run's
+    """Go on, when resuming, though a plug-in is another file than before. The run's
     config keeps both hashes."""
 
     overwrite: bool = False
@@ -62,6 +66,7 @@ class Training:
         check_positive(eval_episodes=self.eval_episodes, workers=self.workers)
         check_seed(self.eval_seed)
         refuse_both(self.resume, self.overwrite)
+        check_loggers(self.logger)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,8 +80,8 @@ class Offline(Training):
     """Refuse a dataset in which no episode reaches its goal."""
 
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where to train. On a CPU each seed is a process of one thread, about as many at
-    once as there are workers; on a GPU all seeds are trained side by side."""
+    """Device to train on. On a CPU each seed is a process of one thread, about as many
+    at once as there are workers; on a GPU all seeds are trained side by side."""
 
     curve_every: int = 2_000
     """Updates between points of the learning curve."""

@@ -29,7 +29,7 @@ from marl_mm.sim.scene import Mark, Scene
 
 @cache
 def _urdf(robot: RobotConfig, solid: bool) -> str:
-    """Mesh names in it are relative to pybullet_data, but our file lies elsewhere."""
+    """URDF with absolute names of the meshes, which lie in pybullet_data."""
     meshes = f"{pybullet_data.getDataPath()}/franka_panda"
     return robot_urdf(robot, solid).replace('"franka_panda', f'"{meshes}')
 
@@ -42,7 +42,7 @@ class BulletWorld:
 
     Args:
         robot: Mass properties and start posture.
-        config: Solver and motors.
+        config: Settings of solver and motors.
         visual: Load the meshes, so that ``render`` and the GUI show the arm.
         gui: Open PyBullet's window.
     """
@@ -67,9 +67,9 @@ class BulletWorld:
         """A new world: the robot at the origin, heading +x, in its start posture.
 
         Args:
-            marks: What is only to be seen; drawn only with visuals.
-            scene: What else is there. Without, hand and arm are no solid bodies, which
-                is faster.
+            marks: Drawings without a body, for a world with visuals.
+            scene: Block and stand. Without a scene, hand and arm are no solid bodies,
+                which is faster.
         """
         client, config = self._client, self._config
         pybullet.resetSimulation(physicsClientId=client)
@@ -123,7 +123,7 @@ class BulletWorld:
         return roll, asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
 
     def wheel_rates(self) -> tuple[float, float]:
-        """How fast the left and the right wheel turn [rad/s]."""
+        """Rates of the left and the right wheel [rad/s]."""
         left, right = pybullet.getJointStates(
             self._robot, self._wheels, physicsClientId=self._client
         )
@@ -146,7 +146,7 @@ class BulletWorld:
         Args:
             forward: Base speed [m/s].
             yaw_rate: Base turning rate [rad/s].
-            torque: Of the arm joints, shape (7,) [N m].
+            torque: Torques of the arm joints, shape (7,) [N m].
         """
         turn = yaw_rate * WHEEL_SEPARATION / 2
         pybullet.setJointMotorControlArray(
@@ -176,18 +176,18 @@ class BulletWorld:
 
     @property
     def client(self) -> int:
-        """PyBullet's id of this world, to ask it other things."""
+        """PyBullet's id of this world."""
         client: int = self._client
         return client
 
     @property
     def handling(self) -> Handling:
-        """The gripper and what it handles, in a world with a scene."""
+        """Gripper, block and stand of a world with a scene."""
         assert self._handling is not None
         return self._handling
 
     def grasp_position_w(self) -> np.ndarray:
-        """Where the end-effector is in the simulation, shape (3,) [m]."""
+        """Position of the end-effector in the simulation, shape (3,) [m]."""
         state = pybullet.getLinkState(
             self._robot,
             self._grasp,
@@ -197,7 +197,7 @@ class BulletWorld:
         return np.array(state[4])
 
     def render(self, camera: Camera) -> np.ndarray:
-        """A picture by PyBullet's CPU renderer, shape (height, width, 3), uint8."""
+        """Image by PyBullet's CPU renderer, shape (height, width, 3), uint8."""
         client = self._client
         view = pybullet.computeViewMatrixFromYawPitchRoll(
             camera.target_w, camera.distance, camera.yaw, camera.pitch, 0, 2
@@ -255,7 +255,7 @@ class BulletWorld:
         )
 
     def _load_robot(self, solid: bool) -> dict[str, int]:
-        """Links by name."""
+        """Load the robot; numbers of its links by name."""
         client, config = self._client, self._config
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE
         if solid:
@@ -286,7 +286,7 @@ class BulletWorld:
         return {BASE_LINK: -1, **links}
 
     def _remove_hidden_friction(self, count: int) -> None:
-        """Bullet's default damping and friction have no counterpart in the model."""
+        """Set damping and friction to 0, which have no counterpart in the model."""
         for link in range(-1, count):
             pybullet.changeDynamics(
                 self._robot,

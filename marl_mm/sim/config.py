@@ -1,4 +1,4 @@
-"""How the simulation runs and is looked at; knows nothing of PyBullet."""
+"""Settings of simulation and camera; independent of the engine."""
 
 from dataclasses import dataclass
 
@@ -12,10 +12,10 @@ RATE = 240
 
 @dataclass(frozen=True)
 class SimulationConfig:
-    """How PyBullet simulates."""
+    """Settings of solver, motors and contacts."""
 
     solver_iterations: int = 20
-    """Of the contact solver; 10, 20 and 50 agree to 0.1 mm, fewer are faster."""
+    """Iterations of the contact solver; 10, 20 and 50 agree to 0.1 mm."""
 
     wheel_force: float = 40.0
     """Largest torque of a wheel's velocity motor [N m]; ours: far below the 200 N m of
@@ -25,20 +25,20 @@ class SimulationConfig:
     """Friction coefficient between drive wheels and ground."""
 
     finger_force: float = 20.0
-    """Largest force of a finger's position motor, which only keeps it there [N]."""
+    """Largest force of a finger's position motor, which holds an empty gripper [N]."""
 
     grasp_iterations: int = 50
-    """Of the contact solver where friction holds what is grasped: 3 kg, shaken for 12 s
-    at a friction coefficient of 0.6, creep by 0.2 mm; with 30 by 1 mm."""
+    """Iterations of the contact solver where friction holds a block: 3 kg, shaken for
+    12 s at a friction coefficient of 0.6, creep by 0.2 mm; with 30 by 1 mm."""
 
     grip_force: float = 70.0
-    """Of each finger on what it holds [N] (Franka Hand data sheet: continuous)."""
+    """Grip force of each finger [N] (Franka Hand data sheet: continuous)."""
 
     grip_speed: float = 0.05
-    """Of each finger [m/s] (Franka Hand data sheet)."""
+    """Closing speed of each finger [m/s] (Franka Hand data sheet)."""
 
     spinning_friction: float = 0.002
-    """Of pads and blocks about the normal [m]: the pads are patches, not points."""
+    """Spinning friction of pads and blocks about the normal [m]: pads are patches."""
 
 
 @dataclass(frozen=True)
@@ -46,22 +46,22 @@ class Camera:
     """A fixed camera that looks at the robot's work space."""
 
     width: int = 480
-    """[pixels]; a multiple of 16 suits video codecs."""
+    """Width of the image [pixels]; a multiple of 16 suits video codecs."""
 
     height: int = 320
-    """[pixels]"""
+    """Height of the image [pixels]."""
 
     target_w: tuple[float, float, float] = (0.05, 0.0, 0.40)
-    """The point looked at [m]."""
+    """Point at the centre of the image [m]."""
 
     distance: float = 2.6
-    """From the target [m]."""
+    """Distance from the target [m]."""
 
     yaw: float = 15.0
-    """[deg]"""
+    """Yaw of the view [deg]."""
 
     pitch: float = -18.0
-    """[deg]"""
+    """Pitch of the view [deg]."""
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):

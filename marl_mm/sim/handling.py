@@ -1,4 +1,4 @@
-"""The gripper and what it handles: a block, its stand, and who touches whom."""
+"""The gripper, the block that it handles, its stand, and their contacts."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -12,10 +12,10 @@ from marl_mm.sim.scene import Scene
 
 
 class Touches(NamedTuple):
-    """Who touches whom after a step."""
+    """Contacts after a step."""
 
     fingers: int
-    """How many of the two touch the block."""
+    """Number of fingers that touch the block, 0 to 2."""
 
     stand: bool
     """Whether the block touches its stand."""
@@ -24,20 +24,20 @@ class Touches(NamedTuple):
     """Whether the block touches the ground."""
 
     collision: str
-    """What collides that must not, in words; or nothing."""
+    """Forbidden collision in words; empty without one."""
 
 
 class Handling:
-    """A block, and maybe its stand, in a robot's world.
+    """A block, and its stand if it has one, in a robot's world.
 
     Args:
-        client: Of the world.
+        client: PyBullet's id of the world.
         robot: Body of the robot.
-        links: Number of each of its links by name.
+        links: Numbers of its links by name.
         ground: Body of the ground.
-        config: Of the gripper.
-        scene: What is there.
-        visual: Whether it is to be seen.
+        config: Settings of gripper and friction.
+        scene: Block and stand.
+        visual: Whether to draw them.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class Handling:
         self._squeezing = True
 
     def tick(self) -> None:
-        """What acts during the next step only."""
+        """Apply the forces that last for one step."""
         if self._squeezing:
             pybullet.setJointMotorControlArray(
                 self._robot,
@@ -96,7 +96,7 @@ class Handling:
             )
 
     def opening(self) -> float:
-        """Between the finger tips [m]."""
+        """Distance between the finger tips [m]."""
         states = pybullet.getJointStates(
             self._robot, self._fingers, physicsClientId=self._client
         )
@@ -104,7 +104,7 @@ class Handling:
 
     @property
     def stand_w(self) -> tuple[float, float, float]:
-        """Middle of the stand's top [m]; without one, of the ground."""
+        """Centre of the stand's top [m]; without a stand, the point on the ground."""
         x, y, _ = self._scene.position_w
         size = self._scene.stand_size
         return x, y, 0.0 if size is None else size[2]
@@ -142,13 +142,13 @@ class Handling:
         self._drive_fingers(0.0)
 
     def unweld(self) -> None:
-        """Undo it."""
+        """Release the block from the hand."""
         pybullet.removeConstraint(self._weld, physicsClientId=self._client)
         self._weld = None
         self._touch_block(True)
 
     def pad_forces(self) -> list[float]:
-        """How hard each pad pressed on the block in the last step [N]."""
+        """Force of each pad on the block in the last step [N]."""
         forces = dict.fromkeys(self._fingers, 0.0)
         for contact in self._contacts(self._block):
             if contact[2] == self._robot and contact[4] in forces:
@@ -156,7 +156,7 @@ class Handling:
         return list(forces.values())
 
     def touches(self) -> Touches:
-        """Contacts of the last step that press harder than nothing."""
+        """Contacts of the last step with a force above 0."""
         fingers, stand, ground, collisions = set(), False, False, set()
         for contact in self._contacts(self._block):
             body, link = contact[2], contact[4]
@@ -177,7 +177,7 @@ class Handling:
         return Touches(len(fingers), stand, ground, min(collisions, default=""))
 
     def _touch_block(self, solid: bool) -> None:
-        """Whether the fingers push the block, or pass through it."""
+        """Switch the collision of fingers and block on or off."""
         for finger in self._fingers:
             pybullet.setCollisionFilterPair(
                 self._robot,
@@ -189,12 +189,12 @@ class Handling:
             )
 
     def _contacts(self, body: int) -> list[tuple[Any, ...]]:
-        """Of a body with others that press, as PyBullet has them."""
+        """PyBullet's contacts of a body with a force above 0."""
         found = pybullet.getContactPoints(body, physicsClientId=self._client)
         return [contact for contact in found if contact[9] > 0]
 
     def _exclude_pairs(self, links: Mapping[str, int]) -> None:
-        """Of the robot's own links only arm and base may collide with each other."""
+        """Switch off self-collisions of the robot, but of the arm with the base."""
         near = {links[name] for name in ARM_LINKS[:2]}
         for number in links.values():
             for other in links.values():
@@ -212,13 +212,13 @@ class Handling:
                     )
 
     def _couple_fingers(self) -> None:
-        """They move as one, as the hand's single motor does."""
-        one, other = self._fingers
+        """Couple the fingers by a gear, as the hand has a single motor."""
+        left, right = self._fingers
         gear = pybullet.createConstraint(
             self._robot,
-            one,
+            left,
             self._robot,
-            other,
+            right,
             jointType=pybullet.JOINT_GEAR,
             jointAxis=(0, 1, 0),
             parentFramePosition=(0, 0, 0),
@@ -249,7 +249,7 @@ class Handling:
         )
 
     def _put_fingers(self, travel: float) -> None:
-        """Both at once to where they touch what is between them."""
+        """Place both fingers at this travel [m]."""
         for finger in self._fingers:
             pybullet.resetJointState(
                 self._robot, finger, travel, 0, physicsClientId=self._client

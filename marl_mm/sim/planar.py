@@ -1,4 +1,4 @@
-"""The planar state that the controller sees, from the simulator's floating base."""
+"""Planar state of the controller from the simulator's floating base."""
 
 import numpy as np
 
@@ -20,16 +20,15 @@ def planar_state(
     """Write q (11,) and v (10,) of ``RobotState``; False where they are not finite.
 
     Args:
-        position_w: Centre of mass of the base link [m].
-        quaternion: Its orientation, x, y, z, w.
-        linear_w: Its velocity [m/s].
-        angular_w: Its angular velocity [rad/s].
-        com_b: The centre of mass in the base frame, which Bullet takes for the link
-            [m].
-        joints: Arm [rad].
-        rates: Arm [rad/s].
-        q: Result.
-        v: Result.
+        position_w: Centre of mass of the base link, shape (3,) [m].
+        quaternion: Orientation of the base link: x, y, z, w.
+        linear_w: Velocity of the centre of mass, shape (3,) [m/s].
+        angular_w: Angular velocity of the base link, shape (3,) [rad/s].
+        com_b: Centre of mass in the base frame, shape (3,) [m].
+        joints: Angles of the arm joints, shape (7,) [rad].
+        rates: Rates of the arm joints, shape (7,) [rad/s].
+        q: Resulting configuration.
+        v: Resulting velocity.
     """
     x, y, z, w = quaternion
     cx, cy, cz = com_b

@@ -1,4 +1,4 @@
-"""What stands in the world beside the robot; knows nothing of PyBullet."""
+"""The scene beside the robot: block, stand, marks; independent of the engine."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -12,10 +12,10 @@ class Block:
     """Edges along x, y and z of the world [m]; the fingers close along x."""
 
     mass: float = 0.5
-    """[kg]"""
+    """Mass [kg]."""
 
     friction: float = 0.8
-    """Coefficient against the finger pads, whose own is 1, and against the stand."""
+    """Friction coefficient against the stand and the finger pads, whose own is 1."""
 
 
 Color = tuple[float, float, float, float]
@@ -27,7 +27,7 @@ RED: Color = (0.90, 0.25, 0.15, 1.0)
 
 @dataclass(frozen=True)
 class Mark:
-    """Something to be seen and not touched: a goal, a zone."""
+    """A drawing in the world without a body: a goal, a zone."""
 
     position_w: tuple[float, ...]
     """Centre, x, y and z [m]."""
@@ -40,20 +40,20 @@ class Mark:
 
 
 Grasp = Literal["friction", "weld"]
-"""How a block is held: between the pads, or fixed to the hand, which is faster."""
+"""Way of holding a block: between the pads, or fixed to the hand, which is faster."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A block, and maybe the stand that it is on."""
+    """A block, on a stand or in the hand."""
 
     block: Block
 
     position_w: tuple[float, float, float]
-    """Of the block's centre [m]."""
+    """Position of the block's centre [m]."""
 
     stand_size: tuple[float, float, float] | None = None
-    """Edges of the stand [m], which reaches from the ground to the block; None: there
-    is none, and the block is in the hand."""
+    """Edges of the stand [m], which reaches from the ground to the block. None: no
+    stand, the block is in the hand."""
 
     grasp: Grasp = "friction"

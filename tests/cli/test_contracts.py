@@ -95,7 +95,7 @@ def built_in(kind: Registry[Any]) -> list[str]:
 
 
 def broken(findings: Iterable[Finding]) -> Broken:
-    return {one.claim: one.broken for one in findings if one.broken}
+    return {finding.claim: finding.broken for finding in findings if finding.broken}
 
 
 def of_task(name: str) -> Broken:
@@ -115,7 +115,7 @@ def of_collector(about: collectors.Candidate, but: Sequence[str] = ()) -> Broken
 
 def without(claims: Mapping[str, Claim], words: Sequence[str]) -> dict[str, Claim]:
     assert claims.keys() >= set(words)
-    return {one: claim for one, claim in claims.items() if one not in words}
+    return {text: claim for text, claim in claims.items() if text not in words}
 
 
 def expect(found: Broken, expected: Mapping[str, str]) -> None:
@@ -803,7 +803,7 @@ class InTurnOnline(Maddpg):
 
     def _actor_loss(self, batch: Batch) -> torch.Tensor:
         state = batch.observation
-        parts = [one.actor(one.own(state)) for one in self.agents.values()]
+        parts = [agent.actor(agent.own(state)) for agent in self.agents.values()]
         loss: torch.Tensor = -self.critic(state, torch.cat(parts, dim=-1)).mean()
         return loss
 
@@ -820,7 +820,7 @@ class ActsTooMuch(Mabc):
 
     def agents(self, number: int) -> Agents:
         found = super().agents(number).items()
-        return {name: Doubled(one.layout, one.actor) for name, one in found}
+        return {name: Doubled(agent.layout, agent.actor) for name, agent in found}
 
 
 class SeesAll(Matd3Bc):
@@ -828,7 +828,9 @@ class SeesAll(Matd3Bc):
 
     def _layouts(self) -> tuple[AgentLayout, ...]:
         everything = tuple(range(len(self.layout.state)))
-        return tuple(replace(one, observation=everything) for one in super()._layouts())
+        return tuple(
+            replace(layout, observation=everything) for layout in super()._layouts()
+        )
 
 
 class DropsOut(Mabc):
@@ -1098,12 +1100,12 @@ ALGORITHMS_MISTAKEN: list[tuple[learners.Candidate, Broken]] = [
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("about", "expected"),
-    [pytest.param(*one, id=one[0].name[8:]) for one in ALGORITHMS_MISTAKEN],
+    [pytest.param(*case, id=case[0].name[8:]) for case in ALGORITHMS_MISTAKEN],
 )
 def test_an_algorithms_mistake_breaks_its_claims(
     about: learners.Candidate, expected: Broken
 ) -> None:
-    costly = [one for one in (EXPORTS,) if one not in expected]
+    costly = [claim for claim in (EXPORTS,) if claim not in expected]
     expect(of_algorithm(about, but=costly), expected)
 
 
@@ -1118,7 +1120,7 @@ KEEPS = "what it keeps depends on the episode alone"
 COPIES = "a dataset of it passes verify, and replays to the bit"
 
 
-class Sound(RandomPolicy):
+class Flawless(RandomPolicy):
     """It makes no mistake."""
 
 
@@ -1285,45 +1287,48 @@ COLLECTORS_MISTAKEN: list[tuple[collectors.Candidate, Broken]] = [
     (gathered(Rooted), {PROCESSES: "Can't pickle local object"}),
     (gathered(Vague), {SETTINGS: "ndarray is not JSON serializable"}),
     (
-        gathered(Sound, "Parts", config=Parts),
+        gathered(Flawless, "Parts", config=Parts),
         dict.fromkeys((SETTINGS, COPIES), "is not JSON serializable"),
     ),
     (
-        gathered(Sound, "Loose", config=Loose),
+        gathered(Flawless, "Loose", config=Loose),
         {SETTINGS: "its config is no frozen dataclass"},
     ),
     (
-        gathered(Sound, "Fleeting", config=Fleeting),
+        gathered(Flawless, "Fleeting", config=Fleeting),
         {SETTINGS: "two default configs differ"},
     ),
     (
-        gathered(Sound, "Turns", keeps=every_second()),
+        gathered(Flawless, "Turns", keeps=every_second()),
         {KEEPS: "keeps says something else of the same episode"},
     ),
     (
-        gathered(Sound, "Yes", keeps=lambda episode: "yes"),
+        gathered(Flawless, "Yes", keeps=lambda episode: "yes"),
         {KEEPS: "keeps says 'yes', expected a bool"},
     ),
     (
         gathered(
-            Sound, "Reasons", "CarryReach-v0", keeps=lambda one: one.reason is None
+            Flawless,
+            "Reasons",
+            "CarryReach-v0",
+            keeps=lambda episode: episode.reason is None,
         ),
         {KEEPS: "keeps says something else of the same episode"},
     ),
-    (gathered(Sound, keeps=lambda episode: episode.rewards.sum() > -5), {}),
+    (gathered(Flawless, keeps=lambda episode: episode.rewards.sum() > -5), {}),
 ]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("about", "expected"),
-    [pytest.param(*one, id=one[0].name[8:]) for one in COLLECTORS_MISTAKEN],
+    [pytest.param(*case, id=case[0].name[8:]) for case in COLLECTORS_MISTAKEN],
 )
 def test_a_collectors_mistake_breaks_its_claims(
     about: collectors.Candidate, expected: Broken, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(ROOT)  # workers import this file
-    costly = [one for one in (PROCESSES,) if one not in expected]
+    costly = [claim for claim in (PROCESSES,) if claim not in expected]
     expect(of_collector(about, but=costly), expected)
 
 
@@ -1400,8 +1405,8 @@ def test_check_of_a_plug_in_with_a_mistake_ends_with_1(
     assert captured.err.splitlines()[-1].startswith("marl-mm: 2 of ")
     why = "the learner calls itself 'planted-other'"
     if as_json:
-        findings = [Finding(**one) for one in json.loads(captured.out)]
-        assert {one.subject for one in findings} == {"algorithm planted-mabc"}
+        findings = [Finding(**values) for values in json.loads(captured.out)]
+        assert {finding.subject for finding in findings} == {"algorithm planted-mabc"}
         expect(broken(findings), {NAMES: why, RESUMES: "expected 'planted-mabc'"})
     else:
         first, *rest = captured.out.splitlines()
@@ -1413,8 +1418,8 @@ def test_check_of_a_plug_in_with_a_mistake_ends_with_1(
 def test_json_of_a_task_is_all_there_is_on_stdout(capsys: Output) -> None:
     """PettingZoo's own tests print that they pass."""
     assert run("Reach-v0", "--json") == 0
-    findings = [Finding(**one) for one in json.loads(capsys.readouterr().out)]
-    assert [one.claim for one in findings] == list(tasks.task_claims(None))  # type: ignore[arg-type]
+    findings = [Finding(**values) for values in json.loads(capsys.readouterr().out)]
+    assert [finding.claim for finding in findings] == list(tasks.task_claims(None))  # type: ignore[arg-type]
 
 
 def test_check_of_an_unknown_name_ends_with_2(capsys: Output) -> None:

@@ -180,8 +180,8 @@ def test_who_waits_comes_in_when_the_other_leaves(tmp_path: Path) -> None:
         with pytest.raises(subprocess.TimeoutExpired):
             process.wait(0.5)
         (folder / "left").write_text("by the first")
-    told, _ = process.communicate(timeout=60)
-    assert told == "by the first\n"
+    output, _ = process.communicate(timeout=60)
+    assert output == "by the first\n"
 
 
 def test_outputs_that_exist_or_cannot_be_are_refused_before_work(

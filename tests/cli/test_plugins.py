@@ -39,7 +39,9 @@ def as_before() -> Iterator[None]:
     """No plug-in stays loaded after a test."""
     for registry in REGISTRIES:
         registry.names()
-    kept = [(dict(one._things), dict(one._origins)) for one in REGISTRIES]
+    kept = [
+        (dict(registry._things), dict(registry._origins)) for registry in REGISTRIES
+    ]
     loaded = dict(plugins._loaded)
     yield
     for registry, (things, origins) in zip(REGISTRIES, kept, strict=True):
@@ -93,11 +95,11 @@ def test_seeds_in_processes_of_their_own_find_the_plugin(
     datasets_home: Path, tmp_path: Path
 ) -> None:
     train = ["train", "iql", "--dataset", "good-5k", *SMALL, *plugged("iql")]
-    one, two = tmp_path / "one", tmp_path / "two"
-    assert run(*train, "--seeds", 0, 1, "--out", one) == 0
-    assert run(*train, "--seeds", 0, 1, "--out", two, "--workers", 2) == 0
+    first, second = tmp_path / "one", tmp_path / "two"
+    assert run(*train, "--seeds", 0, 1, "--out", first) == 0
+    assert run(*train, "--seeds", 0, 1, "--out", second, "--workers", 2) == 0
     for seed in ("0", "1"):
-        here, there = (load_policy(path / seed) for path in (one, two))
+        here, there = (load_policy(path / seed) for path in (first, second))
         assert here.fingerprint == there.fingerprint
 
 
@@ -110,9 +112,9 @@ def test_a_changed_plugin_is_refused_unless_allowed(
 
     def fresh(*more: object) -> "subprocess.CompletedProcess[str]":
         """In a process of its own, as a changed file needs."""
-        told = [str(word) for word in (*words, *more)]
+        arguments = [str(word) for word in (*words, *more)]
         return subprocess.run(
-            [sys.executable, "-m", "marl_mm", *told],
+            [sys.executable, "-m", "marl_mm", *arguments],
             capture_output=True,
             text=True,
             check=False,
@@ -235,8 +237,8 @@ def test_two_layouts_of_equal_width_never_pass_for_each_other(
     ]  # fmt: skip
     for refusal in refused:
         assert run(*refusal) == 2, refusal
-        told = capsys.readouterr().err.splitlines()[-1]
-        assert "state time_left" in told and "state tempo" in told
+        complaint = capsys.readouterr().err.splitlines()[-1]
+        assert "state time_left" in complaint and "state tempo" in complaint
     assert not (tmp_path / "x.gif").exists() and not (tmp_path / "other").exists()
     mixed = [
         "datasets",
@@ -254,8 +256,8 @@ def test_two_layouts_of_equal_width_never_pass_for_each_other(
         words = ["datasets", "import", source, "--out", tmp_path / f"z{number}-v0"]
         capsys.readouterr()
         assert run(*words, *other) == 2, source
-        told = capsys.readouterr().err
-        assert "state time_left" in told and "state tempo" in told
+        complaint = capsys.readouterr().err
+        assert "state time_left" in complaint and "state tempo" in complaint
         assert run(*words, "--task", "TimedReach-v0", *own) == 0
 
 
@@ -287,9 +289,9 @@ def test_a_collector_of_ones_own_collects_replays_and_plays(
     for workers, name in ((1, "one-v0"), (2, "two-v0")):
         where = ["--dataset", tmp_path / name, "--workers", workers]
         assert run(*words, *where) == 0
-    one, two = (load_dataset(tmp_path / name) for name in ("one-v0", "two-v0"))
-    assert one.fingerprint == two.fingerprint
-    assert list(one.provenance.own_origin.plugins) == ["noisy_pd.py"]
+    first, second = (load_dataset(tmp_path / name) for name in ("one-v0", "two-v0"))
+    assert first.fingerprint == second.fingerprint
+    assert list(first.provenance.own_origin.plugins) == ["noisy_pd.py"]
     assert run("datasets", "verify", tmp_path / "one-v0", "--replay") == 0
     more = ["--dataset", tmp_path / "one-v0", "--workers", 1, "--resume"]
     assert run("collect", "noisy-pd", "--steps", 40, *more, *own) == 0
@@ -330,10 +332,10 @@ def test_what_a_script_registers_works_in_workers(tmp_path: Path) -> None:
         "    policy = RandomPolicy(RandomConfig())\n"
         "    print(len(evaluate(policy, 4, task='Mine-v0', workers=2).rows))\n"
     )
-    told = subprocess.run(
+    process = subprocess.run(
         [sys.executable, str(script)], capture_output=True, text=True, check=False
     )
-    assert told.stdout == "4\n", told.stderr
+    assert process.stdout == "4\n", process.stderr
 
 
 # --- Mistakes ----------------------------------------------------------------
@@ -418,7 +420,7 @@ def test_a_metric_is_checked_and_measured(
     wrong = tmp_path / "wrong.py"
     wrong.write_text(
         "from marl_mm.eval.metrics import METRICS, Metric\n"
-        "METRICS.add('way', Metric(about='x', value=lambda one: one.states[0]))\n"
+        "METRICS.add('way', Metric(about='x', value=lambda e: e.states[0]))\n"
     )
     assert run("check", wrong) == 1
     assert "broken" in capsys.readouterr().out

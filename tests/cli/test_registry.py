@@ -65,9 +65,9 @@ def test_names_that_make_no_sense_are_refused(name: str) -> None:
 def test_an_unknown_name_is_told_all_and_the_nearest() -> None:
     with pytest.raises(UsageError) as refused:
         ALGORITHMS.get("mabs")
-    told = str(refused.value)
-    assert told.startswith("unknown algorithm 'mabs', expected one of mabc, td3-bc, ")
-    assert "did you mean mabc?" in told and told.endswith(
+    text = str(refused.value)
+    assert text.startswith("unknown algorithm 'mabs', expected one of mabc, td3-bc, ")
+    assert "did you mean mabc?" in text and text.endswith(
         "needs `marl_mm.plugins.load(...)`"
     )
 
@@ -77,7 +77,7 @@ def test_what_is_built_in_comes_in_one_order_whatever_was_imported_first() -> No
         "import marl_mm.{first}; from marl_mm.{kind}.registry import {registry} as r;"
         "print(*r.names(), {{r.origin(name) for name in r.names()}})"
     )
-    told = {
+    outputs = {
         subprocess.run(
             [sys.executable, "-c", code.format(first=first, kind=kind, registry=name)],
             capture_output=True,
@@ -87,7 +87,7 @@ def test_what_is_built_in_comes_in_one_order_whatever_was_imported_first() -> No
         for kind, name in (("collectors", "COLLECTORS"),)
         for first in ("collectors.random", "collectors.scripted", "registry")
     }
-    assert told == {f"pretrained pd medium random scripted {{'{BUILT_IN}'}}\n"}
+    assert outputs == {f"pretrained pd medium random scripted {{'{BUILT_IN}'}}\n"}
 
 
 def test_gymnasium_knows_every_task() -> None:
@@ -190,8 +190,8 @@ def test_options_of_the_same_name_are_told(
     assert "clash" not in COLLECTORS
     monkeypatch.setitem(COLLECTORS._things, "clash", collector(Steps))
     assert main(["collect", "clash"]) == 2
-    told = capsys.readouterr().err
-    assert told.startswith("marl-mm: Steps.steps has the name of something else")
+    complaint = capsys.readouterr().err
+    assert complaint.startswith("marl-mm: Steps.steps has the name of something else")
 
 
 def test_a_collector_may_be_called_as_an_option_is(

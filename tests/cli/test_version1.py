@@ -19,7 +19,8 @@ from marl_mm.cli import main
 from marl_mm.collectors.replay import replay
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import locate
-from marl_mm.datasets.storage import read_arrays, read_metadata
+from marl_mm.datasets.metadata import read_metadata
+from marl_mm.datasets.storage import read_arrays
 from marl_mm.datasets.verify import verify
 from marl_mm.envs.tasks import grasp, reach
 
@@ -44,7 +45,7 @@ def test_datasets_load_with_the_layout_of_their_entries(
     assert dataset.arrays.layout == layout and dataset.episodes[0].layout == layout
     assert dataset.metadata["marl_mm"]["schema"] == 2
     assert verify(dataset.location) == []
-    assert {one.task for one in dataset.provenance.origins.values()} == {
+    assert {origin.task for origin in dataset.provenance.origins.values()} == {
         dataset.provenance.task
     }
 
@@ -74,7 +75,7 @@ def _flat(state: Any, path: str = "") -> dict[str, Any]:
         parts = [(f"{path}/{number}", value) for number, value in enumerate(state)]
     else:
         return {path: state}
-    return {key: value for at, one in parts for key, value in _flat(one, at).items()}
+    return {key: value for at, part in parts for key, value in _flat(part, at).items()}
 
 
 @pytest.fixture
@@ -148,12 +149,14 @@ def _version1_action(state: np.ndarray) -> np.ndarray:
     """What it did in version 1, operation by operation."""
     file = load_file(FOLDER / WEIGHTS)
     # Copies, as the file's values are not aligned, by which some products differ.
-    one = {name.removeprefix("joint/"): value.clone() for name, value in file.items()}
+    joint = {name.removeprefix("joint/"): value.clone() for name, value in file.items()}
     low, high = torch.tensor([-1.0, -1.0, -1.0, 0.0]), torch.ones(4)
     seen = torch.as_tensor(state, dtype=torch.float32)
-    unit = (seen - one["normalizer.mean"]) / one["normalizer.std"]
+    unit = (seen - joint["normalizer.mean"]) / joint["normalizer.std"]
     for layer in (0, 2, 4):
-        unit = linear(unit, one[f"layers.{layer}.weight"], one[f"layers.{layer}.bias"])
+        unit = linear(
+            unit, joint[f"layers.{layer}.weight"], joint[f"layers.{layer}.bias"]
+        )
         unit = torch.relu(unit) if layer < 4 else torch.tanh(unit)
     action: np.ndarray = (low + (unit + 1) / 2 * (high - low)).numpy()
     return action

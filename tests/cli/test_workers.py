@@ -27,8 +27,8 @@ def test_cores_are_those_it_may_use_or_as_many_as_it_is_told(
     assert available_cores() == 7
     monkeypatch.setenv("PYTHON_CPU_COUNT", "many")
     assert main(["eval", "random"]) == 2
-    told = capsys.readouterr().err
-    assert told == "marl-mm: PYTHON_CPU_COUNT is 'many', expected a number of cores\n"
+    text = capsys.readouterr().err
+    assert text == "marl-mm: PYTHON_CPU_COUNT is 'many', expected a number of cores\n"
 
 
 def test_apart_gives_results_and_errors() -> None:
@@ -68,8 +68,8 @@ def test_workers_never_hear_interrupts(tmp_path: Path) -> None:
         "    with Workers(2) as pool:\n"
         "        print(*map(list, pool.map(blocked, [(), ()])))"
     )
-    told = run_script(tmp_path, body).stdout
-    assert told == f"{[signal.SIGINT]} {[signal.SIGINT]}\n"
+    output = run_script(tmp_path, body).stdout
+    assert output == f"{[signal.SIGINT]} {[signal.SIGINT]}\n"
 
 
 def test_what_else_is_forked_from_the_server_begins_as_if_it_were_not_ours(

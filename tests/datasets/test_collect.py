@@ -37,9 +37,9 @@ def runs(task: Task, workers: int = 1) -> RunEpisodes:
     return run
 
 
-def same(one: list[Episode], other: list[Episode]) -> bool:
+def same(here: list[Episode], there: list[Episode]) -> bool:
     """Byte-equal arrays and equal seeds."""
-    if len(one) != len(other):
+    if len(here) != len(there):
         return False
     return all(
         a.states.tobytes() == b.states.tobytes()
@@ -47,19 +47,19 @@ def same(one: list[Episode], other: list[Episode]) -> bool:
         and a.rewards.tobytes() == b.rewards.tobytes()
         and all(a.info[key].tobytes() == b.info[key].tobytes() for key in a.info)
         and (a.seed, a.index) == (b.seed, b.index)
-        for a, b in zip(one, other, strict=True)
+        for a, b in zip(here, there, strict=True)
     )
 
 
 @pytest.mark.slow
 def test_one_and_two_workers_give_equal_bytes(short_task: Task) -> None:
     policy = RandomPolicy(RandomConfig())
-    one = collect(policy, everything, runs(short_task, 1), 60, seed=5)
-    two = collect(policy, everything, runs(short_task, 2), 60, seed=5)
-    assert same(one.episodes, two.episodes)
-    assert one.attempts == two.attempts
+    first = collect(policy, everything, runs(short_task, 1), 60, seed=5)
+    second = collect(policy, everything, runs(short_task, 2), 60, seed=5)
+    assert same(first.episodes, second.episodes)
+    assert first.attempts == second.attempts
     other = collect(policy, everything, runs(short_task), 60, seed=6)
-    assert not same(one.episodes, other.episodes)
+    assert not same(first.episodes, other.episodes)
 
 
 def test_a_dataset_is_the_shortest_run_of_whole_episodes(

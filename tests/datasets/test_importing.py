@@ -52,9 +52,9 @@ def test_what_goes_out_comes_in(
         assert run(*words, "--json") == 0
         assert json.loads(capsys.readouterr().out)["steps"] == 24
     assert run("datasets", "import", source, "--out", "marl_mm/reach/again-v0") == 0
-    one, other = load_dataset(ID), load_dataset("again")
+    original, imported = load_dataset(ID), load_dataset("again")
     for name in ("states", "actions", "rewards", "terminated", "truncated", "lengths"):
-        first, second = getattr(one.arrays, name), getattr(other.arrays, name)
+        first, second = getattr(original.arrays, name), getattr(imported.arrays, name)
         np.testing.assert_array_equal(first, second)
     assert run("datasets", "verify", "again") == 0
     assert run("datasets", "verify", "again", "--replay") == 1

@@ -59,11 +59,11 @@ def test_selecting_and_joining_by_hand(make_episode: MakeEpisode) -> None:
     assert chosen.lengths.tolist() == [5, 2]
     both = joined([chosen, arrays.select([4])])
     for number, original in enumerate((3, 0, 4)):
-        one, other = both.episode(number), episodes[original]
-        assert one.states.tobytes() == other.states.tobytes()
-        assert one.actions.tobytes() == other.actions.tobytes()
-        assert one.info["d_mm"].tobytes() == other.info["d_mm"].tobytes()
-        assert (one.seed, one.index) == (other.seed, other.index)
+        joint, own = both.episode(number), episodes[original]
+        assert joint.states.tobytes() == own.states.tobytes()
+        assert joint.actions.tobytes() == own.actions.tobytes()
+        assert joint.info["d_mm"].tobytes() == own.info["d_mm"].tobytes()
+        assert (joint.seed, joint.index) == (own.seed, own.index)
     assert both.origin_episodes.tolist() == [3, 0, 4]
     np.testing.assert_allclose(both.returns()[1], episodes[0].rewards.sum())
 
@@ -71,12 +71,12 @@ def test_selecting_and_joining_by_hand(make_episode: MakeEpisode) -> None:
 def test_a_mix_has_its_steps_and_says_whose_they_are(
     make: Callable[..., Dataset],
 ) -> None:
-    one, two = make("one"), make("two", first=50)
-    recipe = mix([Part(one, 10), Part(two, 7)], seed=0)
+    first, second = make("one"), make("two", first=50)
+    recipe = mix([Part(first, 10), Part(second, 7)], seed=0)
     write_mix(locate("marl_mm/reach/mix-v0"), recipe)
     mixed = load_dataset("mix")
     arrays = mixed.arrays
-    for part, steps in ((one, 10), (two, 7)):
+    for part, steps in ((first, 10), (second, 7)):
         mine = arrays.origins == part.metadata["dataset_id"]
         lengths = arrays.lengths[mine]
         assert lengths.sum() >= steps > lengths.sum() - lengths.max()
@@ -140,22 +140,22 @@ def test_a_filter_keeps_what_it_says(
 
 
 def test_recipes_refuse_what_makes_no_sense(make: Callable[..., Dataset]) -> None:
-    one, other = make("one"), make("other", task="SmoothReach-v0")
+    reach, other = make("one"), make("other", task="SmoothReach-v0")
     with pytest.raises(UsageError, match="asked for 10000"):
-        mix([Part(one, 10_000)], seed=0)
+        mix([Part(reach, 10_000)], seed=0)
     with pytest.raises(UsageError, match="each dataset once"):
-        mix([Part(one, 2), Part(one, 2)], seed=0)
+        mix([Part(reach, 2), Part(reach, 2)], seed=0)
     with pytest.raises(UsageError, match="their rewards differ"):
-        mix([Part(one, 2), Part(other, 2)], seed=0)
+        mix([Part(reach, 2), Part(other, 2)], seed=0)
     with pytest.raises(UsageError, match="between 0 and 1"):
-        split(one, 1.0, seed=0)
+        split(reach, 1.0, seed=0)
     with pytest.raises(UsageError, match="none of the 10 episodes"):
-        filtered(one, Condition(min_return=1e9))
+        filtered(reach, Condition(min_return=1e9))
     with pytest.raises(UsageError, match="no condition"):
-        filtered(one, Condition())
+        filtered(reach, Condition())
     impostor = make("two", origins={"marl_mm/reach/one-v0": Origin(seed=7)})
     with pytest.raises(UsageError, match="two different datasets are called"):
-        mix([Part(one, 2), Part(impostor, 2)], seed=0)
+        mix([Part(reach, 2), Part(impostor, 2)], seed=0)
 
 
 def test_no_episode_is_in_a_mix_twice(
@@ -176,10 +176,12 @@ def test_no_episode_is_in_a_mix_twice(
 def test_a_part_with_shorter_names_is_as_it_should_be(
     make: Callable[..., Dataset],
 ) -> None:
-    one, two = make("one"), make("a-much-longer-name", first=50)
-    write_mix(locate("both"), mix([Part(one, 10), Part(two, 10)], seed=0))
+    short_name, long_name = make("one"), make("a-much-longer-name", first=50)
+    write_mix(locate("both"), mix([Part(short_name, 10), Part(long_name, 10)], seed=0))
     both = load_dataset("both")
-    short = both.arrays.select(np.flatnonzero(both.arrays.origins == one.location.id))
+    short = both.arrays.select(
+        np.flatnonzero(both.arrays.origins == short_name.location.id)
+    )
     write_dataset(locate("short"), short, replace(both.provenance, recipe=None))
     assert not [p for p in verify(locate("short")) if "is not what the data" in p]
 

@@ -50,18 +50,18 @@ def write(name: str, episodes: list[Episode], overwrite: bool = False) -> None:
 def test_reading_back_is_bit_equal(written: Path, episodes: list[Episode]) -> None:
     back = load_dataset(ID).episodes
     assert len(back) == len(episodes)
-    for one, other in zip(episodes, back, strict=True):
+    for episode, read in zip(episodes, back, strict=True):
         for name in ("states", "actions", "rewards", "terminated", "truncated"):
-            expected, actual = getattr(one, name), getattr(other, name)
+            expected, actual = getattr(episode, name), getattr(read, name)
             assert expected.dtype == actual.dtype
             np.testing.assert_array_equal(expected, actual)
-        assert one.info.keys() == other.info.keys()
-        for key, values in one.info.items():
-            np.testing.assert_array_equal(values, other.info[key])
-        assert (one.seed, one.index, one.source) == (
-            other.seed,
-            other.index,
-            other.source,
+        assert episode.info.keys() == read.info.keys()
+        for key, values in episode.info.items():
+            np.testing.assert_array_equal(values, read.info[key])
+        assert (episode.seed, episode.index, episode.source) == (
+            read.seed,
+            read.index,
+            read.source,
         )
 
 

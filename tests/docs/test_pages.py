@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-import marl_mm
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.envs.registry import TASKS
 from marl_mm.eval.rows import read_rows
@@ -36,7 +35,6 @@ def test_generated_pages_and_tables_are_up_to_date(datasets_home: Path) -> None:
     assert (made.returncode, made.stdout) == (0, ""), made.stderr
 
 
-@pytest.mark.skipif(not hasattr(marl_mm, "train"), reason="no marl_mm.train")
 @pytest.mark.slow
 @pytest.mark.parametrize("page", RUN, ids=lambda page: str(page.relative_to(ROOT)))
 def test_code_blocks_run_as_written(page: Path, tmp_path: Path) -> None:

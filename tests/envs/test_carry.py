@@ -207,10 +207,10 @@ def test_pads_press_with_the_grip_s_force(iterations: int) -> None:
 @pytest.mark.parametrize(
     ("task", "goal"),
     [
-        (task, goal)
-        for task, one in TASKS.items()
-        if isinstance(one, Carry)
-        for goal in ((None,) if getattr(one.load, "lift", 0) else (AHEAD, BEHIND))
+        (name, goal)
+        for name, task in TASKS.items()
+        if isinstance(task, Carry)
+        for goal in ((None,) if getattr(task.load, "lift", 0) else (AHEAD, BEHIND))
     ],
 )
 def test_it_does_not_pay_to_fail(

@@ -150,7 +150,7 @@ def registered() -> Iterator[None]:
 def test_they_keep_to_the_contract_of_tasks(name: str) -> None:
     about = short(name)
     found = examine(name, about, task_claims(about))
-    assert {one.claim: one.broken for one in found if one.broken} == {}
+    assert {finding.claim: finding.broken for finding in found if finding.broken} == {}
 
 
 def test_two_robots_do_side_by_side_what_each_does_alone() -> None:
@@ -239,9 +239,9 @@ def test_numbers_of_one_robot_are_its_own() -> None:
                 LAYOUT.action_names, 0.5))[0].reference_at(k, state),
             core.drive.controller.priorities(0.5), 24, 8,
         )  # fmt: skip
-    told = motion_info([motion])
-    assert told["tilt"] == motion.tilt and told["base_pitch"] == motion.base_pitch
-    assert set(told) <= set(episode.info)
+    info = motion_info([motion])
+    assert info["tilt"] == motion.tilt and info["base_pitch"] == motion.base_pitch
+    assert set(info) <= set(episode.info)
 
 
 def test_of_several_robots_the_worst_counts_and_failures_add_up() -> None:

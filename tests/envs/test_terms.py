@@ -24,10 +24,10 @@ def at(*distances: float) -> tuple[np.ndarray, np.ndarray]:
 
 def test_reward_by_hand() -> None:
     """r = -0.3 - 5 * 0.02 - 5 * 0.01."""
-    told = terms((1,), d_mm=0.02, d_mp=0.01, base_jerk_rms=7.0)
-    assert Reach().reward(*at(0.3), told) == pytest.approx(-0.45)
+    numbers = terms((1,), d_mm=0.02, d_mp=0.01, base_jerk_rms=7.0)
+    assert Reach().reward(*at(0.3), numbers) == pytest.approx(-0.45)
     smooth = make_task("SmoothReach-v0")
-    assert smooth.reward(*at(0.3), told) == pytest.approx(-0.45 - 0.2 * 7)
+    assert smooth.reward(*at(0.3), numbers) == pytest.approx(-0.45 - 0.2 * 7)
 
 
 def test_reaching_pays_ten_instead_of_the_distance() -> None:
@@ -47,8 +47,8 @@ def test_terms_are_vectorised() -> None:
     achieved = np.zeros((4, 5, 3))
     desired = np.full((4, 5, 3), 2.0)
     assert goal_distance(achieved, desired).shape == (4, 5)
-    told = terms((4, 5), d_mm=1.0, d_mp=1.0, base_jerk_rms=1.0)
-    reward = Reach().reward(achieved, desired, told)
+    numbers = terms((4, 5), d_mm=1.0, d_mp=1.0, base_jerk_rms=1.0)
+    reward = Reach().reward(achieved, desired, numbers)
     np.testing.assert_allclose(reward, -np.sqrt(12) - 10)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from marl_mm.jit import jit
 
 _VIOLATED = 1e-10
-"""A row further than this from y joins the active set."""
+"""Violation above which a row joins the active set."""
 
 _VANISHING = 1e-12
 """Least squared norm by which distances are measured."""
@@ -24,10 +24,10 @@ _DEPENDENT = 1e-18
 """Squared share of a normal left by projection, below which it counts as dependent."""
 
 SOLVED = -1
-"""What the solver returns where it found the minimiser."""
+"""Return value with the minimiser found."""
 
 EXHAUSTED = -2
-"""What it returns where the iterations ran out."""
+"""Return value at the iteration limit."""
 
 
 @jit
@@ -77,11 +77,11 @@ def solve_least_distance(
     """Write the minimiser into ``y``.
 
     Args:
-        columns: M', shape (n, m).
-        lower: Shape (m,).
-        upper: Shape (m,).
-        y: Result, shape (n,).
-        iterations: Most steps, each of which adds or drops a row.
+        columns: Rows of the limits as columns, M', shape (n, m).
+        lower: Lower bounds, shape (m,).
+        upper: Upper bounds, shape (m,).
+        y: Resulting minimiser, shape (n,).
+        iterations: Limit of steps, each of which adds or drops a row.
 
     Returns:
         SOLVED, EXHAUSTED, or the row that contradicts those met before it.

@@ -25,6 +25,7 @@ from marl_mm.robot.model import ModelTerms, RobotState
 from marl_mm.robot.support import SUPPORT_B, SUPPORT_INWARD_B
 
 TASK_ROWS = 15
+"""Rows of all five tasks."""
 
 
 @jit
@@ -140,9 +141,9 @@ def assemble_limits(
     for i in range(KEEP_OUT, len(lower)):
         most, least = -LEAST_WIDTH, LEAST_WIDTH
         for j in range(VARIABLES):
-            one, other = matrix[i, j] * lower[BOX + j], matrix[i, j] * upper[BOX + j]
-            most += max(one, other)
-            least += min(one, other)
+            low, high = matrix[i, j] * lower[BOX + j], matrix[i, j] * upper[BOX + j]
+            most += max(low, high)
+            least += min(low, high)
         lower[i], upper[i] = min(lower[i], most), max(upper[i], least)
 
 

@@ -53,11 +53,12 @@ def tick(
         limits: ``LimitConfig``.
         priorities: Priority matrices, shape (m, 4, 5); u is the mix of their solutions.
         shares: Weight of each matrix's solution, shape (m,).
-        rows: Of the limits.
+        rows: Number of rows of the limits.
         rate: Ticks per second.
-        u: Result, shape (9,).
-        torque: Result, shape (7,) [N m].
-        counters: Levels, QPs, failures to add to, and the last failure's cause, (4,).
+        u: Resulting acceleration, shape (9,).
+        torque: Resulting torques of the arm joints, shape (7,) [N m].
+        counters: Numbers of levels, QPs and failures, to which it adds, and the cause
+            of the last failure, shape (4,).
 
     Returns:
         Whether the limits could be met (else u brakes), whether u is finite, and the

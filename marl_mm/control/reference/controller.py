@@ -52,11 +52,11 @@ def tick(
     Args:
         state: The robot now.
         terms: The model at that state.
-        reference: What the tasks follow.
+        reference: Targets of the tasks.
         robot: Limits of the robot.
         gains: Feedback rates of the tasks.
         hierarchy: Numbers of the recursion.
-        limits: Shape of the limits.
+        limits: Parameters of the limits.
         priorities: Hierarchies and their shares.
         rate: Ticks per second.
         solve_qp: Solver of the levels whose closed form breaks a limit.

@@ -29,33 +29,33 @@ class Objective:
     """A level's cost x'Hx/2 + g'x."""
 
     hessian: np.ndarray
-    """H, shape (9, 9), positive definite by the damping."""
+    """Hessian H, shape (9, 9), positive definite by the damping."""
 
     gradient: np.ndarray
-    """g, shape (9,)."""
+    """Gradient g at 0, shape (9,)."""
 
 
 @dataclass(frozen=True)
 class Solution:
-    """What the hierarchy found."""
+    """Result of a hierarchy."""
 
     acceleration: np.ndarray
-    """u, shape (9,)."""
+    """Acceleration u, shape (9,)."""
 
     levels: int
-    """Levels solved."""
+    """Number of levels solved."""
 
     qps: int
-    """Levels whose closed form broke a limit."""
+    """Number of levels whose closed form broke a limit."""
 
     failures: int
-    """Levels whose QP found nothing, and which left u as it was."""
+    """Number of levels whose QP failed, and which left u as it was."""
 
     cause: int
-    """Row of the limits that stood in the way of the last failed level, or NO_CAUSE."""
+    """Row of the limits that made the last failed level infeasible, or NO_CAUSE."""
 
     feasible: bool
-    """Whether the first level found anything: else the limits contradict each other."""
+    """Whether the first level was feasible: else the limits contradict each other."""
 
 
 def solve_hierarchy(
@@ -68,11 +68,11 @@ def solve_hierarchy(
     """Solve all levels of a priority matrix, strict or fractional.
 
     Args:
-        tasks: In the order of the matrix's columns.
+        tasks: Tasks in the order of the matrix's columns.
         psi: Priority matrix, shape (levels, tasks).
-        limits: On the whole of u, in every level.
+        limits: Limits on the whole of u, in every level.
         config: Damping and tolerances.
-        solve_qp: For the levels whose closed form breaks a limit.
+        solve_qp: Solver of the levels whose closed form breaks a limit.
     """
     u, projector = np.zeros(VARIABLES), np.eye(VARIABLES)
     levels = qps = failures = 0

@@ -36,13 +36,13 @@ class Bounds:
     """Limits at one state: lower <= matrix u <= upper."""
 
     matrix: np.ndarray
-    """C, shape (22 or 28, 9)."""
+    """Rows C, shape (22 or 28, 9)."""
 
     lower: np.ndarray
-    """d, one per row."""
+    """Lower bounds d, one per row."""
 
     upper: np.ndarray
-    """d_bar, one per row."""
+    """Upper bounds d_bar, one per row."""
 
 
 def bounds(
@@ -170,10 +170,10 @@ def edge_moments(
 
 
 def _lessen_to_box(matrix: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> None:
-    """Ask of the rows after the box no more than the box can give."""
+    """Relax the rows after the box to the most that the box can give."""
     rest = slice(KEEP_OUT, None)
-    one, other = matrix[rest] * lower[BOX_ROWS], matrix[rest] * upper[BOX_ROWS]
-    most = np.maximum(one, other).sum(axis=1) - LEAST_WIDTH
-    least = np.minimum(one, other).sum(axis=1) + LEAST_WIDTH
+    low, high = matrix[rest] * lower[BOX_ROWS], matrix[rest] * upper[BOX_ROWS]
+    most = np.maximum(low, high).sum(axis=1) - LEAST_WIDTH
+    least = np.minimum(low, high).sum(axis=1) + LEAST_WIDTH
     lower[rest] = np.minimum(lower[rest], most)
     upper[rest] = np.maximum(upper[rest], least)

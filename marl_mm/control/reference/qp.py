@@ -19,14 +19,14 @@ for _build in ("avx512", "avx2"):
 from proxsuite import proxqp as proxsuite_qp  # noqa: E402
 
 _ACCURACY = 1e-12
-"""Absolute. At 1e-9 a level's error of 1e-9 in a limit grows to 1e-2 in the next one's
-solution, because a projected limit row can be a thousand times shorter."""
+"""Absolute accuracy. At 1e-9 a level's error of 1e-9 in a limit grows to 1e-2 in the
+next one's solution, because a projected limit row can be a thousand times shorter."""
 
 _ITERATIONS = 50
-"""Outer and inner: ProxQP does not notice that a problem is infeasible."""
+"""Limit of outer and inner iterations: ProxQP does not detect infeasible problems."""
 
 NO_CAUSE = -1
-"""Where nothing stood in the way."""
+"""Cause where no level failed."""
 
 SolveQp = Callable[
     [np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray | int

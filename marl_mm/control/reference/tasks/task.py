@@ -1,4 +1,4 @@
-"""What every task is: A u = b, linear in the controller's variables u."""
+"""A task of the controller: A u = b, linear in the variables u."""
 
 from dataclasses import dataclass
 
@@ -7,12 +7,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Task:
-    """One task at one state: the acceleration it wants, A u = b."""
+    """A task at one state: its target acceleration, A u = b."""
 
     name: str
+    """Name in words."""
 
     jacobian: np.ndarray
-    """A, shape (rows, 9)."""
+    """Jacobian A, shape (rows, 9)."""
 
     target: np.ndarray
-    """b, shape (rows,): feedback acceleration minus the bias Jdot v."""
+    """Target b, shape (rows,): feedback acceleration minus the bias Jdot v."""

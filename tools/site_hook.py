@@ -5,12 +5,12 @@ in the repository; the site has the file as ``files/eval/results/studies/fig5.pn
 notebook ``docs/notebooks/NAME.ipynb`` is shown as the page ``notebooks/NAME.html``.
 """
 
+import json
 import os
 import re
 from pathlib import Path
 from typing import Any
 
-import nbformat
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -45,28 +45,27 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
 
 def notebook_page(path: Path) -> str:
     """A notebook as Markdown, with its outputs."""
-    cells = nbformat.read(path, as_version=4).cells
+    cells = json.loads(path.read_text())["cells"]
     parts = [part for cell in cells for part in _cell(cell)]
     download = f'<a href="{path.name}" download>Download this notebook</a>'
     return "\n\n".join((parts[0], download, *parts[1:])) + "\n"
 
 
-def _cell(cell: Any) -> list[str]:
-    if cell.cell_type == "markdown":
-        return [cell.source]
-    return [f"```python\n{cell.source}\n```", *map(_output, cell.outputs)]
+def _cell(cell: dict[str, Any]) -> list[str]:
+    source = "".join(cell["source"])
+    if cell["cell_type"] == "markdown":
+        return [source]
+    return [f"```python\n{source}\n```", *map(_output, cell["outputs"])]
 
 
-def _output(output: Any) -> str:
+def _output(output: dict[str, Any]) -> str:
     """An output: as HTML or as a picture where it is one, else as text."""
-    if output.output_type == "stream":
-        return _text(output.text)
-    data = output.data
+    if output["output_type"] == "stream":
+        return _text("".join(output["text"]))
+    data = {kind: "".join(text) for kind, text in output["data"].items()}
     if "text/html" in data:
-        text = "\n".join(
-            line for line in data["text/html"].splitlines() if line.strip()
-        )
-        return f'<div class="output">{text}</div>'
+        lines = [line for line in data["text/html"].splitlines() if line.strip()]
+        return '<div class="output">' + "\n".join(lines) + "</div>"
     if "image/png" in data:
         return f'<img alt="" src="data:image/png;base64,{data["image/png"].strip()}">'
     return _text(data.get("text/plain", ""))

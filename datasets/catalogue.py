@@ -1,0 +1,81 @@
+"""The catalogue of datasets below the root, unfinished ones included, and deletion."""
+
+import shutil
+from typing import Any
+
+from marl_mm.datasets import shipped
+from marl_mm.datasets.journal import begun
+from marl_mm.datasets.location import (
+    SHIPPED,
+    Location,
+    datasets_root,
+    known_ids,
+    locate,
+)
+from marl_mm.datasets.metadata import read_metadata
+from marl_mm.datasets.storage import refuse_foreign
+from marl_mm.errors import MarlMmError, UnknownDatasetError, UsageError
+from marl_mm.files import only_here
+
+_BEGUN = "being collected, or stopped: go on with `marl_mm.collect(..., resume=True)`"
+
+
+def catalogue() -> list[dict[str, Any]]:
+    """A row of id, steps, episodes and a note for each dataset, by id.
+
+    The dataset that ships is the last row until its first use.
+    """
+    under_way = begun()
+    rows = [_row(name) for name in known_ids() if name not in under_way]
+    rows += [
+        {"id": name, "steps": None, "episodes": count, "note": _BEGUN}
+        for name, count in under_way.items()
+    ]
+    rows.sort(key=lambda row: row["id"])
+    if not locate(SHIPPED).folder.exists():
+        arrays = shipped.shipped_arrays()
+        note = "ships with marl_mm: written here at its first use"
+        counts = {"steps": arrays.steps, "episodes": len(arrays)}
+        rows.append({"id": SHIPPED, **counts, "note": note})
+    return rows
+
+
+def _row(name: str) -> dict[str, Any]:
+    try:
+        ours = read_metadata(Location(name, datasets_root() / name))["marl_mm"]
+    except MarlMmError as error:
+        return {"id": name, "steps": None, "episodes": None, "note": str(error)}
+    return {
+        "id": name,
+        "steps": ours["steps"],
+        "episodes": ours["episodes"],
+        "note": "" if ours.get("complete") else "of a collection that was stopped",
+    }
+
+
+def check_deletable(location: Location) -> None:
+    """Raise if a location holds neither a dataset nor a stopped collection.
+
+    Raises:
+        UnknownDatasetError: If the location does not exist.
+        UsageError: If the location holds something else.
+    """
+    if not location.folder.exists() and not location.working.exists():
+        raise UnknownDatasetError(f"no dataset {location.name!r} to delete")
+    refuse_foreign(location)
+    if location.folder.exists() and not location.data.is_dir():
+        raise UsageError(f"{location.folder} is no dataset: it is not deleted")
+
+
+def delete(location: Location) -> None:
+    """Delete a dataset, and the journal of a stopped collection into it.
+
+    Raises:
+        UnknownDatasetError: If the location does not exist.
+        UsageError: If the location holds something else, or another process writes it.
+    """
+    check_deletable(location)
+    with only_here(location.working):
+        if location.folder.exists():
+            shutil.rmtree(location.folder)
+        shutil.rmtree(location.working)

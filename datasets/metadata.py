@@ -1,0 +1,152 @@
+"""Our metadata of a dataset, under the key ``marl_mm`` of Minari's ``metadata.json``.
+
+They hold layout, provenance, statistics and hashes: one of the data, one of themselves.
+"""
+
+import difflib
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from marl_mm.datasets.arrays import EpisodeArrays
+from marl_mm.datasets.journal import FILE as JOURNAL
+from marl_mm.datasets.location import SHIPPED, Location, datasets_root, known_ids
+from marl_mm.datasets.provenance import Provenance
+from marl_mm.datasets.reference import reference_scores
+from marl_mm.errors import DatasetError, LayoutError, UnknownDatasetError
+from marl_mm.layout import Layout
+from marl_mm.version1 import dataset_layout
+from marl_mm.versions import versions
+
+SCHEMA = 3
+"""Version of our metadata; version 2 had no layout, and is read, too."""
+
+
+def read_metadata(location: Location) -> dict[str, Any]:
+    """A dataset's metadata.
+
+    Raises:
+        UnknownDatasetError: If there is no such dataset; the message names similar
+            ones.
+        DatasetError: If the metadata are damaged, or of another format.
+    """
+    if not location.folder.exists():
+        raise UnknownDatasetError(_why_unknown(location))
+    if not location.data.is_dir():
+        kind = "a folder" if location.folder.is_dir() else "a file"
+        raise UnknownDatasetError(
+            f"{location.folder} is {kind} and no dataset of marl_mm; marl-mm datasets "
+            "import takes HDF5 files of others"
+        )
+    path = location.data / "metadata.json"
+    try:
+        metadata: dict[str, Any] = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise DatasetError(f"cannot read {path}: {reason}") from error
+    ours = metadata.get("marl_mm") if isinstance(metadata, dict) else None
+    schema = ours.get("schema") if isinstance(ours, dict) else None
+    if not isinstance(ours, dict) or schema not in (2, SCHEMA):
+        raise DatasetError(
+            f"{path} is of no marl_mm dataset of schema 2 or {SCHEMA}: its schema is "
+            f"{schema!r}; marl-mm datasets import takes other HDF5 files"
+        )
+    if ours.get("metadata_sha256") != _metadata_digest(metadata):
+        raise DatasetError(
+            f"{path} is damaged: it is not as it was written; marl-mm datasets import "
+            "takes files that were changed on purpose"
+        )
+    return metadata
+
+
+def layout_in(metadata: dict[str, Any]) -> Layout:
+    """The layout of a dataset's states and actions.
+
+    Raises:
+        DatasetError: If the metadata have no layout, or one that makes no sense.
+    """
+    ours = metadata["marl_mm"]
+    try:
+        if ours["schema"] == SCHEMA:
+            return Layout.from_json(ours.get("layout", {}))
+        return dataset_layout(ours)
+    except LayoutError as error:
+        raise DatasetError(f"metadata.json: {error}") from error
+
+
+def _why_unknown(location: Location) -> str:
+    name = location.name
+    if (location.working / JOURNAL).exists():
+        return (
+            f"the collection into {name} was begun and not finished: go on with "
+            "`marl_mm.collect(..., resume=True)`"
+        )
+    ids = {known: Path(known).name for known in (SHIPPED, *known_ids())}
+    close = difflib.get_close_matches(location.folder.name, set(ids.values()), 3, 0.7)
+    similar = [known for known, last in ids.items() if last in close]
+    hint = f"did you mean {' or '.join(similar)}?" if similar else "make it first;"
+    where = f" below {datasets_root()}" if name == location.id else ""
+    return f"no dataset {name}{where}: {hint} marl-mm datasets list shows all"
+
+
+def new_metadata(
+    location: Location, arrays: EpisodeArrays, provenance: Provenance, digest: str
+) -> dict[str, Any]:
+    """Metadata of a dataset that is written, without the checksum.
+
+    Args:
+        location: Id and folder of the dataset.
+        arrays: Arrays of the episodes.
+        provenance: Provenance of the episodes.
+        digest: SHA-256 of the data file.
+    """
+    sources = ", ".join(np.unique(arrays.sources).tolist())
+    ours = {
+        "schema": SCHEMA,
+        "layout": arrays.layout.to_json(),
+        "info": list(arrays.info),
+        "packages": versions(),
+        "statistics": statistics(arrays),
+        "episodes": len(arrays),
+        "steps": arrays.steps,
+        "data_sha256": digest,
+        **provenance.to_json(location.id),
+    }
+    return {
+        "dataset_id": location.id,
+        "algorithm_name": sources,
+        "author": {"marl_mm"},
+        "description": f"Episodes of {sources} on marl_mm.",
+        "minari_version": versions()["minari"],
+        **reference_scores(provenance.task),
+        "marl_mm": ours,
+    }
+
+
+def sign_metadata(path: Path) -> None:
+    """Store the metadata's checksum inside the metadata."""
+    metadata = json.loads(path.read_text())
+    metadata["marl_mm"]["metadata_sha256"] = _metadata_digest(metadata)
+    path.write_text(json.dumps(metadata))
+
+
+def _metadata_digest(metadata: dict[str, Any]) -> str:
+    ours = metadata["marl_mm"].items()
+    rest = {key: value for key, value in ours if key != "metadata_sha256"}
+    text = json.dumps({**metadata, "marl_mm": rest}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def statistics(arrays: EpisodeArrays) -> dict[str, Any]:
+    """Mean and standard deviation of every entry of states and actions."""
+    states = arrays.states[~arrays.is_last_state()]
+    actions = arrays.actions.astype(float)
+    return {
+        "state_mean": states.mean(axis=0).tolist(),
+        "state_std": states.std(axis=0).tolist(),
+        "action_mean": actions.mean(axis=0).tolist(),
+        "action_std": actions.std(axis=0).tolist(),
+    }
