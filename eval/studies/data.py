@@ -6,8 +6,8 @@ from pathlib import Path
 
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import Location, locate
+from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.recipe import Part, mix, write_mix
-from marl_mm.datasets.storage import read_metadata
 from marl_mm.errors import UnknownDatasetError
 from marl_mm.eval.studies import ours, paper
 from marl_mm.eval.studies.study import Data, Mix, Source
