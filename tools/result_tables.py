@@ -18,6 +18,7 @@ from sweep_tables import (
     alpha_table,
     load_table,
     response_table,
+    responses,
     worth_table,
 )
 
@@ -37,7 +38,6 @@ from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies.alpha import worth_table as alpha_worth_table
 from marl_mm.eval.studies.ours import BLOCKS
 from marl_mm.eval.studies.rows import RowStore
-from marl_mm.eval.studies.sweep_summary import responses
 from marl_mm.eval.studies.table import CRITICS, IQM, RETURN, Table
 from marl_mm.eval.studies.targets import STUDIES
 from marl_mm.eval.tables import markdown_table, rate_with_interval

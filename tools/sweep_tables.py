@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable, Sequence
 
+import numpy as np
+
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.tables import markdown_table
 
@@ -51,6 +53,37 @@ def alpha_table(summaries: Sequence[Row], task: str, form: str) -> str:
 
 def _pair(form: str, values: Iterable[float]) -> str:
     return ", ".join(form.format(value) for value in values)
+
+
+def responses(summaries: Sequence[Row]) -> list[Row]:
+    """How evenly the robot answers to alpha, a row per task and form.
+
+    ``largest_share`` is of the whole change in steps going backward, made by one step
+    of the alpha grid, from alpha ``at`` on. ``d_mm_falls`` and ``d_mp_rises`` are the
+    largest changes the wrong way from one alpha to the next [m]; ``hump`` is the
+    forward d_mm at its worst alpha, beyond the larger of both ends' [m].
+    """
+    fixed = [row for row in summaries if row["rule"] == "constant"]
+    found = []
+    for task, form in sorted({(row["task"], row["form"]) for row in fixed}):
+        own = [row for row in fixed if (row["task"], row["form"]) == (task, form)]
+        own.sort(key=lambda row: float(row["alpha"]))
+        back = [row for row in own if row["direction"] == "backward"]
+        steps = np.array([row["steps"] for row in back])
+        shares = np.diff(steps) / max(steps[-1] - steps[0], 1e-9)
+        hand = [row["d_mm"] for row in own if row["direction"] == "forward"]
+        found.append(
+            {
+                "task": task,
+                "form": form,
+                "largest_share": float(shares.max()),
+                "at": back[int(shares.argmax())]["alpha"],
+                "d_mm_falls": float(-np.diff([row["d_mm"] for row in back]).min()),
+                "d_mp_rises": float(np.diff([row["d_mp"] for row in back]).max()),
+                "hump": float(max(hand) - max(hand[0], hand[-1])),
+            }
+        )
+    return found
 
 
 def response_table(responses: Sequence[Row]) -> str:

@@ -46,11 +46,11 @@ GOALS, STEPS, WORTH = "alpha_goals.csv.gz", "alpha_steps.csv", "alpha_worth.csv"
 """Files of the rows, of alpha over time, and of the table."""
 
 
-def make_worth(options: StudyOptions, bar: Bar) -> str:
+def make_worth(options: StudyOptions, bar: Bar) -> list[Row]:
     """Run the agents of ``CHOOSING`` with the learnt alpha and with held ones.
 
     Returns:
-        The table of ``draw_worth``.
+        Rows of the table.
     """
     goals, alphas = (2, ALPHAS[::6]) if options.small else (100, ALPHAS)
     rows: list[Row] = []
@@ -107,18 +107,18 @@ def _steps(episodes: Sequence[Episode]) -> Iterator[Row]:
             }
 
 
-def draw_worth(results: Path, folder: Path) -> str:
+def draw_worth(results: Path, folder: Path) -> list[Row]:
     """Write table and figure of the learnt alpha's worth into a folder, from its rows.
 
     Returns:
-        The table, as Markdown.
+        Rows of the table.
     """
     from marl_mm.eval.studies.figures import alpha_figure  # imports matplotlib
 
     summary = summarize_worth(read_rows(results / GOALS))
     write_csv(folder / WORTH, summary)
     alpha_figure(read_rows(results / STEPS), summary, LABELS, folder / "alpha.png")
-    return worth_table(summary)
+    return summary
 
 
 def summarize_worth(rows: Sequence[Row]) -> list[Row]:

@@ -24,7 +24,6 @@ from marl_mm.eval.studies.sweep_cells import (
     run_cell,
 )
 from marl_mm.eval.studies.sweep_summary import (
-    responses,
     summarize_cells,
     summarize_loads,
     worth_of_a_rule,
@@ -188,7 +187,7 @@ def draw_sweep(results: Path, folder: Path) -> dict[str, list[Row]]:
     alpha_pareto(alphas, folder / "pareto.png")
     if loads:
         load_response(loads, folder / "loads.png")
-    return {**tables, "responses": responses(alphas)}
+    return tables
 
 
 def _run(

@@ -54,37 +54,6 @@ def _mean(rows: Sequence[Row], name: str) -> float:
     return float(np.mean([row[name] for row in rows]))
 
 
-def responses(summaries: Sequence[Row]) -> list[Row]:
-    """How evenly the robot answers to alpha, a row per task and form.
-
-    ``largest_share`` is of the whole change in steps going backward, made by one step
-    of the alpha grid, from alpha ``at`` on. ``d_mm_falls`` and ``d_mp_rises`` are the
-    largest changes the wrong way from one alpha to the next [m]; ``hump`` is the
-    forward d_mm at its worst alpha, beyond the larger of both ends' [m].
-    """
-    fixed = [row for row in summaries if row["rule"] == "constant"]
-    found = []
-    for task, form in sorted({(row["task"], row["form"]) for row in fixed}):
-        own = [row for row in fixed if (row["task"], row["form"]) == (task, form)]
-        own.sort(key=lambda row: float(row["alpha"]))
-        back = [row for row in own if row["direction"] == "backward"]
-        steps = np.array([row["steps"] for row in back])
-        shares = np.diff(steps) / max(steps[-1] - steps[0], 1e-9)
-        hand = [row["d_mm"] for row in own if row["direction"] == "forward"]
-        found.append(
-            {
-                "task": task,
-                "form": form,
-                "largest_share": float(shares.max()),
-                "at": back[int(shares.argmax())]["alpha"],
-                "d_mm_falls": float(-np.diff([row["d_mm"] for row in back]).min()),
-                "d_mp_rises": float(np.diff([row["d_mp"] for row in back]).max()),
-                "hump": float(max(hand) - max(hand[0], hand[-1])),
-            }
-        )
-    return found
-
-
 def worth_of_a_rule(rows: Sequence[Row], task: str) -> list[Row]:
     """Return of each rule less that of every fixed alpha, paired by goal.
 

@@ -16,7 +16,14 @@ from marl_mm.commands.parser import Subcommand, parse_options, parse_subcommand
 from marl_mm.commands.wording import as_options
 from marl_mm.errors import FailedRunsError, MarlMmError, UsageError
 from marl_mm.eval.rows import to_json
-from marl_mm.eval.studies.alpha import ABOUT, CHOOSING, WORTH, draw_worth, make_worth
+from marl_mm.eval.studies.alpha import (
+    ABOUT,
+    CHOOSING,
+    WORTH,
+    draw_worth,
+    make_worth,
+    worth_table,
+)
 from marl_mm.eval.studies.engine import Engine, compare
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.study import Study
@@ -93,8 +100,9 @@ def main(arguments: Sequence[str]) -> None:
         if with_alpha:
             try:
                 engine.make_rows({_ALPHA: CHOOSING})
-                text = make_worth(options, bar)
-                print(text, file=sys.stderr if options.json else sys.stdout)
+                tables[_ALPHA] = make_worth(options, bar)
+                if not options.json:
+                    print(f"{ABOUT}\n\n{worth_table(tables[_ALPHA])}")
             except FailedRunsError as error:
                 failures.append(error)
     if options.json:

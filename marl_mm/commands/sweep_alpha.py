@@ -51,5 +51,4 @@ def main(arguments: Sequence[str]) -> None:
     if options.json:
         print(to_json(tables))
     else:
-        print(rows_table(tables["responses"]), rows_table(tables["loads"]), sep="\n")
-        print(f"{options.out}: {', '.join(tables)}")
+        print(f"{rows_table(tables['loads'])}\n{options.out}: {', '.join(tables)}")

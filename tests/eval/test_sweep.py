@@ -17,7 +17,6 @@ from marl_mm.eval.metrics import Row
 from marl_mm.eval.studies import sweep
 from marl_mm.eval.studies.sweep_cells import SweepCell, load_cells, run_cell
 from marl_mm.eval.studies.sweep_summary import (
-    responses,
     summarize_cells,
     summarize_loads,
     worth_of_a_rule,
@@ -88,7 +87,7 @@ def test_response_by_hand() -> None:
         row(0.5, "forward", d_mm=0.009),
         row(1.0, "forward", d_mm=0.003),
     ]
-    (response,) = responses(summarize_cells(rows))
+    (response,) = TABLES.responses(summarize_cells(rows))
     assert response["largest_share"] == pytest.approx(0.8)
     assert response["at"] == 0.5
     assert response["d_mm_falls"] == pytest.approx(0.001)
