@@ -177,8 +177,8 @@ def read_arrays(
     if digest != expected:
         raise DatasetError(
             f"{path} is damaged: its {path.stat().st_size} bytes are not those that "
-            f"were written; marl-mm datasets delete {location.name} removes it, and "
-            "what made it makes it again"
+            f"were written; delete it with marl-mm datasets delete {location.name} and "
+            "make it again"
         )
     layout, ours = layout_in(metadata), metadata["marl_mm"]
     if cached and (found := _read_cache(location.folder, digest, layout)) is not None:

@@ -39,6 +39,14 @@ ABOUT_PLUGINS = (
     "name only\nwhat you trust. Nothing in a dataset or a run ever loads one."
 )
 
+COMPLETION = "--print-completion"
+"""Option that prints a script for a shell."""
+
+ABOUT_COMPLETION = (
+    f"Completion in bash: marl-mm {COMPLETION} bash >\n"
+    "~/.local/share/bash-completion/completions/marl-mm"
+)
+
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
 
@@ -78,7 +86,7 @@ def _run(words: list[str]) -> int:
         _print(f"marl-mm {__version__}")
         return 0
     words, sources = _without_plugins(words)
-    if words[:1] and words[0] not in (*COMMANDS, *LISTS):
+    if words[:1] and words[0] not in (*COMMANDS, *LISTS, COMPLETION):
         known = ", ".join((*COMMANDS, *LISTS))
         raise UsageError(f"unknown command {words[0]!r}, expected one of {known}")
     if sources:
@@ -87,6 +95,13 @@ def _run(words: list[str]) -> int:
         load_all(sources)
     if not words:
         raise UsageError(f"{PLUGIN} needs a command, such as marl-mm tasks")
+    if words[0] == COMPLETION:
+        from marl_mm.commands.completion import script
+
+        if words[1:] != ["bash"]:
+            raise UsageError(f"{COMPLETION} is {' '.join(words[1:])!r}, expected bash")
+        _print(script())
+        return 0
     if words[0] in LISTS:
         words = ["listing", *words]
     module = words[0].replace("-", "_")
@@ -124,7 +139,7 @@ def _usage() -> str:
         "Multi-agent reinforcement learning on a mobile manipulator.\n\n"
         + "\n".join(lines)
         + "\n\nmarl-mm COMMAND --help tells a command's options, units and defaults."
-        + f"\n\n{ABOUT_PLUGINS}"
+        + f"\n\n{ABOUT_PLUGINS}\n\n{ABOUT_COMPLETION}"
     )
 
 

@@ -328,7 +328,7 @@ def _check_known(
     unknown = [name for name in names if name not in known]
     if unknown:
         raise LayoutError(
-            f"{who} {', '.join(unknown)}, which the {part} has not: expected some of "
+            f"{who} {', '.join(unknown)}, which the {part} lacks: expected some of "
             f"{', '.join(known)}"
         )
 

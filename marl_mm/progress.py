@@ -23,26 +23,26 @@ from rich.table import Column
 from rich.text import Text
 
 Advance = Callable[[int, str], None]
-"""Called with the work done since the last call and a short note."""
+"""Function that is called with the work done since the last call and a short note."""
 
 Bar = Callable[[str, int], Advance]
-"""Begins a bar with this label for this much work."""
+"""Function of a label and an amount of work that begins a bar."""
 
 _LINE = 60.0
-"""Seconds between lines where there is no terminal to redraw."""
+"""Time between lines where there is no terminal to redraw [s]."""
 
 _LOST = 5.0
-"""Seconds to wait for last messages: a process that was killed may hold the queue."""
+"""Longest wait for last messages [s]: a process that was killed may hold the queue."""
 
 
 class _Elastic(TextColumn):
-    """Text that is cut off where a line is too long, so that numbers are not."""
+    """Column of text that is cut off in narrow terminals, so that numbers are not."""
 
     def __init__(self, form: str) -> None:
         super().__init__(form, table_column=Column(no_wrap=False))
 
     def render(self, task: Task) -> Text:
-        """In one line."""
+        """The text in one line."""
         text = super().render(task)
         text.no_wrap, text.overflow = True, "ellipsis"
         return text
@@ -50,10 +50,10 @@ class _Elastic(TextColumn):
 
 @contextmanager
 def progress_bars(vanish: bool = False) -> Iterator[Bar]:
-    """Bars below one another; into a pipe or a file, a line for each per minute.
+    """Bars below one another; a pipe or a file gets one line per bar and minute.
 
     Args:
-        vanish: Whether those that are full go.
+        vanish: Whether full bars disappear.
     """
     bars = Progress(
         _Elastic("{task.description:<16}"),
@@ -96,26 +96,26 @@ def progress_bars(vanish: bool = False) -> Iterator[Bar]:
 
 @contextmanager
 def progress_bar(label: str, total: int) -> Iterator[Advance]:
-    """One bar for ``total`` units of work."""
+    """A single bar for ``total`` units of work."""
     with progress_bars() as bar:
         yield bar(label, total)
 
 
 def silent(done: int, note: str) -> None:
-    """Progress for callers who do not want any."""
+    """Ignore progress."""
 
 
 def silent_bar(label: str, total: int) -> Advance:
-    """A bar for callers who do not want any."""
+    """A bar that shows nothing."""
     return silent
 
 
 def distant_bars(messages: "Queue[Any]", stop: Event) -> Bar:
-    """Bars of this process, shown in the one that reads ``messages``.
+    """Bars of this process that another process shows, which reads ``messages``.
 
     Args:
-        messages: See ``show_distant_bars``.
-        stop: Set by that process when the work is to end; the next step of a bar then
+        messages: Queue that ``show_distant_bars`` reads.
+        stop: Event that the other process sets to end the work: the next step of a bar
             raises KeyboardInterrupt.
     """
 
@@ -134,7 +134,7 @@ def distant_bars(messages: "Queue[Any]", stop: Event) -> Bar:
 
 @contextmanager
 def show_distant_bars(messages: "Queue[Any]", bar: Bar) -> Iterator[None]:
-    """Show the bars of other processes, whose labels differ, until the block ends.
+    """Show the bars of other processes until the block ends; their labels must differ.
 
     Args:
         messages: Queue that ``distant_bars`` writes to.

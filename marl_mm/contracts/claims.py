@@ -1,4 +1,4 @@
-"""Claims about somebody's code, and whether they hold."""
+"""Claims about code under test, and findings on whether they hold."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass

@@ -287,10 +287,10 @@ def test_damaged_and_missing_checkpoints_are_named(
     narrow = {**whole["layout"], "state": whole["layout"]["state"][:9]}
     seen = [[name, sees[1:], sets] for name, sees, sets in whole["layout"]["agents"]]
     for broken, message in (
-        ({"layout": unknown}, "desired has nothing, which the state has not"),
+        ({"layout": unknown}, "desired has nothing, which the state lacks"),
         ({"layout": blind}, "expected each of delta_x"),
         ({"layout": fewer}, "expected each of delta_x"),
-        ({"layout": narrow}, "goal_z, which the state has not"),
+        ({"layout": narrow}, "goal_z, which the state lacks"),
         ({"layout": {**whole["layout"], "agents": seen}}, "damaged"),
         ({"layout": 5}, "no layout"),
         ({"state": {}}, "damaged"),

@@ -173,7 +173,7 @@ def test_every_agent_acts_on_what_it_sees_alone(layout: Layout, seed: int) -> No
         ),
         (
             {"team": (HAND, replace(BALANCE, sees=("base_x", "wind")))},
-            "'balance' sees wind, which the state has not",
+            "'balance' sees wind, which the state lacks",
         ),
         ({"team": (HAND, replace(BALANCE, name="joint"))}, "expected another name"),
         ({"team": (HAND, replace(BALANCE, name="rewards"))}, "expected another name"),
