@@ -1,4 +1,4 @@
-"""Algorithms: from a dataset or an environment to a policy that needs only itself."""
+"""Learning algorithms: each turns a dataset or an environment into a policy."""
 
 from typing import TYPE_CHECKING, Any
 

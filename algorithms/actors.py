@@ -16,8 +16,8 @@ class AgentActor:
     """One agent's actor with its place in the joint state and action.
 
     Args:
-        layout: What the agent sees and sets.
-        actor: Its network.
+        layout: Layout of the agent.
+        actor: Network of the agent.
 
     Raises:
         UsageError: If the network is no ``Actor``, which checkpoints rebuild.
@@ -36,11 +36,11 @@ class AgentActor:
         self.scale = ActionScale(torch.tensor(layout.low), torch.tensor(layout.high))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """By value: torch would share weights that go on learning between processes."""
+        """Pickle by value: torch would share weights that go on learning."""
         return _revived, (self.layout, pickle.dumps(self.actor))
 
     def own(self, state: torch.Tensor) -> torch.Tensor:
-        """What the agent sees of joint states, shapes (..., n) to (..., d)."""
+        """Agent's observations of joint states, shapes (..., n) to (..., d)."""
         if self._sees_all and len(self._entries) == state.shape[-1]:
             return state
         return state.index_select(-1, self._entries)
@@ -58,7 +58,7 @@ def _revived(layout: AgentLayout, actor: bytes) -> AgentActor:
 
 
 def blank_actor(agent: AgentLayout, hidden: Sequence[int]) -> AgentActor:
-    """An untrained actor, whose input statistics are yet to be set."""
+    """Untrained actor without input statistics."""
     normalizer = Normalizer.blank(len(agent.observation))
     return AgentActor(agent, Actor(normalizer, len(agent.action), hidden))
 
@@ -83,6 +83,6 @@ def joint_action(agents: Mapping[str, AgentActor], state: torch.Tensor) -> torch
 
 
 def _hidden(state: Mapping[str, torch.Tensor]) -> list[int]:
-    """Units of an actor's hidden layers, by its weights."""
+    """Units of an actor's hidden layers, from its weights."""
     weights = [v for k, v in state.items() if k.startswith("layers.") and v.dim() == 2]
     return [weight.shape[0] for weight in weights[:-1]]

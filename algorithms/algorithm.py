@@ -1,4 +1,4 @@
-"""What the training loop and checkpoints need of an algorithm."""
+"""Interfaces of an algorithm to training loop and checkpoints."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Protocol
@@ -10,51 +10,61 @@ from marl_mm.layout import Layout
 
 
 class Resumable(Protocol):
-    """What a checkpoint keeps."""
+    """An algorithm that a checkpoint can hold."""
 
     name: str
+    """Registered name."""
+
     layout: Layout
+    """Layout of joint states and actions."""
+
     agents: dict[str, AgentActor]
-    """The actors as they are now."""
+    """Current actors by name."""
 
     @property
     def config(self) -> Any:
-        """Its hyper-parameters, a frozen dataclass."""
+        """Hyper-parameters, a frozen dataclass."""
 
     def state(self) -> dict[str, Any]:
-        """Everything that acting and resuming bit-equally need."""
+        """State with which it acts and resumes bit-equally."""
 
     def load_state(self, state: Mapping[str, Any]) -> None:
-        """Continue from another run's state."""
+        """Continue from a ``state``."""
 
 
 class OfflineAlgorithm(Protocol):
     """An offline algorithm in training, for several seeds at once."""
 
     name: ClassVar[str]
+    """Registered name."""
+
     seeds: tuple[int, ...]
+    """Seeds of the S runs."""
+
     layout: Layout
+    """Layout of joint states and actions."""
+
     step: int
-    """Updates made."""
+    """Number of updates made."""
 
     bounds: dict[str, float]
     """Divergence bounds: a logged metric beyond its value here stops the run."""
 
     @property
     def config(self) -> Any:
-        """Its hyper-parameters, with ``updates`` and ``precision``; frozen."""
+        """Hyper-parameters, a frozen dataclass with ``updates`` and ``precision``."""
 
     def update(self) -> dict[str, torch.Tensor]:
-        """One gradient step; what each seed measured, shape (S,)."""
+        """One gradient step; metrics of each seed, shape (S,)."""
 
     def diagnose(self) -> dict[str, torch.Tensor]:
-        """What actors and critics do on some of the data, shape (S,)."""
+        """Metrics of actors and critics on some of the data, shape (S,)."""
 
     def agents(self, number: int) -> dict[str, AgentActor]:
-        """One seed's actors as they are now."""
+        """Current actors of one seed, by name."""
 
     def state(self, number: int) -> dict[str, Any]:
-        """Everything that acting and resuming bit-equally need, of one seed."""
+        """State of one seed, with which it acts and resumes bit-equally."""
 
     def load_states(self, states: Sequence[Mapping[str, Any]]) -> None:
-        """Continue all seeds from other runs' states."""
+        """Continue all seeds from their ``state``."""

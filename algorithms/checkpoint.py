@@ -14,10 +14,10 @@ from marl_mm.layout import Layout
 from marl_mm.version1 import checkpoint_layout
 
 FILE = "checkpoint.pt"
-"""The last state of a run."""
+"""Name of a run's last checkpoint."""
 
 BEST = "best.pt"
-"""The best policy of a run, by its learning curve."""
+"""Name of a run's best policy, by its learning curve."""
 
 _FORMAT = "marl_mm checkpoint 2"
 
@@ -31,18 +31,18 @@ def save_checkpoint(path: Path, algorithm: Resumable) -> None:
 
 
 def save_seed(path: Path, algorithm: OfflineAlgorithm, number: int) -> None:
-    """Write one seed's state of an offline algorithm, likewise."""
+    """Write one seed's state of an offline algorithm in the same way."""
     _save(path, algorithm, algorithm.state(number))
 
 
 def save_policy(path: Path, algorithm: Resumable) -> None:
-    """Write what acting needs, and no more, as a checkpoint."""
+    """Write a checkpoint of the actors alone, which can act but not resume."""
     actors = {name: a.actor.state_dict() for name, a in algorithm.agents.items()}
     _save(path, algorithm, {"actors": actors})
 
 
 def save_seeds_policy(path: Path, algorithm: OfflineAlgorithm, number: int) -> None:
-    """Write what one seed's acting needs, likewise."""
+    """Write a checkpoint of one seed's actors alone."""
     agents = algorithm.agents(number).items()
     actors = {name: agent.actor.state_dict() for name, agent in agents}
     _save(path, algorithm, {"actors": actors})
@@ -123,7 +123,7 @@ def restored_agents(checkpoint: dict[str, Any], path: Path) -> dict[str, AgentAc
 
 
 def _way_out(file: Path) -> str:
-    """What else there is to use, for the message on a damaged checkpoint."""
+    """Hint at the run's best policy, for the message on a damaged checkpoint."""
     best = file.with_name(BEST)
     if file != best and best.exists():
         return f"; the run's best policy, {best}, may be whole"

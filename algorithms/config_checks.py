@@ -1,4 +1,4 @@
-"""What the hyper-parameters of all algorithms share: checks and a type."""
+"""Checks of hyper-parameters, and a type of theirs, for all algorithms."""
 
 import math
 from collections.abc import Sequence

@@ -37,14 +37,14 @@ from marl_mm.layout import AgentLayout, Layout
 
 
 class Ddpg:
-    """Learns from the episodes it is shown.
+    """One actor and one critic, which learn from episodes as they come.
 
     Args:
         config: Hyper-parameters.
         judge: The task's reward and termination.
-        seed: Of initial weights and batches.
+        seed: Seed of initial weights and batches.
         demonstrations: Episodes of others to learn from as well.
-        layout: Of joint state and action.
+        layout: Layout of joint state and action.
     """
 
     base_name: ClassVar[str] = "ddpg"
@@ -52,7 +52,7 @@ class Ddpg:
     # --- Experience ----------------------------------------------------------
 
     def behaviour(self) -> Explorer:
-        """Who runs the next episodes: at random until ``warm``, then with noise."""
+        """Policy of the next episodes: at random until ``warm``, then with noise."""
         config = self.config
         share = config.random_share if self.warm else 1.0
         return Explorer(
@@ -60,7 +60,7 @@ class Ddpg:
         )
 
     def observe(self, episode: Episode) -> None:
-        """Take an episode into replay and input statistics."""
+        """Add an episode to replay and input statistics."""
         self.replay.add(episode)
         self.episodes += 1
         self.env_steps += len(episode)
@@ -154,7 +154,7 @@ class Ddpg:
         self._follow = get_ema_multi_avg_fn(1 - config.target_rate)  # type: ignore[no-untyped-call]
 
     def _layouts(self) -> tuple[AgentLayout, ...]:
-        """Actors that it has."""
+        """Layout of each actor."""
         return (self.layout.joint,)
 
     # --- Batches -------------------------------------------------------------
@@ -182,7 +182,7 @@ class Ddpg:
             count -= many
 
     def _set_statistics(self) -> None:
-        """Bring the input statistics of all networks up to the experience."""
+        """Set the input statistics of all networks to those of the experience."""
         mean, std = self._statistics.mean, self._statistics.std
         for critic in (self.critic, self._target_critic):
             critic.normalizer.set(mean, std)
@@ -192,7 +192,7 @@ class Ddpg:
 
     @torch.no_grad()
     def diagnose(self) -> dict[str, float]:
-        """What critic and actor do on a batch of the replay."""
+        """Metrics of critic and actor on a batch of the replay."""
         rng = np.random.default_rng(self.updates)
         batch = self.replay.sample(DIAGNOSED, rng)
         action = joint_action(self.agents, batch.observation)
@@ -211,7 +211,7 @@ class Ddpg:
     # --- State ---------------------------------------------------------------
 
     def state(self) -> dict[str, Any]:
-        """Everything that a checkpoint needs to act and to resume bit-equally."""
+        """State with which it acts and resumes bit-equally."""
         return {
             "episodes": self.episodes,
             "env_steps": self.env_steps,
@@ -230,7 +230,7 @@ class Ddpg:
         }
 
     def load_state(self, state: Mapping[str, Any]) -> None:
-        """Continue from another run's ``state``."""
+        """Continue from a ``state``."""
         self.episodes, self.env_steps = state["episodes"], state["env_steps"]
         self.updates = state["updates"]
         for name, agent in self.agents.items():

@@ -13,8 +13,7 @@ from marl_mm.errors import UsageError
 class DdpgConfig:
     """Hyper-parameters; those without a source in brackets are ours.
 
-    What each of ours that departs from Table 2 is worth stands in
-    the table of ``marl-mm ablate online``.
+    ``marl-mm ablate online`` measures each of ours that departs from Table 2.
     """
 
     episodes: int = 2_000
@@ -27,8 +26,7 @@ class DdpgConfig:
     """Gradient steps per episode; the paper's Algorithm 1 makes one per step, 25."""
 
     episodes_per_cycle: int = 4
-    """Episodes that one policy runs, in parallel if there are workers, between
-    updates."""
+    """Episodes between updates, which one policy runs, in parallel with workers."""
 
     warm_up: int = 1_000
     """Steps with random actions before the first update; 5,000 in Table 2."""
@@ -37,7 +35,7 @@ class DdpgConfig:
     """Steps in the replay; 5,000 in Table 2."""
 
     noise: float = 0.1
-    """Standard deviation of the exploration's Gaussian noise, of half the action's
+    """Standard deviation of the exploration's Gaussian noise, in halves of the action's
     range (Table 2)."""
 
     random_share: float = 0.0
@@ -47,27 +45,28 @@ class DdpgConfig:
     """Transitions per update (Table 2)."""
 
     actor_learning_rate: float = 1e-3
-    """Of Adam (Table 2)."""
+    """Learning rate of the actor's Adam (Table 2)."""
 
     critic_learning_rate: float = 1e-3
-    """Of Adam (Table 2)."""
+    """Learning rate of the critic's Adam (Table 2)."""
 
     discount: float = 0.95
-    """gamma (Table 2)."""
+    """Discount per step, gamma (Table 2)."""
 
     target_rate: float = 0.005
-    """tau, the share of the networks that goes into their targets (Table 2)."""
+    """Share of the networks that goes into their targets per update, tau (Table 2)."""
 
     clip_targets: bool = True
-    """Cut the critic's targets off at the reward of a perfect hit, which no return can
-    pass, as all other rewards are negative (Andrychowicz 2017, appendix A)."""
+    """Whether the critic's targets are clipped at the reward of a perfect hit, which no
+    return can pass, as all other rewards are negative (Andrychowicz 2017, app. A)."""
 
     layer_norm: bool = True
     """Whether the critic's hidden layers are normalised, so that values of actions
     nobody has tried stay in bounds (Ball 2023)."""
 
     action_penalty: float = 0.5
-    """Of the mean square action in the actor's loss; it draws alpha to 0.5, too."""
+    """Weight of the mean square action in the actor's loss; it draws alpha to 0.5,
+    too."""
 
     hidden: tuple[int, ...] = (128, 128)
     """Units of the hidden layers of actor and critic; the paper is silent."""
@@ -79,7 +78,7 @@ class DdpgConfig:
     """Share of a batch that comes from demonstrations, if there are any."""
 
     demonstration_successes: float = 0.75
-    """Share of those that comes from successful episodes."""
+    """Share of these demonstrations that comes from successful episodes."""
 
     def __post_init__(self) -> None:
         check_ranges(
@@ -121,14 +120,14 @@ TABLE_2: dict[str, Any] = {
     "clip_targets": False,
     "layer_norm": False,
 }
-"""Table 2, and the plain choice where it is silent."""
+"""Hyper-parameters of Table 2, and the plain choice where it is silent."""
 
 
 def check_hindsight(algorithm: str, config: DdpgConfig) -> None:
-    """Raise if hyper-parameters are those of the algorithm with, or without, hindsight.
+    """Raise if ``hindsight`` is that of the other algorithm, with or without it.
 
     Raises:
-        UsageError: Naming that one.
+        UsageError: Naming the other algorithm.
     """
     if (config.hindsight > 0) != algorithm.endswith("-her"):
         other = algorithm.removesuffix("-her") + "-her" * (config.hindsight > 0)

@@ -12,7 +12,7 @@ class Demonstrations:
     """Successful episodes and others, drawn in a set ratio.
 
     Args:
-        episodes: All of them; there may be none.
+        episodes: Episodes of both kinds; possibly none.
         successes: Share of the transitions drawn that comes from successful episodes,
             if there are both kinds.
         hindsight: Relabelled transitions per original one.
@@ -43,7 +43,7 @@ class Demonstrations:
         return bool(self._parts)
 
     def sample(self, size: int, rng: np.random.Generator) -> Batch:
-        """Transitions in random order."""
+        """Draw transitions, in random order."""
         kinds = rng.choice(
             len(self._parts), size=size, p=[share for _, share in self._parts]
         )

@@ -20,8 +20,8 @@ class Ensemble:
     """N perceptrons of the same widths.
 
     Args:
-        members: What ``perceptron`` made, N of them; their weights are copied.
-        device: Where they go.
+        members: Perceptrons, N of them, whose weights are copied.
+        device: Device of the weights.
     """
 
     def __init__(self, members: Sequence[nn.Sequential], device: str = "cpu") -> None:
@@ -34,15 +34,15 @@ class Ensemble:
         }
         stacks = [torch.stack([state[name] for state in states]) for name in states[0]]
         self.flat = torch.cat([stack.flatten() for stack in stacks]).to(device)
-        """All weights and biases of all members."""
+        """Weights and biases of all members, in one flat array."""
 
         self.weights = self.views(self.flat)
-        """The same by name, as products want them: (N, in, out) and (N, 1, out)."""
+        """Views of ``flat`` by name, for products: (N, in, out) and (N, 1, out)."""
 
     def __call__(
         self, inputs: torch.Tensor, chosen: slice = slice(None)
     ) -> torch.Tensor:
-        """Shapes (N, B, d) to (N, B, k); of the chosen members."""
+        """Outputs of the chosen members, shapes (N, B, d) to (N, B, k)."""
         weights = self.weights
         if chosen != slice(None):
             weights = {name: value[chosen] for name, value in weights.items()}
@@ -60,32 +60,32 @@ class Ensemble:
         return values
 
     def views(self, flat: torch.Tensor) -> State:
-        """The parts of an array that is as long as ``flat``, by name."""
+        """Parts by name of an array as long as ``flat``."""
         sizes = [torch.Size(shape).numel() for shape in self._shapes.values()]
         parts = torch.split(flat, sizes)
         named = zip(self._shapes.items(), parts, strict=True)
         return {name: part.view(shape) for (name, shape), part in named}
 
     def copy(self) -> "Ensemble":
-        """The same weights once more, for a target network."""
+        """Copy with equal weights, for a target network."""
         other = copy(self)
         other.flat = self.flat.detach().clone()
         other.weights = other.views(other.flat)
         return other
 
     def follow(self, other: "Ensemble", rate: float) -> None:
-        """Go a share of the way to another's weights."""
+        """Move by a share of the way to another's weights."""
         self.flat.lerp_(other.flat, rate)
 
     def member(self, number: int) -> State:
-        """One perceptron's state, as ``nn.Sequential`` has it."""
+        """State of one perceptron, as of ``nn.Sequential``."""
         return {
             name: value.T.contiguous() if name in self._matrices else value[0]
             for name, value in part_of(self.weights, number).items()
         }
 
     def load_member(self, number: int, state: Mapping[str, torch.Tensor]) -> None:
-        """Give one perceptron another state."""
+        """Load one perceptron from a state."""
         set_part(self.weights, number, as_stored(state))
 
 
@@ -93,7 +93,7 @@ class Learner:
     """Adam for all members of an ensemble at once.
 
     Args:
-        ensemble: Whose weights it changes.
+        ensemble: Networks whose weights it changes.
         rate: Learning rate.
     """
 
@@ -109,9 +109,9 @@ class Learner:
         }
 
     def descend(self, loss: torch.Tensor) -> None:
-        """One step down; no other gradient is computed."""
-        found = torch.autograd.grad(loss, self._weights)
-        gradient = torch.cat([one.flatten() for one in found])
+        """One gradient step; no other gradient is computed."""
+        gradients = torch.autograd.grad(loss, self._weights)
+        gradient = torch.cat([part.flatten() for part in gradients])
         # The function itself: what torch.optim.Adam does around it takes as long.
         adam(
             [self._flat],
@@ -131,19 +131,19 @@ class Learner:
         )
 
     def member(self, number: int) -> dict[str, Any]:
-        """What Adam knows of one perceptron."""
+        """State of Adam for one perceptron."""
         parts = {name: part_of(m, number) for name, m in self._moments.items()}
         return {"step": self._step.item(), **parts}
 
     def load_member(self, number: int, state: Mapping[str, Any]) -> None:
-        """Continue with one perceptron from another's state."""
+        """Load Adam for one perceptron from a state."""
         self._step.fill_(state["step"])
         for name, moments in self._moments.items():
             set_part(moments, number, state[name])
 
 
 def as_stored(state: Mapping[str, torch.Tensor]) -> State:
-    """One perceptron's state as the ensemble keeps it: (in, out) and (1, out)."""
+    """State of one perceptron in the ensemble's shapes: (in, out) and (1, out)."""
     return {
         name: value.T if value.dim() == 2 else value[None]
         for name, value in state.items()
@@ -151,7 +151,7 @@ def as_stored(state: Mapping[str, torch.Tensor]) -> State:
 
 
 def part_of(stacked: Mapping[str, torch.Tensor], number: int) -> State:
-    """One member's part of stacked tensors, copied to the CPU."""
+    """Part of one member of stacked tensors, copied to the CPU."""
     return {name: v.detach()[number].cpu().clone() for name, v in stacked.items()}
 
 
@@ -159,6 +159,6 @@ def part_of(stacked: Mapping[str, torch.Tensor], number: int) -> State:
 def set_part(
     stacked: Mapping[str, torch.Tensor], number: int, state: Mapping[str, torch.Tensor]
 ) -> None:
-    """Put one member's part in its place."""
+    """Write the part of one member into stacked tensors."""
     for name, values in stacked.items():
         values[number] = state[name]

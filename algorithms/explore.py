@@ -9,13 +9,12 @@ from marl_mm.layout import Layout
 
 
 class Explorer:
-    """Acts as a policy does, disturbed.
+    """A policy with noise on its actions.
 
     Args:
-        policy: Who would act.
-        noise: Standard deviation, of half of each action's range.
-        random_share: Share of steps that are uniform in the action space; 1 never asks
-            the policy.
+        policy: Policy to explore with.
+        noise: Standard deviation of the noise, in halves of each action's range.
+        random_share: Share of steps that are uniform in the action space.
     """
 
     def __init__(
@@ -36,7 +35,7 @@ class Explorer:
         return {**settings, **self._policy.describe()}
 
     def begin(self, rng: np.random.Generator, layout: Layout) -> None:
-        """Take the episode's stream of random numbers."""
+        """Begin an episode with its stream of random numbers."""
         self._rng = rng
         self._policy.begin(rng, layout)
 

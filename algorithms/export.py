@@ -35,7 +35,7 @@ class PolicyFormat:
     """A kind of file that a policy can be written as."""
 
     about: str
-    """What runs it, in a sentence."""
+    """Runtime, in a sentence."""
 
     suffix: str
     """Ending of its files."""
@@ -58,7 +58,7 @@ _CHECKS = 1_000
 """Observations at which they are compared."""
 
 _METADATA = "marl_mm"
-"""Its name in TorchScript's extra files and ONNX's properties."""
+"""Name of the metadata in TorchScript's extra files and ONNX's properties."""
 
 
 def export_policy(
@@ -112,13 +112,13 @@ class _Exported(nn.Module):
             )
         chosen = [agents[agent]] if agent else list(agents.values())
         # Copies, whose weights no longer learn: so that actions are plain numbers.
-        self._agents = [AgentActor(one.layout, deepcopy(one.actor)) for one in chosen]
+        self._agents = [AgentActor(a.layout, deepcopy(a.actor)) for a in chosen]
         self._alone = agent is not None
-        self._actors = nn.ModuleList(one.actor for one in self._agents)
+        self._actors = nn.ModuleList(agent.actor for agent in self._agents)
         self.requires_grad_(False)
         layout = self._layout = policy.layout
-        own_layouts = [one.layout for one in self._agents]
-        entries = [i for one in own_layouts for i in one.action]
+        own_layouts = [agent.layout for agent in self._agents]
+        entries = [i for layout in own_layouts for i in layout.action]
         self._order = None if self._alone else in_order(own_layouts)
         if self._order is not None:
             entries = [entries[i] for i in self._order]
@@ -134,8 +134,8 @@ class _Exported(nn.Module):
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         parts = [
-            one.scale.denormalize(one.actor(self._own(one, observation)))
-            for one in self._agents
+            agent.scale.denormalize(agent.actor(self._own(agent, observation)))
+            for agent in self._agents
         ]
         joined = torch.cat(parts, dim=-1)
         return joined if self._order is None else joined[..., self._order]
@@ -148,19 +148,19 @@ class _Exported(nn.Module):
         rng = np.random.default_rng(0)
         width = len(self._layout.state)
         mean, std = torch.zeros(width), torch.ones(width)
-        for one in self._agents:
-            entries = list(one.layout.observation)
-            mean[entries] = one.actor.normalizer.mean
-            std[entries] = one.actor.normalizer.std
+        for agent in self._agents:
+            entries = list(agent.layout.observation)
+            mean[entries] = agent.actor.normalizer.mean
+            std[entries] = agent.actor.normalizer.std
         draws = torch.from_numpy(rng.standard_normal((count, width), np.float32))
         states = mean + 2 * std * draws
         return self._agents[0].own(states) if self._alone else states
 
     def expected(self, observations: torch.Tensor) -> np.ndarray:
-        """What the actors do, one observation at a time, as in an episode."""
+        """Actions, one observation at a time, as in an episode."""
         rows = []
         for row in observations:
-            own = [one.act(self._own(one, row).numpy()) for one in self._agents]
+            own = [a.act(self._own(a, row).numpy()) for a in self._agents]
             joined = np.concatenate(own)
             rows.append(joined if self._order is None else joined[self._order])
         return np.array(rows)
@@ -225,7 +225,7 @@ POLICY_FORMATS.add(
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without what the exporters say about themselves and what is not installed."""
+    """Silence the exporters' warnings about themselves and missing packages."""
     before = logging.root.manager.disable
     logging.disable(logging.WARNING)
     try:

@@ -1,4 +1,4 @@
-"""Loggers: where a run's metrics go beside its record, ``metrics.jsonl``."""
+"""Loggers of a run beside its record ``metrics.jsonl``: TensorBoard, CSV, W&B."""
 
 import csv
 import json
@@ -16,7 +16,7 @@ CSV = "metrics.csv"
 """The rows of ``metrics.jsonl`` as a table."""
 
 LOGGED = ("events.out.tfevents.*", CSV, "wandb")
-"""What loggers leave in a run's folder: a fresh run begins without."""
+"""Files of the loggers in a run's folder, which a fresh run deletes."""
 
 PROJECT = "marl_mm"
 """Project of Weights & Biases, unless ``WANDB_PROJECT`` names another."""

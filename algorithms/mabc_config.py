@@ -12,16 +12,16 @@ class MabcConfig:
 
     updates: int = 8_000
     """Gradient steps per actor; the paper has 100,000 (Table 3). On its datasets but
-    the mixes, learning curves are at their end after 5,000 (eval/results/offline)."""
+    the mixes, learning curves are at their end after 5,000 (eval/results/studies)."""
 
     batch_size: int = 256
     """Transitions per step (Table 3)."""
 
     learning_rate: float = 5e-4
-    """Of Adam (Table 3)."""
+    """Learning rate of Adam (Table 3)."""
 
     future: float = 0.0
-    """Share of transitions whose goal becomes one that their episode came to later."""
+    """Share of transitions relabelled with a goal that their episode reached later."""
 
     hidden: tuple[int, ...] = (128, 128)
     """Units of each actor's hidden layers; the paper is silent."""
@@ -30,9 +30,9 @@ class MabcConfig:
     """Least standard deviation an observation is scaled by."""
 
     precision: Precision = "auto"
-    """Of products of float32 matrices, as torch has it. With medium they are faster on
-    many CPUs and GPUs; where these have units for bfloat16, they are rounded to it.
-    With auto it is medium where that is as exact, as a trial at the start shows."""
+    """Precision of products of float32 matrices, as torch has it. medium is faster on
+    many CPUs and GPUs, and rounds to bfloat16 where these have units for it. auto takes
+    medium where a trial at the start shows it to be as exact."""
 
     def __post_init__(self) -> None:
         positive = ("updates", "batch_size", "learning_rate", "std_floor")

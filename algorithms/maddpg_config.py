@@ -10,11 +10,11 @@ from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, imp
 
 @dataclass(frozen=True)
 class MaddpgConfig(DdpgConfig):
-    """Hyper-parameters: those of DDPG, and what the agents take each other to do."""
+    """Hyper-parameters: those of DDPG, and the other agents' actions."""
 
     others: Literal["replay", "policy"] = "policy"
-    """What the other agent's action is in an actor's loss: the one in the replay (Lowe
-    2017) or the one it would take now."""
+    """Other agents' action in an actor's loss: the one in the replay (Lowe 2017), or
+    the one that their policy takes now."""
 
 
 _PAPER = MaddpgConfig(**TABLE_2, others="replay")  # Lowe 2017

@@ -16,8 +16,8 @@ class Matd3BcConfig(Td3BcConfig):
     from the same reward."""
 
     others: Literal["data", "policy"] = "policy"
-    """What the other agent's action is in an actor's loss: the dataset's (as in Lowe
-    2017) or the one it would take now."""
+    """Other agents' action in an actor's loss: the dataset's (as in Lowe 2017), or the
+    one that their policy takes now."""
 
 
 ALGORITHMS.add(

@@ -11,8 +11,8 @@ class Normalizer(nn.Module):
     """Shifts and scales observations by statistics kept as buffers.
 
     Args:
-        mean: Of the observations, shape (d,).
-        std: Their standard deviations, shape (d,).
+        mean: Means of the observations, shape (d,).
+        std: Standard deviations of the observations, shape (d,).
     """
 
     mean: torch.Tensor
@@ -25,27 +25,27 @@ class Normalizer(nn.Module):
 
     @classmethod
     def blank(cls, width: int) -> "Normalizer":
-        """One that changes nothing yet, for observations of shape (..., width)."""
+        """Identity, for observations of shape (..., width)."""
         return cls(torch.zeros(width), torch.ones(width))
 
     @classmethod
     def of(cls, data: torch.Tensor, floor: float) -> "Normalizer":
-        """From observations, shape (n, d).
+        """Statistics of a dataset.
 
         Args:
-            data: The observations.
-            floor: Least standard deviation: the base hardly moves along y, and what
-                hardly varies in the data must not be blown up.
+            data: Observations, shape (n, d).
+            floor: Least standard deviation, so that entries which hardly vary in the
+                data, as the base's y, are not blown up.
         """
         return cls(data.mean(dim=0), data.std(dim=0, correction=0).clamp_min(floor))
 
     def set(self, mean: torch.Tensor, std: torch.Tensor) -> None:
-        """Take other statistics, in place."""
+        """Replace the statistics in place."""
         self.mean.copy_(mean)
         self.std.copy_(std)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Shapes (..., d) to (..., d)."""
+        """Normalised observations, shapes (..., d) to (..., d)."""
         return (observation - self.mean) / self.std
 
 
@@ -53,7 +53,7 @@ class Actor(nn.Module):
     """Deterministic policy of one agent, in normalised action coordinates.
 
     Args:
-        normalizer: Of its observations, shape (..., d).
+        normalizer: Normalizer of its observations, shape (..., d).
         actions: Number of action entries k.
         hidden: Units of the hidden layers.
     """
@@ -67,7 +67,7 @@ class Actor(nn.Module):
         self.layers = nn.Sequential(*perceptron([width, *hidden, actions]))
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Shapes (..., d) to (..., k), in [-1, 1]."""
+        """Actions in [-1, 1], shapes (..., d) to (..., k)."""
         return torch.tanh(self.layers(self.normalizer(observation)))
 
 
@@ -75,11 +75,11 @@ class Critic(nn.Module):
     """Value of a joint action at a joint state.
 
     Args:
-        normalizer: Of the states, shape (..., d).
+        normalizer: Normalizer of the states, shape (..., d).
         actions: Number of action entries k, in [-1, 1].
         hidden: Units of the hidden layers.
         layer_norm: Whether hidden layers are normalised, which bounds the values of
-            actions that nobody has tried (Ball 2023).
+            actions outside of the data (Ball 2023).
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class Critic(nn.Module):
         self.layers = nn.Sequential(*perceptron(widths, layer_norm=layer_norm))
 
     def forward(self, state: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-        """Shapes (..., d) and (..., k) to (...)."""
+        """Values, shapes (..., d) and (..., k) to (...)."""
         inputs = torch.cat([self.normalizer(state), action], dim=-1)
         value: torch.Tensor = self.layers(inputs).squeeze(-1)
         return value
@@ -115,7 +115,7 @@ def perceptron(widths: Sequence[int], *, layer_norm: bool = False) -> list[nn.Mo
 
 
 class ActionScale:
-    """From [-1, 1] coordinates to an action space.
+    """Map from [-1, 1] coordinates to an action space.
 
     Args:
         low: Lowest actions, shape (k,).
@@ -127,12 +127,12 @@ class ActionScale:
         self._range = high - low
 
     def denormalize(self, action: torch.Tensor) -> torch.Tensor:
-        """From [-1, 1] to the action space."""
+        """Actions of the action space for actions in [-1, 1]."""
         return self._low + (action + 1) / 2 * self._range
 
 
 def descend(optimizer: torch.optim.Optimizer, loss: torch.Tensor) -> None:
-    """One step of an optimizer, which leaves all other networks' gradients alone."""
+    """One gradient step of an optimizer; other networks' gradients stay as they are."""
     parameters = optimizer.param_groups[0]["params"]
     gradients = torch.autograd.grad(loss, parameters)
     for parameter, gradient in zip(parameters, gradients, strict=True):

@@ -1,9 +1,9 @@
 """Batches of a dataset, drawn many at a time, with goals exchanged in hindsight.
 
-How the robot moves does not depend on the goal, so that any goal may be put in place
-of a step's own, and reward and termination computed anew: one that its episode came to
-later (Andrychowicz 2017), or another episode's, which shows the critic what actions
-that go elsewhere are worth (Chebotar 2021).
+The robot's motion does not depend on the goal. Any goal may replace a step's own, with
+reward and termination computed anew: one that its episode reached later (Andrychowicz
+2017), or another episode's, which teaches the critic the value of going elsewhere
+(Chebotar 2021).
 """
 
 import json
@@ -32,23 +32,23 @@ class OfflineBatch(NamedTuple):
     """Joint actions in [-1, 1], shape (S, B, k)."""
 
     reward: torch.Tensor
-    """Shape (S, B)."""
+    """Rewards, shape (S, B)."""
 
     next_observation: torch.Tensor
-    """Shape (S, B, d)."""
+    """Joint states after the steps, shape (S, B, d)."""
 
     terminated: torch.Tensor
     """1 where the episode ended, for good or ill, shape (S, B)."""
 
     imitated: torch.Tensor
-    """0 where the goal is that of any other step, so that the action was not for it,
-    shape (S, B)."""
+    """0 where the goal is that of any other step, which the action was not for, shape
+    (S, B)."""
 
     successful: torch.Tensor
     """1 in episodes that reached their goal, shape (S, B)."""
 
     noise: torch.Tensor
-    """Standard normal, for the target's actions, shape (S, B, k)."""
+    """Standard normal noise for the target's actions, shape (S, B, k)."""
 
 
 class OfflineBatches:
@@ -57,11 +57,11 @@ class OfflineBatches:
     Args:
         arrays: The dataset's episodes.
         size: Transitions per batch.
-        shares: Of transitions whose goal becomes one that their episode came to later,
-            and of those whose goal becomes that of any other step.
+        shares: Shares of transitions relabelled with a goal that their episode reached
+            later, and with the goal of any other step.
         judge: The task's reward and termination.
-        seeds: Of the streams.
-        device: Where the batches go.
+        seeds: Seeds of the streams, S of them.
+        device: Device of the batches.
 
     Raises:
         DatasetError: If a value of the dataset is not finite.
@@ -91,7 +91,7 @@ class OfflineBatches:
         self._successful = successes.astype(np.float32)
         self._terms = arrays.reward_terms(judge.needs)
         self._end = np.repeat(np.cumsum(arrays.lengths), arrays.lengths)
-        """One past the last step of each step's episode."""
+        """Row after the last step of each step's episode."""
 
         known = all(np.isfinite(values).all() for values in self._terms.values())
         if any(shares) and not known:
@@ -109,25 +109,25 @@ class OfflineBatches:
         return len(self._reward)
 
     def next(self) -> OfflineBatch:
-        """The next batch of every seed."""
+        """Next batch of every seed."""
         if self._taken == len(self._drawn):
             self._draw()
         self._taken += 1
         return self._drawn[self._taken - 1]
 
     def some(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """States and actions of the dataset, always the same: (1, n, d), (1, n, k)."""
+        """Fixed states and actions of the dataset, shapes (1, n, d) and (1, n, k)."""
         rows = np.linspace(0, len(self) - 1, min(count, len(self))).astype(np.int64)
         state = torch.from_numpy(self._state[rows].astype(np.float32))
         action = torch.from_numpy(self._action[rows])
         return state[None].to(self._device), action[None].to(self._device)
 
     def state(self, number: int) -> dict[str, Any]:
-        """Where one seed's stream stands."""
+        """State of one seed's stream."""
         return {"begun": json.dumps(self._begun[number]), "taken": self._taken}
 
     def load_states(self, states: Sequence[Mapping[str, Any]]) -> None:
-        """Continue all streams from there."""
+        """Continue all streams from their ``state``."""
         for stream, state in zip(self._streams, states, strict=True):
             stream.bit_generator.state = json.loads(state["begun"])
         self._drawn, self._taken = [], 0

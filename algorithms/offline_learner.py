@@ -1,4 +1,4 @@
-"""What offline algorithms share: batches, input statistics, actors and their state."""
+"""Base of offline algorithms: batches, input statistics, actors and their state."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -53,15 +53,15 @@ class OfflineLearner:
         """Networks by their name in the state."""
 
     def _layouts(self) -> tuple[AgentLayout, ...]:
-        """Layout of each actor: of one that sees and sets everything."""
+        """Layout of each actor; by default one sees and sets everything."""
         return (self.layout.joint,)
 
     def agents(self, number: int) -> dict[str, AgentActor]:
-        """One seed's actors as they are now."""
+        """Current actors of one seed, by name."""
         return self.actors.agents(number)
 
     def state(self, number: int) -> dict[str, Any]:
-        """Everything that one seed needs to act and to resume bit-equally."""
+        """State of one seed, with which it acts and resumes bit-equally."""
         own = parts_state(self._parts, number)
         return {"step": self.step, **own, "batches": self._batches.state(number)}
 

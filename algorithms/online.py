@@ -27,7 +27,7 @@ RunEpisodes = Callable[[Explorer, Iterable[int]], Iterator[Episode]]
 """Runs training episodes of these numbers; the loop knows nothing of environments."""
 
 LEARNT = 0.5
-"""Success rate from which on a run can be flat: before, it may not have begun."""
+"""Success rate above which a run can be flat: below, learning may not have begun."""
 
 
 class OnlineConfig(Protocol):
@@ -47,33 +47,36 @@ class OnlineConfig(Protocol):
 
 
 class OnlineAlgorithm(Resumable, Protocol):
-    """An algorithm that learns from the episodes it is shown."""
+    """An algorithm that learns from episodes as they come."""
 
     episodes: int
-    """Shown so far."""
+    """Number of episodes shown so far."""
 
     env_steps: int
+    """Number of steps in them."""
+
     updates: int
+    """Number of gradient steps."""
 
     @property
     def config(self) -> OnlineConfig:
-        """Its hyper-parameters."""
+        """Hyper-parameters."""
 
     @property
     def warm(self) -> bool:
         """Whether there is enough experience to learn from."""
 
     def behaviour(self) -> Explorer:
-        """Who runs the next episodes."""
+        """Policy of the next episodes."""
 
     def observe(self, episode: Episode) -> None:
-        """Take an episode."""
+        """Add an episode to the experience."""
 
     def learn(self, updates: int) -> dict[str, float]:
         """Many updates; their mean losses."""
 
     def diagnose(self) -> dict[str, float]:
-        """What there is to know of actors and critic now."""
+        """Metrics of actors and critic now."""
 
 
 def train_online(
@@ -89,12 +92,12 @@ def train_online(
 
     Args:
         algorithm: Fresh, or resumed by ``marl_mm.algorithms.train.resume``.
-        run: Its folder.
-        run_episodes: Runs training episodes; episode i must not depend on how many are
-            run together.
-        evaluate: Measures a policy: ``success/all``, ``return/all`` and more.
-        schedule: When.
-        advance: Told the episodes.
+        run: The run's folder.
+        run_episodes: Runner of training episodes; episode i must not depend on how many
+            are run together.
+        evaluate: Evaluation of a policy: ``success/all``, ``return/all`` and more.
+        schedule: Times of checkpoints and evaluations.
+        advance: Progress callback, called with episodes.
         loggers: Names of the loggers beside ``metrics.jsonl``, see ``LOGGERS``.
 
     Raises:
@@ -183,7 +186,7 @@ def _epoch(
         "train/success": _mean([episode.success for episode in episodes]),
         "train/steps": _mean([len(episode) for episode in episodes]),
         **_alpha(episodes),
-        **{key: _mean([one[key] for one in losses]) for key in (losses or [{}])[0]},
+        **{key: _mean([row[key] for row in losses]) for key in (losses or [{}])[0]},
         **(algorithm.diagnose() if losses else {}),
     }
 

@@ -19,10 +19,10 @@ class LearnedPolicy:
     """Actors, each on its own observation.
 
     Args:
-        name: How tables call it.
-        agents: The actors, by agent.
+        name: Name in tables.
+        agents: Actors by agent.
         layout: Layout that they were trained for.
-        source: Where it was loaded from.
+        source: Path that it was loaded from.
     """
 
     def __init__(
@@ -38,12 +38,12 @@ class LearnedPolicy:
         self._source = source
 
     def describe(self) -> dict[str, Any]:
-        """Where it was loaded from."""
+        """Path that it was loaded from."""
         return {"checkpoint": self._source}
 
     @cached_property
     def fingerprint(self) -> str:
-        """Hash of all weights: who acted, wherever the file is by now."""
+        """Hash of all weights, which identifies the policy wherever its file is."""
         digest = hashlib.sha256()
         for agent in self.agents.values():
             for name, tensor in agent.actor.state_dict().items():
@@ -51,7 +51,7 @@ class LearnedPolicy:
         return digest.hexdigest()[:16]
 
     def begin(self, rng: np.random.Generator, layout: Layout) -> None:
-        """Nothing to remember between episodes.
+        """Begin an episode.
 
         Raises:
             LayoutError: If the policy was trained for another layout.
@@ -95,7 +95,7 @@ class LearnedPolicy:
 def joint_state(
     observation: np.ndarray | Mapping[str, np.ndarray], layout: Layout
 ) -> np.ndarray:
-    """The joint state, shape (n,), of either form of observation."""
+    """Joint state, shape (n,), from either form of observation."""
     if isinstance(observation, Mapping):
         return layout.state_of(observation["observation"], observation["desired_goal"])
     state = np.asarray(observation)

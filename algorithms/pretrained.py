@@ -23,7 +23,7 @@ from marl_mm.layout import Layout
 
 NAME = "pretrained"
 FOLDER = Path(__file__).parent / "pretrained_agent"
-"""Where it ships."""
+"""Folder of the shipped agent."""
 
 WEIGHTS = "policy.safetensors"
 
@@ -33,7 +33,7 @@ def ship(run: Path, folder: Path) -> None:
 
     Args:
         run: A finished run.
-        folder: To write; replaced if it exists.
+        folder: Folder to write; replaced if it exists.
     """
     checkpoint = read_checkpoint(run / BEST)
     tensors = {
@@ -68,8 +68,10 @@ def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
         for name, value in tensors.items():
             agent, _, key = name.partition("/")
             states.setdefault(agent, {})[key] = value
-        told = config.get("layout")  # the agent that ships has none: it is older
-        layout = Layout.from_json(told) if told else make_task(config["task"]).layout
+        recorded = config.get("layout")  # the shipped agent has none: it is older
+        layout = (
+            Layout.from_json(recorded) if recorded else make_task(config["task"]).layout
+        )
         agents = actors_from(states, layout)
     except (OSError, ValueError, KeyError, RuntimeError, SafetensorError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]

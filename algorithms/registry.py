@@ -1,4 +1,4 @@
-"""Algorithms by name: what learns, from what, and with which hyper-parameters."""
+"""Registry of the algorithms: learner, source and presets by name."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
@@ -34,29 +34,29 @@ class Algorithm:
     """
 
     about: str
-    """What it is, in a sentence for helps."""
+    """Description in a sentence, for helps."""
 
     source: str
-    """Whose it is: author and year, or table of the source paper."""
+    """Source: author and year, or section of the source paper."""
 
     learner: Callable[..., Any]
-    """Makes what learns: of a config, episodes, a judge, seeds and a device (offline,
-    an ``OfflineAlgorithm``), or of a config, a judge, a seed, demonstrations and a
-    layout (online, an ``OnlineAlgorithm``)."""
+    """Constructor of the learner. Offline it takes a config, episodes, a judge, seeds
+    and a device, and makes an ``OfflineAlgorithm``; online a config, a judge, a seed,
+    demonstrations and a layout, and makes an ``OnlineAlgorithm``."""
 
     presets: Mapping[str, Any]
     """Hyper-parameters by preset, frozen dataclasses; ``TUNED`` is the default."""
 
     online: bool = False
-    """Whether it learns from episodes of its own, and not from a dataset."""
+    """Whether it learns from its own episodes instead of a dataset."""
 
     check: Callable[[Any], None] = lambda config: None
-    """Raises a ``UsageError`` for hyper-parameters that are not this algorithm's."""
+    """Check that raises a ``UsageError`` for hyper-parameters of another algorithm."""
 
     def __post_init__(self) -> None:
         if TUNED not in self.presets:
             raise UsageError(f"an algorithm has no preset {TUNED!r}: {self.about!r}")
-        recorded = [one.name for one in fields(RunConfig)]
+        recorded = [field.name for field in fields(RunConfig)]
         for config in self.presets.values():
             check_settings(config, _NEEDED[self.online], recorded)
 
@@ -85,12 +85,12 @@ ALGORITHMS: Registry[Algorithm] = Registry(
     ],
     of=Algorithm,
 )
-"""Algorithms that there are."""
+"""Registered algorithms."""
 
 
 def names(online: bool) -> tuple[str, ...]:
     """Names of the algorithms that learn online, or of those that learn offline."""
-    return tuple(name for name, one in ALGORITHMS.items() if one.online == online)
+    return tuple(n for n, algorithm in ALGORITHMS.items() if algorithm.online == online)
 
 
 def preset(algorithm: str, name: str = TUNED) -> Any:

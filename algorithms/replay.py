@@ -21,15 +21,15 @@ DRAWN_TOGETHER = 40
 
 
 class Judge(Protocol):
-    """What learning from other goals needs of a task."""
+    """Rewards of a task for any goal."""
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Names of what rewards depend on beside the goal; see ``Task.needs``."""
+        """Names of the costs in the rewards beside the goal; see ``Task.needs``."""
 
     @property
     def highest_return(self) -> float | None:
-        """Bound that no return can pass; None if none is known."""
+        """Bound of all returns; None if none is known."""
 
     def judge(
         self, achieved: np.ndarray, desired: np.ndarray, terms: Mapping[str, np.ndarray]
@@ -66,10 +66,10 @@ class Batch(NamedTuple):
     """Joint actions in [-1, 1], shape (n, k)."""
 
     reward: torch.Tensor
-    """Shape (n,)."""
+    """Rewards, shape (n,)."""
 
     next_observation: torch.Tensor
-    """Shape (n, d)."""
+    """Joint states after the steps, shape (n, d)."""
 
     terminated: torch.Tensor
     """1 where the episode ended, for good or ill, shape (n,)."""
@@ -96,9 +96,9 @@ class Replay:
     """The latest episodes, at most ``capacity`` steps of them.
 
     Args:
-        capacity: Steps; the oldest episodes go, whole.
+        capacity: Number of steps that it holds.
         hindsight: Relabelled transitions per original one, the paper's k.
-        judge: The task's own reward and termination.
+        judge: The task's reward and termination.
         layout: Layout of states and actions.
     """
 
@@ -117,7 +117,7 @@ class Replay:
         self._terminated = np.zeros(capacity, bool)
         self._terms = {name: np.zeros(capacity) for name in (*judge.needs, FAILED)}
         self._end = np.zeros(capacity, np.int64)
-        """Step number at which each step's episode ends."""
+        """Number of the last step of each step's episode."""
 
         self._oldest = self._total = 0
 
@@ -125,7 +125,7 @@ class Replay:
         return self._total - self._oldest
 
     def add(self, episode: Episode) -> None:
-        """Take an episode, and let the oldest go if there is no room.
+        """Add an episode, in place of the oldest ones if there is no room.
 
         Raises:
             UsageError: If the episode alone is longer than the capacity.
@@ -185,13 +185,13 @@ class Replay:
         )
 
     def state(self) -> dict[str, Any]:
-        """Its contents, for a checkpoint."""
+        """Contents for a checkpoint."""
         rows = np.arange(self._oldest, self._total) % self._capacity
         contents = {name: torch.from_numpy(a[rows]) for name, a in self._arrays()}
         return {"oldest": self._oldest, "total": self._total, **contents}
 
     def load_state(self, state: Mapping[str, Any]) -> None:
-        """Continue with another replay's ``state``."""
+        """Continue from a ``state``."""
         self._oldest, self._total = state["oldest"], state["total"]
         rows = np.arange(self._oldest, self._total) % self._capacity
         for name, array in self._arrays():

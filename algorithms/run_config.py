@@ -1,4 +1,4 @@
-"""What a run is made of: the record in its ``config.json``."""
+"""Record of a run in its ``config.json``: algorithm, task, data, seed, settings."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -9,38 +9,38 @@ from marl_mm.errors import CheckpointError
 
 @dataclass(frozen=True, kw_only=True)
 class RunConfig:
-    """What a run is made of."""
+    """Record of how a run is made."""
 
     algorithm: str
     """Registered name of the algorithm."""
 
     preset: str | None = None
-    """Preset that the hyper-parameters started from; None where there are none."""
+    """Preset of the hyper-parameters; None where there are none."""
 
     seed: int
     """Seed of initial weights, batches and episodes."""
 
     task: str
-    """Registered name of the task that is evaluated in."""
+    """Registered name of the task of the evaluations."""
 
     dataset: Mapping[str, str] | None = None
-    """Id, path and fingerprint of what is learnt from; None: of nobody's episodes."""
+    """Id, path and fingerprint of the dataset; None without one."""
 
     packages: Mapping[str, str] = field(default_factory=dict)
-    """Versions of what the run is made with."""
+    """Versions of the packages by name."""
 
     plugins: Mapping[str, str] = field(default_factory=dict)
     """SHA-256 of the plug-ins that algorithm and task come from, by file name."""
 
     plugins_before: Sequence[Mapping[str, str]] = ()
-    """Those that the run went on without."""
+    """Plug-ins of the run before it was resumed with others."""
 
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """Numbers of evaluation and schedule, and all hyper-parameters, by name."""
+    """Settings of evaluation and schedule, and all hyper-parameters, by name."""
 
     def to_json(self) -> dict[str, Any]:
         """The record, flat, without plug-ins where there are none."""
-        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
         rest = values.pop("settings")
         often = ("preset", "plugins", "plugins_before")
         kept = {name: v for name, v in values.items() if v or name not in often}
@@ -48,16 +48,16 @@ class RunConfig:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> "RunConfig":
-        """Back from ``to_json``; what version 1 did not write has its default.
+        """Record from ``to_json``; fields that version 1 lacks have their defaults.
 
         Raises:
-            CheckpointError: If it does not say what every run says.
+            CheckpointError: If a field is missing.
         """
-        known = {one.name for one in fields(cls)} - {"settings"}
+        known = {field.name for field in fields(cls)} - {"settings"}
         rest = {name: value for name, value in values.items() if name not in known}
-        told = {name: value for name, value in values.items() if name in known}
+        own = {name: value for name, value in values.items() if name in known}
         try:
-            return cls(settings=rest, **told)
+            return cls(settings=rest, **own)
         except TypeError as error:
             raise CheckpointError(f"config.json: {error}") from error
 

@@ -33,8 +33,7 @@ CurvePoint = TypedDict(
     },
     total=False,
 )
-"""What a learning curve keeps of an evaluation, by direction; nothing of what was not
-measured."""
+"""Point of a learning curve: an evaluation by direction, without what it lacks."""
 
 
 class RunLog:

@@ -25,16 +25,16 @@ class SeededActors:
     """Every seed's actors, one per agent, on normalised joint states.
 
     Args:
-        layouts: What each agent sees and sets; together they set the joint action.
-        normalizer: Of joint states.
+        layouts: Layouts of the agents, which together set the joint action.
+        normalizer: Normalizer of joint states.
         hidden: Units of the hidden layers.
         rate: Learning rate.
-        seeds: Of initial weights, S of them.
-        device: Where they go.
+        seeds: Seeds of initial weights, S of them.
+        device: Device of the networks.
     """
 
     learns = True
-    """Whether there are learners; targets have none."""
+    """Whether the networks learn; targets do not."""
 
     def __init__(
         self,
@@ -55,7 +55,7 @@ class SeededActors:
                     widths = len(agent.observation), *hidden, len(agent.action)
                     members[name].append(nn.Sequential(*perceptron(widths)))
         self.networks = {name: Ensemble(m, device) for name, m in members.items()}
-        self._learners = {n: Learner(one, rate) for n, one in self.networks.items()}
+        self._learners = {n: Learner(net, rate) for n, net in self.networks.items()}
 
     def own(self, name: str, state: torch.Tensor) -> torch.Tensor:
         """One agent's actions in [-1, 1], shape (S, B, k)."""
@@ -68,23 +68,28 @@ class SeededActors:
         return joined if self._order is None else joined[..., self._order]
 
     def descend(self, name: str, loss: torch.Tensor) -> None:
-        """One step of one agent's actors down their losses, shape (S,)."""
+        """One gradient step of an agent's actors.
+
+        Args:
+            name: Name of the agent.
+            loss: Losses of the seeds, shape (S,).
+        """
         self._learners[name].descend(loss.sum())
 
     def copy(self) -> "SeededActors":
-        """Target actors: the same now, and without learners."""
+        """Target actors: equal now, and without learners."""
         other = copy(self)
-        other.networks = {name: one.copy() for name, one in self.networks.items()}
+        other.networks = {name: net.copy() for name, net in self.networks.items()}
         other._learners, other.learns = {}, False
         return other
 
     def follow(self, others: "SeededActors", rate: float) -> None:
-        """Go a share of the way to others' weights."""
+        """Move by a share of the way to the others' weights."""
         for name, network in self.networks.items():
             network.follow(others.networks[name], rate)
 
     def agents(self, number: int) -> dict[str, AgentActor]:
-        """One seed's actors, on the CPU, with the input statistics within."""
+        """Actors of one seed on the CPU, with their input statistics."""
         found = {}
         for name, layout in self._layouts.items():
             entries = list(layout.observation)
@@ -96,12 +101,12 @@ class SeededActors:
         return found
 
     def state(self, number: int) -> dict[str, Any]:
-        """One seed's actors, with the input statistics within."""
+        """State of one seed's actors, with their input statistics."""
         agents = self.agents(number)
         return {name: agent.actor.state_dict() for name, agent in agents.items()}
 
     def load_state(self, number: int, state: Mapping[str, Any]) -> None:
-        """Give one seed the actors of a ``state``."""
+        """Load one seed's actors from a ``state``."""
         prefix = "layers."
         for name, network in self.networks.items():
             actor = state[name].items()
@@ -109,11 +114,11 @@ class SeededActors:
             network.load_member(number, layers)
 
     def learner_state(self, number: int) -> dict[str, Any]:
-        """One seed's learners."""
-        return {name: one.member(number) for name, one in self._learners.items()}
+        """State of one seed's learners, by agent."""
+        return {n: learner.member(number) for n, learner in self._learners.items()}
 
     def load_learner_state(self, number: int, state: Mapping[str, Any]) -> None:
-        """Continue with one seed's learners from their ``learner_state``."""
+        """Load one seed's learners from a ``learner_state``."""
         for name, learner in self._learners.items():
             learner.load_member(number, state[name])
 
@@ -122,17 +127,17 @@ class SeededCritics:
     """Every seed's pairs of critics of joint actions at normalised joint states.
 
     Args:
-        inputs: Entries of state and action.
-        pairs: How many pairs a seed has.
+        inputs: Number of entries of state and action.
+        pairs: Number of pairs of a seed.
         hidden: Units of the hidden layers.
-        layer_norm: Whether these are normalised.
+        layer_norm: Whether hidden layers are normalised.
         rate: Learning rate.
-        seeds: Of initial weights, S of them.
-        device: Where they go.
+        seeds: Seeds of initial weights, S of them.
+        device: Device of the networks.
     """
 
     learns = True
-    """Whether there is a learner; targets have none."""
+    """Whether the networks learn; targets do not."""
 
     def __init__(
         self,
@@ -157,7 +162,7 @@ class SeededCritics:
         self._learner = Learner(self.networks, rate)
 
     def values(self, state: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-        """What all critics say, shape (S, pairs, 2, B)."""
+        """Values by all critics, shape (S, pairs, 2, B)."""
         inputs = torch.cat([state, action], dim=-1)
         seeds, size, width = inputs.shape
         each = inputs[:, None].expand(seeds, self._each, size, width)
@@ -171,17 +176,17 @@ class SeededCritics:
     def first(
         self, state: torch.Tensor, action: torch.Tensor, pair: int = 0
     ) -> torch.Tensor:
-        """What the first critic of a pair says, shape (S, B)."""
+        """Value by the first critic of a pair, shape (S, B)."""
         chosen = slice(pair * TWINS, None, self._each)
         inputs = torch.cat([state, action], dim=-1)
         return self.networks(inputs, chosen).squeeze(-1)
 
     def descend(self, loss: torch.Tensor) -> None:
-        """One step of all critics down their losses, shape (S,)."""
+        """One gradient step of all critics, with losses of shape (S,)."""
         self._learner.descend(loss.sum())
 
     def copy(self) -> "SeededCritics":
-        """Target critics: the same now, and without a learner."""
+        """Target critics: equal now, and without a learner."""
         other = copy(self)
         other.networks = self.networks.copy()
         del other._learner
@@ -189,24 +194,24 @@ class SeededCritics:
         return other
 
     def follow(self, others: "SeededCritics", rate: float) -> None:
-        """Go a share of the way to others' weights."""
+        """Move by a share of the way to the others' weights."""
         self.networks.follow(others.networks, rate)
 
     def state(self, number: int) -> list[Any]:
-        """One seed's critics."""
+        """State of one seed's critics."""
         return [self.networks.member(i) for i in self._members(number)]
 
     def load_state(self, number: int, state: Sequence[Any]) -> None:
-        """Give one seed the critics of a ``state``."""
+        """Load one seed's critics from a ``state``."""
         for i, own in zip(self._members(number), state, strict=True):
             self.networks.load_member(i, own)
 
     def learner_state(self, number: int) -> list[Any]:
-        """What the learner knows of one seed's critics."""
+        """State of the learner for one seed's critics."""
         return [self._learner.member(i) for i in self._members(number)]
 
     def load_learner_state(self, number: int, state: Sequence[Any]) -> None:
-        """Continue with one seed's learner from its ``learner_state``."""
+        """Load the learner for one seed's critics from a ``learner_state``."""
         for i, own in zip(self._members(number), state, strict=True):
             self._learner.load_member(i, own)
 
@@ -219,7 +224,7 @@ Parts = Mapping[str, SeededActors | SeededCritics]
 
 
 def parts_state(parts: Parts, number: int) -> dict[str, Any]:
-    """One seed's state of all parts, and of their learners where they have one."""
+    """State of one seed's networks, and of their learners where they learn."""
     state: dict[str, Any] = {}
     for name, part in parts.items():
         state[name] = part.state(number)
@@ -229,7 +234,7 @@ def parts_state(parts: Parts, number: int) -> dict[str, Any]:
 
 
 def load_parts(parts: Parts, states: Sequence[Mapping[str, Any]]) -> None:
-    """Continue all parts from every seed's ``parts_state``."""
+    """Load all networks from every seed's ``parts_state``."""
     for number, state in enumerate(states):
         for name, part in parts.items():
             part.load_state(number, state[name])
@@ -243,7 +248,7 @@ def _learners(name: str) -> str:
 
 @contextmanager
 def _seeded(seed: int, stream: int) -> Iterator[None]:
-    """Let torch's own generator, which initial weights come from, begin anew."""
+    """Seed torch's own generator, which draws initial weights, for a block."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(2 * seed + stream)
         yield

@@ -1,4 +1,4 @@
-"""How torch computes while it learns: what small networks on a CPU gain from.
+"""Settings of torch for small networks: threads, memory and precision.
 
 ``torch.compile`` is not used: of TD3+BC's update (two layers of 256, batch 256, one
 core of an AMD EPYC) it made 4 % more a second, after 48 s of compiling, in which all of
@@ -15,14 +15,14 @@ import torch
 from marl_mm.algorithms.config_checks import Precision
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
-"""Of glibc's mallopt(3)."""
+"""Parameters of glibc's mallopt(3)."""
 
 _KEPT = 32 << 20
-"""The largest block that glibc can be told to keep [bytes]."""
+"""Size of the largest block that glibc can keep [bytes]."""
 
 
 def prepare_for_small_networks() -> None:
-    """One thread, as a second only costs; and freed memory stays with the process.
+    """Use one thread, as a second only costs, and keep freed memory in the process.
 
     By default glibc gives large blocks back to the system and asks for them again,
     page by page, many times an update: up to a fifth of its time.
@@ -35,21 +35,22 @@ def prepare_for_small_networks() -> None:
 
 
 _TRIED = 256
-"""Rows and columns of the matrices of the trial."""
+"""Number of rows and columns of the trial's matrices."""
 
 _AS_EXACT = 8.0
-"""Times the error with which a product counts as exact, too."""
+"""Factor of errors: the fast product counts as exact if its error is at most this many
+times that of the full-precision one."""
 
 
 @contextmanager
 def matrix_products(precision: Precision) -> Iterator[None]:
-    """Have torch multiply float32 matrices so, and as before afterwards."""
+    """Set torch's precision of float32 products for a block."""
     with _torch_precision(resolved(precision)):
         yield
 
 
 def resolved(precision: Precision) -> Precision:
-    """What ``auto`` means here."""
+    """Precision that ``auto`` stands for on this machine."""
     if precision != "auto":
         return precision
     return "medium" if _medium_is_exact() else "highest"
@@ -81,7 +82,7 @@ def _medium_is_exact() -> bool:
 
     def error(precision: str, device: str) -> float:
         with _torch_precision(precision):  # as ensembles of networks are multiplied
-            factors = (one.to(device) for one in (zero, left, right))
+            factors = (matrix.to(device) for matrix in (zero, left, right))
             product = torch.baddbmm(*factors)
         return float((product.cpu().double() - true).abs().max())
 

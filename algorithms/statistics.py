@@ -8,11 +8,11 @@ import torch
 
 
 class RunningStatistics:
-    """Of vectors of d numbers, in float64.
+    """Running mean and standard deviation of vectors, in float64.
 
     Args:
-        width: d.
-        floor: Least standard deviation it tells.
+        width: Number of entries d.
+        floor: Least standard deviation.
     """
 
     def __init__(self, width: int, floor: float) -> None:
@@ -23,7 +23,7 @@ class RunningStatistics:
         """Sum of squared distances to the mean."""
 
     def add(self, values: np.ndarray) -> None:
-        """Take more of the stream, shape (n, d)."""
+        """Add vectors, shape (n, d)."""
         count = len(values)
         mean = values.mean(axis=0)
         total = self._count + count
@@ -35,19 +35,19 @@ class RunningStatistics:
 
     @property
     def mean(self) -> torch.Tensor:
-        """Shape (d,), float32."""
+        """Means, shape (d,), float32."""
         return torch.from_numpy(self._mean.astype(np.float32))
 
     @property
     def std(self) -> torch.Tensor:
-        """Shape (d,), float32, not below the floor; 1 before anything was seen."""
+        """Standard deviations or the floor, shape (d,), float32; 1 without data."""
         if not self._count:
             return torch.ones(len(self._mean))
         std = np.sqrt(self._squares / self._count)
         return torch.from_numpy(np.maximum(std, self._floor).astype(np.float32))
 
     def state(self) -> dict[str, Any]:
-        """For a checkpoint."""
+        """State for a checkpoint."""
         return {
             "count": self._count,
             "mean": torch.from_numpy(self._mean.copy()),
@@ -55,7 +55,7 @@ class RunningStatistics:
         }
 
     def load_state(self, state: Mapping[str, Any]) -> None:
-        """Continue another's ``state``."""
+        """Continue from a ``state``."""
         self._count = state["count"]
         self._mean = state["mean"].numpy().copy()
         self._squares = state["squares"].numpy().copy()

@@ -9,12 +9,12 @@ from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, imp
 from marl_mm.errors import UsageError
 
 WEIGHTED = ("delta_x", "delta_y", "delta_z", "alpha")
-"""Entries of the action whose imitation can be weighted; others weigh 1."""
+"""Entries of the action whose imitation can be weighted."""
 
 
 @dataclass(frozen=True)
 class Td3BcConfig:
-    """Hyper-parameters."""
+    """Hyper-parameters: the paper's, and those of ``td3_bc_additions``."""
 
     updates: int = 10_000
     """Gradient steps of the critics; the paper has 100,000 (Table 3) and 180,000
@@ -24,57 +24,58 @@ class Td3BcConfig:
     """Transitions per update (Table 3)."""
 
     actor_learning_rate: float = 5e-4
-    """Of Adam (Table 3)."""
+    """Learning rate of the actor's Adam (Table 3)."""
 
     critic_learning_rate: float = 5e-4
-    """Of Adam (Table 3)."""
+    """Learning rate of the critics' Adam (Table 3)."""
 
     discount: float = 0.95
-    """gamma (Table 3)."""
+    """Discount per step, gamma (Table 3)."""
 
     target_rate: float = 0.005
-    """tau, the share of the networks that goes into their targets (Table 3)."""
+    """Share of the networks that goes into their targets per update, tau (Table 3)."""
 
     q_weight: float = 0.5
-    """c, the weight of the value against imitation; 2.5 in Fujimoto & Gu 2021."""
+    """Weight of the value against imitation, c; 2.5 in Fujimoto & Gu 2021."""
 
     q_weight_end: float | None = None
-    """c at the last update, to which it goes in a straight line; default c."""
+    """Weight c at the last update, reached in a straight line; by default c stays."""
 
     policy_delay: int = 2
     """Updates of the critics per update of the actor (Fujimoto 2018)."""
 
     target_noise: float = 0.2
-    """Standard deviation of the noise on the target's action, of half its range."""
+    """Standard deviation of the noise on the target's action, in halves of its
+    range."""
 
     target_noise_clip: float = 0.5
-    """Largest such noise, of half the action's range."""
+    """Bound of the noise on the target's action, in halves of its range."""
 
     future: float = 0.2
-    """Share of transitions whose goal becomes one that their episode came to later."""
+    """Share of transitions relabelled with a goal that their episode reached later."""
 
     elsewhere: float = 0.4
-    """Share of transitions whose goal becomes that of any other step; they are not
+    """Share of transitions relabelled with the goal of any other step. They are not
     imitated."""
 
     clip_targets: bool = True
-    """Cut the critics' targets off at the reward of a perfect hit, which no return can
-    pass, as all other rewards are negative."""
+    """Whether the critics' targets are clipped at the reward of a perfect hit, which no
+    return can pass, as all other rewards are negative."""
 
     layer_norm: bool = True
     """Whether the critics' hidden layers are normalised (Ball 2023)."""
 
     imitate: Literal["all", "better", "successful"] = "successful"
-    """Which actions are imitated: all, those that the critic thinks better than the
-    actor's (Nair 2018), or those of episodes that reached their goal."""
+    """Imitated actions: all, those that the critic values higher than the actor's (Nair
+    2018), or those of episodes that reached their goal."""
 
     imitation_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
-    """Weight in the imitation error of delta_x, delta_y, delta_z and alpha; of other
-    entries it is 1."""
+    """Weights of delta_x, delta_y, delta_z and alpha in the imitation error; other
+    entries weigh 1."""
 
     imitation_scaled: bool = True
-    """Measure the imitation error of each entry by its spread in the data: where the
-    data hardly vary, the critic knows no better."""
+    """Whether the imitation error of each entry is divided by its spread in the data:
+    where the data hardly vary, the critic knows no better."""
 
     hidden: tuple[int, ...] = (128, 128)
     """Units of the hidden layers of actor and critics; the paper is silent."""
@@ -83,9 +84,9 @@ class Td3BcConfig:
     """Least standard deviation an observation is scaled by."""
 
     precision: Precision = "auto"
-    """Of products of float32 matrices, as torch has it. With medium they are faster on
-    many CPUs and GPUs; where these have units for bfloat16, they are rounded to it.
-    With auto it is medium where that is as exact, as a trial at the start shows."""
+    """Precision of products of float32 matrices, as torch has it. medium is faster on
+    many CPUs and GPUs, and rounds to bfloat16 where these have units for it. auto takes
+    medium where a trial at the start shows it to be as exact."""
 
     def __post_init__(self) -> None:
         check_ranges(
@@ -137,8 +138,8 @@ TABLE_3: dict[str, Any] = {
     "clip_targets": False,
     "layer_norm": False,
 }
-"""Table 3, and the cited source's choice where it is silent; ours in hidden layers and
-the floor of deviations."""
+"""Hyper-parameters of Table 3, and of the cited source where it is silent. Hidden
+layers and the floor of deviations are ours."""
 
 ALGORITHMS.add(
     "td3-bc",

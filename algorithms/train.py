@@ -32,7 +32,7 @@ from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.progress import Advance, silent
 
 Evaluate = Callable[[LearnedPolicy], CurvePoint]
-"""Measures a policy; the loop knows nothing of environments."""
+"""Evaluation of a policy; the loop knows nothing of environments."""
 
 LOG_EVERY = 100
 """Updates per row of ``metrics.jsonl``, which has their means, and per checkpoint."""
@@ -52,16 +52,17 @@ def train(
     Args:
         algorithm: Fresh, or resumed by ``resume_seeds``.
         runs: The folder of each seed's run.
-        evaluate: Called before the first, every ``evaluate_every``-th and last update.
-        evaluate_every: [updates]
-        advance: Told the updates.
-        stop_unsound: Also stop at finite values that are beyond all returns.
+        evaluate: Evaluation of a policy, before the first update, every
+            ``evaluate_every``-th and after the last.
+        evaluate_every: Updates between evaluations.
+        advance: Progress callback, called with updates.
+        stop_unsound: Whether a metric beyond its bound stops the run, too.
         loggers: Names of the loggers beside ``metrics.jsonl``, see ``LOGGERS``.
 
     Raises:
         KeyboardInterrupt: After Ctrl-C, saying which checkpoint there is.
-        DivergedError: If a loss, or something else that is logged, is not finite, or
-            a value beyond all returns; the last checkpoint is left as it is.
+        DivergedError: If a logged metric is not finite or beyond its bound; the last
+            checkpoint is left as it is.
     """
     prepare_for_small_networks()
     total, saved = algorithm.config.updates, algorithm.step
@@ -104,12 +105,12 @@ def train(
 
 
 def _after(step: int, every: int) -> int:
-    """The next multiple."""
+    """Next multiple of ``every`` after a step."""
     return (step // every + 1) * every
 
 
 def _updated(algorithm: OfflineAlgorithm, step: int) -> dict[str, torch.Tensor]:
-    """Update up to a step; means of what was measured, shape (S,)."""
+    """Update up to a step; means of the metrics, shape (S,)."""
     sums: dict[str, torch.Tensor] = {}
     counts: dict[str, int] = {}
     with matrix_products(algorithm.config.precision):
@@ -125,36 +126,36 @@ def _refuse_odd_values(
     measured: Mapping[str, torch.Tensor],
     stop_unsound: bool,
 ) -> None:
-    """Raise for what cannot be: after a last step that overflowed, weights are NaN.
+    """Raise for a metric that is not finite, or beyond its bound.
 
     Raises:
-        DivergedError: Naming it.
+        DivergedError: Naming the metric.
     """
     for key, value in measured.items():
         limit = algorithm.bounds.get(key, math.inf) if stop_unsound else math.inf
         for seed, number in zip(algorithm.seeds, value.tolist(), strict=True):
             if not (abs(number) <= limit and math.isfinite(number)):
-                told = f", more than {limit:.3g}" if math.isfinite(number) else ""
+                excess = f", more than {limit:.3g}" if math.isfinite(number) else ""
                 bounds = ("clip_targets", "layer_norm")
                 has = all(hasattr(algorithm.config, name) for name in bounds)
                 bounded = "leave on --clip-targets and --layer-norm, " if has else ""
                 raise DivergedError(
-                    f"{key} is {number:.3g}{told} with seed {seed} after "
+                    f"{key} is {number:.3g}{excess} with seed {seed} after "
                     f"{algorithm.step} updates: lower the learning rate, {bounded}or "
                     "look for odd values with marl-mm datasets verify"
                 )
 
 
 def _note(measured: Mapping[str, torch.Tensor]) -> str:
-    """Losses, mean over seeds, for the bar."""
+    """Mean losses over seeds, for the progress bar."""
     losses = {
         key: f"{value.mean().item():.3g}"
         for key, value in measured.items()
         if key.count("/") == 1 and key.startswith("loss/") and "imitation" not in key
     }
     critic = losses.pop("loss/critic", "")  # there is no room for agents' names
-    told = [f"critic {critic}"] if critic else []
-    return ", ".join([*told, f"actor {' '.join(losses.values())}"])
+    text = [f"critic {critic}"] if critic else []
+    return ", ".join([*text, f"actor {' '.join(losses.values())}"])
 
 
 def _each_seeds(
@@ -206,7 +207,7 @@ def resume_seeds(
 
     Args:
         algorithm: Fresh, with the runs' config.
-        runs: Their folders.
+        runs: Folders of the runs.
         ignored: Fields of the config that may differ.
 
     Raises:

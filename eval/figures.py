@@ -23,8 +23,7 @@ def learning_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
     success, imitation, *value = figure.subplots(1, 2 + critics)
     _over_directions(success, metrics, "step", "success", 100)
     success.set(ylabel="goals reached [%]", ylim=(-3, 103))
-    told = dict.fromkeys(key for row in metrics for key in row)
-    for key in told:
+    for key in dict.fromkeys(key for row in metrics for key in row):
         if key.startswith("imitation/"):
             _plot(imitation, metrics, "step", key, key.removeprefix("imitation/"))
     imitation.set(ylabel="mean square difference to the data", yscale="log")
@@ -62,7 +61,7 @@ def online_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
 def _plot(
     axis: Any, metrics: Sequence[dict[str, Any]], clock: str, key: str, label: str
 ) -> None:
-    """What is known of one key."""
+    """The known values of a key, over the clock."""
     rows = [row for row in metrics if key in row]
     axis.plot([row[clock] for row in rows], [row[key] for row in rows], label=label)
 

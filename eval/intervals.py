@@ -10,7 +10,7 @@ import scipy  # its stats take half a second, and come when they are used
 CONFIDENCE = 0.95
 
 _RESAMPLES = 2_000
-"""Of the interquartile mean's bootstrap."""
+"""Number of resamplings of the interquartile mean's bootstrap."""
 
 
 def success_interval(successes: int, episodes: int) -> tuple[float, float]:
@@ -56,14 +56,14 @@ def difference_interval(
 
 
 def wider_interval(rates: Sequence[float], goals: int) -> tuple[float, float]:
-    """The wider to each side of Student's interval over seeds and Wilson's over goals.
+    """95 % interval of a success rate: on each side the wider of two.
 
-    Seeds alone know nothing of goals where all of them reach the same share, and goals
-    alone nothing of how much seeds differ.
+    Student's interval over seeds says nothing of the goals where all seeds reach the
+    same share, and Wilson's over goals says nothing of how much seeds differ.
 
     Args:
-        rates: Of success, by seed.
-        goals: How many; all seeds go to the same, which are no more for that.
+        rates: Success rates by seed.
+        goals: Number of goals, which are the same for all seeds.
     """
     over_goals = success_interval(round(float(np.mean(rates)) * goals), goals)
     low, high = _widened(over_goals, rates)
@@ -71,10 +71,12 @@ def wider_interval(rates: Sequence[float], goals: int) -> tuple[float, float]:
 
 
 def interval_of_mean(values: np.ndarray) -> tuple[float, float]:
-    """Likewise of anything: Student's, and the bootstrap over goals of seeds' means.
+    """95 % interval of a mean: on each side the wider of two.
+
+    One is Student's over seeds, the other a bootstrap over goals of the seeds' means.
 
     Args:
-        values: Shape (seeds, goals).
+        values: Values by seed and goal, shape (seeds, goals).
     """
     return _widened(bootstrap_interval(values.mean(axis=0)), values.mean(axis=1))
 
@@ -104,7 +106,7 @@ def summarize_success(rows: Sequence[Mapping[str, Any]], name: str) -> dict[str,
 
     Args:
         rows: Evaluated episodes of all seeds.
-        name: What the values' names begin with.
+        name: Beginning of the values' names.
     """
     rates, scores = seed_rates(rows), success_scores(rows)
     goals = len({row["goal"] for row in rows})
@@ -145,7 +147,7 @@ def success_scores(rows: Sequence[Mapping[str, Any]]) -> np.ndarray:
 def interquartile_mean(scores: np.ndarray) -> float:
     """Mean without the lowest and the highest quarter (Agarwal 2021).
 
-    Of what is no whole number less is left out: of six scores one at each end.
+    The quarters are rounded down: of six scores one is left out at each end.
     """
     return float(scipy.stats.trim_mean(scores, 0.25, axis=None))
 
@@ -153,7 +155,7 @@ def interquartile_mean(scores: np.ndarray) -> float:
 def interquartile_interval(scores: np.ndarray) -> tuple[float, float]:
     """95 % stratified bootstrap interval of the interquartile mean; nan of one run.
 
-    Runs are drawn with replacement and a fixed seed, in each column for itself (Agarwal
+    Runs are drawn with replacement and a fixed seed, each column by itself (Agarwal
     2021).
 
     Args:

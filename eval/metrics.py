@@ -53,14 +53,14 @@ class Metric:
     """The number; None where the episode does not have what it is made of."""
 
     averaged: bool = False
-    """Whether summaries have its mean over episodes."""
+    """Whether summaries have the mean over episodes."""
 
     column: str = ""
     """Head of its column in tables of means, with its unit in brackets; empty where
     they leave it out."""
 
     form: str = ".3g"
-    """How tables write it, a format specification."""
+    """Format specification of the number in tables."""
 
     def measure(self, name: str, episode: Episode) -> float | int | None:
         """Its value, for rows.
@@ -149,9 +149,9 @@ def episode_row(episode: Episode) -> EvaluationRow:
     ``direction`` where the layout has one; ``reason``, why it failed or nothing, where
     the task can fail.
     """
-    told = {} if episode.reason is None else {"reason": episode.reason}
+    reason = {} if episode.reason is None else {"reason": episode.reason}
     direction = episode.direction
-    measured = {name: one.measure(name, episode) for name, one in METRICS.items()}
+    measured = {name: metric.measure(name, episode) for name, metric in METRICS.items()}
     row = {
         "index": episode.index,
         "seed": episode.seed,
@@ -161,7 +161,7 @@ def episode_row(episode: Episode) -> EvaluationRow:
         "steps": len(episode),
         "return": episode.episode_return,
         **{name: value for name, value in measured.items() if value is not None},
-        **told,
+        **reason,
     }
     return cast(EvaluationRow, row)
 
@@ -176,7 +176,7 @@ def summarize(rows: Rows) -> dict[str, Any]:
         "interval": success_interval(len(successes), len(rows)),
         "steps_to_success": float(np.mean(steps)) if steps else None,
     }
-    averaged = [name for name, one in METRICS.items() if one.averaged or one.column]
+    averaged = [name for name, m in METRICS.items() if m.averaged or m.column]
     for key in ("return", *averaged):
         if values := [row[key] for row in rows if key in row]:
             summary[key] = float(np.mean(values))
@@ -185,7 +185,7 @@ def summarize(rows: Rows) -> dict[str, Any]:
 
 
 def count_failures(rows: Rows) -> dict[str, int] | None:
-    """How many episodes ended for which reason; None if that is not known."""
+    """Number of episodes that failed, by reason; None if reasons are not known."""
     if not any("reason" in row for row in rows):
         return None
     reasons = [row["reason"] for row in rows if row.get("reason")]

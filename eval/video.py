@@ -61,13 +61,13 @@ class Recorder:
         """Each of shape (height, width, 3), uint8."""
 
     def __call__(self, tick: Tick) -> None:
-        """Take a frame if one is due after this tick."""
+        """Take a frame if it is time for the next after this tick."""
         self._elapsed += tick.robot == 0
         if self._fps and self._elapsed * self._fps > len(self.frames) * RATE:
             self.frames.append(self._world.render(self._camera))
 
     def add(self) -> None:
-        """Take one more, of the end."""
+        """Take a last frame, of the end."""
         if self._fps:
             self.frames.append(self._world.render(self._camera))
 
@@ -116,7 +116,7 @@ class TwoWays(NamedTuple):
 
     episodes: list[Episode]
     frames: list[np.ndarray]
-    """Of both, one after the other."""
+    """Frames of both episodes, one after the other."""
 
     strips: list[tuple[str, list[tuple[str, np.ndarray]]]]
     """For ``film_strip``: five pictures an episode, with the step in the corner."""
