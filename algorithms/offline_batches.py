@@ -98,7 +98,7 @@ class OfflineBatches:
             raise UsageError(
                 "the dataset does not tell "
                 f"{', '.join(judge.needs)} of all steps, which rewards for other goals "
-                "depend on: set --future 0, and --elsewhere 0 where there is one"
+                "depend on: set `future` 0, and `elsewhere` 0 where there is one"
             )
         self._streams = [np.random.default_rng(seed) for seed in seeds]
         self._begun = [stream.bit_generator.state for stream in self._streams]
