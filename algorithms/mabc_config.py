@@ -12,7 +12,7 @@ class MabcConfig:
 
     updates: int = 8_000
     """Gradient steps per actor; the paper has 100,000 (Table 3). On its datasets but
-    the mixes, learning curves are at their end after 5,000 (eval/results/offline)."""
+    the mixes, learning curves are at their end after 5,000 (eval/results/studies)."""
 
     batch_size: int = 256
     """Transitions per step (Table 3)."""

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from markdown_it import MarkdownIt
 from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
@@ -59,6 +60,12 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table."""
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def markdown_html(text: str) -> str:
+    """Markdown with tables as HTML; HTML in it is shown as text."""
+    page: str = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
+    return page
 
 
 def rows_table(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -8,6 +8,7 @@ from marl_mm.plugins import load_installed
 
 if TYPE_CHECKING:
     from marl_mm.datasets.dataset import load_dataset
+    from marl_mm.eval.studies.study import Online, Setting, Source, Study
     from marl_mm.runs.collect import collect
     from marl_mm.runs.evaluate import evaluate
     from marl_mm.runs.play import play
@@ -18,6 +19,10 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 
 __all__ = [
+    "Online",
+    "Setting",
+    "Source",
+    "Study",
     "collect",
     "evaluate",
     "load_dataset",
@@ -28,6 +33,9 @@ __all__ = [
 ]
 
 _MODULES = {
+    **dict.fromkeys(
+        ("Online", "Setting", "Source", "Study"), "marl_mm.eval.studies.study"
+    ),
     "collect": "marl_mm.runs.collect",
     "evaluate": "marl_mm.runs.evaluate",
     "load_dataset": "marl_mm.datasets.dataset",

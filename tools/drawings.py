@@ -231,7 +231,7 @@ def _learning(
 
 
 def _offline(algorithm: str, **settings: str) -> str:
-    folder = RESULTS / "offline/rows/good-30k"
+    folder = RESULTS / "studies/rows/good-30k"
     kinds = {
         name.replace("_", " "): read_rows(folder / f"{setting}.curve.csv.gz")
         for name, setting in settings.items()
@@ -241,9 +241,9 @@ def _offline(algorithm: str, **settings: str) -> str:
 
 
 def _online(algorithm: str, **settings: str) -> str:
-    every = read_rows(RESULTS / "online/curves.csv.gz")
+    folder = RESULTS / "studies/rows/online-Reach-v0"
     kinds = {
-        name.replace("_", " "): [row for row in every if row["setting"] == setting]
+        name.replace("_", " "): read_rows(folder / f"{setting}.curve.csv.gz")
         for name, setting in settings.items()
     }
     about = f"{algorithm} on Reach-v0: goals reached over episodes, mean and seeds"

@@ -176,25 +176,21 @@ def _offline_rows() -> list[Row]:
     rows = [
         row
         for table in ("offline", "tasks", "blocks")
-        for row in read_rows(RESULTS / f"offline/{table}.csv")
+        for row in read_rows(RESULTS / f"studies/{table}.csv")
     ]
     return [row for row in rows if row["probe"] == "last"]
 
 
 def _online_rows() -> list[Row]:
-    from marl_mm.eval.online import SETTINGS
+    from marl_mm.eval.studies.online import CELLS
 
-    known = {setting.name: setting for setting in SETTINGS}
-    return [
-        row
-        | {
-            "task": known[row["setting"]].task,
-            "algorithm": known[row["setting"]].algorithm,
-            "about": known[row["setting"]].about,
-        }
-        for row in read_rows(RESULTS / "online/online.csv")
-        if known[row["setting"]].library == "marl_mm"
-    ]
+    rows = []
+    for row in read_rows(RESULTS / "studies/online.csv"):
+        source, setting = CELLS[row["setting"]]
+        if setting.library == "marl_mm":
+            own = {"algorithm": setting.algorithm, "about": setting.about}
+            rows.append({**row, **own, "task": source.task})
+    return rows
 
 
 def _task_of(row: Row) -> str:

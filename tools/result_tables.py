@@ -4,9 +4,23 @@ import gzip
 import json
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
+
+from study_tables import (
+    differences_table,
+    goals_table,
+    hindsight_in_words,
+    steps_table,
+    updates_table,
+)
+from sweep_tables import (
+    alpha_table,
+    load_table,
+    response_table,
+    responses,
+    worth_table,
+)
 
 from marl_mm.cli import COMMANDS, LISTS
 from marl_mm.envs.load import StandConfig
@@ -14,39 +28,18 @@ from marl_mm.envs.registry import TASKS
 from marl_mm.envs.tasks.carry import Carry
 from marl_mm.envs.tasks.grasp import LAYOUT as HANDLING
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
-from marl_mm.eval.ablations import ABLATIONS, BLOCKS
 from marl_mm.eval.bench.tables import (
     abuse_table,
     bench_table,
     data_table,
     offline_speed_table,
 )
-from marl_mm.eval.offline import (
-    COLUMNS,
-    RETURN,
-    ablation_table,
-    differences,
-    differences_table,
-    goals_table,
-)
-from marl_mm.eval.offline_rows import RowStore
-from marl_mm.eval.online import SETTINGS
-from marl_mm.eval.online_tables import (
-    IQM,
-    alpha_worth_table,
-    hindsight_in_words,
-    online_table,
-    steps_table,
-    updates_table,
-)
 from marl_mm.eval.rows import read_rows
-from marl_mm.eval.sweep import responses
-from marl_mm.eval.sweep_tables import (
-    alpha_table,
-    load_table,
-    response_table,
-    worth_table,
-)
+from marl_mm.eval.studies.alpha import worth_table as alpha_worth_table
+from marl_mm.eval.studies.ours import BLOCKS
+from marl_mm.eval.studies.rows import RowStore
+from marl_mm.eval.studies.table import CRITICS, IQM, RETURN, Table
+from marl_mm.eval.studies.targets import STUDIES
 from marl_mm.eval.tables import markdown_table, rate_with_interval
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -101,45 +94,40 @@ _ONLINE = (
 
 
 def _online() -> str:
-    rows = read_rows(RESULTS / "online/online.csv")
+    rows = read_rows(RESULTS / "studies/online.csv")
     shown = [row for row in rows if row["setting"] in _ONLINE]
-    return f"{online_table(shown, SETTINGS, [IQM])}\n{hindsight_in_words(shown)}"
+    table = Table(STUDIES["online"].part(None, _ONLINE), shown)
+    return f"{table.markdown([IQM])}\n{hindsight_in_words(shown)}"
 
 
 def _learnt() -> str:
-    return alpha_worth_table(read_rows(RESULTS / "online/alpha_worth.csv"), SETTINGS)
+    return alpha_worth_table(read_rows(RESULTS / "studies/alpha_worth.csv"))
 
 
 def _steps() -> str:
-    return steps_table(read_rows(RESULTS / "online/curves.csv.gz"), SETTINGS)
+    return steps_table(RowStore(RESULTS / "studies/rows"))
 
 
 def _updates() -> str:
-    result = json.loads((RESULTS / "online/bench.json").read_text())
-    return updates_table(result, SETTINGS)
+    return updates_table(json.loads((RESULTS / "online/bench.json").read_text()))
 
 
 def _ablation(name: str, *leave_out: str, dataset: str = "") -> str:
     """A table of offline learning; what is left out stands in the committed one."""
-    summary = read_rows(RESULTS / f"offline/{name}.csv")
-    whole = ABLATIONS[name]
-    cells = [cell for cell in whole.cells if dataset in ("", cell[0])]
-    shown = replace(whole, cells=tuple(cells))
-    return ablation_table(shown, summary, ("IQM [%]", *leave_out))
+    rows = read_rows(RESULTS / f"studies/{name}.csv")
+    study = STUDIES[name].part([dataset] if dataset else None, None)
+    return Table(study, rows).markdown(("IQM [%]", *leave_out))
 
 
 def _over_imitation(name: str) -> str:
     """How the others compare with MABC."""
-    store = RowStore(RESULTS / "offline/rows")
-    return differences_table(
-        ABLATIONS[name], differences(ABLATIONS[name], store, "mabc")
-    )
+    return differences_table(STUDIES[name], RowStore(RESULTS / "studies/rows"), "mabc")
 
 
 def _script() -> str:
     """The script on the goals that those who learn from it are evaluated on."""
     lines = []
-    for task in BLOCKS.values():
+    for task in (source.task for source in BLOCKS):
         packed = (RESULTS / f"script/{task}.json.gz").read_bytes()
         (found,) = json.loads(gzip.decompress(packed))
         every = found["summary"]["all"]
@@ -198,10 +186,10 @@ def _drawn() -> str:
 
 _PAPER, _DIFFERENCE = "paper [%]", "difference [points]"
 
-_NOT_LONG = ("d_mm [m]", "d_mp [m]", "alpha", COLUMNS["q_slope"])
+_NOT_LONG = ("d_mm [m]", "d_mp [m]", "alpha", CRITICS["q_slope"])
 """Columns of the committed table that the README leaves out."""
 
-_NOT_NEAR = ("every seed", RETURN, "d_mm [m]", "d_mp [m]", "alpha", *COLUMNS.values())
+_NOT_NEAR = ("every seed", RETURN, "d_mm [m]", "d_mp [m]", "alpha", *CRITICS.values())
 """Columns that do not depend on the distance within which a goal is reached."""
 
 _NOT_HELD = ("every seed", "d_mm [m]", "d_mp [m]", _PAPER, _DIFFERENCE)
@@ -234,12 +222,12 @@ TABLES: dict[str, Callable[[], str]] = {
     "learnt": _learnt,
     "steps": _steps,
     "updates": _updates,
-    "offline": partial(_ablation, "offline", _DIFFERENCE, *COLUMNS.values()),
+    "offline": partial(_ablation, "offline", _DIFFERENCE, *CRITICS.values()),
     "tasks": partial(_ablation, "tasks", _PAPER, _DIFFERENCE),
     "blocks": partial(_ablation, "blocks", _PAPER, _DIFFERENCE, "alpha"),
     "tasks-over-mabc": partial(_over_imitation, "tasks"),
     "within": partial(_ablation, "within", *_NOT_NEAR, _PAPER, _DIFFERENCE),
-    "held": partial(_ablation, "held", *_NOT_HELD, *COLUMNS.values()),
+    "held": partial(_ablation, "held", *_NOT_HELD, *CRITICS.values()),
     "table4": partial(_ablation, "table4", *_NOT_LONG),
     "table5": partial(_ablation, "table5", *_NOT_LONG),
     "cures": partial(_ablation, "cures", *_NOT_CURED, dataset="good-30k"),

@@ -1,7 +1,7 @@
 """MkDocs hook: notebooks as pages, and links to files outside of docs/.
 
-A page may link to ``../eval/results/online/fig5.png`` as it does for those who read it
-in the repository; the site has the file as ``files/eval/results/online/fig5.png``. A
+A page may link to ``../eval/results/studies/fig5.png`` as it does for those who read it
+in the repository; the site has the file as ``files/eval/results/studies/fig5.png``. A
 notebook ``docs/notebooks/NAME.ipynb`` is shown as the page ``notebooks/NAME.html``.
 """
 

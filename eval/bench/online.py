@@ -27,8 +27,8 @@ from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import EpisodePlan, Rollouts, episode_seed
 from marl_mm.envs.task import Task
 from marl_mm.episode import Episode
+from marl_mm.eval.bench import SB3
 from marl_mm.eval.evaluate import evaluate_with
-from marl_mm.eval.online import SB3
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
 

@@ -18,7 +18,7 @@ from stable_baselines3.common.noise import NormalActionNoise
 from marl_mm.algorithms.ddpg_config import DdpgConfig
 from marl_mm.envs.goal_env import goal_observation
 from marl_mm.envs.tasks.reach import LAYOUT
-from marl_mm.eval.online import SB3
+from marl_mm.eval.bench import SB3
 from marl_mm.layout import Layout
 
 

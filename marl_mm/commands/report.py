@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from marl_mm.commands.parser import parse_options
-from marl_mm.eval.report import report_page
+from marl_mm.eval.studies.report import report_page
 from marl_mm.files import new_file, refuse_existing
 
 

@@ -30,18 +30,8 @@ from marl_mm.envs.parallel import split_action
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import Episode
-from marl_mm.errors import CheckpointError, DivergedError, UsageError
-from marl_mm.eval.alpha_study import ALPHAS, LEARNT, FixedAlpha, summarize_worth
+from marl_mm.errors import CheckpointError, DivergedError
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.online import (
-    SETTINGS,
-    curve_rows,
-    episodes_to,
-    on_a_grid,
-    success_at,
-    summarize_settings,
-)
-from marl_mm.eval.online_tables import online_table
 from marl_mm.files import only_here
 
 MakeEpisode = Callable[..., Episode]
@@ -261,130 +251,6 @@ def test_a_diverging_run_ends_with_its_last_checkpoint(
         train_online(algorithm, tmp_path, poisoned, weighed, SCHEDULE)
     assert np.isfinite(load_policy(tmp_path).act(np.ones(10))).all()
     assert [row["episode"] for row in read_metrics(tmp_path)] == [5, 10, 15, 20]
-
-
-# --- What runs show ----------------------------------------------------------
-
-
-def curve(setting: str, seed: int, rates: list[float]) -> list[Row]:
-    return [
-        {
-            "setting": setting,
-            "seed": seed,
-            "episode": 20 * (i + 1),
-            "success_all": rate,
-        }
-        for i, rate in enumerate(rates)
-    ]
-
-
-def goals(setting: str, seed: int, successes: list[int]) -> list[Row]:
-    return [
-        {
-            "setting": setting,
-            "seed": seed,
-            "checkpoint": checkpoint,
-            "goal": goal,
-            "direction": "forward",
-            "success": success,
-            "return": 2.0 * success,
-        }
-        for checkpoint in ("last", "best")
-        for goal, success in enumerate(successes)
-    ]
-
-
-def test_episodes_to_a_level_by_hand() -> None:
-    rows = curve("a", 0, [0.1, 0.7, 0.6, 0.96])
-    assert episodes_to(rows, 0.70) == (20, 40)
-    assert episodes_to(rows, 0.95) == (60, 80)
-    assert episodes_to(rows, 0.05) == (0, 20)
-    assert episodes_to(rows, 0.99) is None
-
-
-def test_a_summary_by_hand() -> None:
-    curves = curve("ddpg", 0, [0.1, 0.7, 0.96]) + curve("ddpg", 1, [0.8, 0.9, 0.9])
-    evaluations = goals("ddpg", 0, [1, 1, 1, 1]) + goals("ddpg", 1, [1, 0, 1, 0])
-    (row,) = summarize_settings(curves, evaluations, ["ddpg"])
-    assert row["seeds"] == 2
-    assert row["success_last"] == 0.75
-    assert row["success_last_std"] == pytest.approx(0.25 * 2**0.5)
-    assert row["return_best"] == 1.5
-    assert row["to_70"] == 30 and row["to_70_seeds"] == "40 20"
-    assert np.isnan(row["to_95"]) and row["to_95_seeds"] == "60 -"
-    table = online_table([row], SETTINGS)
-    assert "| 30 [0, 157] (40, 20) | (60, -) |" in table  # t(1) = 12.7, s = 14.1
-
-
-def test_an_interval_reaches_back_to_the_evaluation_before() -> None:
-    """Three seeds that showed a rate in the same evaluation do not make it exact."""
-    curves = [row for seed in range(3) for row in curve("ddpg", seed, [0.1, 0.2, 0.8])]
-    evaluations = [row for seed in range(3) for row in goals("ddpg", seed, [1, 0])]
-    (row,) = summarize_settings(curves, evaluations, ["ddpg"])
-    assert row["to_70"] == 60 and row["to_70_interval"] == (40, 60)
-
-
-def test_success_at_equal_steps_lies_between_evaluations() -> None:
-    rows = [
-        {**row, "env_steps": 100 * (i + 1)}
-        for i, row in enumerate(curve("ddpg-her", 0, [0.2, 0.4]))
-    ]
-    setting = next(one for one in SETTINGS if one.name == "ddpg-her")
-    assert success_at(rows, setting, 50) == [pytest.approx(0.1)]
-    assert success_at(rows, setting, 150) == [pytest.approx(0.3)]
-    assert success_at(rows, setting, 900) == [0.4]  # it ended when it was flat
-    short = replace(setting, changes={"episodes": 40})
-    assert success_at(rows, short, 200) == [0.4]
-    assert np.isnan(success_at(rows, short, 201)).all()
-
-
-def test_curves_of_unequal_length_meet_on_a_grid() -> None:
-    curves = curve("a", 0, [0.0, 1.0]) + curve("a", 1, [0.5, 0.5, 0.7])
-    times, values = on_a_grid(curves, "a", "success_all")
-    np.testing.assert_array_equal(times, [20, 40, 60])
-    np.testing.assert_array_equal(values, [[0, 1, 1], [0.5, 0.5, 0.7]])
-
-
-def test_a_run_that_was_not_trained_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="has no evaluations: train it first"):
-        curve_rows(tmp_path, "ddpg", 0)
-
-
-def test_the_worth_of_alpha_by_hand() -> None:
-    alphas: list[float | str] = [LEARNT, *ALPHAS]
-    rows = [
-        {
-            "setting": "s",
-            "task": "t",
-            "seed": 0,
-            "alpha": alpha,
-            "goal": goal,
-            "success": 1,
-            "return": 3.0 if isinstance(alpha, str) else goal + alpha,
-        }
-        for alpha in alphas
-        for goal in (0, 1)
-    ]
-    worth = {row["alpha"]: row for row in summarize_worth(rows)}
-    assert worth[0.5]["difference"] == 2.0  # 3 - 0.5 and 3 - 1.5
-    assert worth[0.5]["difference_interval"] == (1.5, 2.5)
-    assert worth[0.5]["better_on"] == 2
-
-
-def test_a_held_alpha_changes_nothing_else() -> None:
-    """Nor does the agent see that it is held: its hand would move differently."""
-    policy = LearnedPolicy("ddpg", Ddpg(CONFIG, JUDGE, 0, (), REACH).agents, REACH)
-    states = np.random.default_rng(0).normal(size=(2, 10))
-    held = FixedAlpha(policy, 0.25)
-    for _ in range(2):  # the second episode knows nothing of the first
-        held.begin(np.random.default_rng(0), REACH)
-        action = held.act(states[0])
-        free = policy.act(states[0])
-        assert action[3] == 0.25
-        np.testing.assert_array_equal(action[:3], free[:3])
-        unheld = states[1].copy()
-        unheld[6] = free[3]
-        np.testing.assert_array_equal(held.act(states[1])[:3], policy.act(unheld)[:3])
 
 
 # --- Command line ------------------------------------------------------------

@@ -147,13 +147,13 @@ def test_a_study_of_two_settings_with_an_algorithm_of_ones_own(
     shutil.copy(EXAMPLES / "iql.py", tmp_path)
     (tmp_path / "study.py").write_text(
         "from pathlib import Path\n"
-        "from marl_mm.eval import Ablation, Setting\n"
+        "from marl_mm.eval.studies import Setting, Study\n"
         "from marl_mm.plugins import load\n"
         'load(Path(__file__).with_name("iql.py"))\n'
         'few = {"updates": 20, "hidden": (8,)}\n'
         'settings = Setting("own", "IQL", "iql", changes=few, goals=2),\\\n'
         '    Setting("clone", "MABC", "mabc", changes=few, goals=2)\n'
-        'MINE = Ablation("Mine", [("marl_mm/reach/good-5k-v0", s) for s in settings])\n'
+        'MINE = Study("Mine", [("marl_mm/reach/good-5k-v0", s) for s in settings])\n'
     )
     words = ["ablate", f"{tmp_path / 'study.py'}:MINE", "--budget", "smoke"]
     words += ["--runs", str(tmp_path / "runs"), "--out", str(tmp_path / "results")]

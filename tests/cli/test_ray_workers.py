@@ -82,11 +82,11 @@ def test_a_cluster_collects_the_same_bytes(cluster: Any, datasets_home: Path) ->
 
 
 @pytest.mark.slow
-def test_a_cluster_trains_the_same_ablation(cluster: Any, tmp_path: Path) -> None:
+def test_a_cluster_trains_the_same_study(cluster: Any, tmp_path: Path) -> None:
     own = tmp_path / "own.py"
     own.write_text(
-        "from marl_mm.eval import Ablation, Setting\n"
-        'SMALL = Ablation("Small.", [("good-5k", Setting("own", "own"))])\n'
+        "from marl_mm.eval.studies import Setting, Study\n"
+        'SMALL = Study("Small.", [("good-5k", Setting("own", "own"))])\n'
     )
     words = ["ablate", f"{own}:SMALL", "--budget", "smoke", "--seeds", "0", "1"]
     assert main([*words, "--runs", str(tmp_path / "here"), "--workers", "1"]) == 0

@@ -10,11 +10,9 @@ import pytest
 
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.envs.registry import TASKS
-from marl_mm.eval.ablations import ABLATIONS
-from marl_mm.eval.offline import ablation_table
-from marl_mm.eval.online import SETTINGS
-from marl_mm.eval.online_tables import online_table
 from marl_mm.eval.rows import read_rows
+from marl_mm.eval.studies.table import Table
+from marl_mm.eval.studies.targets import STUDIES
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
@@ -93,10 +91,9 @@ def test_rates_in_sentences_stand_in_the_committed_tables() -> None:
     intervals = re.findall(rf"{number}(?: \+- [\d.]+)? % \[{number}, {number}\]", text)
     results = ROOT / "eval/results"
     tables = [
-        ablation_table(one, read_rows(results / f"offline/{name}.csv"))
-        for name, one in ABLATIONS.items()
+        Table(study, read_rows(results / f"studies/{name}.csv")).markdown()
+        for name, study in STUDIES.items()
     ]
-    tables.append(online_table(read_rows(results / "online/online.csv"), SETTINGS))
     cells = re.findall(
         rf"{number} \+- {number}(?: \[{number}, {number}\])?", "\n".join(tables)
     )

@@ -4,8 +4,8 @@ import gzip
 import json
 from pathlib import Path
 
-from marl_mm.eval.ablations import BLOCKS
 from marl_mm.eval.rows import read_rows, write_csv
+from marl_mm.eval.studies.ours import BLOCKS
 
 RESULTS = Path(__file__).resolve().parents[2] / "eval/results"
 
@@ -18,7 +18,7 @@ def test_a_table_is_read_back_as_it_was_written(tmp_path: Path) -> None:
 
 def test_the_script_does_what_others_are_to_learn_from_it() -> None:
     """On every task with a block, and on as many goals as these are evaluated on."""
-    for task in BLOCKS.values():
+    for task in (source.task for source in BLOCKS):
         packed = (RESULTS / f"script/{task}.json.gz").read_bytes()
         (found,) = json.loads(gzip.decompress(packed))
         assert found["task"] == task and found["overrides"] == {}
@@ -29,12 +29,12 @@ def test_the_script_does_what_others_are_to_learn_from_it() -> None:
 def test_imitation_of_the_script_does_what_was_asked_of_it() -> None:
     """From 20,000 steps, with three seeds; tests hold the table to its rows."""
     asked = {"CarryReach-v0": 0.9, "GraspReach-v0": 0.8}
-    summary = read_rows(RESULTS / "offline/blocks.csv")
-    for dataset, task in BLOCKS.items():
+    summary = read_rows(RESULTS / "studies/blocks.csv")
+    for source in BLOCKS:
         (row,) = (
             row
             for row in summary
-            if (row["dataset"], row["setting"]) == (dataset, "mabc")
+            if (row["dataset"], row["setting"]) == (source.name, "mabc")
         )
         assert (row["seeds"], row["goals"]) == (3, 200)
-        assert row["success"] >= asked.get(task, 0.9)
+        assert row["success"] >= asked.get(source.task, 0.9)

@@ -1,30 +1,29 @@
 """The alpha sweep: cells, summaries, what a rule is worth; and what alpha does."""
 
+import importlib
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from marl_mm.cli import main
 from marl_mm.collectors.pd import PdConfig
-from marl_mm.commands import sweep_alpha
-from marl_mm.control.config import FORMS
 from marl_mm.control.priorities import stability_share
-from marl_mm.eval.load_sweep import load_cells, run_load_cell, summarize_loads
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.rows import read_rows
-from marl_mm.eval.sweep import (
-    SweepCell,
-    responses,
-    run_cell,
+from marl_mm.eval.studies import sweep
+from marl_mm.eval.studies.sweep_cells import SweepCell, load_cells, run_cell
+from marl_mm.eval.studies.sweep_summary import (
     summarize_cells,
+    summarize_loads,
     worth_of_a_rule,
 )
-from marl_mm.eval.sweep_tables import load_table
 
-RESULTS = Path(__file__).resolve().parents[2] / "eval/results"
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tools"))
+TABLES: Any = importlib.import_module("sweep_tables")
 
 SMALL = SweepCell("Reach-v0", "blend", PdConfig(alpha=0.5), 2, 0, 12)
 ARGUMENTS = (
@@ -88,32 +87,25 @@ def test_response_by_hand() -> None:
         row(0.5, "forward", d_mm=0.009),
         row(1.0, "forward", d_mm=0.003),
     ]
-    (response,) = responses(summarize_cells(rows))
-    assert response.largest_share == pytest.approx(0.8)
-    assert response.at == 0.5
-    assert response.d_mm_falls == pytest.approx(0.001)
-    assert response.d_mp_rises == pytest.approx(0.01)
-    assert response.hump == pytest.approx(0.006)
+    (response,) = TABLES.responses(summarize_cells(rows))
+    assert response["largest_share"] == pytest.approx(0.8)
+    assert response["at"] == 0.5
+    assert response["d_mm_falls"] == pytest.approx(0.001)
+    assert response["d_mp_rises"] == pytest.approx(0.01)
+    assert response["hump"] == pytest.approx(0.006)
 
 
 def test_loads_are_carried_by_all_alphas_to_the_same_goals() -> None:
     cells = load_cells(2, 0)
     assert len({(cell.mass, cell.pd.alpha) for cell in cells}) == len(cells)
     light, heavy = cells[0], cells[-1]
-    rows = [*run_load_cell(light), *run_load_cell(replace(heavy, pd=light.pd))]
+    rows = [*run_cell(light), *run_cell(replace(heavy, pd=light.pd))]
     assert [one["mass"] for one in rows] == [light.mass] * 2 + [heavy.mass] * 2
     assert all(one["success"] for one in rows)
     for name in ("zmp_margin", "zmp_fore_aft"):  # what a mass takes off it
         margins = [one[name] for one in rows]
         assert max(margins[2:]) < max(margins[:2])
     assert all(one["zmp_margin"] <= one["zmp_fore_aft"] for one in rows)
-
-
-def test_what_is_committed_is_drawn_from_its_rows(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["sweep-alpha", "--out", str(RESULTS / "alpha"), "--check"]) == 0
-    assert "loads.csv: the same" in capsys.readouterr().out
 
 
 def test_what_alpha_gains_is_paired_by_goal() -> None:
@@ -137,7 +129,7 @@ def test_what_alpha_gains_is_paired_by_goal() -> None:
     assert light["zmp_margin_gain_interval"] == pytest.approx((0.02, 0.02))
     assert light["zmp_margin_least"] == pytest.approx(0.02)
     assert heavy["zmp_margin_more_interval"] == pytest.approx((0.04, 0.04))
-    table = load_table(summarize_loads(rows))
+    table = TABLES.load_table(summarize_loads(rows))
     assert "| 150, 170 | 20.0 [20.0, 20.0] | 0.0 [0.0, 0.0] |" in table
     assert "| 150, 210 | 60.0 [60.0, 60.0] | 40.0 [40.0, 40.0] |" in table
     assert "| 100, 50 |" in table
@@ -165,11 +157,11 @@ def test_the_command_resumes_to_the_same_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Interrupted after two settings, it keeps them, and ends in the same files."""
-    monkeypatch.setattr(sweep_alpha, "FINE", 0.5)
+    monkeypatch.setattr(sweep, "FINE", 0.5)
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     assert main(["sweep-alpha", "--out", str(whole), *ARGUMENTS, "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    assert {one["alpha"] for one in printed["alphas"]} == {0.0, 0.5, 1.0}
+    assert {one["alpha"] for one in printed["alpha"]} == {0.0, 0.5, 1.0}
 
     done: list[SweepCell] = []
 
@@ -180,7 +172,7 @@ def test_the_command_resumes_to_the_same_bytes(
         return run_cell(cell)
 
     with monkeypatch.context() as patch:
-        patch.setattr(sweep_alpha, "run_cell", interrupted)
+        patch.setattr(sweep, "run_cell", interrupted)
         assert main(["sweep-alpha", "--out", str(cut), *ARGUMENTS]) == 130
     assert not cut.exists()
     assert "--resume" in capsys.readouterr().err
@@ -191,7 +183,7 @@ def test_the_command_resumes_to_the_same_bytes(
         return run_cell(cell)
 
     with monkeypatch.context() as patch:
-        patch.setattr(sweep_alpha, "run_cell", counted)
+        patch.setattr(sweep, "run_cell", counted)
         resume = ["sweep-alpha", "--out", str(cut), *ARGUMENTS, "--resume"]
         assert main(resume) == 0
     assert not set(ran) & set(done)
@@ -219,32 +211,3 @@ def test_alpha_trades_the_hand_for_the_base(form: str) -> None:
     assert (np.diff([one["steps"] for one in back]) > 0).all()
     assert (np.diff([one["base_jerk_rms"] for one in back]) < 0).all()
     assert sum(one["qp_failures"] for one in back) == 0
-
-
-COMMITTED = RESULTS / "alpha"
-
-
-def test_committed_response_is_even_and_monotone() -> None:
-    """No tenth of alpha makes more than 40 % of the steps; d_mm rises, d_mp falls."""
-    summary = read_rows(COMMITTED / "alpha.csv")
-    assert {row["form"] for row in summary} == set(FORMS)
-    assert all(row["goals"] >= 24 for row in summary)  # of each direction
-    noise = 5e-4  # [m]
-    for response in responses(summary):
-        if response.form == "rhp-literal":
-            assert response.largest_share > 0.9, "a switch"
-            continue
-        assert response.largest_share <= 0.4
-        assert response.d_mm_falls < noise
-        assert response.d_mp_rises < noise
-        assert response.hump < 1e-3
-
-
-def test_committed_rules_beat_every_fixed_alpha() -> None:
-    rows = read_rows(COMMITTED / "worth.csv")
-    assert {row["rule"] for row in rows} == {"direction", "room"}
-    fixed = {row["fixed_alpha"] for row in rows}
-    assert fixed == {round(0.05 * i, 2) for i in range(21)}
-    for row in rows:
-        assert row["goals"] >= 96
-        assert row["interval"][0] > 0

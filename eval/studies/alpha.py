@@ -1,0 +1,184 @@
+"""The learnt alpha: what it is over time, and what it is worth.
+
+Worth: the return of a trained agent against the same agent with its alpha held at one
+value, on the same goals.
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from marl_mm.algorithms.checkpoint import BEST
+from marl_mm.algorithms.policy import load_policy
+from marl_mm.envs.registry import make_task
+from marl_mm.envs.rollout import Rollouts
+from marl_mm.episode import Episode
+from marl_mm.eval.goals import goal_set
+from marl_mm.eval.intervals import bootstrap_interval
+from marl_mm.eval.metrics import Row, alphas
+from marl_mm.eval.rows import read_rows, write_csv
+from marl_mm.eval.studies.held import FixedAlpha
+from marl_mm.eval.studies.online import STUDIES
+from marl_mm.eval.studies.options import StudyOptions
+from marl_mm.eval.studies.plan import run_folder
+from marl_mm.eval.tables import markdown_table
+from marl_mm.policy import Policy
+from marl_mm.progress import Bar
+from marl_mm.runs.folder import read_config
+
+ABOUT = "What alpha the trained agents choose, and what it is worth."
+"""Title."""
+
+ALPHAS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.8, 0.9, 1.0)
+"""Alphas that are held, closer where the best one lies on ``SmoothReach-v0``."""
+
+LEARNT = "learnt"
+
+CHOOSING = STUDIES["online"].part(
+    None, ("ddpg-her", "ddpg-her-smooth", "maddpg-her-smooth")
+)
+"""Agents that are looked at."""
+
+LABELS = {setting.name: setting.about for _, setting in CHOOSING.cells}
+
+GOALS, STEPS, WORTH = "alpha_goals.csv.gz", "alpha_steps.csv", "alpha_worth.csv"
+"""Files of the rows, of alpha over time, and of the table."""
+
+
+def make_worth(options: StudyOptions, bar: Bar) -> list[Row]:
+    """Run the agents of ``CHOOSING`` with the learnt alpha and with held ones.
+
+    Returns:
+        Rows of the table.
+    """
+    goals, alphas = (2, ALPHAS[::6]) if options.small else (100, ALPHAS)
+    rows: list[Row] = []
+    steps: list[Row] = []
+    for cell in CHOOSING.cells:
+        for seed in options.seeds_of(CHOOSING):
+            run = run_folder(options, cell, seed)
+            made_of = read_config(run).to_json()
+            changed = {k: made_of[k] for k in ("max_steps",) if k in made_of}
+            task = make_task(made_of["task"], changed)
+            policy = load_policy(run / BEST)
+            actors: list[tuple[float | str, Policy]] = [(LEARNT, policy)]
+            actors += [(alpha, FixedAlpha(policy, alpha)) for alpha in alphas]
+            advance = bar(f"{cell[1].name} {seed}", goals * len(actors))
+            head: Row = {"setting": cell[1].name, "seed": seed, "task": made_of["task"]}
+            learnt: list[Episode] = []
+            # Goals of seeds 0 and 1 are the runs' own evaluations.
+            plans = goal_set(task, goals, seed=2)
+            with Rollouts(task, options.workers) as rollouts:
+                for alpha, actor in actors:
+                    for episode in rollouts.run(actor, plans):
+                        rows.append(head | _goal(alpha, episode))
+                        learnt += [episode] * (alpha == LEARNT)
+                        advance(1, f"alpha {alpha}")
+            steps += [head | row for row in _steps(learnt)]
+    write_csv(options.results / GOALS, rows)
+    write_csv(options.results / STEPS, steps)
+    return draw_worth(options.results, options.results)
+
+
+def _goal(alpha: float | str, episode: Episode) -> Row:
+    return {
+        "alpha": alpha,
+        "goal": episode.index,
+        "direction": episode.direction,
+        "success": int(episode.success),
+        "steps": len(episode),
+        "return": episode.episode_return,
+    }
+
+
+def _steps(episodes: Sequence[Episode]) -> Iterator[Row]:
+    """Alpha at each step of the episodes that come to it, by direction."""
+    for direction in ("forward", "backward"):
+        own = [alphas(e) for e in episodes if e.direction == direction]
+        for step in range(max(map(len, own), default=0)):
+            values = [one[step] for one in own if len(one) > step]
+            yield {
+                "direction": direction,
+                "step": step + 1,
+                "episodes": len(values),
+                "mean": float(np.mean(values)),
+                "std": float(np.std(values)),
+            }
+
+
+def draw_worth(results: Path, folder: Path) -> list[Row]:
+    """Write table and figure of the learnt alpha's worth into a folder, from its rows.
+
+    Returns:
+        Rows of the table.
+    """
+    from marl_mm.eval.studies.figures import alpha_figure  # imports matplotlib
+
+    summary = summarize_worth(read_rows(results / GOALS))
+    write_csv(folder / WORTH, summary)
+    alpha_figure(read_rows(results / STEPS), summary, LABELS, folder / "alpha.png")
+    return summary
+
+
+def summarize_worth(rows: Sequence[Row]) -> list[Row]:
+    """One row per setting, seed and fixed alpha: how much better the learnt one is.
+
+    The difference is paired, goal by goal; its interval is by bootstrap over goals.
+    """
+    cells = dict.fromkeys((row["setting"], row["seed"]) for row in rows)
+    return [one for cell in cells for one in _summarize_agent(rows, *cell)]
+
+
+def _summarize_agent(rows: Sequence[Row], setting: str, seed: int) -> Iterator[Row]:
+    rows = [row for row in rows if (row["setting"], row["seed"]) == (setting, seed)]
+    learnt = _returns(rows, LEARNT)
+    alphas = dict.fromkeys(row["alpha"] for row in rows if row["alpha"] != LEARNT)
+    for alpha in alphas:
+        own = [row for row in rows if row["alpha"] == alpha]
+        difference = learnt - _returns(rows, alpha)
+        yield {
+            "setting": setting,
+            "task": own[0]["task"],
+            "seed": seed,
+            "alpha": alpha,
+            "goals": len(own),
+            "success": float(np.mean([row["success"] for row in own])),
+            "return": float(np.mean([row["return"] for row in own])),
+            "learnt_return": float(np.mean(learnt)),
+            "difference": float(np.mean(difference)),
+            "difference_interval": bootstrap_interval(difference),
+            "better_on": int((difference > 0).sum()),
+        }
+
+
+def _returns(rows: Sequence[Row], alpha: float | str) -> np.ndarray:
+    own = [row for row in rows if row["alpha"] == alpha]
+    return np.array([row["return"] for row in sorted(own, key=lambda r: r["goal"])])
+
+
+def worth_table(summary: Sequence[Row]) -> str:
+    """The learnt alpha against the best one held, an agent a row, as Markdown."""
+    lines = []
+    for cell in dict.fromkeys((row["setting"], row["seed"]) for row in summary):
+        own = [row for row in summary if (row["setting"], row["seed"]) == cell]
+        best = max(own, key=lambda row: float(row["return"]))
+        low, high = best["difference_interval"]
+        lines.append(
+            (
+                LABELS[best["setting"]],
+                best["task"],
+                str(best["seed"]),
+                str(best["goals"]),
+                f"{best['learnt_return']:.2f}",
+                f"{best['alpha']:g}",
+                f"{best['return']:.2f}",
+                f"{best['difference']:.2f} [{low:.2f}, {high:.2f}]",
+                f"{best['better_on']}/{best['goals']}",
+            )
+        )
+    header = (
+        *("agent", "task", "seed", "goals", "return, alpha learnt", "best alpha held"),
+        *("its return", "difference [95 % interval]", "better on"),
+    )
+    return markdown_table(header, lines)

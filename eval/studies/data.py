@@ -1,0 +1,140 @@
+"""The datasets that studies learn from: what is missing is collected or mixed first."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.datasets.location import Location, locate
+from marl_mm.datasets.metadata import read_metadata
+from marl_mm.datasets.recipe import Part, mix, write_mix
+from marl_mm.errors import UnknownDatasetError
+from marl_mm.eval.studies import ours, paper
+from marl_mm.eval.studies.study import Data, Mix, Source
+from marl_mm.files import only_here
+from marl_mm.progress import Bar, silent_bar
+from marl_mm.runs.collecting import Collecting, collect_dataset
+from marl_mm.workers import Executor
+
+FEW = 30
+"""Steps of a source where hardly anything is trained."""
+
+Tell = Callable[[str], None]
+"""Called with what a reader should know while it happens."""
+
+
+def silence(text: str) -> None:
+    """For callers who do not want to be told."""
+
+
+_DECLARED: tuple[Source | Mix, ...] = (*paper.GOOD, paper.PD_30K, *paper.MIXES)
+_KNOWN = {source.name: source for source in (*_DECLARED, *ours.OTHER_TASKS)}
+"""Declared sources by the word that an id is short for."""
+
+
+@dataclass(frozen=True)
+class Datasets:
+    """Datasets of sources, in the datasets' root or, of few steps, in a folder."""
+
+    small: Path | None = None
+    """Folder of datasets of few steps; None: they have as many as declared."""
+
+    workers: int = 1
+    """Processes that collect."""
+
+    executor: Executor = "local"
+    """Processes of this machine, or of a Ray cluster."""
+
+    tell: Tell = silence
+    bar: Bar = silent_bar
+
+    def find(self, data: Data) -> Dataset:
+        """A dataset that is there and whole; an UnknownDatasetError if it is not."""
+        data = _declared(data)
+        if isinstance(data, str):
+            return load_dataset(data)
+        location = self._location(data)
+        if not self._whole(data, location):
+            raise UnknownDatasetError(f"no dataset {data.name}: {_deed(data)} first")
+        return load_dataset(location)
+
+    def make(self, data: Data) -> Dataset:
+        """A dataset; what is missing of it is made.
+
+        Raises:
+            UnknownDatasetError: If there is none, and nobody knows how to make it.
+            OtherConfigError: If another collection has its name.
+            KeyboardInterrupt: After Ctrl-C; the same call goes on.
+        """
+        data = _declared(data)
+        if isinstance(data, str):
+            return load_dataset(data)
+        location = self._location(data)
+        if not self._whole(data, location):
+            for source in self._made_of(data):
+                self.make(source)
+        with only_here(location.folder.parent, wait=True):  # others may make it, too
+            if not self._whole(data, location):
+                begun = location.folder.exists() or location.working.exists()
+                state = "is not whole" if begun else "is not there"
+                self.tell(f"dataset {data.name} {state}: {_deed(data)}")
+                if isinstance(data, Source):
+                    self._collect(data, location, begun)
+                else:
+                    self._mix(data, location)
+        return load_dataset(location)
+
+    def _collect(self, source: Source, location: Location, begun: bool) -> None:
+        collecting = Collecting(
+            steps=self._steps(source.steps),
+            seed=source.seed,
+            task=source.task,
+            workers=1 if self.small else self.workers,  # few episodes are over at once
+            executor=self.executor,
+            resume=begun,
+        )
+        first = next((self._location(one) for one in self._made_of(source)), None)
+        collection = collect_dataset(
+            location, source.collector, source.config, collecting, first, self.bar
+        )
+        if not collection.complete:
+            raise KeyboardInterrupt(f"stopped in {source.name}; the same call goes on")
+
+    def _mix(self, data: Mix, location: Location) -> None:
+        parts = [Part(self.find(s), self._steps(steps)) for s, steps in data.parts]
+        write_mix(location, mix(parts, data.seed))
+
+    def _made_of(self, data: Source | Mix) -> list[Source]:
+        """Sources that it begins with, or is drawn from."""
+        if isinstance(data, Mix):
+            return [source for source, _ in data.parts]
+        return [data.first] if data.first and not self.small else []
+
+    def _whole(self, data: Source | Mix, location: Location) -> bool:
+        if not location.folder.exists():
+            return False
+        if isinstance(data, Mix):
+            return True
+        ours = read_metadata(location)["marl_mm"]
+        asked = self._steps(data.steps)
+        whole: bool = ours.get("complete", True) and ours.get("steps_asked") == asked
+        return whole
+
+    def _location(self, data: Source | Mix) -> Location:
+        if self.small is None:
+            return locate(data.name)
+        return locate(str((self.small / data.name.replace("/", "-")).resolve()))
+
+    def _steps(self, steps: int) -> int:
+        return min(steps, FEW) if self.small else steps
+
+
+def _declared(data: Data) -> Data:
+    """The source that a word is short for, if it is a declared one's."""
+    return _KNOWN.get(data, data) if isinstance(data, str) else data
+
+
+def _deed(data: Source | Mix) -> str:
+    if isinstance(data, Mix):
+        return f"it is mixed of {', '.join(source.name for source, _ in data.parts)}"
+    return f"{data.steps} steps of {data.collector} in {data.task} are collected"

@@ -1,0 +1,185 @@
+"""Runs studies: what is missing is trained, its rows are kept, and tables are drawn."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from marl_mm.errors import FailedRunsError
+from marl_mm.eval.rows import write_csv
+from marl_mm.eval.studies.data import Datasets, Tell, silence
+from marl_mm.eval.studies.jobs import Job, do_jobs
+from marl_mm.eval.studies.options import StudyOptions
+from marl_mm.eval.studies.plan import (
+    Wanted,
+    estimated,
+    hours,
+    missing_cells,
+    plan_table,
+)
+from marl_mm.eval.studies.study import Curves, Study
+from marl_mm.eval.studies.summary import summarize
+from marl_mm.eval.studies.table import Table
+from marl_mm.files import refuse_existing
+from marl_mm.progress import Bar, silent_bar
+
+Studies = Mapping[str, Study]
+"""Studies by the name of their files."""
+
+
+@dataclass(frozen=True)
+class Engine:
+    """Runs studies.
+
+    Raises:
+        UsageError: If an option makes no sense.
+    """
+
+    options: StudyOptions
+    """How studies are run."""
+
+    tell: Tell = silence
+    """Told what a reader should know while it happens."""
+
+    bar: Bar = silent_bar
+    """Begins a bar of progress; it is called in a thread."""
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense."""
+        self.options.check_settings()
+
+    def run(self, studies: Studies) -> Iterator[tuple[str, Table]]:
+        """Make what is missing of some studies, draw them, and yield their tables.
+
+        Raises:
+            UsageError: If a table exists, or a dataset is not there.
+            OtherConfigError: If rows or runs there were made with something else.
+            FailedRunsError: At the end; what could be drawn has been.
+            KeyboardInterrupt: After Ctrl-C, saying how to go on.
+        """
+        again = self.options.overwrite or self.options.resume
+        for name, study in studies.items():
+            for end in (".csv", ".png")[: 1 + bool(study.figure)]:
+                refuse_existing(self.options.results / f"{name}{end}", again)
+        try:
+            self.make_rows(studies)
+        except FailedRunsError as error:
+            failed: FailedRunsError | None = error
+        else:
+            failed = None
+        for name, study in studies.items():
+            if failed is None or not self._missing({name: study}):
+                yield name, self.draw(name, study, self.options.results)
+        if failed is not None:
+            raise failed
+
+    def plan(self, studies: Studies) -> str:
+        """What is missing, and about how long it will take, as Markdown.
+
+        Raises:
+            OtherConfigError: If rows there were made with something else.
+        """
+        wanted = self._missing(studies, plan=True)
+        if not self.options.small:
+            wanted = estimated(wanted, self.bar)
+        return plan_table(wanted, self.options.workers, not self.options.small)
+
+    def draw(self, name: str, study: Study, folder: Path) -> Table:
+        """Write a study's table, and its figure if it has one, from its rows.
+
+        Args:
+            name: Name of the files.
+            study: The study.
+            folder: Folder of the files.
+
+        Raises:
+            UsageError: If rows are missing.
+        """
+        store, seeds = self.options.store, self.options.seeds_of(study)
+        rows = summarize(study, store, seeds)
+        write_csv(folder / f"{name}.csv", rows)
+        if not study.figure:
+            return Table(study, rows)
+        from marl_mm.eval.studies.figures import curves_figure  # imports matplotlib
+
+        curves = study.figure if isinstance(study.figure, Curves) else Curves()
+        figure = folder / f"{name}.png"
+        curves_figure(study, curves, store, seeds, figure)
+        return Table(study, rows, figure)
+
+    def make_rows(self, studies: Studies) -> None:
+        """Do what is missing; a cell's rows are kept as soon as all its runs are done.
+
+        Raises:
+            FailedRunsError: If runs failed; the others are done.
+            KeyboardInterrupt: After Ctrl-C, saying how to go on.
+        """
+        options = self.options
+        wanted = self._missing(studies)
+        cell_of = {job.run: one for one in wanted for job in one.jobs}
+
+        def keep_if_done(one: Wanted) -> None:
+            if all(job.done for job in one.jobs):
+                runs = {job.seed: job.run for job in one.jobs}
+                options.store.keep(one.cell, runs, one.probes)
+
+        def done(job: Job) -> None:
+            keep_if_done(cell_of[job.run])
+
+        for one in wanted:
+            keep_if_done(one)
+        if all(job.done for one in wanted for job in one.jobs):
+            return
+        if not options.small:
+            wanted = estimated(wanted, self.bar)
+        left = [job for one in wanted for job in one.jobs if not job.done]
+        text = (
+            f"{len(left)} of {len(cell_of)} runs are missing in {options.runs_folder}"
+        )
+        time = (
+            "" if options.small else f", about {hours(left, options.workers):.1f} hours"
+        )
+        self.tell(f"{text}{time}; after Ctrl-C, go on with `resume=True`")
+        pool = options.workers, options.executor
+        try:
+            failed = do_jobs(left, *pool, done, self.tell, self.bar)
+        except KeyboardInterrupt:
+            text = f"stopped in {options.runs_folder}: go on with `resume=True`"
+            raise KeyboardInterrupt(text) from None
+        if failed:
+            reasons = "; ".join(f"{run}: {why}" for run, why in failed.items())
+            raise FailedRunsError(
+                f"{len(failed)} of {len(cell_of)} runs failed, the same with "
+                f"`resume=True` tries them again: {reasons}"
+            )
+
+    def _missing(self, studies: Studies, plan: bool = False) -> list[Wanted]:
+        options = self.options
+        small = options.runs_folder / "datasets" if options.small else None
+        pool = options.workers, options.executor
+        datasets = Datasets(small, *pool, self.tell, self.bar)
+        return missing_cells(options, studies.values(), datasets, plan)
+
+
+def compare(results: Path, draw: Callable[[Path], object]) -> dict[Path, str]:
+    """Whether tables are what is drawn now: ``the same``, ``another`` or ``missing``.
+
+    Figures are drawn again at will, and not compared.
+
+    Args:
+        results: Folder of the tables.
+        draw: Draws them into another folder, from the rows in ``results``.
+
+    Raises:
+        UsageError: If rows are missing.
+    """
+    with TemporaryDirectory() as folder:
+        draw(Path(folder))
+        states = {}
+        for drawn in sorted(Path(folder).glob("*.csv")):
+            known = results / drawn.name
+            states[known] = "missing"
+            if known.exists():
+                same = known.read_bytes() == drawn.read_bytes()
+                states[known] = "the same" if same else "another"
+    return states

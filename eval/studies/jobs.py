@@ -1,0 +1,213 @@
+"""Runs of studies, each trained and evaluated by one of several processes."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from marl_mm.algorithms import checkpoint
+from marl_mm.algorithms.policy import load_policy
+from marl_mm.algorithms.registry import ALGORITHMS
+from marl_mm.errors import MarlMmError, WorkerDiedError
+from marl_mm.eval.evaluate import evaluate
+from marl_mm.eval.studies.data import Tell
+from marl_mm.eval.studies.held import FixedAlpha
+from marl_mm.eval.studies.learners import Learner
+from marl_mm.eval.studies.rows import is_probed
+from marl_mm.eval.studies.study import Probe
+from marl_mm.files import write_json
+from marl_mm.progress import Advance, Bar, distant_bars, show_distant_bars, silent_bar
+from marl_mm.workers import Executor, open_pool
+
+_DEATHS = 3
+"""Deaths of processes that did nothing but a run with which that counts as failed."""
+
+_ALL = "all runs"
+"""Label of the bar of the whole plan."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run to be trained, from where it stands, and to be evaluated."""
+
+    label: str
+    """Name of the run's bar of progress."""
+
+    seed: int
+    """Seed of the run."""
+
+    run: Path
+    """Folder of the run."""
+
+    learner: Learner
+    """How the run is trained."""
+
+    probes: tuple[Probe, ...]
+    """How the run is evaluated."""
+
+    seconds: float = 1.0
+    """How long the rest of it takes, about."""
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing of it is missing."""
+        return self.trained and all(map(self.has, self.probes))
+
+    @property
+    def trained(self) -> bool:
+        """Whether it has what a training ends with."""
+        return all(map(self.has, self.learner.probes))
+
+    def has(self, probe: Probe) -> bool:
+        """Whether it has been evaluated so."""
+        training = self.learner.training
+        return is_probed(self.run, probe, training.eval_episodes, training.overrides)
+
+
+Complaint = str
+"""Why a run has failed; empty if it has not."""
+
+
+def do_jobs(
+    jobs: Iterable[Job],
+    workers: int,
+    executor: Executor,
+    done: Callable[[Job], None],
+    tell: Tell,
+    bar: Bar,
+) -> dict[Path, Complaint]:
+    """Do jobs, whatever becomes of some of them.
+
+    When a process dies, the runs that may have been under way are then done one at a
+    time, so that it shows which of them kills processes.
+
+    Args:
+        jobs: Runs to be done.
+        workers: Processes.
+        executor: Processes of this machine, or of others that share its file system.
+        done: Called in this process after each that succeeded; a ``MarlMmError`` makes
+            it one that failed.
+        tell: Told that a process died.
+        bar: Begins a bar of progress; it is called in a thread.
+
+    Returns:
+        Runs that failed, and why.
+
+    Raises:
+        KeyboardInterrupt: After Ctrl-C; runs go on from their last checkpoints.
+    """
+    left = {job.run: job for job in jobs}
+    failed: dict[Path, Complaint] = {}
+    begun, total = monotonic(), sum(job.seconds for job in left.values())
+    context = get_context("forkserver")
+    messages, stop = context.Queue(), context.Event()
+    deaths = dict.fromkeys(left, 0)
+    suspects: list[Path] = []
+    with show_distant_bars(messages, bar):
+        messages.put((_ALL, len(left), 0, ""))
+        while left:
+            shared = (messages, stop) if executor == "local" else (None, None)
+            under_way = suspects[:1] or list(left)
+            # Of two processes that have one run only one begins; 1 would be this one.
+            processes = min(workers, max(len(under_way), 2))
+            pool = open_pool(executor, processes, _begin, shared)
+            try:
+                asked = [left[run] for run in under_way]
+                for run, complaint in pool.completed(_do, asked):
+                    complaint = complaint or _settled(left[run], done)
+                    del left[run]
+                    if complaint:
+                        failed[run] = complaint
+                    rest = sum(job.seconds for job in left.values())
+                    note = _remaining(monotonic() - begun, rest, total)
+                    messages.put((_ALL, 0, 1, note))
+            except WorkerDiedError as error:
+                if suspects:
+                    deaths[suspects[0]] += 1
+                    if deaths[suspects[0]] == _DEATHS:
+                        failed[suspects[0]] = str(error)
+                        del left[suspects[0]]
+                else:  # no more are handed out at once
+                    suspects = [run for run in under_way if run in left][: 2 * workers]
+                tell(f"{error}; going on with {len(left)} runs")
+            except BaseException:
+                stop.set()
+                raise
+            finally:
+                pool.close()
+            suspects = [run for run in suspects if run in left]
+    return failed
+
+
+def _settled(job: Job, done: Callable[[Job], None]) -> Complaint:
+    """What stands in the way of a run's rows, if anything does."""
+    try:
+        done(job)
+    except MarlMmError as error:
+        return str(error)
+    return ""
+
+
+def _remaining(spent: float, rest: float, total: float) -> str:
+    """How long the rest will take, if all goes on as it went."""
+    hours = spent * rest / max(total - rest, 1e-9) / 3600
+    return f"about {hours:.1f} h left" if rest else ""
+
+
+_bar: Bar
+
+
+def _begin(messages: Any, stop: Any) -> None:
+    """A process's first act."""
+    global _bar
+    if messages is None:
+        _bar = silent_bar
+    else:
+        messages.cancel_join_thread()  # another, killed, may never let go of it
+        _bar = distant_bars(messages, stop)
+
+
+def _do(job: Job) -> tuple[Path, Complaint]:
+    """The job, or why it failed."""
+    try:
+        if not job.trained:
+            job.learner.train(job.seed, job.run, _named(job))
+        for probe in job.probes:
+            if not job.has(probe):
+                _probe(job, probe)
+    except MarlMmError as error:
+        return job.run, str(error)
+    except Exception as error:  # such as torch's, out of memory: others go on
+        return job.run, f"{type(error).__name__}: {error}"
+    return job.run, ""
+
+
+def _probe(job: Job, probe: Probe) -> None:
+    """Evaluate a trained run in a way of its own."""
+    training = job.learner.training
+    file = checkpoint.BEST if probe.checkpoint == "best" else checkpoint.FILE
+    policy: Any = load_policy(job.run / file)
+    if probe.alpha is not None:
+        policy = FixedAlpha(policy, probe.alpha)
+    evaluation = evaluate(
+        policy,
+        training.eval_episodes,
+        training.eval_seed,
+        job.learner.task,
+        {**training.overrides, **probe.overrides},
+        advance=_named(job)(probe.name, training.eval_episodes),
+    )
+    write_json(probe.file(job.run), {**evaluation.to_json(), "probe": probe.way})
+
+
+def _named(job: Job) -> Bar:
+    """Bars whose labels say which run they are of."""
+
+    def bar(label: str, total: int) -> Advance:
+        what = label.split()[0]
+        training = what in ALGORITHMS
+        return _bar(job.label if training else f"{job.label} {what}", total)
+
+    return bar

@@ -1,0 +1,179 @@
+"""How a cell's runs are trained: from a dataset, online, or by Stable-Baselines3."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from marl_mm.algorithms.checkpoint import BEST as BEST_FILE
+from marl_mm.algorithms.checkpoint import FILE
+from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.algorithms.schedule import Schedule
+from marl_mm.algorithms.speed import matrix_products, prepare_for_small_networks
+from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.datasets.location import Location
+from marl_mm.errors import DivergedError
+from marl_mm.eval.studies import sb3
+from marl_mm.eval.studies.study import BEST, LAST, Data, Online, Probe, Setting
+from marl_mm.progress import Bar
+from marl_mm.runs import offline, online
+from marl_mm.runs.training import Offline, Training, offline_training, online_training
+from marl_mm.runs.training import Online as OnlineTraining
+
+_SMALL = {"updates": 120, "episodes": 8, "warm_up": 12, "updates_per_episode": 5}
+"""Hyper-parameters with the smoke budget."""
+
+_TIMED = 30
+"""Updates that are timed, after as many that are not."""
+
+_ONLINE_RUN = 600.0
+"""Length of an online run, about [s]."""
+
+GOAL = 0.03
+"""Length of an evaluated episode, about [s]."""
+
+
+@dataclass(frozen=True)
+class Learner:
+    """How a cell's runs are trained."""
+
+    training: Training
+    """Settings of the runs, with one worker."""
+
+    source: Location | None
+    """Dataset or demonstrations."""
+
+    sb3: bool = False
+    """Whether Stable-Baselines3 learns; what is interrupted there starts again."""
+
+    @property
+    def dataset(self) -> Dataset:
+        """The dataset."""
+        assert self.source is not None
+        return load_dataset(self.source)
+
+    @property
+    def task(self) -> str:
+        """Task that is evaluated in."""
+        if isinstance(self.training, OnlineTraining):
+            return self.training.task
+        return self.dataset.provenance.task
+
+    @property
+    def probes(self) -> tuple[Probe, ...]:
+        """Evaluations that a training ends with."""
+        return (LAST,) if isinstance(self.training, Offline) else (LAST, BEST)
+
+    def check(self, runs: Mapping[int, Path]) -> None:
+        """Raise before any work is done for what would stop runs, by seed."""
+        if isinstance(self.training, Offline):
+            offline.check_offline(self.dataset, self.training, runs, further=False)
+            return
+        training = self._online
+        online.check_online(training)
+        for seed, run in runs.items():
+            if self.sb3:
+                sb3.check_sb3_run(training, seed, run)
+            else:
+                online.check_online_run(training, seed, run, further=False)
+
+    def train(self, seed: int, run: Path, bar: Bar) -> None:
+        """Train and evaluate a run; one that diverges counts as it was before."""
+        training = self.training
+        try:
+            if self.sb3:
+                sb3.train_sb3_run(self._online, seed, run, bar)
+            elif isinstance(training, Offline):
+                offline.train_offline_run(self.dataset, training, seed, run, bar)
+            else:
+                online.train_online_run(self._online, seed, run, bar)
+        except DivergedError:
+            if not all((run / file).exists() for file in (FILE, BEST_FILE)):
+                raise
+            if isinstance(training, Offline):
+                offline.evaluate_offline_run(self.dataset, training, run, bar, "eval")
+            else:
+                online.evaluate_online_run(self._online, run, bar)
+
+    @property
+    def _online(self) -> OnlineTraining:
+        assert isinstance(self.training, OnlineTraining)
+        return self.training
+
+    def seconds_per_update(self) -> float:
+        """How long an update takes, measured; 0 of one that learns online."""
+        if not isinstance(self.training, Offline):
+            return 0.0
+        prepare_for_small_networks()
+        algorithm = offline.offline_algorithm(self.dataset, self.training, [0])
+        with matrix_products(self.training.config.precision):
+            for number in range(2 * _TIMED):
+                if number == _TIMED:
+                    begin = perf_counter()
+                algorithm.update()
+        return (perf_counter() - begin) / _TIMED
+
+    def seconds_left(self, run: Path, per_update: float) -> float:
+        """How long the rest of a run's training takes, about."""
+        training = self.training
+        rows = read_metrics(run) if (run / FILE).exists() else []
+        if not isinstance(training, Offline):
+            done = rows[-1]["episode"] / training.config.episodes if rows else 0.0
+            return float(_ONLINE_RUN * (1.0 - done))
+        updates = training.config.updates - (rows[-1]["step"] if rows else 0)
+        goals = updates / training.curve_every * training.curve_episodes
+        return float(updates * per_update + goals * GOAL)
+
+
+def training_of(source: Data | Online, setting: Setting, small: bool) -> Training:
+    """Settings of a cell's runs, but for where its dataset is.
+
+    Args:
+        source: Source of what is learnt.
+        setting: How to learn.
+        small: Whether hardly anything is trained.
+    """
+    training: Training
+    if isinstance(source, Online):
+        training = online_training(
+            setting.algorithm,
+            setting.preset,
+            task=source.task,
+            curve_episodes=setting.curve_goals or 50,
+            schedule=Schedule(epoch=4) if small else Schedule(),
+        )
+    else:
+        training = offline_training(
+            setting.algorithm,
+            setting.preset,
+            curve_every=setting.curve_every,
+            curve_episodes=setting.curve_goals or 20,
+            stop_unsound=False,  # a table's runs have all their updates
+        )
+    changes = dict(setting.changes)
+    own: dict[str, Any] = {"eval_episodes": setting.goals}
+    own["max_steps"] = setting.max_steps
+    if small:
+        changes |= {k: v for k, v in _SMALL.items() if hasattr(training.config, k)}
+        own = {"eval_episodes": 2, "curve_episodes": 2, "max_steps": 4}
+    config = replace(training.config, **changes)
+    return replace(training, config=config, workers=1, resume=True, **own)
+
+
+def made_of(setting: Setting, training: Training) -> dict[str, Any]:
+    """What rows must have been made of; seeds and dataset stand elsewhere."""
+    if setting.library == "sb3":
+        assert isinstance(training, OnlineTraining)
+        return sb3.made_of(training)
+    own = ["eval_episodes", "eval_seed", "curve_episodes"]
+    more: dict[str, Any] = {}
+    if isinstance(training, OnlineTraining):
+        more = {**training.overrides, **asdict(training.schedule)}
+        own.append("task")
+    else:
+        own += ["curve_every", "max_steps"]
+    config = asdict(training.config)
+    config.pop("precision", None)  # is what was best where they were made
+    of_runs = {name: getattr(training, name) for name in own}
+    return {"algorithm": training.algorithm, **config, **more, **of_runs}

@@ -1,0 +1,87 @@
+"""How studies are run: where, how much, and with how many processes."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from marl_mm.algorithms.config_checks import Precision
+from marl_mm.eval.studies.rows import RowStore
+from marl_mm.eval.studies.study import Study
+from marl_mm.runs.settings import check_positive, check_seeds
+from marl_mm.workers import Executor
+
+RESULTS = "results"
+"""Folder of tables, figures and rows among the runs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyOptions:
+    """How studies are run."""
+
+    runs: Path | None = None
+    """Folder of the raw runs, RUNS/SOURCE/SETTING/SEED; missing ones are trained;
+    default runs/studies, or runs/studies-smoke."""
+
+    out: Path | None = None
+    """Folder of tables and figures, and in OUT/rows of the evaluations that they are
+    made of: what is there need not be trained; default RUNS/results."""
+
+    seeds: tuple[int, ...] | None = None
+    """Seeds of the runs of every source and setting, not their number; default 0 1 2,
+    or what the study declares."""
+
+    budget: Literal["full", "smoke"] = "full"
+    """"smoke": hardly any training, and datasets of a few steps, to see that everything
+    works."""
+
+    precision: Precision = "auto"
+    """Precision of matrix products; see "marl-mm train td3-bc --help"."""
+
+    workers: int = 1
+    """Runs at once; the result does not depend on their number."""
+
+    executor: Executor = "local"
+    """Processes of this machine, or of a Ray cluster that shares the folders."""
+
+    resume: bool = False
+    """Go on after an interruption, and replace what was drawn until then; runs go on
+    from their last checkpoints anyway."""
+
+    overwrite: bool = False
+    """Replace tables and figures that exist; runs are never replaced."""
+
+    def check_settings(self) -> None:
+        """Raise for options that make no sense.
+
+        Raises:
+            UsageError: Naming the option.
+        """
+        check_positive(workers=self.workers)
+        if self.seeds is not None:
+            check_seeds(self.seeds)
+
+    @property
+    def small(self) -> bool:
+        """Whether hardly anything is trained."""
+        return self.budget == "smoke"
+
+    @property
+    def runs_folder(self) -> Path:
+        """``runs`` or its default."""
+        return self.runs or Path("runs") / (
+            "studies-smoke" if self.small else "studies"
+        )
+
+    @property
+    def results(self) -> Path:
+        """``out`` or its default."""
+        return self.out or self.runs_folder / RESULTS
+
+    @property
+    def store(self) -> RowStore:
+        """Rows that tables and figures are made of."""
+        return RowStore(self.results / "rows")
+
+    def seeds_of(self, study: Study) -> tuple[int, ...]:
+        """``seeds``, or the study's."""
+        return tuple(range(study.seeds)) if self.seeds is None else self.seeds

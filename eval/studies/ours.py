@@ -1,0 +1,145 @@
+"""Our tables of offline learning: other datasets and tasks, and why learning fails."""
+
+from itertools import product
+from typing import Any
+
+from marl_mm.eval.studies.paper import GOOD, GOOD_30K, MIXES, PD_30K, beside_the_paper
+from marl_mm.eval.studies.study import LAST, Probe, Setting, Source
+
+OTHER_TASKS = (
+    Source("pretrained", "SmoothReach-v0", 30_000, name="smooth-30k"),
+    Source("pretrained", "PreciseReach-v0", 30_000, name="precise-30k"),
+)
+
+BLOCKS = tuple(
+    Source("scripted", task, 20_000, name=f"marl_mm/{folder}/scripted-v0")
+    for task, folder in (
+        ("CarryReach-v0", "carry-reach"),
+        ("Grasp-v0", "grasp"),
+        ("GraspReach-v0", "grasp-reach"),
+    )
+)
+"""Datasets of tasks with a block."""
+
+_MABC = Setting("mabc", "MABC", "mabc")
+_TD3_BC = Setting("td3-bc", "TD3+BC")
+_MATD3_BC = Setting("matd3-bc", "MATD3+BC", "matd3-bc")
+_LEARNERS = (_MABC, _TD3_BC, _MATD3_BC)
+
+_FEWER = 100
+"""Goals of what is only compared."""
+
+_UPDATES = {"updates": _TD3_BC.config.updates}
+"""As many as in the rows that literal ones are compared with; Table 3 has 100,000."""
+
+
+def _cure(name: str, about: str, **changes: Any) -> Setting:
+    """TD3+BC's tuned preset with one choice another."""
+    return Setting(f"td3-bc-{name}", f"TD3+BC, {about}", changes=changes, goals=_FEWER)
+
+
+def _multi(name: str, about: str, **changes: Any) -> Setting:
+    """MATD3+BC's tuned preset with one choice another."""
+    about = f"MATD3+BC, {about}"
+    return Setting(f"matd3-bc-{name}", about, "matd3-bc", changes=changes, goals=_FEWER)
+
+
+def _literal(algorithm: str, name: str, about: str, **changes: Any) -> Setting:
+    """The paper's preset, shorter."""
+    return Setting(
+        f"{algorithm}-literal{name}",
+        f"{algorithm.upper().replace('-', '+')} as in the paper, {about}",
+        algorithm,
+        "paper",
+        {**_UPDATES, **changes},
+        _FEWER,
+    )
+
+
+_ONE_CURE = (
+    _literal("td3-bc", "-clip", "but targets cut off", clip_targets=True),
+    _literal("td3-bc", "-layer-norm", "but layer norm", layer_norm=True),
+    _literal("td3-bc", "-goals", "but other goals too", future=0.2, elsewhere=0.4),
+    _literal("td3-bc", "-scaled", "but imitation scaled", imitation_scaled=True),
+)
+"""What fails, with one thing of what does not."""
+
+_UNSCALED = _cure("unscaled", "imitation not scaled by spread", imitation_scaled=False)
+
+_CURES = (
+    _literal("td3-bc", "", "c = 2.5"),
+    _literal("td3-bc", "-c0.5", "but c = 0.5", q_weight=0.5),
+    *_ONE_CURE,
+    _TD3_BC,
+    _cure("c2.5", "c = 2.5", q_weight=2.5),
+    _cure("no-clip", "targets not cut off", clip_targets=False),
+    _cure("no-layer-norm", "no layer norm", layer_norm=False),
+    _cure("own-goals", "own goals only", future=0.0, elsewhere=0.0),
+    _UNSCALED,
+    _literal("matd3-bc", "", "c = 2.5"),
+    _MATD3_BC,
+)
+
+_FINER_CURES = (
+    _literal("td3-bc", "-successful", "but successes only", imitate="successful"),
+    _cure("c1", "c = 1", q_weight=1.0),
+    _cure("c0.1", "c = 0.1", q_weight=0.1),
+    _cure("c-falls", "c from 2.5 to 0.1", q_weight=2.5, q_weight_end=0.1),
+    _cure("no-elsewhere", "no other episodes' goals", elsewhere=0.0),
+    _cure("no-future", "no goals of later steps", future=0.0),
+    _cure("better", "better actions imitated", imitate="better"),
+    _cure("all", "all episodes imitated", imitate="all"),
+    _cure("a-x", "delta_x imitated fourfold", imitation_weights=(4.0, 1.0, 1.0, 1.0)),
+    _multi("own", "a critic for each agent", critics="own"),
+    _multi("data", "others' actions from the data", others="data"),
+)
+"""Run on a mix only: on good data, where every episode succeeds, some are the same."""
+
+_HELD = tuple(
+    Probe(f"alpha-{alpha:g}", f"alpha {alpha:g}", alpha=alpha)
+    for alpha in (0.0, 0.25, 0.5, 0.75, 1.0)
+)
+
+_WITHIN = tuple(
+    Probe(
+        f"within-{distance:g}",
+        f"within {100 * distance:g} cm",
+        overrides={"success_distance": distance},
+    )
+    for distance in (0.01, 0.02, 0.10)
+)
+"""Beside the 5 cm of ``Reach-v0``."""
+
+STUDIES = {
+    "offline": beside_the_paper(
+        "Table: MABC, TD3+BC and MATD3+BC on the paper's datasets.",
+        tuple(product((*GOOD, PD_30K, *MIXES), _LEARNERS)),
+    ),
+    "tasks": beside_the_paper(
+        "Table: the same on SmoothReach-v0 and PreciseReach-v0.",
+        tuple(product(OTHER_TASKS, _LEARNERS)),
+    ),
+    "blocks": beside_the_paper(
+        "Table: the same on 20,000 steps of a script that carries, takes, or both.",
+        tuple(product(BLOCKS, _LEARNERS)),
+    ),
+    "cures": beside_the_paper(
+        "Table: why TD3+BC and MATD3+BC fail, and what cures them.",
+        (
+            *product((MIXES[1],), (*_CURES, *_FINER_CURES)),
+            *product((GOOD_30K,), _CURES),
+            *product((PD_30K,), (_TD3_BC, _UNSCALED)),
+        ),
+    ),
+    "held": beside_the_paper(
+        "Table: what the learnt alpha is worth against one held.",
+        tuple(product((GOOD_30K, *OTHER_TASKS), _LEARNERS)),
+        (LAST, *_HELD),
+    ),
+    "within": beside_the_paper(
+        "Table: how much hangs on the distance that counts as reached.",
+        tuple(product((GOOD_30K, MIXES[1]), _LEARNERS)),
+        (LAST, *_WITHIN),
+    ),
+}
+"""Studies by the name of the target of ``marl-mm ablate``."""

@@ -1,0 +1,206 @@
+"""What studies lack, and how long it will take."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from marl_mm.algorithms.config_checks import Precision
+from marl_mm.algorithms.speed import resolved
+from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.datasets.location import SHIPPED
+from marl_mm.errors import OtherConfigError, UnknownDatasetError, UsageError
+from marl_mm.eval.studies.data import Datasets
+from marl_mm.eval.studies.jobs import Job
+from marl_mm.eval.studies.learners import GOAL, Learner, made_of, training_of
+from marl_mm.eval.studies.options import StudyOptions
+from marl_mm.eval.studies.study import (
+    Cell,
+    Data,
+    Online,
+    Probe,
+    Setting,
+    Study,
+    cell_name,
+    name_of,
+)
+from marl_mm.eval.tables import markdown_table
+from marl_mm.progress import Bar
+from marl_mm.runs.training import Offline, Training
+from marl_mm.runs.training import Online as OnlineTraining
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A cell whose rows are not all there."""
+
+    cell: Cell
+    probes: tuple[Probe, ...]
+    jobs: tuple[Job, ...]
+    """One per seed; some may be done."""
+
+
+def missing_cells(
+    options: StudyOptions,
+    studies: Iterable[Study],
+    datasets: Datasets,
+    plan: bool = False,
+) -> list[Wanted]:
+    """Cells of some studies without rows, each once, and the runs that make these.
+
+    Missing datasets are made, but for a plan: there they count as the one that ships.
+
+    Raises:
+        UsageError: If two settings share a name.
+        UnknownDatasetError: If a dataset is not there and nobody knows how to make it.
+        OtherConfigError: If there are rows or runs that were made with something else.
+    """
+    wanted = []
+    found: dict[str, Dataset] = {}
+    for cell, probes, asked in _cells(options, studies):
+        source, setting = cell
+        training = training_of(source, setting, options.small)
+        with _advising("name another folder with `out`"):
+            record = made_of(setting, training)
+            seeds = options.store.missing(cell, asked, probes, record)
+        if not seeds:
+            continue
+        data = source.demonstrations if isinstance(source, Online) else source
+        dataset = None
+        if data is not None:
+            if (name := name_of(data)) not in found:
+                found[name] = _dataset(datasets, data, plan)
+            dataset = found[name]
+        learner = _learner(setting, training, dataset, options.precision)
+        jobs = tuple(_job(options, cell, seed, learner, probes) for seed in seeds)
+        if not plan:
+            _check(options, cell, dataset, jobs)
+        wanted.append(Wanted(cell, probes, jobs))
+    return wanted
+
+
+def _learner(
+    setting: Setting, training: Training, dataset: Dataset | None, precision: Precision
+) -> Learner:
+    """How a cell's runs are trained, from its dataset or with demonstrations."""
+    if isinstance(training, Offline):
+        exact = {"precision": resolved(precision), **setting.changes}["precision"]
+        training = replace(training, config=replace(training.config, precision=exact))
+    elif isinstance(training, OnlineTraining) and dataset is not None:
+        training = replace(training, demonstrations=dataset.location.name)
+    location = None if dataset is None else dataset.location
+    return Learner(training, location, setting.library == "sb3")
+
+
+def _check(
+    options: StudyOptions, cell: Cell, dataset: Dataset | None, jobs: tuple[Job, ...]
+) -> None:
+    """Raise before any work is done for what would stop a cell's runs."""
+    if dataset is not None:
+        with _advising("name another folder with `out`"):
+            options.store.check_dataset(cell, dataset.identity())
+    with _advising("name another folder with `runs`, or delete this one"):
+        jobs[0].learner.check({job.seed: job.run for job in jobs})
+
+
+def _dataset(datasets: Datasets, data: Data, plan: bool) -> Dataset:
+    """A cell's dataset; in a plan, what counts for one that is missing."""
+    if not plan:
+        return datasets.make(data)
+    try:
+        return datasets.find(data)
+    except UnknownDatasetError as error:
+        datasets.tell(f"counted as if learnt from good-5k: {error}")
+        return load_dataset(SHIPPED)
+
+
+@contextmanager
+def _advising(advice: str) -> Iterator[None]:
+    """Say what to do about a difference."""
+    try:
+        yield
+    except OtherConfigError as error:
+        raise OtherConfigError(error.difference, advice) from error
+
+
+def _cells(
+    options: StudyOptions, studies: Iterable[Study]
+) -> list[tuple[Cell, tuple[Probe, ...], tuple[int, ...]]]:
+    """Every cell once, with probes and seeds of all studies that it stands in."""
+    found: dict[tuple[str, str], tuple[Cell, tuple[Probe, ...], tuple[int, ...]]] = {}
+    settings: dict[str, Setting] = {}
+    for study in studies:
+        for cell in study.cells:
+            _, setting = cell
+            if settings.setdefault(setting.name, setting) != setting:
+                raise UsageError(f"two settings are called {setting.name!r}")
+            _, before, known = found.get(cell_name(cell), (cell, (), ()))
+            probes = {probe.name: probe for probe in (*before, *study.probes)}
+            seeds = dict.fromkeys((*known, *options.seeds_of(study)))
+            found[cell_name(cell)] = cell, tuple(probes.values()), tuple(seeds)
+    return list(found.values())
+
+
+def run_folder(options: StudyOptions, cell: Cell, seed: int) -> Path:
+    """Where a run of a cell is."""
+    source, setting = cell_name(cell)
+    folder = options.runs_folder / source.replace("/", "-") / setting / str(seed)
+    return folder.absolute() if options.executor == "ray" else folder  # is elsewhere
+
+
+def _job(
+    options: StudyOptions,
+    cell: Cell,
+    seed: int,
+    learner: Learner,
+    probes: tuple[Probe, ...],
+) -> Job:
+    source, setting = cell_name(cell)
+    short = "-".join(source.removeprefix("marl_mm/").split("-")[:2])
+    run = run_folder(options, cell, seed)
+    return Job(f"{setting} {seed} {short}", seed, run, learner, probes)
+
+
+# --- How long ----------------------------------------------------------------
+
+
+def estimated(wanted: Sequence[Wanted], bar: Bar) -> list[Wanted]:
+    """With how long each job will take, from short measurements on this machine."""
+    per_update: dict[str, float] = {}
+    known = []
+    advance = bar("measuring", len(wanted))
+    for one in wanted:
+        name, jobs = one.cell[1].name, []
+        for job in one.jobs:
+            if not job.done:
+                if name not in per_update:
+                    per_update[name] = job.learner.seconds_per_update()
+                probes = sum(not job.has(probe) for probe in job.probes)
+                seconds = probes * job.learner.training.eval_episodes * GOAL
+                if not job.trained:
+                    seconds += job.learner.seconds_left(job.run, per_update[name])
+                job = replace(job, seconds=seconds)
+            jobs.append(job)
+        known.append(replace(one, jobs=tuple(jobs)))
+        advance(1, "")
+    return known
+
+
+def hours(jobs: Iterable[Job], workers: int) -> float:
+    """Hours until these jobs are done, about."""
+    return sum(job.seconds for job in jobs if not job.done) / workers / 3600
+
+
+def plan_table(wanted: Sequence[Wanted], workers: int, measured: bool) -> str:
+    """What is missing, a line per cell, as Markdown; the last line is the sum."""
+
+    def line(source: str, about: str, jobs: Sequence[Job]) -> list[str]:
+        left = [job for job in jobs if not job.done]
+        time = [f"{hours(left, workers):.2f}"] if measured else []
+        return [source, about, f"{len(left)} of {len(jobs)}", *time]
+
+    lines = [line(name_of(w.cell[0]), w.cell[1].about, w.jobs) for w in wanted]
+    lines.append(line("all", "", [job for w in wanted for job in w.jobs]))
+    header = ["dataset", "setting", "runs missing"]
+    header += [f"hours, {workers} at once"] if measured else []
+    return markdown_table(header, lines)

@@ -1,0 +1,191 @@
+"""All results on one page of HTML, which needs nothing else: no network, no files."""
+
+import json
+from base64 import b64encode
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from mimetypes import guess_type
+from pathlib import Path
+
+from jinja2 import Environment
+from markupsafe import Markup
+
+from marl_mm.errors import UsageError
+from marl_mm.eval.bench.tables import (
+    abuse_table,
+    bench_table,
+    data_table,
+    offline_speed_table,
+)
+from marl_mm.eval.rows import read_rows
+from marl_mm.eval.studies.alpha import ABOUT, WORTH, worth_table
+from marl_mm.eval.studies.paper import NOTE
+from marl_mm.eval.studies.table import Table
+from marl_mm.eval.studies.targets import STUDIES
+from marl_mm.eval.tables import markdown_html, markdown_table, rows_table
+from marl_mm.versions import versions
+
+_TEMPLATE = Path(__file__).with_name("report.html")
+
+
+@dataclass(frozen=True)
+class Media:
+    """A picture or a video within the page."""
+
+    name: str
+    kind: str
+    """Its MIME type."""
+
+    data: str
+    """As an address that holds it all."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page."""
+
+    name: str
+    title: str
+    command: str = ""
+    """What makes it."""
+
+    text: str | Markup = ""
+    media: Sequence[Media] = ()
+    details: Sequence[tuple[str, str]] = ()
+    """Titles and texts that are folded."""
+
+
+def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
+    """The page.
+
+    Args:
+        results: Folder with what there is of ``studies``, ``alpha``, ``controller``,
+            ``data``, ``offline`` and ``online``; or of runs, with results in
+            ``studies``.
+        videos: Films to show.
+
+    Raises:
+        UsageError: If there is nothing to show, or a video is none.
+    """
+    studies = results / "studies"
+    if (studies / "results").is_dir():  # of a folder of runs
+        studies = studies / "results"
+    sections = [
+        *_studies(studies),
+        *_sweep(results / "alpha"),
+        *_benchmarks(results),
+        *_videos(videos),
+    ]
+    if not sections:
+        raise UsageError(
+            f"{results} has no results, expected a folder such as eval/results that "
+            "marl-mm ablate --out FOLDER/studies has filled"
+        )
+    made = Section(
+        "versions", "Versions that drew this page", text=_table(versions("matplotlib"))
+    )
+    environment = Environment(autoescape=True, trim_blocks=True)
+    page = environment.from_string(_TEMPLATE.read_text())
+    return page.render(
+        title="marl_mm: results",
+        about="Tables and figures, what they were made of, and the commands that make "
+        "them. Success rates: mean and standard deviation over seeds, and the wider of "
+        "two 95 % intervals, Student's over seeds and Wilson's over goals.",
+        sections=[*sections, made],
+    )
+
+
+def _studies(folder: Path) -> Iterator[Section]:
+    paths = {path.stem: path for path in sorted(folder.glob("*.csv"))}
+    order = [name for name in STUDIES if name in paths]
+    for name in (*order, *(name for name in paths if name not in STUDIES)):
+        if name.startswith("alpha_"):
+            continue
+        rows, study = read_rows(paths[name]), STUDIES.get(name.removesuffix("-part"))
+        title, text, target = name, rows_table(rows), "FILE.py:NAME"
+        if study is not None:
+            target = name
+            if name not in STUDIES:
+                own = [[str(row.get(k, "")) for row in rows] for k in _NAMES]
+                sources = own[0] if any(own[0]) else None
+                study = study.part(sources, own[1])
+                target = f"{name.removesuffix('-part')} --settings ..."
+            title, text = study.about, f"{Table(study, rows).markdown()}\n{NOTE}"
+        yield _drawn(name, title, target, text, folder)
+    if (folder / WORTH).exists():
+        text = worth_table(read_rows(folder / WORTH))
+        yield _drawn("alpha", ABOUT, "alpha", text, folder)
+    made_of = sorted(folder.glob("rows/*/*.json"))
+    if made_of:
+        details = [
+            (f"{path.parent.name}, {path.stem}", path.read_text()) for path in made_of
+        ]
+        yield Section("configs", "What the runs were made of", details=details)
+
+
+_NAMES = ("dataset", "setting")
+
+
+def _drawn(name: str, title: str, target: str, text: str, folder: Path) -> Section:
+    """A table, and the figure of its name if there is one."""
+    figure = folder / f"{name}.png"
+    media = [_media(figure)] if figure.exists() else []
+    command = f"marl-mm ablate {target} --out {folder} --overwrite"
+    return Section(name, title, command, _html(text), media)
+
+
+def _sweep(folder: Path) -> Iterator[Section]:
+    if (folder / "alpha.csv").exists():
+        tables = [read_rows(path) for path in sorted(folder.glob("*.csv"))]
+        text = _html("\n".join(map(rows_table, tables)))
+        media = [_media(path) for path in sorted(folder.glob("*.png"))]
+        command = f"marl-mm sweep-alpha --out {folder} --overwrite"
+        yield Section("sweep", "What alpha does", command, text, media)
+
+
+def _benchmarks(results: Path) -> Iterator[Section]:
+    tables = {
+        "controller/bench.json": ("The controller's time", "control", bench_table),
+        "data/bench.json": ("Collecting and loading", "data", data_table),
+        "offline/bench.json": ("Offline updates", "train", offline_speed_table),
+    }
+    for name, (title, target, table) in tables.items():
+        if (results / name).exists():
+            text = _html(table(json.loads((results / name).read_text())))
+            key = name.replace("/", "-")
+            yield Section(key, title, f"marl-mm bench {target}", text)
+    paths = {
+        form: results / f"controller/abuse-{form}.json" for form in ("blend", "rhp")
+    }
+    found = {f: json.loads(p.read_text()) for f, p in paths.items() if p.exists()}
+    if found:
+        text = _html(abuse_table(found))
+        command = "marl-mm bench abuse --ticks 1000000"
+        yield Section("abuse", "Limits under abuse", command, text)
+
+
+def _videos(videos: Sequence[Path]) -> Iterator[Section]:
+    media = [_media(path) for path in videos]
+    if media:
+        yield Section("videos", "Videos", "marl-mm play RUN --video FILE", media=media)
+
+
+def _media(path: Path) -> Media:
+    kind, _ = guess_type(path)
+    if kind is None or not kind.startswith(("image", "video")):
+        raise UsageError(f"{path} is neither a picture nor a video by its name")
+    try:
+        data = b64encode(path.read_bytes()).decode()
+    except FileNotFoundError:
+        raise UsageError(f"there is no {path}") from None
+    return Media(path.name, kind, f"data:{kind};base64,{data}")
+
+
+def _html(text: str) -> Markup:
+    """Markdown with tables; HTML in it is shown as text."""
+    page = markdown_html(text).replace("<table>", '<div class="table"><table>')
+    return Markup(page.replace("</table>", "</table></div>"))
+
+
+def _table(values: dict[str, str]) -> Markup:
+    return _html(markdown_table(("package", "version"), list(values.items())))

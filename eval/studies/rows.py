@@ -1,0 +1,233 @@
+"""Evaluations and learning curves of runs, as the rows that tables are made of.
+
+Three files for each cell::
+
+    ROWS/SOURCE/SETTING.csv.gz         a line per seed, probe and goal
+    ROWS/SOURCE/SETTING.curve.csv.gz   a line per seed and point of the learning curve
+    ROWS/SOURCE/SETTING.json           the record of what the runs were made of
+"""
+
+import json
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.config_diff import as_json, refuse_other_config
+from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.rows import as_read, read_rows, write_csv
+from marl_mm.eval.studies.study import BEST, LAST, Cell, Probe, cell_name
+from marl_mm.files import only_here, write_json
+
+_CURVES = ".curve.csv.gz"
+"""End of the name of a cell's learning curves."""
+
+_MEASURED = {
+    "step": ("steps", "return", "final_distance", "d_mm", "d_mp", "alpha"),
+    "episode": ("steps", "return", "d_mm", "d_mp", "base_jerk_rms", "alpha"),
+}
+"""Columns of evaluated goals, by the clock of the run: updates or episodes."""
+
+_SUCCESS = ("success/all", "success/forward", "success/backward", "return/all")
+_CURVE = {
+    "step": (*_SUCCESS, "q/policy", "q/slope"),
+    "episode": (
+        *("env_steps", "updates", *_SUCCESS, "alpha/forward", "alpha/backward"),
+        *("train/return", "train/success", "q/data", "q/policy", "action/saturation"),
+    ),
+}
+"""Columns of learning curves; nan where a run has none, such as of goals behind."""
+
+
+def is_probed(
+    run: Path, probe: Probe, goals: int, overrides: Mapping[str, Any]
+) -> bool:
+    """Whether a run has been evaluated so, on as many goals of such a task."""
+    path = probe.file(run)
+    if not path.exists():
+        return False
+    known = json.loads(path.read_text())
+    usual = BEST if path == BEST.file(run) else LAST  # a training's own evaluations
+    return (
+        len(known["episodes"]) == goals
+        and known["overrides"] == as_json({**overrides, **probe.overrides})
+        and known.get("probe", usual.way) == as_json(probe.way)
+    )
+
+
+@dataclass(frozen=True)
+class RowStore:
+    """Rows in a folder."""
+
+    folder: Path
+
+    def missing(
+        self,
+        cell: Cell,
+        seeds: Sequence[int],
+        probes: Sequence[Probe],
+        made_of: Mapping[str, Any],
+    ) -> list[int]:
+        """Seeds without the rows of all these probes.
+
+        Raises:
+            OtherConfigError: If there are rows of runs that were not made of this.
+        """
+        path, known = self._path(cell, ".json"), self._record(cell)
+        if not known:
+            return list(seeds)
+        ways = {probe.name: probe.way for probe in probes}
+        there = {name: ways[name] for name in ways if name in known["probes"]}
+        recorded = made_of if "algorithm" in known else {}  # of some it is not known
+        refuse_other_config(path, known, {**recorded, "probes": there})
+        pairs = {(row["seed"], row["probe"]) for row in self._rows(cell)}
+        return [seed for seed in seeds if not pairs >= set(product([seed], ways))]
+
+    def check_dataset(self, cell: Cell, identity: Mapping[str, Any]) -> None:
+        """Raise if there are rows of runs that learnt from other data.
+
+        Raises:
+            OtherConfigError: Naming what differs.
+        """
+        if (known := self._record(cell)).get("dataset"):
+            mine = {"dataset": _bytes_of(identity)}
+            refuse_other_config(self._path(cell, ".json"), known, mine)
+
+    def keep(
+        self, cell: Cell, runs: Mapping[int, Path], probes: Sequence[Probe]
+    ) -> None:
+        """Take the rows of finished runs, by seed; those of others stay.
+
+        Raises:
+            MarlMmError: If rows that stay are of another training.
+        """
+        with only_here(self.folder, wait=True):  # others may add to the same cell
+            self._keep(cell, runs, probes)
+
+    def _keep(
+        self, cell: Cell, runs: Mapping[int, Path], probes: Sequence[Probe]
+    ) -> None:
+        own = product(runs.items(), probes)
+        rows = [row for (seed, run), probe in own for row in _goals(run, seed, probe)]
+        ways = self._record(cell).get("probes", {})
+        ways |= {probe.name: probe.way for probe in probes}
+        new = {(row["seed"], row["probe"]) for row in rows}
+        kept = [r for r in self._rows(cell) if (r["seed"], r["probe"]) not in new]
+        rows += kept
+        rows.sort(key=lambda r: (r["seed"], r["probe"], r["goal"]))
+        curve = [row for seed, run in runs.items() for row in _curve(run, seed)]
+        curves = self._rows(cell, _CURVES)
+        again = {row["seed"] for row in kept} & set(runs)
+        self._check_same_training(cell, again, as_read(curve), curves)
+        curve += [row for row in curves if row["seed"] not in runs]
+        curve.sort(key=lambda row: (row["seed"], row.get("step", row.get("episode"))))
+        config = json.loads((next(iter(runs.values())) / "config.json").read_text())
+        for key in ("seed", "preset", "device"):
+            config.pop(key, None)
+        if config["dataset"]:
+            if {row["seed"] for row in rows} - set(runs):
+                self.check_dataset(cell, config["dataset"])
+            config["dataset"] = _bytes_of(config["dataset"])
+        ends = {s: u for s, u in self.diverged(cell).items() if s not in runs}
+        for seed, run in runs.items():
+            step = read_metrics(run)[-1].get("step", math.inf)
+            if step < config.get("updates", 0):
+                ends[seed] = step
+        record = {
+            "probes": dict(sorted(ways.items())),  # whoever came first
+            "diverged": {str(seed): ends[seed] for seed in sorted(ends)},
+            **config,
+        }
+        write_json(self._path(cell, ".json"), record)
+        write_csv(self._path(cell, _CURVES), curve)
+        write_csv(self._path(cell, ".csv.gz"), rows)  # last: without, it is missing
+
+    def _check_same_training(
+        self, cell: Cell, seeds: Collection[int], new: list[Row], known: list[Row]
+    ) -> None:
+        """Raise if rows that stay are of a training that learnt something else."""
+        for seed in seeds:
+            curves = [[r for r in rows if r["seed"] == seed] for rows in (new, known)]
+            if curves[1] and repr(curves[0]) != repr(curves[1]):  # nan is not nan
+                raise MarlMmError(
+                    f"{self._path(cell, '.csv.gz')} has other evaluations of seed "
+                    f"{seed}, of a training with another learning curve: name another "
+                    "folder with `out`, or delete the cell's three files"
+                )
+
+    def evaluations(
+        self, cell: Cell, seeds: Sequence[int], probes: Sequence[Probe]
+    ) -> list[Row]:
+        """A row per seed, probe and goal; a UsageError if some are missing."""
+        wanted = set(product(seeds, [probe.name for probe in probes]))
+        rows = [r for r in self._rows(cell) if (r["seed"], r["probe"]) in wanted]
+        if {(r["seed"], r["probe"]) for r in rows} != wanted:
+            raise self._lacking(cell, ".csv.gz", seeds)
+        return rows
+
+    def curves(self, cell: Cell, seeds: Sequence[int]) -> list[Row]:
+        """A row per seed and point of its learning curve; likewise."""
+        rows = [r for r in self._rows(cell, _CURVES) if r["seed"] in seeds]
+        if {row["seed"] for row in rows} != set(seeds):
+            raise self._lacking(cell, _CURVES, seeds)
+        return rows
+
+    def _lacking(self, cell: Cell, end: str, seeds: Sequence[int]) -> UsageError:
+        return UsageError(
+            f"{self._path(cell, end)} lacks rows of seeds "
+            f"{', '.join(map(str, seeds))}: marl-mm ablate without --check makes what "
+            "is missing"
+        )
+
+    def diverged(self, cell: Cell) -> dict[int, int]:
+        """Updates after which runs diverged, by seed; what they had learnt counts."""
+        known = self._record(cell).get("diverged", {})
+        return {int(seed): step for seed, step in known.items()}
+
+    def _rows(self, cell: Cell, end: str = ".csv.gz") -> list[Row]:
+        path = self._path(cell, end)
+        return read_rows(path) if path.exists() else []
+
+    def _record(self, cell: Cell) -> dict[str, Any]:
+        path = self._path(cell, ".json")
+        return json.loads(path.read_text()) if path.exists() else {}
+
+    def _path(self, cell: Cell, end: str) -> Path:
+        source, setting = cell_name(cell)
+        return self.folder / source.replace("/", "-") / f"{setting}{end}"
+
+
+def _bytes_of(identity: Mapping[str, Any]) -> dict[str, Any]:
+    """What a dataset is, wherever it lies."""
+    return {key: value for key, value in identity.items() if key != "path"}
+
+
+def _clock(run: Path) -> str:
+    """Key of a run's progress: ``step``, of updates, or ``episode``."""
+    return "episode" if "episode" in read_metrics(run)[0] else "step"
+
+
+def _goals(run: Path, seed: int, probe: Probe) -> Iterator[Row]:
+    measured = _MEASURED[_clock(run)]
+    for row in json.loads(probe.file(run).read_text())["episodes"]:
+        yield {
+            "seed": seed,
+            "probe": probe.name,
+            "goal": row["index"],
+            "direction": row.get("direction", ""),
+            "success": int(row["success"]),
+            **{key: row.get(key, math.nan) for key in measured},
+            **{key: row[key] for key in ("reason",) if key in row},
+        }
+
+
+def _curve(run: Path, seed: int) -> Iterator[Row]:
+    clock = _clock(run)
+    for row in read_metrics(run):
+        if "success/all" in row:
+            own = {k.replace("/", "_"): row.get(k, math.nan) for k in _CURVE[clock]}
+            yield {"seed": seed, clock: row[clock], **own}

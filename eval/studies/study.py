@@ -1,0 +1,411 @@
+"""What a study is: settings that learn from sources, and how they are evaluated."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
+from marl_mm.collectors.registry import COLLECTORS
+from marl_mm.envs.registry import DEFAULT, make_task
+from marl_mm.errors import UsageError
+from marl_mm.progress import Bar, silent_bar
+from marl_mm.runs.settings import check_positive, with_settings
+
+if TYPE_CHECKING:
+    from marl_mm.eval.studies.table import Table
+
+
+def _check_name(name: str) -> None:
+    if not re.fullmatch(r"[A-Za-z][\w.-]*", name):
+        raise UsageError(
+            f"name is {name!r}, expected a letter and then letters, digits, '-', '_' "
+            "or '.'"
+        )
+
+
+# --- Sources -----------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Source:
+    """A dataset of one collector, which is collected where it is missing."""
+
+    collector: str = "pd"
+    """Registered name of the collector."""
+
+    task: str = DEFAULT
+    """Registered name of the task."""
+
+    steps: int = 10_000
+    """Least number of steps; the last episode is kept whole."""
+
+    seed: int = 0
+    """Seed of the collection."""
+
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Settings of the collector that are not its defaults."""
+
+    name: str = ""
+    """Id of the dataset, or a word that is short for one; default made of the fields
+    above."""
+
+    first: "Source | None" = None
+    """Shorter source of the same collector, task and seed that this one begins with."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be collected, and name it."""
+        make_task(self.task)
+        check_positive(steps=self.steps)
+        _ = self.config
+        if not self.name:
+            words = self.collector, self.task.removesuffix("-v0"), self.steps, self.seed
+            parts = [*words, *(f"{k}-{v}" for k, v in self.settings.items())]
+            slug = re.sub(r"[^A-Za-z0-9]+", "-", "-".join(map(str, parts)))
+            object.__setattr__(self, "name", slug.strip("-").lower())
+
+    @property
+    def config(self) -> Any:
+        """Settings of the collector."""
+        default = COLLECTORS.get(self.collector).config()
+        return with_settings(f"collector {self.collector}", default, self.settings)
+
+
+@dataclass(frozen=True)
+class Mix:
+    """A dataset of episodes drawn from sources, which is made where it is missing."""
+
+    name: str
+    """Id of the dataset, or a word that is short for one."""
+
+    parts: Sequence[tuple[Source, int]]
+    """Sources, and how many steps are drawn from each, at least."""
+
+    seed: int = 0
+    """Seed of the draw."""
+
+
+Data = Source | Mix | str
+"""A dataset: one that is made where it is missing, or the id or path of one."""
+
+
+@dataclass(frozen=True)
+class Online:
+    """Episodes of the learner's own."""
+
+    task: str = DEFAULT
+    """Registered name of the task."""
+
+    demonstrations: Data | None = None
+    """Dataset whose episodes are replayed, too."""
+
+    name: str = ""
+    """Name of the source in rows; default made of the fields above."""
+
+    def __post_init__(self) -> None:
+        """Refuse a task that is not there, and name it."""
+        make_task(self.task)
+        if not self.name:
+            beside = (
+                () if self.demonstrations is None else (name_of(self.demonstrations),)
+            )
+            object.__setattr__(self, "name", "-".join(("online", self.task, *beside)))
+
+
+def name_of(source: Data | Online) -> str:
+    """What a source is called in rows and tables."""
+    return source if isinstance(source, str) else source.name
+
+
+# --- Settings and probes -----------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One way to learn."""
+
+    name: str
+    """Name of the setting's folder; no two settings of a study share one."""
+
+    about: str
+    """Description in tables."""
+
+    algorithm: str = "td3-bc"
+    """Registered name of the algorithm."""
+
+    preset: str = TUNED
+    """Preset of hyper-parameters that the changes are made to."""
+
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    """Hyper-parameters that are not the preset's."""
+
+    goals: int = 200
+    """Number of goals of each evaluation of a trained policy."""
+
+    curve_every: int = 5_000
+    """Updates between points of the learning curve, of offline runs."""
+
+    curve_goals: int | None = None
+    """Number of goals of each of these points; default 20 offline and 50 online."""
+
+    max_steps: int | None = None
+    """Steps of an episode; default the task's."""
+
+    library: Literal["marl_mm", "sb3"] = "marl_mm"
+    """Implementation: ours, or Stable-Baselines3's DDPG + HER."""
+
+    def __post_init__(self) -> None:
+        """Refuse what could not be run."""
+        _check_name(self.name)
+        if self.goals < 2 or self.goals % 2:
+            raise UsageError(f"goals is {self.goals}, expected 2, 4, 6 ...: each way")
+        _ = self.config
+
+    @property
+    def config(self) -> Any:
+        """Hyper-parameters."""
+        default = preset(self.algorithm, self.preset)
+        try:
+            return with_settings(self.algorithm, default, self.changes)
+        except UsageError as error:
+            raise UsageError(f"setting {self.name!r}: {error}") from None
+
+    @property
+    def online(self) -> bool:
+        """Whether the algorithm learns from episodes of its own."""
+        return ALGORITHMS.get(self.algorithm).online
+
+
+@dataclass(frozen=True)
+class Probe:
+    """An evaluation of a trained run."""
+
+    name: str
+    """Name in rows, and of the evaluation's file in the run."""
+
+    about: str
+    """Description in tables."""
+
+    checkpoint: Literal["last", "best"] = "last"
+    """Checkpoint that is evaluated."""
+
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    """Settings of the task that are replaced."""
+
+    alpha: float | None = None
+    """Alpha that is held, whatever the policy sets; None: the policy's."""
+
+    def __post_init__(self) -> None:
+        """Refuse what could not be done."""
+        _check_name(self.name)
+        if self.checkpoint not in ("last", "best"):
+            raise UsageError(
+                f"checkpoint is {self.checkpoint!r}, expected one of last, best"
+            )
+        if self.alpha is not None and not 0 <= self.alpha <= 1:
+            raise UsageError(f"alpha is {self.alpha}, expected a number in [0, 1]")
+        make_task(overrides=self.overrides)  # raises
+
+    @property
+    def way(self) -> dict[str, Any]:
+        """What is done, whatever it is called."""
+        known = asdict(self)
+        return {key: known[key] for key in ("checkpoint", "overrides", "alpha")}
+
+    def file(self, run: Path) -> Path:
+        """Where a run keeps the evaluation."""
+        return run / ("eval.json" if self == LAST else f"eval_{self.name}.json")
+
+
+LAST = Probe("last", "at the end")
+BEST = Probe("best", "at the best checkpoint", checkpoint="best")
+
+# --- Studies -----------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Reported:
+    """A result that others report of a cell, to stand beside ours."""
+
+    where: str
+    """Table, figure or section."""
+
+    success: float | None = None
+    """Goals reached, mean over seeds [%]; None where only words tell."""
+
+    deviation: float | None = None
+    """Standard deviation over seeds [%]."""
+
+    words: str = ""
+    """The result in words."""
+
+    updates: int | None = None
+    """Updates after which it is reported: only runs of as many are compared with it;
+    None: all are."""
+
+    def __str__(self) -> str:
+        text = self.words
+        if self.success is not None:
+            spread = "" if self.deviation is None else f" +- {self.deviation:.2f}"
+            text = f"{self.success:.2f}{spread}"
+        return f"{text} ({self.where})"
+
+
+Cell = tuple[Data | Online, Setting]
+"""A line of a table or a curve of a figure: a source, and how to learn from it."""
+
+
+def cell_name(cell: Cell) -> tuple[str, str]:
+    """Names of source and setting."""
+    return name_of(cell[0]), cell[1].name
+
+
+@dataclass(frozen=True)
+class Curves:
+    """A figure of learning curves: mean and deviation over seeds, a line per cell."""
+
+    value: str = "success_all"
+    """Column of the learning curves that is drawn."""
+
+    label: str = "goals reached [%]"
+    """Name of the axis, with its unit."""
+
+    scale: float = 100.0
+    """Factor of the values."""
+
+    bottom: float | None = -3.0
+    """Lower end of the axis; None shows everything."""
+
+    top: float | None = 103.0
+    """Upper end of the axis; None shows everything."""
+
+    panels: Literal["preset", "task"] = "preset"
+    """What cells of one panel share."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """A table of cells, and maybe a figure of their learning curves."""
+
+    about: str
+    """Title."""
+
+    cells: Sequence[Cell]
+    """Sources, and how to learn from each."""
+
+    probes: Sequence[Probe] = (LAST,)
+    """How each run is evaluated."""
+
+    figure: bool | Curves = False
+    """Whether learning curves are drawn, or how."""
+
+    reported: Mapping[tuple[str, str], Reported] = field(default_factory=dict)
+    """Results of others, by names of source and setting."""
+
+    seeds: int = 3
+    """Number of runs of each cell; they are seeded 0, 1, 2 ..."""
+
+    table: Literal["probes", "episodes"] = "probes"
+    """Columns: success of every probe, or success at the end and at best, and the
+    episodes that it took."""
+
+    def __post_init__(self) -> None:
+        """Refuse what could not be told apart, or cannot learn so."""
+        if not self.cells:
+            raise UsageError(f"{self.about!r} has no cells")
+        for cell in self.cells:
+            _check_cell(cell)
+        if self.seeds < 1:
+            raise UsageError(f"{self.about!r} has {self.seeds} seeds, expected >= 1")
+        known = [cell_name(cell) for cell in self.cells]
+        for name in self.reported:
+            if name not in known:
+                raise UsageError(f"{name!r} is reported, but no cell has these names")
+        by_setting = self.table == "episodes"
+        _check_once([s if by_setting else f"{d}, {s}" for d, s in known])
+        _check_once([probe.name for probe in self.probes])
+
+    def part(
+        self, datasets: Sequence[str] | None, settings: Sequence[str] | None
+    ) -> "Study":
+        """The cells of some sources and settings, by name; None: of all."""
+        known = [cell_name(cell) for cell in self.cells]
+        sources = _chosen("datasets", datasets, [name for name, _ in known])
+        ways = _chosen("settings", settings, [name for _, name in known])
+        pairs = zip(self.cells, known, strict=True)
+        cells = tuple(c for c, (d, s) in pairs if d in sources and s in ways)
+        if not cells:
+            raise UsageError(
+                f"`settings` {' '.join(ways)} are not run on `datasets` "
+                f"{' '.join(sources)}: leave out one of both"
+            )
+        left = {cell_name(cell) for cell in cells}
+        reported = {name: one for name, one in self.reported.items() if name in left}
+        return replace(self, cells=cells, reported=reported)
+
+    def run(
+        self,
+        out: str | Path | None = None,
+        *,
+        name: str = "study",
+        progress: Bar = silent_bar,
+        **options: Any,
+    ) -> "Table":
+        """Train and evaluate what is missing, and draw the table and the figure.
+
+        Args:
+            out: Folder of the table, the figure and their rows; default RUNS/results.
+            name: Name of the table's and the figure's files.
+            progress: Begins a bar of progress; it is called in a thread.
+            **options: Fields of ``StudyOptions``: ``runs``, ``seeds``, ``workers``,
+                ``budget``, ``resume``, ``overwrite`` ...
+
+        Raises:
+            UsageError: If an option makes no sense, or the table exists.
+            OtherConfigError: If rows or runs there were made otherwise.
+            FailedRunsError: If runs failed.
+            KeyboardInterrupt: After Ctrl-C; ``resume=True`` goes on.
+        """
+        from marl_mm.eval.studies.engine import Engine
+        from marl_mm.eval.studies.options import StudyOptions
+
+        paths = {"out": out, "runs": options.pop("runs", None)}
+        options |= {key: Path(path) for key, path in paths.items() if path is not None}
+        if options.get("seeds") is not None:
+            options["seeds"] = tuple(options["seeds"])
+        chosen = with_settings("study", StudyOptions(), options)
+        return dict(Engine(chosen, bar=progress).run({name: self}))[name]
+
+
+def _check_cell(cell: Any) -> None:
+    match cell:
+        case (Source() | Mix() | str() | Online() as source, Setting() as setting):
+            if setting.online != isinstance(source, Online):
+                ways = ("a dataset", "episodes of its own, Online(...)")
+                raise UsageError(
+                    f"setting {setting.name!r} cannot learn from {name_of(source)}: "
+                    f"{setting.algorithm} learns from {ways[setting.online]}"
+                )
+        case _:
+            raise UsageError(
+                f"{cell!r} is no cell, expected pairs of a source (a Source, a Mix, "
+                "Online, or a dataset's name) and a Setting"
+            )
+
+
+def _check_once(names: Sequence[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise UsageError(f"{name!r} stands there twice, expected once")
+
+
+def _chosen(
+    option: str, asked: Sequence[str] | None, known: Sequence[str]
+) -> Sequence[str]:
+    choices = list(dict.fromkeys(known))
+    unknown = [name for name in asked or () if name not in choices]
+    if unknown or (asked is not None and not asked):
+        missing = f"has no {unknown[0]!r}" if unknown else "is empty"
+        raise UsageError(f"`{option}` {missing}: expected {', '.join(choices)}")
+    return choices if asked is None else asked

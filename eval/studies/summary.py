@@ -1,0 +1,175 @@
+"""From rows to the numbers of tables: a row per probe, or a row per setting."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from marl_mm.eval.intervals import (
+    interval_of_mean,
+    mean_interval,
+    seed_rates,
+    summarize_success,
+)
+from marl_mm.eval.metrics import Row, count_failures, failures_in_words
+from marl_mm.eval.studies.rows import RowStore
+from marl_mm.eval.studies.study import Cell, Study, cell_name
+
+LEVELS = (0.70, 0.95)
+"""Success rates to which episodes are counted; the paper's own ends at 70 %."""
+
+
+@dataclass(frozen=True)
+class CellRows:
+    """The rows of a cell."""
+
+    cell: Cell
+    probes: Mapping[str, Sequence[Row]]
+    """Evaluated goals by probe."""
+
+    curves: Sequence[Row]
+    """Points of the learning curves."""
+
+    diverged: str
+    """Seeds of runs that diverged, and after how many updates."""
+
+
+def summarize(study: Study, store: RowStore, seeds: Sequence[int]) -> list[Row]:
+    """The rows of a study's table; a UsageError if rows of its cells are missing."""
+    summary: list[Row] = []
+    for cell in study.cells:
+        rows = store.evaluations(cell, seeds, study.probes)
+        ends = store.diverged(cell)
+        own = CellRows(
+            cell,
+            {p.name: [r for r in rows if r["probe"] == p.name] for p in study.probes},
+            store.curves(cell, seeds),
+            ", ".join(f"{seed} after {ends[seed]}" for seed in seeds if seed in ends),
+        )
+        if study.table == "episodes":
+            summary.append(row_of_setting(own))
+        else:
+            summary += _by_probe(study, own)
+    return summary
+
+
+# --- A row per probe ---------------------------------------------------------
+
+
+def _by_probe(study: Study, own: CellRows) -> list[Row]:
+    of_runs: Row = {"diverged": own.diverged}
+    for key in ("q_policy", "q_slope"):
+        of_runs |= _at_the_end(own.curves, key)
+    first, *others = study.probes
+    held = {p.alpha: own.probes[p.name] for p in others if p.alpha is not None}
+    worth = worth_of_alpha(own.probes[first.name], held) if held else {}
+    return [
+        {**_of_probe(own.cell, name, rows), **of_runs, **worth}
+        for name, rows in own.probes.items()
+    ]
+
+
+def _of_probe(cell: Cell, probe: str, rows: Sequence[Row]) -> Row:
+    source, setting = cell_name(cell)
+    rates = seed_rates(rows)
+    summary: Row = {
+        "dataset": source,
+        "setting": setting,
+        "probe": probe,
+        "seeds": len(rates),
+        "goals": len(rows) // len(rates),
+        **summarize_success(rows, "success"),
+        "success_seeds": " ".join(f"{100 * rate:.1f}" for rate in rates),
+    }
+    means = returns_of(rows).mean(axis=1)
+    known = len(means) > 1
+    summary["return_interval"] = mean_interval(means) if known else (np.nan, np.nan)
+    for key in ("return", "d_mm", "d_mp", "alpha"):
+        summary[key] = float(np.mean([row[key] for row in rows]))
+    failures = count_failures(rows)
+    failed = {} if failures is None else {"failed": failures_in_words(failures)}
+    return summary | failed
+
+
+def returns_of(rows: Sequence[Row]) -> np.ndarray:
+    """Returns of evaluated goals, shape (seeds, goals)."""
+    ordered = sorted(rows, key=lambda row: (row["seed"], row["goal"]))
+    seeds = len({row["seed"] for row in rows})
+    return np.array([row["return"] for row in ordered]).reshape(seeds, -1)
+
+
+def _at_the_end(curves: Sequence[Row], key: str) -> Row:
+    """A critic's last number: mean over the seeds where it is finite, and every one."""
+    last = {row["seed"]: float(row.get(key, np.nan)) for row in curves}
+    known = [value for value in last.values() if np.isfinite(value)]
+    every = "" if np.isnan(list(last.values())).all() else _listed(last.values())
+    return {key: float(np.mean(known)) if known else np.nan, f"{key}_seeds": every}
+
+
+def _listed(values: Iterable[float]) -> str:
+    return " ".join(f"{value:.3g}".replace("e+0", "e").strip() for value in values)
+
+
+def worth_of_alpha(learnt: Sequence[Row], held: Mapping[float, Sequence[Row]]) -> Row:
+    """Return with the learnt alpha less that with the best one held.
+
+    Paired by seed and goal; the interval is that of ``interval_of_mean``.
+    """
+    best = max(held, key=lambda alpha: float(returns_of(held[alpha]).mean()))
+    difference = returns_of(learnt) - returns_of(held[best])
+    return {
+        "best_held": best,
+        "over_held": float(difference.mean()),
+        "over_held_interval": interval_of_mean(difference),
+    }
+
+
+# --- A row per setting -------------------------------------------------------
+
+
+def row_of_setting(own: CellRows) -> Row:
+    """Success at the end and at best, and the episodes that it took, of one cell."""
+    seeds = sorted({row["seed"] for row in own.curves})
+    by_seed = [[row for row in own.curves if row["seed"] == seed] for seed in seeds]
+    row: Row = {"setting": own.cell[1].name, "seeds": len(seeds)}
+    for probe, goals in own.probes.items():
+        row |= summarize_success(goals, f"success_{probe}")
+        row[f"return_{probe}"] = float(np.mean([goal["return"] for goal in goals]))
+    for level in LEVELS:
+        counts = [episodes_to(curve, level) for curve in by_seed]
+        row |= _counted(f"to_{round(100 * level)}", counts)
+    row["episodes"] = max(curve[-1]["episode"] for curve in by_seed)
+    return row
+
+
+def episodes_to(curve: Sequence[Row], level: float) -> tuple[int, int] | None:
+    """When a success rate was reached: between these two counts of episodes.
+
+    They are of the last evaluation before the rate was first shown, 0 if there was
+    none, and of the one that showed it; None if none did.
+    """
+    before = 0
+    for row in sorted(curve, key=lambda row: row["episode"]):
+        if row["success_all"] >= level:
+            return before, row["episode"]
+        before = row["episode"]
+    return None
+
+
+def _counted(name: str, counts: Sequence[tuple[int, int] | None]) -> Row:
+    """Each seed's count, their mean and its interval; nan if one is missing.
+
+    As a count is known to lie between two evaluations only, the interval reaches from
+    the lower end of the earlier ones' to the upper end of the later ones'.
+    """
+    known = [count for count in counts if count is not None]
+    complete = len(known) == len(counts)
+    shown = [str(count[1]) if count else "-" for count in counts]
+    row: Row = {f"{name}_seeds": " ".join(shown)}
+    row[name] = float(np.mean([at for _, at in known])) if complete else np.nan
+    row[f"{name}_interval"] = (np.nan, np.nan)
+    if complete and len(known) > 1:
+        low, _ = mean_interval([before for before, _ in known])
+        _, high = mean_interval([at for _, at in known])
+        row[f"{name}_interval"] = max(0.0, low), high
+    return row

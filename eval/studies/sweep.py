@@ -1,0 +1,238 @@
+"""The alpha sweep: its cells are run, in several processes, and drawn."""
+
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from marl_mm.collectors.pd import PdConfig
+from marl_mm.control.config import FORMS, Form
+from marl_mm.envs.registry import config_dict, make_task
+from marl_mm.errors import UsageError
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.rows import as_read, read_rows, write_csv
+from marl_mm.eval.studies.sweep_cells import (
+    LONG_EPISODE,
+    RUNS,
+    SHORT_EPISODE,
+    SweepCell,
+    load_cells,
+    run_cell,
+)
+from marl_mm.eval.studies.sweep_summary import (
+    summarize_cells,
+    summarize_loads,
+    worth_of_a_rule,
+)
+from marl_mm.files import new_folder, refuse_existing, write_json
+from marl_mm.jit import source_fingerprint
+from marl_mm.progress import Bar
+from marl_mm.runs.settings import check_positive, check_seed
+from marl_mm.versions import versions
+from marl_mm.workers import ordered_map
+
+RULES = (PdConfig(alpha_rule="direction"), PdConfig(alpha_rule="room"))
+"""State-dependent alphas, compared with every fixed one on SmoothReach-v0."""
+
+SMOOTH = "SmoothReach-v0"
+
+EPISODES, LOAD_EPISODES = "episodes.csv.gz", "load_episodes.csv.gz"
+
+FINE = 0.05
+"""Step of the fixed alphas they are compared with."""
+
+_TASKS = tuple(task for tasks in RUNS.values() for task in tasks)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sweep:
+    """What is swept."""
+
+    out: Path = Path("runs/alpha")
+    """Folder of the results."""
+
+    tasks: tuple[str, ...] = _TASKS
+    """Tasks: Reach-v0, SmoothReach-v0, PreciseReach-v0."""
+
+    forms: tuple[Form, ...] = FORMS
+    """How alpha enters the controller: blend, rhp, rhp-literal."""
+
+    goals: int = 48
+    """Goals per alpha, half ahead and half behind."""
+
+    alphas: int = 11
+    """Number of alphas, evenly spaced from 0 to 1."""
+
+    seed: int = 0
+    """Seed of the goals."""
+
+    worth_goals: int = 96
+    """Goals for comparing rules with fixed alphas, of the next seed; 0: none."""
+
+    load_goals: int = 24
+    """Goals per mass and alpha, for CarryReach-v0 with 0.1 to 3 kg in the hand; 0:
+    none."""
+
+    def check_settings(self) -> None:
+        """Raise for a sweep that makes no sense.
+
+        Raises:
+            UsageError: Naming the setting.
+        """
+        check_positive(goals=self.goals)
+        check_seed(self.seed)
+        for name in ("goals", "worth_goals", "load_goals"):
+            if (goals := getattr(self, name)) < 0 or goals % 2:
+                raise UsageError(
+                    f"`{name}` is {goals}, expected an even number: half ahead, half "
+                    "behind"
+                )
+        if self.alphas < 2:
+            raise UsageError(f"`alphas` is {self.alphas}, expected >= 2")
+        known: dict[str, Sequence[str]] = {"tasks": _TASKS, "forms": FORMS}
+        for name, choices in known.items():
+            given = getattr(self, name)
+            if not given or not {*given} <= {*choices}:
+                raise UsageError(
+                    f"`{name}` is {' '.join(given) or 'empty'}, expected some of "
+                    f"{', '.join(choices)}"
+                )
+
+    @property
+    def cells(self) -> list[SweepCell]:
+        """Fixed alphas in every form."""
+        alphas = np.linspace(0, 1, self.alphas).round(6).tolist()
+        return [
+            SweepCell(task, form, PdConfig(alpha=alpha), self.goals, self.seed)
+            for task, served in RUNS.items()
+            if {*served} & {*self.tasks}
+            for form in self.forms
+            for alpha in alphas
+        ]
+
+    @property
+    def worth_cells(self) -> list[SweepCell]:
+        """Rules, and the fixed alphas they are compared with."""
+        if not self.worth_goals or SMOOTH not in self.tasks:
+            return []
+        alphas = np.arange(0, 1 + FINE / 2, FINE).round(6).tolist()
+        policies = [*(PdConfig(alpha=alpha) for alpha in alphas), *RULES]
+        goals, seed = self.worth_goals, self.seed + 1
+        return [
+            SweepCell("Reach-v0", "blend", pd, goals, seed, SHORT_EPISODE)
+            for pd in policies
+        ]
+
+
+def run_sweep(
+    sweep: Sweep, workers: int, resume: bool, overwrite: bool, bar: Bar
+) -> dict[str, list[Row]]:
+    """Run a sweep, or the rest of it, and write its rows, tables and figures.
+
+    Returns:
+        Tables by name.
+
+    Raises:
+        UsageError: If something makes no sense, or the results exist.
+        KeyboardInterrupt: After Ctrl-C, saying how to go on.
+    """
+    sweep.check_settings()
+    check_positive(workers=workers)
+    refuse_existing(sweep.out, overwrite)
+    hidden = sweep.out.absolute().with_name(f".{sweep.out.absolute().name}.cells")
+    if not resume:
+        shutil.rmtree(hidden, ignore_errors=True)
+    loads = load_cells(sweep.load_goals, sweep.seed) if sweep.load_goals else []
+    cells, worth = sweep.cells, sweep.worth_cells
+    rows = _run([*cells, *worth, *loads], hidden, workers, bar)
+    kept = [row for cell in cells for row in rows[cell] if row["task"] in sweep.tasks]
+    kept += [row for cell in worth for row in rows[cell] if row["task"] == SMOOTH]
+    with new_folder(sweep.out) as folder:
+        write_csv(folder / EPISODES, kept)
+        if loads:
+            write_csv(folder / LOAD_EPISODES, [r for cell in loads for r in rows[cell]])
+        result = draw_sweep(folder, folder)
+        swept = {f.name: getattr(sweep, f.name) for f in fields(Sweep)}
+        swept["out"] = sweep.out.name
+        write_json(folder / "config.json", {"options": swept, "versions": versions()})
+    shutil.rmtree(hidden, ignore_errors=True)
+    return result
+
+
+def draw_sweep(results: Path, folder: Path) -> dict[str, list[Row]]:
+    """Write tables and figures of a sweep into a folder, from its rows in another.
+
+    Returns:
+        Tables by name.
+    """
+    from marl_mm.eval.figures import alpha_pareto, alpha_response, load_response
+
+    rows, carried = read_rows(results / EPISODES), results / LOAD_EPISODES
+    long, short = (
+        [row for row in rows if row["max_steps"] == steps]
+        for steps in (LONG_EPISODE, SHORT_EPISODE)
+    )
+    alphas = summarize_cells(long)
+    loads = summarize_loads(read_rows(carried)) if carried.exists() else []
+    worth = worth_of_a_rule(short, SMOOTH) if short else []
+    tables = {"alpha": alphas, "worth": worth, "loads": loads}
+    for name, table in tables.items():
+        if table:
+            write_csv(folder / f"{name}.csv", table)
+    alpha_response(alphas, folder / "response.png")
+    alpha_pareto(alphas, folder / "pareto.png")
+    if loads:
+        load_response(loads, folder / "loads.png")
+    return tables
+
+
+def _run(
+    cells: Sequence[SweepCell], folder: Path, workers: int, bar: Bar
+) -> dict[SweepCell, list[Row]]:
+    """Rows of cells; those that are finished are kept in a folder."""
+    found = {cell: _read(folder, cell) for cell in cells}
+    rows = {cell: known for cell, known in found.items() if known is not None}
+    missing = [cell for cell in cells if cell not in rows]
+    advance = bar("sweep-alpha", len(cells))
+    advance(len(rows), "")
+    try:
+        results = ordered_map(run_cell, missing, workers, ahead=1)
+        for cell, own in zip(missing, results, strict=True):
+            rows[cell] = as_read(own)
+            write_json(folder / _name(cell), {"cell": _key(cell), "rows": own})
+            advance(1, f"{cell.task} {cell.form} alpha {cell.pd.alpha:g}")
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"interrupted with {len(rows)} of {len(cells)} settings done; "
+            "`resume=True` goes on from there"
+        ) from None
+    return rows
+
+
+def _name(cell: SweepCell) -> str:
+    pd = cell.pd
+    parts = [cell.task, cell.form, pd.alpha_rule, f"{pd.alpha:g}", str(cell.seed)]
+    parts += [] if cell.mass is None else [f"{cell.mass:g}-kg"]
+    return "-".join(parts) + ".json"
+
+
+def _key(cell: SweepCell) -> dict[str, Any]:
+    """All that the rows depend on: settings, config, sources of the controller."""
+    config = config_dict(make_task(cell.task, cell.overrides))
+    sources = source_fingerprint()
+    return {**asdict(cell), "config": config, "sources": sources, **versions()}
+
+
+def _read(folder: Path, cell: SweepCell) -> list[Row] | None:
+    """A finished cell's rows, if they are there and of this very cell."""
+    try:
+        value = json.loads((folder / _name(cell)).read_text())
+    except (OSError, ValueError):
+        return None
+    if value.get("cell") != json.loads(json.dumps(_key(cell))):
+        return None
+    return as_read(value["rows"])

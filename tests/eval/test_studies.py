@@ -1,0 +1,659 @@
+"""Studies: declared, run, interrupted, drawn and checked."""
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from itertools import product
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+
+from marl_mm.algorithms.runlog import METRICS
+from marl_mm.cli import main
+from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.journal import begun
+from marl_mm.errors import (
+    MarlMmError,
+    OtherConfigError,
+    UnknownDatasetError,
+    UsageError,
+)
+from marl_mm.eval.rows import read_rows
+from marl_mm.eval.studies import rows as study_rows
+from marl_mm.eval.studies.data import Datasets
+from marl_mm.eval.studies.jobs import Job, do_jobs
+from marl_mm.eval.studies.learners import Learner
+from marl_mm.eval.studies.paper import GOOD_30K, PAPER, reported
+from marl_mm.eval.studies.rows import RowStore
+from marl_mm.eval.studies.study import (
+    BEST,
+    LAST,
+    Online,
+    Probe,
+    Reported,
+    Setting,
+    Source,
+    Study,
+    cell_name,
+)
+from marl_mm.eval.studies.targets import GROUPS, STUDIES
+from marl_mm.progress import silent_bar
+from marl_mm.runs.training import offline_training
+
+WorkersOf = Callable[[int], list[psutil.Process]]
+
+OWN = """
+from marl_mm.eval.studies import BEST, LAST, Probe, Setting, Source, Study
+
+settings = [
+    Setting(f"width-{n}", f"{n} units", changes={"hidden": (n, n)}) for n in (16, 32)
+]
+HELD = Probe("held", "alpha held at one half", alpha=0.5)
+NARROW = Probe("narrow", "near goals", overrides={"goal_y": (-0.1, 0.1)})
+PROBES = LAST, BEST, HELD, NARROW
+CELLS = [("good-5k", one) for one in settings]
+WIDTHS = Study("TD3+BC by width.", CELLS, PROBES, True)
+FAILS = Study(
+    "One of two.",
+    [
+        ("good-5k", Setting("huge", "huge", changes={"batch_size": 10**12})),
+        ("good-5k", settings[0]),
+    ],
+)
+WILD = Setting("wild", "wild", changes={"critic_learning_rate": 1e38})
+DIVERGES = Study("What diverges counts as it is.", [("good-5k", WILD)])
+ELSEWHERE = Study("Of data that nobody has.", [("none", settings[0])])
+FEW = {"updates": 100, "hidden": (16, 16)}
+TINY = Study(
+    "Of data that is collected first.",
+    [
+        (
+            Source(steps=60, name="tiny"),
+            Setting("few", "few", changes=FEW, goals=2, curve_goals=2),
+        )
+    ],
+)
+"""
+"""Studies of one's own, of the dataset that ships."""
+
+RESULTS = Path(__file__).resolve().parents[2] / "eval/results/studies"
+
+OURS = Setting("ours", "ours")
+HER = Setting("her", "her", "ddpg-her")
+
+FILES = ["widths.csv", "widths.png"]
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    path = tmp_path / "own.py"
+    path.write_text(OWN)
+    return path
+
+
+def words(own: Path, runs: Path, *more: str) -> list[str]:
+    small = ["--budget", "smoke", "--seeds", "0", "1", "--workers", "1"]
+    return ["ablate", f"{own}:WIDTHS", "--runs", str(runs), *small, *more]
+
+
+def contents(results: Path) -> dict[str, bytes]:
+    """Every table, figure and row, but for what tells the time."""
+    return {
+        str(path.relative_to(results)): path.read_bytes()
+        for path in sorted(results.rglob("*"))
+        if path.is_file()
+    }
+
+
+# --- Declarations ------------------------------------------------------------
+
+
+def test_every_declaration_can_be_run() -> None:
+    names: dict[str, Setting] = {}
+    for study in STUDIES.values():
+        assert study.cells
+        for _, setting in study.cells:
+            assert setting.config is not None  # made without complaint
+            assert names.setdefault(setting.name, setting) == setting
+
+
+def test_nothing_is_run_twice_under_two_names() -> None:
+    cells = {cell_name(cell): cell for one in STUDIES.values() for cell in one.cells}
+    ways = [
+        (source, s.algorithm, s.library, s.config, s.max_steps, s.curve_every, s.goals)
+        for source, s in cells.values()
+    ]
+    assert [way for way in ways if ways.count(way) > 1] == []
+
+
+def test_the_papers_runs_have_its_budget() -> None:
+    for name in ("table4", "table5", "fig7", "fig8", "fig9", "fig10"):
+        study = STUDIES[name]
+        presets = [setting.preset for _, setting in study.cells]
+        assert set(presets) == {"paper", "tuned"}  # side by side
+        for _, setting in study.cells:
+            assert setting.config.updates == 180_000
+
+
+def test_the_papers_figures_stand_beside_its_own_settings_only() -> None:
+    cells = [cell for one in STUDIES.values() for cell in one.cells]
+    assert {reported(cell) for cell in cells} == {None, *PAPER.values()}
+    c_is_1 = Setting("c1", "c = 1", changes={"q_weight": 1.0})
+    assert reported((GOOD_30K, c_is_1)) is None
+    same = reported((GOOD_30K, Setting("same", "same")))
+    assert same == Reported("Table 4", 34.00, 32.19, updates=180_000)
+    assert str(same) == "34.00 +- 32.19 (Table 4)"
+
+
+def test_what_is_committed_was_made_as_declared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Otherwise runs would be missing, or the datasets that they need."""
+    words = ["ablate", "all", "--out", str(RESULTS), "--runs", str(tmp_path), "--plan"]
+    assert main(words) == 0
+    text = capsys.readouterr()
+    assert "| all |  | 0 of 0 |" in text.out and "counted as" not in text.err
+
+
+@pytest.mark.parametrize(
+    ("make", "complaint"),
+    [
+        (lambda: Setting("0.5", "x"), "name is '0.5', expected a letter"),
+        (lambda: Setting("x", "x", "td3bc"), "td3bc"),
+        (lambda: Setting("x", "x", preset="tunde"), "tunde"),
+        (lambda: Setting("x", "x", goals=1), "goals is 1, expected 2, 4"),
+        (lambda: Setting("x", "x", changes={"hidden": 64}), "'x'.* hidden is 64"),
+        (lambda: Setting("x", "x", changes={"updates": 1.5}), "updates is 1.5"),
+        (lambda: Setting("x", "x", changes={"layer_norm": "no"}), "is 'no'"),
+        (lambda: Setting("x", "x", changes={"batch_size": 0}), "'x': batch_size is 0"),
+        (lambda: Probe("x", "x", checkpoint="bset"), "'bset', expected one of last"),  # type: ignore[arg-type]
+        (lambda: Probe("x", "x", alpha=2.0), "alpha is 2.0, expected a number in"),
+        (lambda: Probe("x", "x", overrides={"goal_w": 1}), "unknown field 'goal_w'"),
+        (lambda: Study("x", []), "has no cells"),
+        (lambda: Study("x", ["good-5k"]), "expected pairs of a source"),  # type: ignore[list-item]
+        (lambda: Study("x", [("a", OURS), ("a", OURS)]), "twice"),
+        (lambda: Study("x", [("a", OURS)], (LAST, LAST)), "twice"),
+        (lambda: Study("x", [(Online(), OURS)]), "td3-bc learns from a dataset"),
+        (lambda: Study("x", [("a", HER)]), "ddpg-her learns from episodes of its own"),
+        (lambda: Source(settings={"alpha_rul": 1}), "has no setting 'alpha_rul'"),
+        (lambda: Source("pdd"), "pdd"),
+        (lambda: Source(task="Fly-v0"), "Fly-v0"),
+        (lambda: Source(steps=0), "`steps` is 0"),
+    ],
+)
+def test_a_declaration_that_makes_no_sense_is_refused(
+    make: Callable[[], object], complaint: str
+) -> None:
+    with pytest.raises(UsageError, match=complaint):
+        make()
+
+
+# --- Rows --------------------------------------------------------------------
+
+
+def finished(folder: Path, seed: int, q_policy: float = 1.0) -> Path:
+    """A run's folder with what rows are taken from: two goals, one point of a curve."""
+    run = folder / f"{seed}-{q_policy}"
+    run.mkdir()
+    made_of = {"seed": seed, "preset": "tuned", "device": "cpu", "updates": 10}
+    made_of["dataset"] = {"path": "elsewhere", "data_sha256": "0"}
+    (run / "config.json").write_text(json.dumps(made_of))
+    point = {"step": 10, "success/all": 0.5, "return/all": 1.0, "q/policy": q_policy}
+    (run / METRICS).write_text(json.dumps(point) + "\n")
+    measured = ("steps", "return", "final_distance", "d_mm", "d_mp", "alpha")
+    episodes = [
+        {"index": goal, "direction": "forward", "success": True}
+        | dict.fromkeys(measured, 1.0)
+        for goal in range(2)
+    ]
+    for probe in (LAST, BEST):
+        found = {"episodes": episodes, "overrides": {}, "probe": probe.way}
+        probe.file(run).write_text(json.dumps(found))
+    return run
+
+
+@pytest.mark.parametrize("writes", [0, 1, 2])
+def test_rows_that_were_cut_off_between_files_are_made_again(
+    writes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a cell that had another seed's already."""
+    store, cell, made_of = (
+        RowStore(tmp_path / "rows"),
+        ("good-5k", OURS),
+        dict[str, Any](),
+    )
+    store.keep(cell, {0: finished(tmp_path, 0)}, [LAST])
+    left = writes
+
+    def counted(write: Callable[..., None]) -> Callable[..., None]:
+        def unless_cut_off(*given: Any) -> None:
+            nonlocal left
+            left -= 1
+            if left < 0:
+                raise KeyboardInterrupt
+            write(*given)
+
+        return unless_cut_off
+
+    for name in ("write_json", "write_csv"):
+        write = getattr(study_rows, name)
+        monkeypatch.setattr(study_rows, name, counted(write))
+    runs = {1: finished(tmp_path, 1)}
+    with pytest.raises(KeyboardInterrupt):
+        store.keep(cell, runs, [LAST])
+    monkeypatch.undo()
+    assert store.missing(cell, [0, 1], [LAST], made_of) == [1]
+    store.keep(cell, runs, [LAST])
+    assert store.missing(cell, [0, 1], [LAST], made_of) == []
+    assert len(store.evaluations(cell, [0, 1], [LAST])) == 4
+    assert len(store.curves(cell, [0, 1])) == 2
+
+
+def test_evaluations_of_two_trainings_are_not_mixed(tmp_path: Path) -> None:
+    store, cell = RowStore(tmp_path / "rows"), ("good-5k", OURS)
+    one, other = (finished(tmp_path, 0, q_policy) for q_policy in (1.0, 2.0))
+    store.keep(cell, {0: one}, [LAST, BEST])
+    with pytest.raises(MarlMmError, match="of a training with another learning curve"):
+        store.keep(cell, {0: other}, [LAST])
+    store.keep(cell, {0: one}, [LAST])
+    store.keep(cell, {0: other}, [LAST, BEST])  # nothing of the former one stays
+
+
+# --- The runner --------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_study_of_ones_own_is_made_once_and_checked(
+    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs, results = tmp_path / "runs", tmp_path / "runs/results"
+    assert main(words(own, runs, "--json")) == 0
+    tables = json.loads(capsys.readouterr().out)
+    settings, probes = ("width-16", "width-32"), ("last", "best", "held", "narrow")
+    table = tables["widths"]
+    cells = [(row["setting"], row["probe"]) for row in table]
+    assert cells == list(product(settings, probes))
+    for row in table:
+        rows = read_rows(results / f"rows/good-5k/{row['setting']}.csv.gz")
+        own_rows = [one for one in rows if one["probe"] == row["probe"]]
+        assert len(own_rows) == 2 * 2  # seeds, goals
+        mean = sum(one["success"] for one in own_rows) / len(own_rows)
+        assert row["success"] == pytest.approx(mean)
+        assert all(one["alpha"] == 0.5 for one in own_rows) == (row["probe"] == "held")
+    assert all((results / file).stat().st_size > 200 for file in FILES)
+
+    assert main(words(own, runs, "--check")) == 0
+    assert capsys.readouterr().out == f"{results / 'widths.csv'}: the same\n"
+
+    # From the rows alone, without any run: the same bytes.
+    drawn = contents(results)
+    redraw = ["--out", str(results), "--overwrite"]
+    assert main(words(own, tmp_path / "nowhere", *redraw)) == 0
+    assert contents(results) == drawn
+    assert not (tmp_path / "nowhere").exists()
+
+    (results / "widths.csv").write_text("another")
+    assert main(words(own, runs, "--check")) == 1
+    assert "widths.csv: not what" in capsys.readouterr().err
+    assert main(words(own, runs)) == 2
+    assert "exists already" in capsys.readouterr().err
+    # Another declaration of the same name does not take these rows for its own.
+    matd3 = 'algorithm="matd3-bc", changes'
+    for old, new, what in (
+        ("(n, n)", "(n, n + 1)", "hidden = [16, 16] (now [16, 17])"),
+        ("alpha=0.5", "alpha=0.6", "probes.held.alpha = 0.5 (now 0.6)"),
+        ("changes", matd3, "algorithm = td3-bc (now matd3-bc)"),
+    ):
+        own.write_text(OWN.replace(old, new))
+        assert main(words(own, runs, "--overwrite")) == 2
+        complaint = capsys.readouterr().err
+        assert what in complaint and "name another folder with --out" in complaint
+
+
+@pytest.mark.slow
+def test_a_run_that_fails_does_not_stop_the_others(
+    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = words(own, tmp_path / "runs")
+    asked[1] = f"{own}:FAILS"
+    assert main(asked) == 1
+    complaint = capsys.readouterr().err
+    assert "2 of 4 runs failed, the same with --resume tries" in complaint
+    assert "huge/1: " in complaint and "MemoryError" in complaint
+    assert (tmp_path / "runs/results/rows/good-5k/width-16.csv.gz").exists()
+    assert main([*asked, "--settings", "width-16"]) == 0
+    assert (tmp_path / "runs/results/fails-part.csv").exists()
+    assert not (tmp_path / "runs/results/fails.csv").exists()
+    assert main([*asked, "--settings", "width-16", "--check"]) == 2
+
+
+@pytest.mark.slow
+def test_runs_that_diverged_are_marked(own: Path, tmp_path: Path) -> None:
+    """Also after those of other seeds came to the same rows."""
+    asked = words(own, tmp_path / "runs")
+    asked[1] = f"{own}:DIVERGES"
+    alone = asked.copy()
+    alone.remove("1")  # the second seed
+    assert main(alone) == 0
+    assert main([*asked, "--resume"]) == 0
+    results = tmp_path / "runs/results"
+    (row,) = read_rows(results / "diverges.csv")
+    assert row["diverged"] == "0 after 0, 1 after 0" and np.isnan(row["q_slope"])
+
+
+def unfinished(runs: Path) -> list[Path]:
+    """Runs between their first checkpoint and their end."""
+    begun = [path.parent for path in runs.rglob("checkpoint.pt")]
+    return [run for run in begun if not (run / "eval.json").exists()]
+
+
+@pytest.mark.slow
+def test_killing_it_again_and_again_changes_nothing(own: Path, tmp_path: Path) -> None:
+    """Ten times while it is at work, before and after checkpoints."""
+    assert main(words(own, tmp_path / "whole")) == 0
+    asked = words(own, tmp_path / "killed", "--resume", "--workers", "2")
+    moments, killed, cut = random.Random(0), 0, 0
+    context = get_context("forkserver")  # which imports everything once
+    context.set_forkserver_preload(["marl_mm.commands.ablate"])
+    while killed < 10:
+        job = context.Process(target=main, args=(asked,))
+        job.start()
+        while killed % 2 and job.is_alive() and not unfinished(tmp_path / "killed"):
+            time.sleep(0.02)  # every second time when a run is in the middle
+        job.join(moments.uniform(0.0, 0.5 if killed % 2 else 4.0))
+        job.kill()
+        job.join()
+        if job.exitcode != -signal.SIGKILL:  # it was done: once more from the start
+            assert job.exitcode == 0
+            shutil.rmtree(tmp_path / "killed")
+        killed += job.exitcode == -signal.SIGKILL
+        cut += bool(unfinished(tmp_path / "killed"))
+    assert cut > 0  # some of them between the first checkpoint and the end
+    assert main(asked) == 0
+    assert contents(tmp_path / "killed/results") == contents(tmp_path / "whole/results")
+
+
+@pytest.mark.slow
+def test_ctrl_c_in_the_middle_of_a_run_loses_nothing(own: Path, tmp_path: Path) -> None:
+    assert main(words(own, tmp_path / "whole")) == 0
+    asked = words(own, tmp_path / "stopped", "--workers", "2")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "marl_mm.cli", *asked],
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        start_new_session=True,
+    )
+    while not unfinished(tmp_path / "stopped"):
+        assert process.poll() is None
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: workers hear it, too
+    _, complaint = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert b"go on with --resume" in complaint and b"Traceback" not in complaint
+    assert not (tmp_path / "stopped/results/widths.csv").exists()
+    assert main([*asked, "--resume"]) == 0
+    results = (tmp_path / name / "results" for name in ("stopped", "whole"))
+    assert contents(next(results)) == contents(next(results))
+
+
+@pytest.mark.slow
+def test_a_killed_worker_does_not_stop_it(
+    own: Path, tmp_path: Path, workers_of: WorkersOf
+) -> None:
+    asked = words(own, tmp_path / "runs", "--workers", "2")
+    job = get_context("spawn").Process(target=main, args=(asked,))
+    job.start()
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and not list(tmp_path.rglob("metrics.jsonl")):
+        time.sleep(0.05)
+    assert job.pid is not None
+    workers_of(job.pid)[0].kill()
+    job.join(120)
+    assert job.exitcode == 0
+    assert all((tmp_path / "runs/results" / file).exists() for file in FILES)
+
+
+class Done(Job):
+    """A run of which nothing is missing."""
+
+    def has(self, probe: Probe) -> bool:
+        return True
+
+
+class Deadly(Job):
+    """A run that ends the process that takes it up."""
+
+    def has(self, probe: Probe) -> bool:
+        os._exit(1)
+
+
+def job_of(kind: type[Job], number: int, run: Path) -> Job:
+    learner = Learner(offline_training("mabc"), load_dataset("good-5k").location)
+    return kind(str(number), 0, run, learner, (LAST,))
+
+
+@pytest.mark.slow
+def test_a_run_that_kills_its_process_takes_no_other_along(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2]))  # for the processes
+    jobs = [
+        job_of(kind, number, tmp_path / str(number))
+        for number, kind in enumerate((Done, Deadly, Done, Done))
+    ]
+    done: list[Job] = []
+    told: list[str] = []
+    failed = do_jobs(jobs, 2, "local", done.append, told.append, silent_bar)
+    assert failed.keys() == {tmp_path / "1"}
+    assert "a worker process died" in failed[tmp_path / "1"]
+    assert "going on with" in told[0]
+    assert sorted(job.label for job in done) == ["0", "2", "3"]
+
+
+def test_a_run_whose_rows_cannot_be_kept_counts_as_failed(tmp_path: Path) -> None:
+    def refuse(job: Job) -> None:
+        raise MarlMmError("other rows")
+
+    failed = do_jobs(
+        [job_of(Done, 0, tmp_path)], 1, "local", refuse, lambda text: None, silent_bar
+    )
+    assert failed == {tmp_path: "other rows"}
+
+
+@pytest.mark.slow
+def test_a_plan_says_what_is_missing_and_trains_nothing(
+    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ["ablate", f"{own}:WIDTHS", "--runs", str(tmp_path / "runs"), "--plan"]
+    assert main([*asked, "--seeds", "0", "--workers", "1"]) == 0
+    *_, total = capsys.readouterr().out.splitlines()
+    _, what, _, missing, hours, _ = total.split("|")
+    assert (what.strip(), missing.strip()) == ("all", "2 of 2")
+    assert 0.001 < float(hours) < 1.0
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", ["all", "paper"])
+def test_a_plan_of_several_targets_trains_nothing_either(
+    target: str,
+    datasets_home: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    asked = ["ablate", target, "--plan", "--budget", "smoke", "--runs", str(tmp_path)]
+    assert main([*asked, "--seeds", "0"]) == 0
+    *_, total = capsys.readouterr().out.splitlines()
+    studies = [STUDIES[name] for name in GROUPS[target] if name in STUDIES]
+    cells = {cell_name(cell) for study in studies for cell in study.cells}
+    assert f"| {len(cells)} of {len(cells)} |" in total
+    assert not list(tmp_path.glob("[!d]*"))  # but its home of datasets
+
+
+def test_a_plan_says_what_is_collected_first(
+    datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = tmp_path / "runs"
+    for name, deed in (
+        ("offline", "30000 steps of pretrained in Reach-v0 are collected"),
+        ("tasks", "30000 steps of pretrained in SmoothReach-v0 are collected"),
+    ):
+        asked = ["ablate", name, "--plan", "--runs", str(runs), "--seeds", "0"]
+        assert main([*asked, "--settings", "mabc"]) == 0
+        text = capsys.readouterr()
+        assert f"{deed} first" in text.err
+        *_, total = text.out.splitlines()
+        cells = len([c for c in STUDIES[name].cells if c[1].name == "mabc"])
+        assert f"| {cells} of {cells} |" in total and float(total.split("|")[-2]) > 0
+    assert not runs.exists()
+
+
+EVERYTHING = """
+from marl_mm.eval.studies import BEST, LAST, Mix, Online, Setting, Source, Study
+
+FEW = {"hidden": (16, 16)}
+IMITATED = Setting("few", "few", changes=FEW)
+HINDSIGHT = Setting("her", "hindsight", "ddpg-her", changes=FEW)
+PD = Source("pd", steps=60, settings={"alpha_rule": "room"}, name="shown")
+ANY = Mix("any", [(PD, 40), (Source("random", steps=60), 40)])
+ALL = Study(
+    "Every way to learn.",
+    [
+        ("good-5k", IMITATED),
+        (PD, IMITATED),
+        (ANY, IMITATED),
+        (Online(), HINDSIGHT),
+        (Online(demonstrations=PD), HINDSIGHT),
+    ],
+    probes=(LAST, BEST),
+    figure=True,
+    seeds=1,
+)
+"""
+"""A study of everything that a cell can learn from."""
+
+
+@pytest.mark.slow
+def test_python_and_the_command_make_the_same_of_every_way_to_learn(
+    datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "everything.py"
+    path.write_text(EVERYTHING)
+    runs = tmp_path / "command"
+    small = ["--budget", "smoke", "--workers", "1", "--runs", str(runs)]
+    assert main(["ablate", f"{path}:ALL", *small]) == 0
+    text = capsys.readouterr()
+    assert "30 steps of pd" not in text.out and "60 steps of pd in Reach" in text.err
+    names: dict[str, Any] = {}
+    exec(EVERYTHING, names)
+    table = names["ALL"].run(runs=tmp_path / "python", name="all", budget="smoke")
+    assert capsys.readouterr() == ("", "")
+    assert contents(tmp_path / "python/results") == contents(runs / "results")
+    sources = ["good-5k", "shown", "any", "online-Reach-v0", "online-Reach-v0-shown"]
+    rows = [(row["dataset"], row["probe"]) for row in table.rows]
+    assert rows == [*product(sources, ("last", "best"))]
+    assert table.markdown() in text.out
+    page = table._repr_html_()
+    assert "<table>" in page and "image/png" in page
+    with pytest.raises(UsageError, match="exists already"):
+        names["ALL"].run(runs=tmp_path / "python", name="all", budget="smoke")
+
+
+@pytest.mark.slow
+def test_what_there_is_no_data_for_is_collected_first(
+    own: Path,
+    datasets_home: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Also the rest of a collection that was stopped, or was to be shorter; stdout is
+    the table alone."""
+    tiny = Source(steps=60, name="tiny")
+    command = "marl-mm collect pd --steps 60 --dataset tiny"
+    process = subprocess.Popen(  # one worker finishes attempts in their order
+        [sys.executable, "-m", "marl_mm.cli", *command.split()[1:], "--workers", "1"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    while (begun().get("marl_mm/reach/tiny-v0") or 0) < 2:
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60) == 130
+    assert 0 < load_dataset("tiny").arrays.steps < 60
+    told: list[str] = []
+    made = Datasets(tell=told.append)
+    with pytest.raises(UnknownDatasetError, match="60 steps of pd in Reach-v0 are"):
+        made.find(tiny)
+    assert made.make(tiny).arrays.steps >= 60
+    assert "tiny is not whole: 60 steps" in told.pop()
+    assert made.find(tiny).fingerprint == made.make(tiny).fingerprint and not told
+    shutil.rmtree(load_dataset("tiny").location.folder)
+    assert main(["collect", "pd", "--steps", "30", "--dataset", "tiny"]) == 0
+    assert made.make(tiny).arrays.steps >= 60
+    assert "tiny is not whole" in told.pop()
+    with pytest.raises(OtherConfigError, match="seed"):
+        made.make(Source(steps=90, seed=1, name="tiny"))
+    shutil.rmtree(load_dataset("tiny").location.folder)
+    capsys.readouterr()
+    asked = ["ablate", f"{own}:TINY", "--seeds", "0", "--workers", "1", "--json"]
+    assert main([*asked, "--runs", str(tmp_path / "runs")]) == 0
+    text = capsys.readouterr()
+    assert json.loads(text.out)["tiny"][0]["goals"] == 2
+    assert "tiny is not there: 60 steps of pd" in text.err
+    assert load_dataset("tiny").arrays.steps >= 60
+
+
+@pytest.mark.parametrize(
+    ("asked", "complaint"),
+    [
+        (["own.py:WIDTH"], "has no Study called 'WIDTH', expected one of WIDTHS, F"),
+        (["none.py:WIDTHS"], "there is no file"),
+        (["broken.py:X"], "broken.py cannot be run: ZeroDivisionError: division by"),
+        (["odd.py:X"], "odd.py: setting 'own': td3-bc has no setting 'hiden'"),
+        (
+            ["own.py:WIDTHS", "--settings", "width-8"],
+            "--settings has no 'width-8': exp",
+        ),
+        (["own.py:WIDTHS", "--datasets"], "--datasets is empty: expected good-5k"),
+        (["own.py:WIDTHS", "--seeds", "0", "0"], "seeds"),
+        (["all", "--settings", "td3-bc"], "--settings and --datasets are for a study"),
+        (["own.py:ELSEWHERE"], "no dataset marl_mm/reach/none-v0"),
+        (
+            ["own.py:WIDTHS", "--settings", "width-16", "--check"],
+            "--check is for whole tables",
+        ),
+        (
+            ["cures", "--datasets", "pd-30k", "--settings", "matd3-bc"],
+            "--settings matd3-bc are not run on --datasets pd-30k",
+        ),
+    ],
+)
+def test_what_cannot_be_made_is_told_in_one_line(
+    asked: Sequence[str],
+    complaint: str,
+    own: Path,
+    datasets_home: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(own.parent)
+    Path("broken.py").write_text("1 / 0")
+    Path("odd.py").write_text(
+        "from marl_mm.eval.studies import Setting\n"
+        "Setting('own', 'own', changes={'hiden': (8, 8)})\n"
+    )
+    assert main(["ablate", *asked]) == 2
+    told = capsys.readouterr().err
+    assert complaint in told and told.count("\n") == 1

@@ -1,0 +1,163 @@
+"""Tables of pages that are made of studies' rows, beside those of the studies."""
+
+import math
+from collections.abc import Mapping, Sequence
+from math import ceil
+from typing import Any
+
+import numpy as np
+
+from marl_mm.eval.bench import SB3
+from marl_mm.eval.intervals import difference_interval, seed_rates, success_interval
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.studies.online import CELLS
+from marl_mm.eval.studies.rows import RowStore
+from marl_mm.eval.studies.study import Study, cell_name
+from marl_mm.eval.studies.summary import returns_of
+from marl_mm.eval.studies.table import RETURN
+from marl_mm.eval.tables import markdown_table
+
+_AT_EQUAL_STEPS = ("ddpg-her", "maddpg-her", SB3, "ddpg-her-no-layer-norm")
+"""Settings compared at equal steps of the environment; without layer norm ours has the
+layers of Stable-Baselines3."""
+
+STEPS = (1_500, 2_000, 3_000, 4_000, 6_000, 8_000)
+"""Steps of the environment at which they are compared."""
+
+
+def differences(
+    study: Study, store: RowStore, baseline: str
+) -> dict[tuple[str, str], Row]:
+    """By how much cells are better than a setting on the same source.
+
+    Args:
+        study: Study of the cells, which are compared at its first probe.
+        store: Rows of the cells.
+        baseline: Name of that setting.
+
+    Returns:
+        By names of source and setting ``success`` and ``return``, means over seeds
+        less the baseline's, each with its ``_interval``, Welch's.
+    """
+    means: dict[tuple[str, str], dict[str, Sequence[float]]] = {}
+    for cell in study.cells:
+        rows = store.evaluations(cell, range(study.seeds), study.probes[:1])
+        of_returns = returns_of(rows).mean(axis=1).tolist()
+        means[cell_name(cell)] = {"success": seed_rates(rows), "return": of_returns}
+    found = {}
+    for (source, setting), ours in means.items():
+        if setting != baseline:
+            row: Row = {}
+            for key, theirs in means[source, baseline].items():
+                row[key] = float(np.mean(ours[key]) - np.mean(theirs))
+                row[f"{key}_interval"] = difference_interval(ours[key], theirs)
+            found[source, setting] = row
+    return found
+
+
+def differences_table(study: Study, store: RowStore, baseline: str) -> str:
+    """What ``differences`` finds, a line per cell, as Markdown."""
+    about = {setting.name: setting.about for _, setting in study.cells}
+
+    def text(row: Row, key: str, scale: float, digits: int) -> str:
+        values = (scale * value for value in (row[key], *row[f"{key}_interval"]))
+        mean, low, high = (f"{value:+.{digits}f}" for value in values)
+        return f"{mean} [{low}, {high}]"
+
+    lines = [
+        [source, about[name], text(row, "success", 100, 1), text(row, "return", 1, 2)]
+        for (source, name), row in differences(study, store, baseline).items()
+    ]
+    header = ["dataset", "setting", "goals reached [points, 95 %]", RETURN]
+    return markdown_table(header, lines)
+
+
+def goals_for(rate: float, half_width: float) -> int:
+    """Goals from which on Wilson's 95 % interval reaches no further to either side.
+
+    Args:
+        rate: Success rate.
+        half_width: How far.
+    """
+
+    def reach(goals: int) -> float:
+        reached = round(rate * goals)
+        low, high = success_interval(reached, goals)
+        return max(high - reached / goals, reached / goals - low)
+
+    most = ceil(1 / half_width**2)  # Wilson's is less than 1 / sqrt(goals) by far
+    return 1 + max(goals for goals in range(1, most) if reach(goals) > half_width)
+
+
+def goals_table(half_width: float = 0.05) -> str:
+    """How many goals an interval of +- so much needs, by success rate, as Markdown."""
+    rates = (0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
+    header = [f"at {100 * rate:.0f} %" for rate in rates]
+    goals = [str(goals_for(rate, half_width)) for rate in rates]
+    return markdown_table(["goals reached", *header], [["goals needed", *goals]])
+
+
+def success_at(curves: Sequence[Row], episodes: int, env_steps: int) -> list[float]:
+    """Every seed's success rate after so many steps, between its evaluations.
+
+    A run that ended when it was flat keeps its last one; one that ended because it was
+    to has none, nan.
+
+    Args:
+        curves: Points of a setting's learning curves.
+        episodes: Episodes that its runs were to have.
+        env_steps: Steps of the environment.
+    """
+    rates = []
+    for seed in sorted({row["seed"] for row in curves}):
+        rows = [row for row in curves if row["seed"] == seed]
+        steps = [0, *(row["env_steps"] for row in rows)]
+        successes = [0.0, *(row["success_all"] for row in rows)]
+        cut = rows[-1]["episode"] >= episodes and env_steps > steps[-1]
+        rates.append(np.nan if cut else float(np.interp(env_steps, steps, successes)))
+    return rates
+
+
+def steps_table(store: RowStore) -> str:
+    """Success by steps of the environment, beside Stable-Baselines3, as Markdown."""
+    lines = []
+    for name, (source, setting) in CELLS.items():
+        if name in _AT_EQUAL_STEPS:
+            curves = store.curves((source, setting), (0, 1, 2))
+            line = [setting.about]
+            for steps in STEPS:
+                rates = success_at(curves, setting.config.episodes, steps)
+                listed = ", ".join(f"{100 * rate:.0f}" for rate in rates)
+                mean = f"{100 * sum(rates) / len(rates):.0f} ({listed})"
+                line.append("-" if any(map(math.isnan, rates)) else mean)
+            lines.append(line)
+    header = ("goals reached [%] after", *(f"{steps:,} steps" for steps in STEPS))
+    return markdown_table(header, lines)
+
+
+def updates_table(result: Mapping[str, Any]) -> str:
+    """Gradient updates per second from ``marl-mm bench train``, as Markdown."""
+    lines = [
+        (
+            CELLS[name][1].about,
+            f"{rate:.0f}",
+            f"{result.get(f'{name}_over_sb3', 1.0):.2f}",
+        )
+        for name, rate in result["updates_per_second"].items()
+    ]
+    header = ("one thread", "updates per second", "over Stable-Baselines3")
+    return markdown_table(header, lines)
+
+
+def hindsight_in_words(summary: Sequence[Row]) -> str:
+    """How many of plain DDPG's episodes to 70 % it takes with hindsight, in words."""
+    rows = {row["setting"]: row for row in summary}
+    ours, plain = (rows[name] for name in ("ddpg-her", "ddpg"))
+    for row, words in ((ours, "With hindsight"), (plain, "Without hindsight")):
+        if math.isnan(row["to_70"]):
+            return f"{words} not every seed comes to 70 %: {row['to_70_seeds']}.\n"
+    disjoint = ours["to_70_interval"][1] < plain["to_70_interval"][0]
+    return (
+        f"With hindsight DDPG comes to 70 % in {ours['to_70'] / plain['to_70']:.2f} of "
+        f"the episodes; the intervals {'are disjoint' if disjoint else 'overlap'}.\n"
+    )
