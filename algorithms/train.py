@@ -101,8 +101,8 @@ def train(
             where = f"{', '.join(map(str, runs))}: {kept}"
             if isinstance(error, DivergedError):
                 raise DivergedError(f"{error}; {where}") from None
-            text = f"stopped; {where}; go on with `resume=True`"
-            raise KeyboardInterrupt(text) from None
+            again = "go on with `resume=True`"
+            raise KeyboardInterrupt(f"stopped; {where}; {again}") from None
 
 
 def _after(step: int, every: int) -> int:
