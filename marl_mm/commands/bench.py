@@ -74,7 +74,7 @@ class BenchAbuse(_Bench):
 class BenchTrain(_Bench):
     """Count gradient updates per second on one thread, of online and offline learners.
 
-    In turns with Stable-Baselines3's DDPG+HER (extra "bench"), at the same batch, hidden
+    In turns with Stable-Baselines3's DDPG+HER (extra "bench") at the same batch, hidden
     layers (it has no layer norm) and hindsight, and with TD3+BC as its authors wrote
     it, at batches of 256 and two layers of 256.
     """

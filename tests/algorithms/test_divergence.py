@@ -200,7 +200,7 @@ def test_seeds_side_by_side_outlive_one_that_diverges(
     (first, second, third), found = trained("cut", diverges=1)
     assert isinstance(second, DivergedError)
     assert f"{tmp_path}/cut/1: the checkpoint of update 100" in str(second)
-    assert [run.name for run, _ in (*first, *third)] == ["0", "2"]
+    assert [run.name for run in (*first, *third)] == ["0", "2"]
     for seed, step in ((0, 200), (1, 100), (2, 200)):
         assert found[seed]["state"]["step"] == step
     for seed in (0, 2):
