@@ -15,7 +15,6 @@ from marl_mm.commands.options import REGISTERED
 from marl_mm.commands.parser import Subcommand, parse_subcommand, value_of
 from marl_mm.envs.registry import DEFAULT
 from marl_mm.errors import UsageError
-from marl_mm.progress import progress_bars
 from marl_mm.runs import training
 from marl_mm.runs.settings import with_values
 from marl_mm.workers import available_cores
@@ -107,6 +106,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _train(name: str, options: Offline[Any] | Online[Any]) -> None:
+    from marl_mm.progress import progress_bars
     from marl_mm.runs.train import trained  # torch takes a second to import
 
     out = options.out or Path("runs") / name
