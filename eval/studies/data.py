@@ -6,7 +6,7 @@ from pathlib import Path
 
 from marl_mm.config_diff import as_json
 from marl_mm.datasets.dataset import Dataset, load_dataset
-from marl_mm.datasets.location import Location, locate
+from marl_mm.datasets.location import SHIPPED, Location, locate
 from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.recipe import Part, mix, write_mix
@@ -49,6 +49,19 @@ class Datasets:
 
     tell: Tell = silence
     bar: Bar = silent_bar
+
+    plan: bool = False
+    """Whether nothing is made: the dataset that ships counts for what is missing."""
+
+    def get(self, data: Data) -> Dataset:
+        """A dataset; what is missing of it is made, but for a plan."""
+        if not self.plan:
+            return self.make(data)
+        try:
+            return self.find(data)
+        except UnknownDatasetError as error:
+            self.tell(f"counted as if learnt from good-5k: {error}")
+            return load_dataset(SHIPPED)
 
     def find(self, data: Data) -> Dataset:
         """A dataset that is there and whole; an UnknownDatasetError if it is not."""

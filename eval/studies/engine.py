@@ -156,8 +156,8 @@ class Engine:
         options = self.options
         small = options.runs_folder / "datasets" if options.small else None
         pool = options.workers, options.executor
-        datasets = Datasets(small, *pool, self.tell, self.bar)
-        return missing_cells(options, studies.values(), datasets, plan)
+        datasets = Datasets(small, *pool, self.tell, self.bar, plan)
+        return missing_cells(options, studies.values(), datasets)
 
 
 def compare(results: Path, draw: Callable[[Path], object]) -> dict[Path, str]:
