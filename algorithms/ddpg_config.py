@@ -132,7 +132,7 @@ def check_hindsight(algorithm: str, config: DdpgConfig) -> None:
     if (config.hindsight > 0) != algorithm.endswith("-her"):
         other = algorithm.removesuffix("-her") + "-her" * (config.hindsight > 0)
         raise UsageError(
-            f"--hindsight is {config.hindsight} with {algorithm}: use {other}"
+            f"`hindsight` is {config.hindsight} with {algorithm}: use {other}"
         )
 
 

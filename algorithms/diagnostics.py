@@ -6,7 +6,7 @@ from marl_mm.algorithms.seeded import SeededCritics
 from marl_mm.layout import Layout
 
 DIAGNOSED = 1_024
-"""Transitions that diagnostics look at."""
+"""Number of transitions that diagnostics use."""
 
 _SATURATED = 0.98
 """Absolute value beyond which an action counts as saturated, in [-1, 1] coordinates."""

@@ -96,9 +96,9 @@ class OfflineBatches:
         known = all(np.isfinite(values).all() for values in self._terms.values())
         if any(shares) and not known:
             raise UsageError(
-                "the dataset does not tell "
-                f"{', '.join(judge.needs)} of all steps, which rewards for other goals "
-                "depend on: set --future 0, and --elsewhere 0 where there is one"
+                f"the dataset lacks {', '.join(judge.needs)} of some steps, which "
+                "rewards for other goals depend on: set `future` to 0, and `elsewhere` "
+                "to 0 where there is one"
             )
         self._streams = [np.random.default_rng(seed) for seed in seeds]
         self._begun = [stream.bit_generator.state for stream in self._streams]

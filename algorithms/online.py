@@ -126,9 +126,9 @@ def train_online(
                 advance(0, _note(log.rows))
                 saved = end
         except KeyboardInterrupt:
-            kept = f"{run} holds the checkpoint of episode {saved}: go on with --resume"
-            nothing = "before the first checkpoint: start again with --resume"
-            raise KeyboardInterrupt(f"stopped; {kept if saved else nothing}") from None
+            kept = f"{run} holds the checkpoint of episode {saved}: go on"
+            where = kept if saved else "before the first checkpoint: start again"
+            raise KeyboardInterrupt(f"stopped; {where} with `resume=True`") from None
         except DivergedError as error:
             kept = f"the checkpoint of episode {saved}" if saved else "no checkpoint"
             raise DivergedError(f"{error}; {run} holds {kept}") from None

@@ -106,7 +106,7 @@ def preset(algorithm: str, name: str = TUNED) -> Any:
     presets = ALGORITHMS.get(algorithm).presets
     if name not in presets:
         raise UsageError(
-            f"--preset is {name!r}, expected one of {', '.join(presets)}: {algorithm} "
+            f"`preset` is {name!r}, expected one of {', '.join(presets)}: {algorithm} "
             "has no other"
         )
     return presets[name]

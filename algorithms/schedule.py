@@ -1,4 +1,4 @@
-"""When online learning is looked at; importing it takes no torch."""
+"""Schedule of online learning; importing it takes no torch."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from marl_mm.errors import UsageError
 
 @dataclass(frozen=True)
 class Schedule:
-    """When the loop looks at what has been learnt."""
+    """Times of checkpoints and evaluations, and the end of training."""
 
     epoch: int = 20
     """Episodes between checkpoints and rows of metrics (Table 2)."""
@@ -16,8 +16,8 @@ class Schedule:
     """Epochs between evaluations."""
 
     patience: int = 500
-    """Episodes without a better success rate after which training ends, once it has
-    been over one half; 0 trains all episodes."""
+    """Episodes without a better success rate after which training ends, once the rate
+    has been over one half; 0 trains all episodes."""
 
     def __post_init__(self) -> None:
         for name in ("epoch", "evaluate_every"):

@@ -3,7 +3,7 @@
 Loss of the twin critics: (Q_j(s, a) - r - gamma (1 - terminated) min_j Q_j'(s', a'))^2,
 where a' is the target actor's action with clipped noise. Every second update the actor
 follows: -lambda Q_1(s, pi(s)) + MSE(a, pi(s)), where lambda = c / mean |Q_1(s, pi(s))|.
-What ours adds to that stands in ``td3_bc_additions``.
+Our additions to that stand in ``td3_bc_additions``.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What ours adds to TD3+BC; the preset ``paper`` switches all of it off.
+"""Our additions to TD3+BC; the preset ``paper`` switches all of them off.
 
 Here: which actions are imitated (``imitate``), how their error is measured
 (``imitation_weights``, ``imitation_scaled``) and a falling c (``q_weight_end``).

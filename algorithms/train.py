@@ -101,7 +101,8 @@ def train(
             where = f"{', '.join(map(str, runs))}: {kept}"
             if isinstance(error, DivergedError):
                 raise DivergedError(f"{error}; {where}") from None
-            raise KeyboardInterrupt(f"stopped; {where}; go on with --resume") from None
+            again = "go on with `resume=True`"
+            raise KeyboardInterrupt(f"stopped; {where}; {again}") from None
 
 
 def _after(step: int, every: int) -> int:
@@ -138,7 +139,7 @@ def _refuse_odd_values(
                 excess = f", more than {limit:.3g}" if math.isfinite(number) else ""
                 bounds = ("clip_targets", "layer_norm")
                 has = all(hasattr(algorithm.config, name) for name in bounds)
-                bounded = "leave on --clip-targets and --layer-norm, " if has else ""
+                bounded = "leave on `clip_targets` and `layer_norm`, " if has else ""
                 raise DivergedError(
                     f"{key} is {number:.3g}{excess} with seed {seed} after "
                     f"{algorithm.step} updates: lower the learning rate, {bounded}or "

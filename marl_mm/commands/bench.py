@@ -74,10 +74,9 @@ class BenchAbuse(_Bench):
 class BenchTrain(_Bench):
     """Count gradient updates per second on one thread, of online and offline learners.
 
-    Beside DDPG+HER and MADDPG+HER, in turns: Stable-Baselines3's DDPG+HER (optional
-    extra "bench") with the same batch, hidden layers (it has no layer norm) and
-    hindsight, and what both reach from nothing. Beside TD3+BC, MATD3+BC and MABC, with
-    batches of 256 and two layers of 256: TD3+BC as its authors wrote it.
+    In turns with Stable-Baselines3's DDPG+HER (extra "bench") at the same batch, hidden
+    layers (it has no layer norm) and hindsight, and with TD3+BC as its authors wrote
+    it, at batches of 256 and two layers of 256.
     """
 
     updates: int = 2_000

@@ -282,16 +282,16 @@ class Handling:
         shape = pybullet.createCollisionShape(
             pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client
         )
-        look = -1
+        visual = -1
         if self._visual:
-            look = pybullet.createVisualShape(
+            visual = pybullet.createVisualShape(
                 pybullet.GEOM_BOX,
                 halfExtents=half,
                 rgbaColor=color,
                 physicsClientId=client,
             )
         body: int = pybullet.createMultiBody(
-            mass, shape, look, place, physicsClientId=client
+            mass, shape, visual, place, physicsClientId=client
         )
         pybullet.changeDynamics(
             body,

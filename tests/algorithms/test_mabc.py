@@ -167,7 +167,7 @@ def test_resume_continues_bit_equally(arrays: EpisodeArrays, tmp_path: Path) -> 
         return {}
 
     cut = Mabc(CONFIG, arrays, JUDGE, [3])
-    with pytest.raises(KeyboardInterrupt, match="--resume"):
+    with pytest.raises(KeyboardInterrupt, match="go on with `resume=True`"):
         train(cut, [stopped], interrupt, 100)
     again = Mabc(CONFIG, arrays, JUDGE, [3])
     resume_seeds(again, [stopped])

@@ -198,7 +198,7 @@ def test_what_is_not_told_forbids_other_goals_only(arrays: EpisodeArrays) -> Non
     imported = replace(arrays, info=unknown)
     OfflineBatches(imported, 4, (0.0, 0.0), TASK, [0]).next()
     for shares in ((0.1, 0.0), (0.0, 0.1)):
-        with pytest.raises(UsageError, match="does not tell d_mm, d_mp, base_jerk_rms"):
+        with pytest.raises(UsageError, match="lacks d_mm, d_mp, base_jerk_rms"):
             OfflineBatches(imported, 4, shares, TASK, [0])
 
 

@@ -108,7 +108,7 @@ def test_an_interrupted_and_resumed_run_equals_an_uninterrupted_one(
             yield episode
 
     cut = kind(config, JUDGE, 3, (), REACH)
-    with pytest.raises(KeyboardInterrupt, match="episode 15: go on with --resume"):
+    with pytest.raises(KeyboardInterrupt, match="episode 15: go on with `resume=True`"):
         train_online(cut, stopped, interrupted, weighed, SCHEDULE)
     assert cut.episodes > 15  # it had gone further than its checkpoint
     again = kind(config, JUDGE, 3, (), REACH)

@@ -329,7 +329,7 @@ def test_unknown_costs_forbid_other_goals(arrays: EpisodeArrays) -> None:
     arrays.info["d_mp"][4] = np.nan
     own = Td3BcConfig(future=0, elsewhere=0, **SMALL)
     Td3Bc(own, arrays, JUDGE, [0]).update()
-    with pytest.raises(UsageError, match="--future 0, and --elsewhere 0"):
+    with pytest.raises(UsageError, match="`future` to 0, and `elsewhere` to 0"):
         Td3Bc(replace(own, future=0.2), arrays, JUDGE, [0])
 
 

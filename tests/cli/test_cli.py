@@ -136,6 +136,8 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         (["play", "arm-reach", "--strip", "x.png"], "--strip is for films of episodes"),
         (["bench", "control", "--steps", "-1"], "--steps is -1"),
         (["bench", "abuse", "--ticks", "0"], "--ticks is 0"),
+        (["bench", "train", "--seeds", "0"], "--seeds is 0"),
+        (["bench", "data", "--workers"], "--workers is 0"),
         (["play", "base-turn", "--angle", "400"], "--angle is 400.0, expected -180"),
         (["play", "arm-reach", "--seconds", "0"], "--seconds is 0.0, expected 0.1"),
         (["sweep-alpha", "--alphas", "1"], "--alphas is 1, expected >= 2"),

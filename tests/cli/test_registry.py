@@ -99,7 +99,7 @@ def test_gymnasium_knows_every_task() -> None:
 
 def test_a_preset_that_an_algorithm_has_not_is_refused() -> None:
     assert set(names(online=True)) | set(names(online=False)) == set(ALGORITHMS.names())
-    with pytest.raises(UsageError, match="--preset is 'tunde', expected one of tuned"):
+    with pytest.raises(UsageError, match="`preset` is 'tunde', expected one of tuned"):
         preset("mabc", "tunde")
 
 
