@@ -11,8 +11,14 @@ _LISTED = 6
 """Largest number of differing values that a message lists."""
 
 
+_ADVICE = (
+    "go on with the same, or start anew in another folder or with `overwrite=True`"
+)
+"""What to do about another config, where nobody knows better."""
+
+
 def refuse_other_config(
-    folder: Path, theirs: dict[str, Any], mine: dict[str, Any]
+    folder: Path, theirs: dict[str, Any], mine: dict[str, Any], advice: str = _ADVICE
 ) -> None:
     """Raise if a folder was begun with other values than those that continue it.
 
@@ -20,6 +26,7 @@ def refuse_other_config(
         folder: The folder.
         theirs: The config it was begun with, JSON-serialisable.
         mine: The config of now; keys that only ``theirs`` has are ignored.
+        advice: What to do about it.
 
     Raises:
         OtherConfigError: Listing the values that differ.
@@ -28,11 +35,7 @@ def refuse_other_config(
     if len(changes) > _LISTED:
         changes[_LISTED:] = [f"{len(changes) - _LISTED} more"]
     if changes:
-        raise OtherConfigError(
-            f"{folder} was made with {', '.join(changes)}",
-            "go on with the same, or start anew in another folder or with "
-            "`overwrite=True`",
-        )
+        raise OtherConfigError(f"{folder} was made with {', '.join(changes)}", advice)
 
 
 def _changes(

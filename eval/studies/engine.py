@@ -61,12 +61,11 @@ class Engine:
         for name, study in studies.items():
             for end in (".csv", ".png")[: 1 + bool(study.figure)]:
                 refuse_existing(self.options.results / f"{name}{end}", again)
+        failed: FailedRunsError | None = None
         try:
             self.make_rows(studies)
         except FailedRunsError as error:
-            failed: FailedRunsError | None = error
-        else:
-            failed = None
+            failed = error
         for name, study in studies.items():
             if failed is None or not self._missing({name: study}):
                 yield name, self.draw(name, study, self.options.results)
@@ -157,8 +156,8 @@ class Engine:
         options = self.options
         small = options.runs_folder / "datasets" if options.small else None
         pool = options.workers, options.executor
-        datasets = Datasets(small, *pool, self.tell, self.bar)
-        return missing_cells(options, studies.values(), datasets, plan)
+        datasets = Datasets(small, *pool, self.tell, self.bar, plan)
+        return missing_cells(options, studies.values(), datasets)
 
 
 def compare(results: Path, draw: Callable[[Path], object]) -> dict[Path, str]:

@@ -8,9 +8,14 @@ from typing import Any
 
 from marl_mm.algorithms.checkpoint import BEST as BEST_FILE
 from marl_mm.algorithms.checkpoint import FILE
+from marl_mm.algorithms.config_checks import Precision
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.schedule import Schedule
-from marl_mm.algorithms.speed import matrix_products, prepare_for_small_networks
+from marl_mm.algorithms.speed import (
+    matrix_products,
+    prepare_for_small_networks,
+    resolved,
+)
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import Location
 from marl_mm.errors import DivergedError
@@ -99,7 +104,8 @@ class Learner:
     @property
     def _online(self) -> OnlineTraining:
         assert isinstance(self.training, OnlineTraining)
-        return self.training
+        shown = None if self.source is None else self.source.name
+        return replace(self.training, demonstrations=shown)
 
     def seconds_per_update(self) -> float:
         """How long an update takes, measured; 0 of one that learns online."""
@@ -126,15 +132,19 @@ class Learner:
         return float(updates * per_update + goals * GOAL)
 
 
-def training_of(source: Data | Online, setting: Setting, small: bool) -> Training:
+def training_of(
+    source: Data | Online, setting: Setting, small: bool, precision: Precision = "auto"
+) -> Training:
     """Settings of a cell's runs, but for where its dataset is.
 
     Args:
         source: Source of what is learnt.
         setting: How to learn.
         small: Whether hardly anything is trained.
+        precision: Precision of matrix products of offline runs.
     """
     training: Training
+    changes = dict(setting.changes)
     if isinstance(source, Online):
         training = online_training(
             setting.algorithm,
@@ -151,7 +161,7 @@ def training_of(source: Data | Online, setting: Setting, small: bool) -> Trainin
             curve_episodes=setting.curve_goals or 20,
             stop_unsound=False,  # a table's runs have all their updates
         )
-    changes = dict(setting.changes)
+        changes = {"precision": resolved(precision), **changes}
     own: dict[str, Any] = {"eval_episodes": setting.goals}
     own["max_steps"] = setting.max_steps
     if small:

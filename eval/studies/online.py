@@ -3,11 +3,11 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from marl_mm.algorithms.registry import TUNED
 from marl_mm.eval.bench import SB3
 from marl_mm.eval.studies.study import (
     BEST,
     LAST,
-    Cell,
     Curves,
     Online,
     Reported,
@@ -17,79 +17,82 @@ from marl_mm.eval.studies.study import (
     cell_name,
 )
 
-_REACH, _SMOOTH, _GRASP = map(Online, ("Reach-v0", "SmoothReach-v0", "Grasp-v0"))
+_REACH = Online("Reach-v0")
 
 _PD = Source(settings={"alpha_rule": "room"}, steps=2_000, name="demonstrations")
-_REACH_SHOWN = Online("Reach-v0", _PD)
-_GRASP_SHOWN = Online(
-    "Grasp-v0", Source("scripted", "Grasp-v0", 2_000, name="demonstrations-Grasp")
-)
+_SCRIPT = Source("scripted", "Grasp-v0", 2_000, name="demonstrations-Grasp")
 
 
-def _her(name: str, about: str, **changes: Any) -> Setting:
-    return Setting(name, f"DDPG + HER{about}", "ddpg-her", changes=changes)
+def _ddpg(name: str, about: str, preset: str = TUNED, **changes: Any) -> Setting:
+    return Setting(f"ddpg{name}", f"DDPG{about}", "ddpg", preset, changes)
+
+
+def _her(name: str, about: str, preset: str = TUNED, **changes: Any) -> Setting:
+    about = f"DDPG + HER{about}"
+    return Setting(f"ddpg-her{name}", about, "ddpg-her", preset, changes)
+
+
+def _maddpg(name: str, about: str, **changes: Any) -> Setting:
+    about = f"MADDPG + HER{about}"
+    return Setting(f"maddpg-her{name}", about, "maddpg-her", changes=changes)
 
 
 def _departure(name: str, about: str, **changes: Any) -> Setting:
     """The tuned preset with one hyper-parameter back at Table 2's or the plain one."""
-    return _her(f"ddpg-her-{name}", f", {about}", **{"episodes": 300, **changes})
+    return _her(f"-{name}", f", {about}", **{"episodes": 300, **changes})
 
-
-_MADDPG, _SHOWN = "maddpg-her", ", demonstrations"
 
 _OF_GRASP = 1_000
 """Episodes of runs on Grasp-v0, whatever the preset has."""
 
-CELLS: Mapping[str, Cell] = {
-    setting.name: (source, setting)
-    for source, setting in (
-        (_REACH, Setting("ddpg", "DDPG", "ddpg")),
-        (_REACH, _her("ddpg-her", "")),
-        (_REACH, Setting(_MADDPG, "MADDPG + HER", _MADDPG)),
-        (_REACH, Setting("ddpg-paper", "DDPG, Table 2", "ddpg", "paper")),
+_SB3 = Setting(SB3, "Stable-Baselines3, DDPG + HER", "ddpg-her", library="sb3")
+
+_LEARNT: Sequence[tuple[Online, Sequence[Setting]]] = (
+    (
+        _REACH,
         (
-            _REACH,
-            Setting("ddpg-her-paper", "DDPG + HER, Table 2", "ddpg-her", "paper"),
+            _ddpg("", ""),
+            _her("", ""),
+            _maddpg("", ""),
+            _ddpg("-paper", ", Table 2", "paper"),
+            _her("-paper", ", Table 2", "paper"),
+            _SB3,
         ),
+    ),
+    (
+        Online("Reach-v0", _PD),
         (
-            _REACH,
-            Setting(SB3, "Stable-Baselines3, DDPG + HER", "ddpg-her", library="sb3"),
+            _ddpg("-demonstrations", ", demonstrations"),
+            _her("-demonstrations", ", demonstrations"),
         ),
-        (_REACH_SHOWN, Setting("ddpg-demonstrations", f"DDPG{_SHOWN}", "ddpg")),
-        (_REACH_SHOWN, _her("ddpg-her-demonstrations", _SHOWN)),
-        (_SMOOTH, _her("ddpg-her-smooth", "")),
-        (_SMOOTH, Setting("maddpg-her-smooth", "MADDPG + HER", _MADDPG)),
-        (_GRASP, _her("ddpg-her-grasp", "", episodes=_OF_GRASP)),
+    ),
+    (Online("SmoothReach-v0"), (_her("-smooth", ""), _maddpg("-smooth", ""))),
+    (Online("Grasp-v0"), (_her("-grasp", "", episodes=_OF_GRASP),)),
+    (
+        Online("Grasp-v0", _SCRIPT),
+        (_her("-grasp-demonstrations", ", demonstrations", episodes=_OF_GRASP),),
+    ),
+    (
+        _REACH,
         (
-            _GRASP_SHOWN,
-            _her("ddpg-her-grasp-demonstrations", _SHOWN, episodes=_OF_GRASP),
-        ),
-        (
-            _REACH,
-            Setting(
-                "maddpg-her-others",
-                "MADDPG + HER, others' replayed actions",
-                _MADDPG,
-                changes={"others": "replay", "episodes": 300},
+            _maddpg(
+                "-others", ", others' replayed actions", others="replay", episodes=300
             ),
-        ),
-        (_REACH, _departure("no-layer-norm", "no layer norm", layer_norm=False)),
-        (_REACH, _departure("no-clip", "targets not cut off", clip_targets=False)),
-        (_REACH, _departure("no-penalty", "no action penalty", action_penalty=0.0)),
-        (
-            _REACH,
+            _departure("no-layer-norm", "no layer norm", layer_norm=False),
+            _departure("no-clip", "targets not cut off", clip_targets=False),
+            _departure("no-penalty", "no action penalty", action_penalty=0.0),
             _departure("warm-up", "warm-up 5,000", warm_up=5_000, episodes=400),
-        ),
-        (_REACH, _departure("capacity", "replay of 5,000", capacity=5_000)),
-        (
-            _REACH,
+            _departure("capacity", "replay of 5,000", capacity=5_000),
             _departure("updates", "25 updates an episode", updates_per_episode=25),
-        ),
-        (
-            _REACH,
             _departure("cycle", "1 episode a cycle", episodes_per_cycle=1),
         ),
-    )
+    ),
+)
+
+CELLS: Mapping[str, tuple[Online, Setting]] = {
+    setting.name: (source, setting)
+    for source, settings in _LEARNT
+    for setting in settings
 }
 """Cells by the name of their setting."""
 

@@ -1,22 +1,17 @@
 """What studies lack, and how long it will take."""
 
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from marl_mm.algorithms.config_checks import Precision
-from marl_mm.algorithms.speed import resolved
-from marl_mm.datasets.dataset import Dataset, load_dataset
-from marl_mm.datasets.location import SHIPPED
-from marl_mm.errors import OtherConfigError, UnknownDatasetError, UsageError
+from marl_mm.datasets.dataset import Dataset
+from marl_mm.errors import OtherConfigError, UsageError
 from marl_mm.eval.studies.data import Datasets
 from marl_mm.eval.studies.jobs import Job
 from marl_mm.eval.studies.learners import GOAL, Learner, made_of, training_of
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.study import (
     Cell,
-    Data,
     Online,
     Probe,
     Setting,
@@ -26,8 +21,6 @@ from marl_mm.eval.studies.study import (
 )
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar
-from marl_mm.runs.training import Offline, Training
-from marl_mm.runs.training import Online as OnlineTraining
 
 
 @dataclass(frozen=True)
@@ -41,86 +34,47 @@ class Wanted:
 
 
 def missing_cells(
-    options: StudyOptions,
-    studies: Iterable[Study],
-    datasets: Datasets,
-    plan: bool = False,
+    options: StudyOptions, studies: Iterable[Study], datasets: Datasets
 ) -> list[Wanted]:
     """Cells of some studies without rows, each once, and the runs that make these.
 
-    Missing datasets are made, but for a plan: there they count as the one that ships.
-
     Raises:
-        UsageError: If two settings share a name.
-        UnknownDatasetError: If a dataset is not there and nobody knows how to make it.
+        UsageError: If two settings share a name, or a dataset is not there and nobody
+            knows how to make it.
         OtherConfigError: If there are rows or runs that were made with something else.
     """
     wanted = []
-    found: dict[str, Dataset] = {}
+    known: dict[str, Dataset] = {}
     for cell, probes, asked in _cells(options, studies):
         source, setting = cell
-        training = training_of(source, setting, options.small)
-        with _advising("name another folder with `out`"):
-            record = made_of(setting, training)
-            seeds = options.store.missing(cell, asked, probes, record)
+        training = training_of(source, setting, options.small, options.precision)
+        record = made_of(setting, training)
+        seeds = options.store.missing(cell, asked, probes, record)
         if not seeds:
             continue
+        location = None
         data = source.demonstrations if isinstance(source, Online) else source
-        dataset = None
         if data is not None:
-            if (name := name_of(data)) not in found:
-                found[name] = _dataset(datasets, data, plan)
-            dataset = found[name]
-        learner = _learner(setting, training, dataset, options.precision)
-        jobs = tuple(_job(options, cell, seed, learner, probes) for seed in seeds)
-        if not plan:
-            _check(options, cell, dataset, jobs)
-        wanted.append(Wanted(cell, probes, jobs))
+            name = name_of(data)
+            known[name] = known.get(name) or datasets.get(data)
+            location = known[name].location
+            if not datasets.plan:
+                options.store.check_dataset(cell, known[name].identity())
+        learner = Learner(training, location, setting.library == "sb3")
+        runs = {seed: run_folder(options, cell, seed) for seed in seeds}
+        try:
+            if not datasets.plan:
+                learner.check(runs)
+        except OtherConfigError as error:
+            advice = "name another folder with `runs`, or delete this one"
+            raise OtherConfigError(error.difference, advice) from error
+        short = "-".join(name_of(source).removeprefix("marl_mm/").split("-")[:2])
+        jobs = (
+            Job(f"{setting.name} {seed} {short}", seed, run, learner, probes)
+            for seed, run in runs.items()
+        )
+        wanted.append(Wanted(cell, probes, tuple(jobs)))
     return wanted
-
-
-def _learner(
-    setting: Setting, training: Training, dataset: Dataset | None, precision: Precision
-) -> Learner:
-    """How a cell's runs are trained, from its dataset or with demonstrations."""
-    if isinstance(training, Offline):
-        exact = {"precision": resolved(precision), **setting.changes}["precision"]
-        training = replace(training, config=replace(training.config, precision=exact))
-    elif isinstance(training, OnlineTraining) and dataset is not None:
-        training = replace(training, demonstrations=dataset.location.name)
-    location = None if dataset is None else dataset.location
-    return Learner(training, location, setting.library == "sb3")
-
-
-def _check(
-    options: StudyOptions, cell: Cell, dataset: Dataset | None, jobs: tuple[Job, ...]
-) -> None:
-    """Raise before any work is done for what would stop a cell's runs."""
-    if dataset is not None:
-        with _advising("name another folder with `out`"):
-            options.store.check_dataset(cell, dataset.identity())
-    with _advising("name another folder with `runs`, or delete this one"):
-        jobs[0].learner.check({job.seed: job.run for job in jobs})
-
-
-def _dataset(datasets: Datasets, data: Data, plan: bool) -> Dataset:
-    """A cell's dataset; in a plan, what counts for one that is missing."""
-    if not plan:
-        return datasets.make(data)
-    try:
-        return datasets.find(data)
-    except UnknownDatasetError as error:
-        datasets.tell(f"counted as if learnt from good-5k: {error}")
-        return load_dataset(SHIPPED)
-
-
-@contextmanager
-def _advising(advice: str) -> Iterator[None]:
-    """Say what to do about a difference."""
-    try:
-        yield
-    except OtherConfigError as error:
-        raise OtherConfigError(error.difference, advice) from error
 
 
 def _cells(
@@ -146,19 +100,6 @@ def run_folder(options: StudyOptions, cell: Cell, seed: int) -> Path:
     source, setting = cell_name(cell)
     folder = options.runs_folder / source.replace("/", "-") / setting / str(seed)
     return folder.absolute() if options.executor == "ray" else folder  # is elsewhere
-
-
-def _job(
-    options: StudyOptions,
-    cell: Cell,
-    seed: int,
-    learner: Learner,
-    probes: tuple[Probe, ...],
-) -> Job:
-    source, setting = cell_name(cell)
-    short = "-".join(source.removeprefix("marl_mm/").split("-")[:2])
-    run = run_folder(options, cell, seed)
-    return Job(f"{setting} {seed} {short}", seed, run, learner, probes)
 
 
 # --- How long ----------------------------------------------------------------

@@ -18,7 +18,7 @@ from marl_mm.eval.bench.tables import (
     offline_speed_table,
 )
 from marl_mm.eval.rows import read_rows
-from marl_mm.eval.studies.alpha import ABOUT, WORTH, worth_table
+from marl_mm.eval.studies.alpha import ABOUT, STEPS, WORTH, worth_table
 from marl_mm.eval.studies.paper import NOTE
 from marl_mm.eval.studies.table import Table
 from marl_mm.eval.studies.targets import STUDIES
@@ -34,10 +34,10 @@ class Media:
 
     name: str
     kind: str
-    """Its MIME type."""
+    """MIME type."""
 
     data: str
-    """As an address that holds it all."""
+    """Address that holds all of it."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,12 @@ class Section:
     name: str
     title: str
     command: str = ""
-    """What makes it."""
+    """Command that makes it."""
 
     text: str | Markup = ""
     media: Sequence[Media] = ()
     details: Sequence[tuple[str, str]] = ()
-    """Titles and texts that are folded."""
+    """Titles and texts of what is folded."""
 
 
 def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
@@ -96,34 +96,22 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
 
 
 def _studies(folder: Path) -> Iterator[Section]:
-    paths = {path.stem: path for path in sorted(folder.glob("*.csv"))}
-    order = [name for name in STUDIES if name in paths]
-    for name in (*order, *(name for name in paths if name not in STUDIES)):
-        if name.startswith("alpha_"):
-            continue
-        rows, study = read_rows(paths[name]), STUDIES.get(name.removesuffix("-part"))
-        title, text, target = name, rows_table(rows), "FILE.py:NAME"
-        if study is not None:
-            target = name
-            if name not in STUDIES:
-                own = [[str(row.get(k, "")) for row in rows] for k in _NAMES]
-                sources = own[0] if any(own[0]) else None
-                study = study.part(sources, own[1])
-                target = f"{name.removesuffix('-part')} --settings ..."
-            title, text = study.about, f"{Table(study, rows).markdown()}\n{NOTE}"
-        yield _drawn(name, title, target, text, folder)
+    """Ours as their tables, in our order; the rows of others and of parts."""
+    for name, study in STUDIES.items():
+        if (folder / f"{name}.csv").exists():
+            table = Table(study, read_rows(folder / f"{name}.csv"))
+            text = f"{table.markdown()}\n{NOTE}"
+            yield _drawn(name, study.about, name, text, folder)
     if (folder / WORTH).exists():
         text = worth_table(read_rows(folder / WORTH))
         yield _drawn("alpha", ABOUT, "alpha", text, folder)
-    made_of = sorted(folder.glob("rows/*/*.json"))
-    if made_of:
-        details = [
-            (f"{path.parent.name}, {path.stem}", path.read_text()) for path in made_of
-        ]
+    for path in sorted(folder.glob("*.csv")):
+        if path.stem not in STUDIES and path.name not in (WORTH, STEPS):
+            text = rows_table(read_rows(path))
+            yield _drawn(path.stem, path.stem, "TARGET", text, folder)
+    if made_of := sorted(folder.glob("rows/*/*.json")):
+        details = [(f"{p.parent.name}, {p.stem}", p.read_text()) for p in made_of]
         yield Section("configs", "What the runs were made of", details=details)
-
-
-_NAMES = ("dataset", "setting")
 
 
 def _drawn(name: str, title: str, target: str, text: str, folder: Path) -> Section:
@@ -154,19 +142,15 @@ def _benchmarks(results: Path) -> Iterator[Section]:
             text = _html(table(json.loads((results / name).read_text())))
             key = name.replace("/", "-")
             yield Section(key, title, f"marl-mm bench {target}", text)
-    paths = {
-        form: results / f"controller/abuse-{form}.json" for form in ("blend", "rhp")
-    }
-    found = {f: json.loads(p.read_text()) for f, p in paths.items() if p.exists()}
-    if found:
+    abuse = sorted(results.glob("controller/abuse-*.json"))
+    if found := {p.stem[len("abuse-") :]: json.loads(p.read_text()) for p in abuse}:
         text = _html(abuse_table(found))
         command = "marl-mm bench abuse --ticks 1000000"
         yield Section("abuse", "Limits under abuse", command, text)
 
 
 def _videos(videos: Sequence[Path]) -> Iterator[Section]:
-    media = [_media(path) for path in videos]
-    if media:
+    if media := [_media(path) for path in videos]:
         yield Section("videos", "Videos", "marl-mm play RUN --video FILE", media=media)
 
 

@@ -23,6 +23,9 @@ from marl_mm.eval.rows import as_read, read_rows, write_csv
 from marl_mm.eval.studies.study import BEST, LAST, Cell, Probe, cell_name
 from marl_mm.files import only_here, write_json
 
+_ADVICE = "name another folder with `out`"
+"""What to do about rows of runs that were made with something else."""
+
 _CURVES = ".curve.csv.gz"
 """End of the name of a cell's learning curves."""
 
@@ -83,7 +86,7 @@ class RowStore:
         ways = {probe.name: probe.way for probe in probes}
         there = {name: ways[name] for name in ways if name in known["probes"]}
         recorded = made_of if "algorithm" in known else {}  # of some it is not known
-        refuse_other_config(path, known, {**recorded, "probes": there})
+        refuse_other_config(path, known, {**recorded, "probes": there}, _ADVICE)
         pairs = {(row["seed"], row["probe"]) for row in self._rows(cell)}
         return [seed for seed in seeds if not pairs >= set(product([seed], ways))]
 
@@ -95,7 +98,7 @@ class RowStore:
         """
         if (known := self._record(cell)).get("dataset"):
             mine = {"dataset": _bytes_of(identity)}
-            refuse_other_config(self._path(cell, ".json"), known, mine)
+            refuse_other_config(self._path(cell, ".json"), known, mine, _ADVICE)
 
     def keep(
         self, cell: Cell, runs: Mapping[int, Path], probes: Sequence[Probe]

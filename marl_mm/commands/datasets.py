@@ -39,30 +39,30 @@ from marl_mm.workers import available_cores
 _COUNTS = ("steps", "episodes")
 
 
-@dataclass(frozen=True)
-class List:
-    """List the datasets below $MINARI_DATASETS_PATH."""
-
+@dataclass(frozen=True, kw_only=True)
+class _Printed:
     json: bool = False
     """Print JSON."""
 
 
-@dataclass(frozen=True)
-class Show:
+@dataclass(frozen=True, kw_only=True)
+class List(_Printed):
+    """List the datasets below $MINARI_DATASETS_PATH."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Show(_Printed):
     """Show a dataset's card, and keep it with the dataset as JSON, Markdown, figure."""
 
     dataset: tyro.conf.Positional[str]
     """Id such as marl_mm/reach/pd-v0, or pd for short, or path; good-5k ships."""
 
-    json: bool = False
-    """Print JSON."""
-
     markdown: bool = False
     """Print Markdown."""
 
 
-@dataclass(frozen=True)
-class Verify:
+@dataclass(frozen=True, kw_only=True)
+class Verify(_Printed):
     """Check a dataset's files: schema, hashes, finiteness, ranges, ends of episodes."""
 
     datasets: tyro.conf.Positional[tuple[str, ...]]
@@ -74,12 +74,9 @@ class Verify:
     workers: int = field(default_factory=available_cores)
     """Processes that replay."""
 
-    json: bool = False
-    """Print JSON."""
 
-
-@dataclass(frozen=True)
-class Export:
+@dataclass(frozen=True, kw_only=True)
+class Export(_Printed):
     """Write a dataset as one flat HDF5 file that other libraries read."""
 
     dataset: tyro.conf.Positional[str]
@@ -98,12 +95,9 @@ class Export:
     overwrite: bool = False
     """Replace the file if it exists."""
 
-    json: bool = False
-    """Print JSON."""
 
-
-@dataclass(frozen=True)
-class Delete:
+@dataclass(frozen=True, kw_only=True)
+class Delete(_Printed):
     """Delete a dataset, and what a stopped collection into it has kept."""
 
     dataset: tyro.conf.Positional[str]
@@ -111,9 +105,6 @@ class Delete:
 
     yes: bool = False
     """Do not ask."""
-
-    json: bool = False
-    """Print JSON."""
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -22,8 +22,17 @@ from marl_mm.files import refuse_existing
 from marl_mm.runs.settings import check_seed
 
 
-@dataclass(frozen=True)
-class Mix:
+@dataclass(frozen=True, kw_only=True)
+class _New:
+    overwrite: bool = False
+    """Replace what exists."""
+
+    json: bool = False
+    """Print the new dataset's card as JSON."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mix(_New):
     """Draw so many steps of each of several datasets at random, as whole episodes."""
 
     parts: tyro.conf.Positional[tuple[str, ...]]
@@ -35,15 +44,9 @@ class Mix:
     seed: int = 0
     """Seed of the draw."""
 
-    overwrite: bool = False
-    """Replace the mix if it exists."""
 
-    json: bool = False
-    """Print its card as JSON."""
-
-
-@dataclass(frozen=True)
-class Split:
+@dataclass(frozen=True, kw_only=True)
+class Split(_New):
     """Divide a dataset's episodes at random into OUT-first-v0 and OUT-rest-v0."""
 
     dataset: tyro.conf.Positional[str]
@@ -58,15 +61,9 @@ class Split:
     seed: int = 0
     """Seed of the draw."""
 
-    overwrite: bool = False
-    """Replace them if they exist."""
 
-    json: bool = False
-    """Print their cards as JSON."""
-
-
-@dataclass(frozen=True)
-class Filter:
+@dataclass(frozen=True, kw_only=True)
+class Filter(_New):
     """Keep the episodes that meet all conditions."""
 
     dataset: tyro.conf.Positional[str]
@@ -87,15 +84,9 @@ class Filter:
     max_return: float | None = None
     """Largest sum of rewards."""
 
-    overwrite: bool = False
-    """Replace it if it exists."""
 
-    json: bool = False
-    """Print its card as JSON."""
-
-
-@dataclass(frozen=True)
-class Import:
+@dataclass(frozen=True, kw_only=True)
+class Import(_New):
     """Take a Minari dataset or an HDF5 file of your own.
 
     Minari's form with goal-dictionary observations: observation, achieved_goal,
@@ -118,12 +109,6 @@ class Import:
             'attribute "task" says, and Reach-v0 where it says nothing.'
         ),
     ] = None
-
-    overwrite: bool = False
-    """Replace it if it exists."""
-
-    json: bool = False
-    """Print its card as JSON."""
 
 
 def make_mix(command: Mix) -> None:

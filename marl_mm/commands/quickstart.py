@@ -26,10 +26,10 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm quickstart``."""
     options = parse_options(Quickstart, "marl-mm quickstart", arguments)
     with progress_bars() as bar:
-        result = quickstart.run_quickstart(options, bar)
+        values, evaluations = quickstart.run_quickstart(options, bar)
     if options.json:
-        print(json.dumps(result.values, indent=2))
+        print(json.dumps(values, indent=2))
         return
-    print_evaluations(result.evaluations)
-    seconds = sum(result.values["stages_s"].values())
+    print_evaluations(evaluations)
+    seconds = sum(values["stages_s"].values())
     print(f"{seconds:.0f} s; read {options.out / 'report.md'}")

@@ -115,8 +115,8 @@ def _train(name: str, options: Offline[Any] | Online[Any]) -> None:
     try:
         with progress_bars() as bar:
             for run in trained(options, dataset, out, options.seeds, bar):
-                last, best = run.evaluation, run.best_evaluation
-                result = {"run": str(run.folder), **(last.to_json() if last else {})}
+                best = run.best_evaluation
+                result = {"run": str(run.folder), **run.evaluated.to_json()}
                 results.append(result | ({"best": best.to_json()} if best else {}))
                 if not options.json:
                     print(run.summary(), flush=True)

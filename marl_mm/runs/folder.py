@@ -2,37 +2,44 @@
 
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.export import POLICY_FORMATS
 from marl_mm.algorithms.loggers import LOGGED
-from marl_mm.algorithms.policy import load_policy
+from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.algorithms.runlog import METRICS, CurvePoint
 from marl_mm.config_diff import as_json, refuse_other_config
+from marl_mm.datasets.dataset import Dataset
 from marl_mm.envs.registry import TASKS
+from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import (
     CheckpointError,
     OtherConfigError,
     OutputExistsError,
     UsageError,
 )
-from marl_mm.eval.evaluate import Evaluation, evaluate
+from marl_mm.eval.evaluate import Evaluation, evaluate, evaluate_with
 from marl_mm.files import refuse_existing, write_json
 from marl_mm.plugins import record
 from marl_mm.progress import Bar
 from marl_mm.runs.settings import check_seeds
-from marl_mm.runs.training import Training
+from marl_mm.runs.training import Offline, Online, Training
+from marl_mm.versions import versions
 
 CONFIG = "config.json"
 EVALUATION = "eval.json"
 BEST_EVALUATION = "eval_best.json"
 CURVE = "learning_curve.png"
 SB3_BEST = "best.zip"
+
+EVALUATED = ("eval_episodes", "eval_seed")
+"""Settings of the evaluation after training, in a run's record."""
 
 _MADE = ("eval*.json", *(f"*{form.suffix}" for _, form in POLICY_FORMATS.items()))
 """Files that are made of a run's policies: evaluations and exports."""
@@ -128,6 +135,34 @@ def refuse_other(run: Path, config: RunConfig, ignored: Sequence[str] = ()) -> N
 def plugins_of(algorithm: str, task: str) -> dict[str, str]:
     """Hashes of the plug-ins that an algorithm and a task come from, if any."""
     return record(ALGORITHMS.origin(algorithm), TASKS.origin(task))
+
+
+def run_config(
+    training: Training,
+    seed: int,
+    task: str,
+    dataset: Dataset | None,
+    settings: Mapping[str, Any],
+) -> RunConfig:
+    """The record of a run.
+
+    Args:
+        training: Settings of the run.
+        seed: Seed of the run.
+        task: Task that is evaluated in.
+        dataset: Dataset that is learnt from, if any.
+        settings: Settings to be recorded beside the hyper-parameters.
+    """
+    return RunConfig(
+        algorithm=training.algorithm,
+        preset=training.preset,
+        seed=seed,
+        task=task,
+        dataset=dataset.identity() if dataset else None,
+        packages=versions(),
+        plugins=plugins_of(training.algorithm, task),
+        settings={**settings, **asdict(training.config)},
+    )
 
 
 def start_run(run: Path, config: RunConfig) -> None:
@@ -236,6 +271,20 @@ def evaluate_run(
         ) from None
     write_json(run / result, evaluation.to_json())
     return evaluation
+
+
+def curve(
+    rollouts: Rollouts, training: Offline | Online, task: str
+) -> Callable[[LearnedPolicy], CurvePoint]:
+    """Measures the points of a run's learning curve, on goals of their own."""
+
+    def point(policy: LearnedPolicy) -> CurvePoint:
+        count, goals = training.curve_episodes, training.eval_seed + 1
+        return curve_point(
+            evaluate_with(rollouts, policy, count, goals, task, training.overrides)
+        )
+
+    return point
 
 
 def curve_point(evaluation: Evaluation) -> CurvePoint:

@@ -1,41 +1,41 @@
 """A run that learns from a dataset: its config, what stops it, and its training."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 
 from marl_mm.algorithms.algorithm import OfflineAlgorithm
 from marl_mm.algorithms.checkpoint import FILE
-from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.algorithms.run_config import RunConfig
-from marl_mm.algorithms.runlog import CurvePoint, read_metrics
+from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.speed import prepare_for_small_networks, resolved
 from marl_mm.algorithms.train import resume_seeds, train
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import DatasetError, UsageError
-from marl_mm.eval.evaluate import Evaluation, evaluate_with
+from marl_mm.eval.evaluate import Evaluation
 from marl_mm.files import only_here
 from marl_mm.layout_diff import refuse_other_layout
 from marl_mm.progress import Bar
 from marl_mm.runs.folder import (
     CURVE,
+    EVALUATED,
     EVALUATION,
     check_run,
     continue_run,
-    curve_point,
+    curve,
     evaluate_run,
     plugins_of,
     read_config,
+    run_config,
     start_run,
 )
 from marl_mm.runs.settings import check_positive
 from marl_mm.runs.training import Offline
-from marl_mm.versions import versions
 
 CONTINUED = ("updates",)
 """Settings of a run that may grow when it is resumed: more of it only continues. (The
@@ -130,22 +130,9 @@ def task_of(dataset: Dataset, training: Offline) -> str:
 
 def offline_config(dataset: Dataset, training: Offline, seed: int) -> RunConfig:
     """The record of a run."""
-    task = task_of(dataset, training)
     own = "device", "max_steps", "curve_every", "curve_episodes"
-    evaluated = "eval_episodes", "eval_seed"
-    return RunConfig(
-        algorithm=training.algorithm,
-        preset=training.preset,
-        seed=seed,
-        task=task,
-        dataset=dataset.identity(),
-        packages=versions(),
-        plugins=plugins_of(training.algorithm, task),
-        settings={
-            **{name: getattr(training, name) for name in (*own, *evaluated)},
-            **asdict(training.config),
-        },
-    )
+    settings = {name: getattr(training, name) for name in (*own, *EVALUATED)}
+    return run_config(training, seed, task_of(dataset, training), dataset, settings)
 
 
 def train_offline_run(
@@ -184,18 +171,10 @@ def train_side_by_side(
     advance = bar(label, training.config.updates)
     own = make_task(task, training.overrides)
     with Rollouts(own, training.workers) as rollouts:
-
-        def point(policy: LearnedPolicy) -> CurvePoint:
-            goals = training.eval_seed + 1  # not those of the final evaluation
-            count = training.curve_episodes
-            return curve_point(
-                evaluate_with(rollouts, policy, count, goals, task, training.overrides)
-            )
-
         train(
             algorithm,
             list(runs.values()),
-            point,
+            curve(rollouts, training, task),
             training.curve_every,
             advance,
             training.stop_unsound,

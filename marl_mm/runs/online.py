@@ -7,34 +7,32 @@ from pathlib import Path
 from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.online import OnlineAlgorithm, is_flat, train_online
-from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.algorithms.run_config import RunConfig
-from marl_mm.algorithms.runlog import CurvePoint, read_metrics
+from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.train import resume
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import EpisodePlan, Rollouts, episode_seed
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
-from marl_mm.eval.evaluate import evaluate_with
 from marl_mm.files import only_here
 from marl_mm.progress import Bar
 from marl_mm.runs.folder import (
     BEST_EVALUATION,
     CURVE,
+    EVALUATED,
     EVALUATION,
     check_run,
     continue_run,
-    curve_point,
+    curve,
     evaluate_run,
-    plugins_of,
     read_config,
+    run_config,
     start_run,
 )
 from marl_mm.runs.settings import check_positive
 from marl_mm.runs.training import Online
-from marl_mm.versions import versions
 
 _CONTINUED = ("episodes", "patience")
 """Settings of a run that may grow when it is resumed: more of it only continues. (The
@@ -139,19 +137,12 @@ def _train(training: Online, seed: int, run: Path, bar: Bar) -> None:
             plans = [EpisodePlan(i, episode_seed(seed, i, "train")) for i in numbers]
             return rollouts.run(policy, plans)
 
-        def point(policy: LearnedPolicy) -> CurvePoint:
-            goals = training.eval_seed + 1  # not those of the final evaluation
-            count, overrides = training.curve_episodes, training.overrides
-            return curve_point(
-                evaluate_with(rollouts, policy, count, goals, training.task, overrides)
-            )
-
         advance = bar(f"{algorithm.name} {seed}", training.config.episodes)
         train_online(
             algorithm,
             run,
             run_episodes,
-            point,
+            curve(rollouts, training, training.task),
             training.schedule,
             advance,
             training.logger,
@@ -175,19 +166,6 @@ def _run_config(
     training: Online, demonstrations: Dataset | None, seed: int
 ) -> RunConfig:
     """The record of a run."""
-    own = ("curve_episodes", "eval_episodes", "eval_seed")
-    return RunConfig(
-        algorithm=training.algorithm,
-        preset=training.preset,
-        seed=seed,
-        task=training.task,
-        dataset=demonstrations.identity() if demonstrations else None,
-        packages=versions(),
-        plugins=plugins_of(training.algorithm, training.task),
-        settings={
-            **training.overrides,
-            **{name: getattr(training, name) for name in own},
-            **asdict(training.schedule),
-            **asdict(training.config),
-        },
-    )
+    own = {name: getattr(training, name) for name in ("curve_episodes", *EVALUATED)}
+    settings = {**training.overrides, **own, **asdict(training.schedule)}
+    return run_config(training, seed, training.task, demonstrations, settings)

@@ -6,14 +6,13 @@ evaluated beside a random agent on the same goals.
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.datasets.card import card
-from marl_mm.datasets.dataset import Dataset
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import run_episodes
 from marl_mm.eval.evaluate import Evaluation
@@ -27,7 +26,7 @@ from marl_mm.runs.collect import collect
 from marl_mm.runs.evaluate import evaluate
 from marl_mm.runs.run import Run
 from marl_mm.runs.seeds import train_offline
-from marl_mm.runs.settings import check_positive, check_seed
+from marl_mm.runs.settings import check_positive, check_seed, with_values
 from marl_mm.runs.training import Offline, offline_training
 
 EXPERT = PdConfig(alpha_rule="room")
@@ -37,23 +36,9 @@ which the balance agent can see."""
 FPS = 8
 """Pictures per simulated second of the film."""
 
-
-@dataclass(frozen=True)
-class Size:
-    """Amounts of data, training and evaluation."""
-
-    steps: int
-    """Steps of the dataset."""
-
-    updates: int
-    """Updates of the learner."""
-
-    episodes: int
-    """Number of goals of each evaluation."""
-
-
-FULL = Size(steps=1_500, updates=8_000, episodes=100)
-SMALL = Size(steps=1_000, updates=8_000, episodes=40)
+FULL = {"steps": 1_500, "updates": 8_000, "episodes": 100}
+SMALL = {"steps": 1_000, "updates": 8_000, "episodes": 40}
+"""Steps of the dataset, updates of the learner, goals of each evaluation."""
 
 
 @dataclass(frozen=True)
@@ -75,29 +60,19 @@ class Quickstart:
     overwrite: bool = False
     """Replace the folder if it exists."""
 
-    @property
-    def size(self) -> Size:
-        """Amounts of data, training and evaluation."""
-        return SMALL if self.small else FULL
 
-
-@dataclass(frozen=True)
-class Result:
-    """Numbers of the whole chain."""
-
-    values: dict[str, Any]
-    """Wall times [s], the dataset's card and the evaluations, JSON-serialisable."""
-
-    evaluations: list[Evaluation]
-    """Evaluations of the learner, its teacher and the random agent."""
-
-
-def run_quickstart(options: Quickstart, progress: Bar = silent_bar) -> Result:
+def run_quickstart(
+    options: Quickstart, progress: Bar = silent_bar
+) -> tuple[dict[str, Any], list[Evaluation]]:
     """Collect, train, evaluate, and leave a report, figures and a film in a folder.
 
     Args:
         options: Size and place.
         progress: Begins a bar of progress.
+
+    Returns:
+        Wall times [s], the dataset's card and the evaluations, JSON-serialisable; and
+        the evaluations of the learner, its teacher and the random agent.
 
     Raises:
         UsageError: If a setting makes no sense, or the folder exists.
@@ -106,39 +81,44 @@ def run_quickstart(options: Quickstart, progress: Bar = silent_bar) -> Result:
     check_positive(workers=options.workers)
     check_seed(options.seed)
     refuse_existing(options.out, options.overwrite)
+    size = SMALL if options.small else FULL
     out, stages = options.out, dict[str, float]()
+    common: dict[str, Any] = {"workers": options.workers, "progress": progress}
     try:
         with _timed(stages, "collect (pd)"):
             data = collect(
                 "pd",
                 dataset=out.resolve() / "dataset",
                 config=EXPERT,
-                steps=options.size.steps,
+                steps=size["steps"],
                 seed=options.seed,
-                workers=options.workers,
                 overwrite=options.overwrite,
-                progress=progress,
+                **common,
             )
         with _timed(stages, "train and evaluate (mabc)"):
-            learner, learned = _train(data, options, progress)
+            training = offline_training(
+                "mabc",
+                eval_episodes=size["episodes"],
+                eval_seed=options.seed,
+                workers=options.workers,
+                overwrite=options.overwrite,
+            )
+            training = with_values(training, {"updates": size["updates"]})
+            runs = {options.seed: out / "mabc"}
+            (run,) = map(Run, train_offline(data, training, runs, progress))
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"stopped; start again with `overwrite=True`, or use what is in {out}"
         ) from None
     with _timed(stages, "evaluate (pd, random)"):
+        goals: dict[str, Any] = {"episodes": size["episodes"], "seed": options.seed}
         scripted = [
-            evaluate(
-                policy,
-                episodes=options.size.episodes,
-                seed=options.seed,
-                workers=options.workers,
-                progress=progress,
-            )
+            evaluate(policy, **goals, **common)
             for policy in (PdPolicy(EXPERT), "random")
         ]
-    evaluations = [learned, *scripted]
+    evaluations = [run.evaluated, *scripted]
     with _timed(stages, "figures and film"):
-        _picture(learner, options, progress)
+        _picture(run, options, progress)
     values = {
         "stages_s": stages,
         "dataset": card(data),
@@ -147,7 +127,7 @@ def run_quickstart(options: Quickstart, progress: Bar = silent_bar) -> Result:
     write_json(out / "quickstart.json", values)
     with new_file(out / "report.md") as temporary:
         temporary.write_text(_report(options, values, evaluations))
-    return Result(values, evaluations)
+    return values, evaluations
 
 
 @contextmanager
@@ -155,23 +135,6 @@ def _timed(stages: dict[str, float], name: str) -> Iterator[None]:
     begin = perf_counter()
     yield
     stages[name] = perf_counter() - begin
-
-
-def _train(data: Dataset, options: Quickstart, progress: Bar) -> tuple[Run, Evaluation]:
-    training = offline_training(
-        "mabc",
-        eval_episodes=options.size.episodes,
-        eval_seed=options.seed,
-        workers=options.workers,
-        overwrite=options.overwrite,
-    )
-    config = replace(training.config, updates=options.size.updates)
-    training = replace(training, config=config)
-    runs = {options.seed: options.out / "mabc"}
-    (folder,) = train_offline(data, training, runs, progress)
-    run = Run(folder)
-    assert run.evaluation is not None  # training ends with it
-    return run, run.evaluation
 
 
 def _picture(run: Run, options: Quickstart, progress: Bar) -> None:

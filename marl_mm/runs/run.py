@@ -53,14 +53,25 @@ class Run:
         return _evaluation(self.folder / EVALUATION)
 
     @property
+    def evaluated(self) -> Evaluation:
+        """Evaluation of the last checkpoint.
+
+        Raises:
+            UsageError: Before the training's end.
+        """
+        if (evaluation := self.evaluation) is None:
+            raise UsageError(f"{self.folder} is not trained to its end: go on with it")
+        return evaluation
+
+    @property
     def best_evaluation(self) -> Evaluation | None:
         """Evaluation of an online run's best checkpoint; None where there is none."""
         return _evaluation(self.folder / BEST_EVALUATION)
 
     def summary(self) -> str:
         """One line about the success of the last and the best checkpoint."""
-        last, best = self.evaluation, self.best_evaluation
-        text = f"{self.folder}: {_success(last) if last else 'not evaluated'}"
+        best = self.best_evaluation
+        text = f"{self.folder}: {_success(self.evaluated)}"
         return f"{text}; best checkpoint {_success(best)}" if best else text
 
     def film_strip(self, seed: int = 0) -> bytes:

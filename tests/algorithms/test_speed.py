@@ -5,7 +5,11 @@ import torch
 
 from marl_mm.algorithms import speed
 from marl_mm.algorithms.config_checks import Precision
-from marl_mm.algorithms.speed import matrix_products, resolved
+from marl_mm.algorithms.speed import (
+    matrix_products,
+    prepare_for_small_networks,
+    resolved,
+)
 
 
 @pytest.mark.parametrize("precision", ["highest", "medium"])
@@ -38,3 +42,13 @@ def test_a_product_that_is_rounded_to_bfloat16_does_not_pass_for_exact(
 
     monkeypatch.setattr(torch, "baddbmm", rounding)
     assert not speed._medium_is_exact.__wrapped__()
+
+
+def test_small_networks_learn_on_one_thread() -> None:
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(2)
+        prepare_for_small_networks()
+        assert torch.get_num_threads() == 1
+    finally:
+        torch.set_num_threads(before)
