@@ -52,14 +52,14 @@ def agents() -> str:
         box(
             *(20, 20, 270, 160),
             f"agent {hand.name}",
-            *("sees", *("  " + one for one in _wrapped(hand.sees))),
+            *("sees", *("  " + names for names in _wrapped(hand.sees))),
             f"sets  {', '.join(hand.sets)}",
             colour=HAND,
         ),
         box(
             *(20, 210, 270, 160),
             f"agent {balance.name}",
-            *("sees", *("  " + one for one in _wrapped(balance.sees))),
+            *("sees", *("  " + names for names in _wrapped(balance.sees))),
             f"sets  {', '.join(balance.sets)}",
             colour=BALANCE,
         ),
@@ -206,8 +206,8 @@ def tradeoff() -> str:
 def _means(curves: dict[int, list[Point]]) -> list[Point]:
     """Mean over the seeds at every place that all of them have."""
     known = [dict(points) for points in curves.values()]
-    places = sorted(set.intersection(*(set(one) for one in known)))
-    return [(x, sum(one[x] for one in known) / len(known)) for x in places]
+    places = sorted(set.intersection(*(set(curve) for curve in known)))
+    return [(x, sum(curve[x] for curve in known) / len(known)) for x in places]
 
 
 def _learning(
@@ -273,8 +273,8 @@ def _card(name: str) -> str:
         (80, "return_histogram", "return"),
         (500, "alpha_histogram", "alpha"),
     ):
-        found = card[what]
-        counts, low, high = found["counts"], found["low"], found["high"]
+        histogram = card[what]
+        counts, low, high = (histogram[key] for key in ("counts", "low", "high"))
         most = max(counts)
         plot = Plot((left, 30, 300, 150), (low, high), (0, most), (label, "count"))
         width = (high - low) / len(counts)

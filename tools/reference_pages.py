@@ -18,6 +18,7 @@ from marl_mm.datasets.dataset import load_dataset
 from marl_mm.envs.registry import TASKS
 from marl_mm.envs.task import Task
 from marl_mm.envs.tasks.carry import Carry
+from marl_mm.envs.tasks.grasp import Grasp
 from marl_mm.envs.tasks.reach import Reach
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.tables import markdown_table, rate_with_interval
@@ -110,13 +111,13 @@ def _best(name: str) -> str:
     best = max(offline, key=lambda row: float(row["success"]))
     online = [row for row in _online_rows() if row["task"] == name]
     learnt = max((float(row["success_last"]) for row in online), default=None)
-    told = (
+    text = (
         f"Learnt from data, {NAMES[best['setting']]} reaches {100 * best['success']:.1f} "
         "% of its goals"
     )
     if learnt is None:
-        return f"{told}; nobody has tried to learn it online."
-    return f"{told}; learnt online, {100 * learnt:.1f} %."
+        return f"{text}; it was not tried online."
+    return f"{text}; learnt online, {100 * learnt:.1f} %."
 
 
 def _entries(layout: Layout, entries: Sequence[Entry], verb: str) -> str:
@@ -151,8 +152,8 @@ def _reward(task: Task) -> str:
     if not isinstance(task, Carry):
         return text
     return (
-        f"{text}\nA failure ends the episode and brings {task.load.failure_reward:g}: a "
-        "missed grasp, a drop, a collision, or a block out of reach. "
+        f"{text}\nA failure ends the episode and brings {task.load.failure_reward:g}: "
+        f"{'a missed grasp, ' * isinstance(task, Grasp)}a drop, a collision, or a block out of reach. "
         '`info["reason"]` says which. Nothing but friction holds the block; '
         '`{"load": {"grasp": "weld"}}` fixes it to the hand instead, 1.3 times the '
         "steps per second. The policy does not see what a block weighs; the controller "
@@ -162,13 +163,13 @@ def _reward(task: Task) -> str:
 
 
 def _changed(task: Task) -> str:
-    found = [
+    changed = [
         f"`{item.name}` {getattr(task, item.name)}"
         for item in fields(task)
         if not is_dataclass(getattr(task, item.name))
         and getattr(task, item.name) != getattr(type(task)(), item.name)
     ]
-    return ", ".join(found)
+    return ", ".join(changed)
 
 
 def _offline_rows() -> list[Row]:
@@ -201,10 +202,10 @@ def _task_results(name: str) -> str:
     rows = []
     path = RESULTS / f"script/{name}.json.gz"
     if path.exists():
-        (found,) = json.loads(gzip.decompress(path.read_bytes()))
-        summary = found["summary"]["all"]
-        low, high = (100 * bound for bound in found["interval"])
-        reached = f"{100 * found['success_rate']:.1f} [{low:.1f}, {high:.1f}]"
+        (evaluation,) = json.loads(gzip.decompress(path.read_bytes()))
+        summary = evaluation["summary"]["all"]
+        low, high = (100 * bound for bound in evaluation["interval"])
+        reached = f"{100 * evaluation['success_rate']:.1f} [{low:.1f}, {high:.1f}]"
         rows.append(("the script", "", reached, f"{summary['return']:.2f}"))
     for row in _offline_rows():
         if _task_of(row) == name:
@@ -339,7 +340,11 @@ def _departures(algorithm: Algorithm) -> str:
     rows = [
         (f"`{item.name}`", *values, documented[item.name])
         for item in fields(tuned)
-        if (values := tuple(str(getattr(one, item.name)) for one in (tuned, paper)))[0]
+        if (
+            values := tuple(
+                str(getattr(preset, item.name)) for preset in (tuned, paper)
+            )
+        )[0]
         != values[1]
     ]
     if not rows:
@@ -430,7 +435,7 @@ def _algorithms_index() -> str:
     return (
         "# Algorithms\n\nStart with MABC: it has one choice less than the others, and "
         "good data are enough for it. TD3+BC and MATD3+BC add critics, which pay where "
-        "data are mixed or the task pays for what they do not show; DDPG and MADDPG "
+        "random steps are among the data, or where those who made them did not do all that the task pays for; DDPG and MADDPG "
         "learn in the environment itself.\n\n"
         + markdown_table(("algorithm", "loss of the actors", "learns", "source"), rows)
     )

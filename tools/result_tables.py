@@ -129,9 +129,12 @@ def _script() -> str:
     lines = []
     for task in (source.task for source in BLOCKS):
         packed = (RESULTS / f"script/{task}.json.gz").read_bytes()
-        (found,) = json.loads(gzip.decompress(packed))
-        every = found["summary"]["all"]
-        row = {"success": found["success_rate"], "success_interval": found["interval"]}
+        (evaluation,) = json.loads(gzip.decompress(packed))
+        every = evaluation["summary"]["all"]
+        row = {
+            "success": evaluation["success_rate"],
+            "success_interval": evaluation["interval"],
+        }
         reached = rate_with_interval({**row, "seeds": 1})
         numbers = f"{every['steps_to_success']:.1f}", f"{every['return']:.2f}"
         lines.append((task, str(every["episodes"]), reached, *numbers))
@@ -145,7 +148,7 @@ def _offline_updates() -> str:
 
 def _entries() -> str:
     """Entries of joint state and action, and whose they are, as Markdown."""
-    only = [f"`{task}`" for task, one in TASKS.items() if one.layout == HANDLING]
+    only = [f"`{name}`" for name, task in TASKS.items() if task.layout == HANDLING]
     sides = [
         ("seen by", HANDLING.state_names, REACH.state_names, "observation"),
         ("set by", HANDLING.action_names, REACH.action_names, "action"),
@@ -166,7 +169,7 @@ def _entries() -> str:
 
 def _drawn() -> str:
     """What is drawn of blocks and stands, and what a failure brings, as Markdown."""
-    loads = {task: one.load for task, one in TASKS.items() if isinstance(one, Carry)}
+    loads = {name: task.load for name, task in TASKS.items() if isinstance(task, Carry)}
     load = StandConfig()
     lines = [
         (what, *(f"{scale * end:g}" for end in interval))
@@ -179,7 +182,9 @@ def _drawn() -> str:
             ("stand's height [m]", load.stand_height, 1),
         )
     ]
-    costs = ", ".join(f"{one.failure_reward:g} in `{t}`" for t, one in loads.items())
+    costs = ", ".join(
+        f"{load.failure_reward:g} in `{name}`" for name, load in loads.items()
+    )
     table = markdown_table(("drawn for each episode", "from", "to"), lines)
     return f"{table}\nReward of a failure, which ends the episode: {costs}.\n"
 
