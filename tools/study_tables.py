@@ -25,9 +25,7 @@ STEPS = (1_500, 2_000, 3_000, 4_000, 6_000, 8_000)
 """Steps of the environment at which they are compared."""
 
 
-def differences(
-    study: Study, store: RowStore, baseline: str
-) -> dict[tuple[str, str], Row]:
+def gains(study: Study, store: RowStore, baseline: str) -> dict[tuple[str, str], Row]:
     """By how much cells are better than a setting on the same source.
 
     Args:
@@ -56,7 +54,7 @@ def differences(
 
 
 def differences_table(study: Study, store: RowStore, baseline: str) -> str:
-    """What ``differences`` finds, a line per cell, as Markdown."""
+    """What ``gains`` finds, a line per cell, as Markdown."""
     about = {setting.name: setting.about for _, setting in study.cells}
 
     def text(row: Row, key: str, scale: float, digits: int) -> str:
@@ -66,7 +64,7 @@ def differences_table(study: Study, store: RowStore, baseline: str) -> str:
 
     lines = [
         [source, about[name], text(row, "success", 100, 1), text(row, "return", 1, 2)]
-        for (source, name), row in differences(study, store, baseline).items()
+        for (source, name), row in gains(study, store, baseline).items()
     ]
     header = ["dataset", "setting", "goals reached [points, 95 %]", RETURN]
     return markdown_table(header, lines)

@@ -97,7 +97,7 @@ def _steps(episodes: Sequence[Episode]) -> Iterator[Row]:
     for direction in ("forward", "backward"):
         own = [alphas(e) for e in episodes if e.direction == direction]
         for step in range(max(map(len, own), default=0)):
-            values = [one[step] for one in own if len(one) > step]
+            values = [line[step] for line in own if len(line) > step]
             yield {
                 "direction": direction,
                 "step": step + 1,
@@ -127,7 +127,7 @@ def summarize_worth(rows: Sequence[Row]) -> list[Row]:
     The difference is paired, goal by goal; its interval is by bootstrap over goals.
     """
     cells = dict.fromkeys((row["setting"], row["seed"]) for row in rows)
-    return [one for cell in cells for one in _summarize_agent(rows, *cell)]
+    return [row for cell in cells for row in _summarize_agent(rows, *cell)]
 
 
 def _summarize_agent(rows: Sequence[Row], setting: str, seed: int) -> Iterator[Row]:

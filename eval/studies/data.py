@@ -26,7 +26,7 @@ Tell = Callable[[str], None]
 
 
 def silence(text: str) -> None:
-    """For callers who do not want to be told."""
+    """For callers who want no messages."""
 
 
 _DECLARED: tuple[Source | Mix, ...] = (*paper.GOOD, paper.PD_30K, *paper.MIXES)
@@ -110,7 +110,7 @@ class Datasets:
             executor=self.executor,
             resume=begun,
         )
-        first = next((self._location(one) for one in self._made_of(source)), None)
+        first = next(map(self._location, self._made_of(source)), None)
         collection = collect_dataset(
             location, source.collector, source.config, collecting, first, self.bar
         )
@@ -144,7 +144,9 @@ class Datasets:
 
     def _deed(self, data: Source | Mix) -> str:
         if isinstance(data, Mix):
-            return f"it is mixed of {', '.join(one.name for one, _ in data.parts)}"
+            return (
+                f"it is mixed of {', '.join(source.name for source, _ in data.parts)}"
+            )
         steps = self._steps(data.steps)
         return f"{steps} steps of {data.collector} in {data.task} are collected"
 

@@ -115,23 +115,23 @@ class Engine:
         """
         options = self.options
         wanted = self._missing(studies)
-        cell_of = {job.run: one for one in wanted for job in one.jobs}
+        cell_of = {job.run: item for item in wanted for job in item.jobs}
 
-        def keep_if_done(one: Wanted) -> None:
-            if all(job.done for job in one.jobs):
-                runs = {job.seed: job.run for job in one.jobs}
-                options.store.keep(one.cell, runs, one.probes)
+        def keep_if_done(item: Wanted) -> None:
+            if all(job.done for job in item.jobs):
+                runs = {job.seed: job.run for job in item.jobs}
+                options.store.keep(item.cell, runs, item.probes)
 
         def done(job: Job) -> None:
             keep_if_done(cell_of[job.run])
 
-        for one in wanted:
-            keep_if_done(one)
-        if all(job.done for one in wanted for job in one.jobs):
+        for item in wanted:
+            keep_if_done(item)
+        if all(job.done for item in wanted for job in item.jobs):
             return
         if not options.small:
             wanted = estimated(wanted, self.bar)
-        left = [job for one in wanted for job in one.jobs if not job.done]
+        left = [job for item in wanted for job in item.jobs if not job.done]
         text = (
             f"{len(left)} of {len(cell_of)} runs are missing in {options.runs_folder}"
         )

@@ -71,9 +71,9 @@ def _panel(cell: Cell, curves: Curves) -> str:
 def _label(cell: Cell, panel: Sequence[Cell]) -> str:
     """What sets a line apart in its panel: the source, the setting, or both."""
     source, _ = cell_name(cell)
-    if len(panel) > 1 and len({one.name for _, one in panel}) == 1:
+    if len(panel) > 1 and len({way.name for _, way in panel}) == 1:
         return source
-    if isinstance(cell[0], Online) or len({cell_name(one)[0] for one in panel}) == 1:
+    if isinstance(cell[0], Online) or len({cell_name(line)[0] for line in panel}) == 1:
         return cell[1].about
     return f"{source}, {cell[1].about}"
 

@@ -85,8 +85,8 @@ def beside_the_paper(
 ) -> Study:
     """A study whose table has the paper's results where there are some."""
     found = {cell_name(cell): reported(cell) for cell in cells}
-    known = {name: one for name, one in found.items() if one is not None}
-    return Study(about, cells, probes, reported=known, **more)
+    theirs = {name: result for name, result in found.items() if result is not None}
+    return Study(about, cells, probes, reported=theirs, **more)
 
 
 # --- Tables and figures ------------------------------------------------------

@@ -110,9 +110,9 @@ def estimated(wanted: Sequence[Wanted], bar: Bar) -> list[Wanted]:
     per_update: dict[str, float] = {}
     known = []
     advance = bar("measuring", len(wanted))
-    for one in wanted:
-        name, jobs = one.cell[1].name, []
-        for job in one.jobs:
+    for item in wanted:
+        name, jobs = item.cell[1].name, []
+        for job in item.jobs:
             if not job.done:
                 if name not in per_update:
                     per_update[name] = job.learner.seconds_per_update()
@@ -122,7 +122,7 @@ def estimated(wanted: Sequence[Wanted], bar: Bar) -> list[Wanted]:
                     seconds += job.learner.seconds_left(job.run, per_update[name])
                 job = replace(job, seconds=seconds)
             jobs.append(job)
-        known.append(replace(one, jobs=tuple(jobs)))
+        known.append(replace(item, jobs=tuple(jobs)))
         advance(1, "")
     return known
 

@@ -311,7 +311,7 @@ class Study:
     episodes that it took."""
 
     def __post_init__(self) -> None:
-        """Refuse what could not be told apart, or cannot learn so."""
+        """Refuse cells that share a name, or cannot learn so."""
         if not self.cells:
             raise UsageError(f"{self.about!r} has no cells")
         for cell in self.cells:
@@ -341,7 +341,7 @@ class Study:
                 f"{' '.join(sources)}: leave out one of both"
             )
         left = {cell_name(cell) for cell in cells}
-        reported = {name: one for name, one in self.reported.items() if name in left}
+        reported = {name: self.reported[name] for name in self.reported if name in left}
         return replace(self, cells=cells, reported=reported)
 
     def run(

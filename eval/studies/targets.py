@@ -1,6 +1,12 @@
-"""What ``marl-mm ablate`` makes by name."""
+"""What ``marl-mm ablate`` makes by name: our studies, and one of another's file."""
 
+import runpy
+import sys
+from pathlib import Path
+
+from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.studies import online, ours, paper
+from marl_mm.eval.studies.study import Study
 
 STUDIES = paper.STUDIES | ours.STUDIES | online.STUDIES
 """Studies by name."""
@@ -10,3 +16,31 @@ GROUPS = {
     "all": (*STUDIES, "alpha"),
 }
 """Names that stand for several; ``alpha`` is what the learnt alpha is worth."""
+
+
+def study_of(path: Path, name: str) -> Study:
+    """A study from somebody's own file.
+
+    Raises:
+        UsageError: If there is none of that name.
+    """
+    if not path.is_file():
+        raise UsageError(f"there is no file {path}, expected FILE.py:NAME")
+    sys.path.insert(0, str(path.parent))  # of what it imports itself
+    try:
+        found = runpy.run_path(str(path))
+    except MarlMmError as error:
+        raise UsageError(f"{path}: {error}") from error
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise UsageError(f"{path} cannot be run: {reason:.300}") from error
+    finally:
+        sys.path.remove(str(path.parent))
+    study = found.get(name)
+    if isinstance(study, Study):
+        return study
+    known = [key for key, value in found.items() if isinstance(value, Study)]
+    raise UsageError(
+        f"{path} has no Study called {name!r}, expected one of "
+        f"{', '.join(known) or 'its names: it has none'}"
+    )

@@ -1,10 +1,5 @@
-"""marl-mm ablate: tables and figures of the paper, and ours, from raw runs.
+"""marl-mm ablate: tables and figures of the paper, and ours, from raw runs."""
 
-Runs that a target needs and that are not there are trained first; finished ones are
-kept, interrupted ones go on.
-"""
-
-import runpy
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,6 +10,7 @@ from marl_mm.commands.options import COMMITTED
 from marl_mm.commands.parser import Subcommand, parse_options, parse_subcommand
 from marl_mm.commands.wording import as_options
 from marl_mm.errors import FailedRunsError, MarlMmError, UsageError
+from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import to_json
 from marl_mm.eval.studies.alpha import (
     ABOUT,
@@ -28,7 +24,7 @@ from marl_mm.eval.studies.engine import Engine, compare
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.study import Study
 from marl_mm.eval.studies.sweep import draw_sweep
-from marl_mm.eval.studies.targets import GROUPS, STUDIES
+from marl_mm.eval.studies.targets import GROUPS, STUDIES, study_of
 from marl_mm.files import refuse_existing
 from marl_mm.progress import progress_bars
 from marl_mm.workers import available_cores
@@ -68,46 +64,59 @@ def main(arguments: Sequence[str]) -> None:
     target, options, studies = _parsed(arguments)
     with_alpha = _ALPHA in GROUPS.get(target, (target,)) and _OF_FILE not in target
     if options.datasets is not None or options.settings is not None:
-        if len(studies) != 1:
-            raise UsageError(f"--settings and --datasets are for a study, not {target}")
-        ((name, study),) = studies.items()
-        part = study.part(options.datasets, options.settings)
-        if options.check and len(part.cells) < len(study.cells):
-            raise UsageError("--check is for whole tables, without --settings")
-        whole = len(part.cells) == len(study.cells)
-        studies = {name if whole else f"{name}-part": part}
+        studies = _parts(studies, options, target)
     if options.check:
         check_tables(_checks(options, studies, with_alpha))
         return
     with progress_bars(vanish=True) as bar:
         engine = Engine(options, _tell, bar)
-        needed = studies | ({_ALPHA: CHOOSING} if with_alpha else {})
         if options.plan:
-            print(engine.plan(needed), end="")
+            needed = {_ALPHA: CHOOSING} if with_alpha else {}
+            print(engine.plan(studies | needed), end="")
             return
-        again = options.overwrite or options.resume
         if with_alpha:
+            again = options.overwrite or options.resume
             refuse_existing(options.results / WORTH, again)
-        failures: list[MarlMmError] = []
-        tables = {}
-        try:
-            for name, table in engine.run(studies):
-                tables[name] = table.rows
-                if not options.json:
-                    print(f"{table.study.about}\n\n{table.markdown()}")
-        except FailedRunsError as error:
-            failures.append(error)
-        if with_alpha:
-            try:
-                engine.make_rows({_ALPHA: CHOOSING})
-                tables[_ALPHA] = make_worth(options, bar)
-                if not options.json:
-                    print(f"{ABOUT}\n\n{worth_table(tables[_ALPHA])}")
-            except FailedRunsError as error:
-                failures.append(error)
+        tables, failures = _make(engine, studies, with_alpha, quiet=options.json)
     if options.json:
         print(to_json(tables))
     _raise(failures)
+
+
+def _make(
+    engine: Engine, studies: dict[str, Study], with_alpha: bool, quiet: bool
+) -> tuple[dict[str, list[Row]], list[MarlMmError]]:
+    """Make what is missing, and print tables as they come; failures stop no others."""
+    tables: dict[str, list[Row]] = {}
+    failures: list[MarlMmError] = []
+    try:
+        for name, table in engine.run(studies):
+            tables[name] = table.rows
+            if not quiet:
+                print(f"{table.study.about}\n\n{table.markdown()}")
+    except FailedRunsError as error:
+        failures.append(error)
+    if with_alpha:
+        try:
+            engine.make_rows({_ALPHA: CHOOSING})
+            tables[_ALPHA] = make_worth(engine.options, engine.bar)
+            if not quiet:
+                print(f"{ABOUT}\n\n{worth_table(tables[_ALPHA])}")
+        except FailedRunsError as error:
+            failures.append(error)
+    return tables, failures
+
+
+def _parts(studies: dict[str, Study], options: Ablate, target: str) -> dict[str, Study]:
+    """The asked part of a study."""
+    if len(studies) != 1:
+        raise UsageError(f"--settings and --datasets are for a study, not {target}")
+    ((name, study),) = studies.items()
+    part = study.part(options.datasets, options.settings)
+    whole = len(part.cells) == len(study.cells)
+    if options.check and not whole:
+        raise UsageError("--check is for whole tables, without --datasets, --settings")
+    return {name if whole else f"{name}-part": part}
 
 
 def _parsed(arguments: Sequence[str]) -> tuple[str, Ablate, dict[str, Study]]:
@@ -115,7 +124,7 @@ def _parsed(arguments: Sequence[str]) -> tuple[str, Ablate, dict[str, Study]]:
     if arguments and _OF_FILE in arguments[0]:
         path, _, name = arguments[0].partition(_OF_FILE)
         own = parse_options(Ablate, "marl-mm ablate", arguments[1:])
-        return arguments[0], own, {name.lower(): _declared(Path(f"{path}.py"), name)}
+        return arguments[0], own, {name.lower(): study_of(Path(f"{path}.py"), name)}
     abouts = {name: study.about for name, study in STUDIES.items()} | {
         _ALPHA: ABOUT,
         "paper": "The paper's own: Tables 4 and 5 and Figs. 4 to 10, in one night.",
@@ -134,34 +143,6 @@ def _parsed(arguments: Sequence[str]) -> tuple[str, Ablate, dict[str, Study]]:
 
 def _tell(text: str) -> None:
     print(as_options(text), file=sys.stderr)
-
-
-def _declared(path: Path, name: str) -> Study:
-    """A study from somebody's own file.
-
-    Raises:
-        UsageError: If there is none of that name.
-    """
-    if not path.is_file():
-        raise UsageError(f"there is no file {path}, expected FILE.py:NAME")
-    sys.path.insert(0, str(path.parent))  # of what it imports itself
-    try:
-        found = runpy.run_path(str(path))
-    except MarlMmError as error:
-        raise UsageError(f"{path}: {error}") from error
-    except Exception as error:
-        reason = f"{type(error).__name__}: {error}"
-        raise UsageError(f"{path} cannot be run: {reason:.300}") from error
-    finally:
-        sys.path.remove(str(path.parent))
-    study = found.get(name)
-    if isinstance(study, Study):
-        return study
-    known = [key for key, value in found.items() if isinstance(value, Study)]
-    raise UsageError(
-        f"{path} has no Study called {name!r}, expected one of "
-        f"{', '.join(known) or 'its names: it has none'}"
-    )
 
 
 # --- Whether tables are what their rows give ---------------------------------
@@ -200,16 +181,13 @@ def check_tables(checks: Sequence[Check]) -> None:
     failures: list[MarlMmError] = []
     for folder, draw in checks:
         try:
-            states = compare(folder, draw)
+            for path, state in compare(folder, draw).items():
+                print(f"{path}: {state}")
+                if state != "the same":
+                    why = "not what the rows there give; draw again with --overwrite"
+                    failures.append(MarlMmError(f"{path}: {why}"))
         except MarlMmError as error:
             failures.append(error)
-            continue
-        for path, state in states.items():
-            print(f"{path}: {state}")
-        wrong = [str(path) for path, state in states.items() if state != "the same"]
-        if wrong:
-            text = f"{', '.join(wrong)}: not what the rows there give; draw again with "
-            failures.append(MarlMmError(f"{text}--overwrite"))
     _raise(failures)
 
 
