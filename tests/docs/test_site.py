@@ -125,7 +125,7 @@ def test_search_finds_the_page(site: str, browser: Any) -> None:
     page = _page(browser, DESK, complaints, site)
     page.goto(site + "index.html")
     page.click("label.md-search__icon[for=__search]", force=True)
-    page.fill("input.md-search__input", "hindsight")
+    page.locator("input.md-search__input").press_sequentially("hindsight")
     first = page.wait_for_selector(".md-search-result__item a", timeout=20_000)
     text = page.inner_text(".md-search-result__list")
     assert "DDPG + HER" in text or "Online learning" in text
