@@ -1,6 +1,7 @@
 """What several test files share: the robot, random states, small datasets."""
 
 import os
+import sys
 
 # Tests run beside each other: those of several processes say how many, and threads of
 # torch on cores that are taken wait for each other ten times as long as they compute.
@@ -11,17 +12,24 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import psutil
 import pytest
 
+from marl_mm import plugins
+from marl_mm.algorithms.registry import ALGORITHMS
+from marl_mm.collectors import replay
+from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.control.records import Reference
 from marl_mm.envs.core import EpisodeCore
-from marl_mm.envs.registry import make_task
+from marl_mm.envs.registry import TASKS, make_task
 from marl_mm.envs.task import Task
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import INFO, Episode
+from marl_mm.eval.metrics import METRICS
 from marl_mm.layout import Layout
+from marl_mm.registry import Registry
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
@@ -30,6 +38,34 @@ WorkersOf = Callable[[int], list[psutil.Process]]
 MakeEpisode = Callable[..., Episode]
 OpenWorld = Callable[..., EpisodeCore]
 Situation = tuple[RobotState, ModelTerms, Reference]
+
+
+@pytest.fixture
+def registries() -> Iterator[None]:
+    """Nothing stays registered, loaded or open after the test."""
+    kinds: tuple[Registry[Any], ...] = (TASKS, ALGORITHMS, COLLECTORS, METRICS)
+    names = "_things", "_origins", "_places"
+    before = [(kind, kind.names()) for kind in kinds]
+    kept = [{name: dict(getattr(kind, name)) for name in names} for kind in kinds]
+    loaded, known = dict(plugins._loaded), dict(gymnasium.registry)
+    modules, cores = set(sys.modules), set(replay._cores)
+    yield
+    for kind, parts in zip(kinds, kept, strict=True):
+        for name, part in parts.items():
+            setattr(kind, name, part)
+    assert [(kind, kind.names()) for kind in kinds] == before
+    restore(plugins._loaded, loaded)
+    restore(gymnasium.registry, known)
+    for name in set(sys.modules) - modules:
+        if name.startswith("marl_mm_plugin_"):
+            del sys.modules[name]
+    for key in set(replay._cores) - cores:
+        replay._cores.pop(key).close()
+
+
+def restore(now: dict[str, Any], then: dict[str, Any]) -> None:
+    now.clear()
+    now.update(then)
 
 
 @pytest.fixture(scope="session")

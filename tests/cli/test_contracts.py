@@ -7,15 +7,13 @@ named, and no other claim: none is found by chance.
 import json
 import os
 import random
-import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
-import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -36,7 +34,6 @@ from marl_mm.algorithms.registry import ALGORITHMS, TUNED
 from marl_mm.algorithms.replay import Batch
 from marl_mm.algorithms.td3_bc import Td3Bc
 from marl_mm.cli import main
-from marl_mm.collectors import replay
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.collectors.registry import COLLECTORS, Collector
@@ -62,32 +59,7 @@ Broken = dict[str, str]
 """Claims that do not hold, and a part of why."""
 
 
-@pytest.fixture(autouse=True)
-def registries() -> Iterator[None]:
-    """Nothing stays registered, loaded or open."""
-    kinds: tuple[Registry[Any], ...] = (TASKS, ALGORITHMS, COLLECTORS)
-    names = "_things", "_origins", "_places"
-    before = [(kind, kind.names()) for kind in kinds]
-    kept = [{name: dict(getattr(kind, name)) for name in names} for kind in kinds]
-    loaded, known = dict(plugins._loaded), dict(gymnasium.registry)
-    modules, cores = set(sys.modules), set(replay._cores)
-    yield
-    for kind, parts in zip(kinds, kept, strict=True):
-        for name, part in parts.items():
-            setattr(kind, name, part)
-    assert [(kind, kind.names()) for kind in kinds] == before
-    restore(plugins._loaded, loaded)
-    restore(gymnasium.registry, known)
-    for name in set(sys.modules) - modules:
-        if name.startswith("marl_mm_plugin_"):
-            del sys.modules[name]
-    for key in set(replay._cores) - cores:
-        replay._cores.pop(key).close()
-
-
-def restore(now: dict[str, Any], then: dict[str, Any]) -> None:
-    now.clear()
-    now.update(then)
+pytestmark = pytest.mark.usefixtures("registries")
 
 
 def built_in(kind: Registry[Any]) -> list[str]:

@@ -4,9 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ import torch
 from marl_mm import plugins
 from marl_mm.algorithms.checkpoint import FILE, read_checkpoint
 from marl_mm.algorithms.policy import load_policy
-from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.cli import main
 from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.datasets.dataset import load_dataset
@@ -23,31 +20,14 @@ from marl_mm.envs import make_task, parallel_env
 from marl_mm.envs.registry import TASKS
 from marl_mm.errors import PluginError, UsageError
 from marl_mm.eval.evaluate import evaluate
-from marl_mm.eval.metrics import METRICS
-from marl_mm.registry import Registry
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
-
-REGISTRIES: tuple[Registry[Any], ...] = (ALGORITHMS, TASKS, COLLECTORS, METRICS)
 
 FEW = ["--eval-episodes", "2", "--curve-episodes", "1", "--workers", "1"]
 SMALL = [*FEW, "--updates", "20", "--curve-every", "20", "--hidden", "8"]
 
 
-@pytest.fixture(autouse=True)
-def as_before() -> Iterator[None]:
-    """No plug-in stays loaded after a test."""
-    for registry in REGISTRIES:
-        registry.names()
-    kept = [
-        (dict(registry._things), dict(registry._origins)) for registry in REGISTRIES
-    ]
-    loaded = dict(plugins._loaded)
-    yield
-    for registry, (things, origins) in zip(REGISTRIES, kept, strict=True):
-        registry._things, registry._origins = things, origins
-    plugins._loaded.clear()
-    plugins._loaded.update(loaded)
+pytestmark = pytest.mark.usefixtures("registries")
 
 
 def run(*words: object) -> int:

@@ -76,7 +76,7 @@ class NeedsYaw(Reach):
         return np.asarray(super().reward(achieved, desired, terms) - terms["base_yaw"])
 
 
-def test_rewards_of_a_state_entry_are_computed_again() -> None:
+def test_rewards_of_a_state_entry_are_computed_again(registries: None) -> None:
     register_task("NeedsYaw-v0", NeedsYaw(max_steps=2))
     env = GoalEnv("NeedsYaw-v0")
     env.reset(seed=0)

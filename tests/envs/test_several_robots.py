@@ -1,6 +1,5 @@
 """Several robots in one episode, any number of agents, and terms of every tick."""
 
-from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,7 +17,7 @@ from marl_mm.datasets.dataset import load_dataset
 from marl_mm.envs.core import EpisodeCore, motion_info
 from marl_mm.envs.drive import Motion, Tick
 from marl_mm.envs.order import Order
-from marl_mm.envs.registry import TASKS, register_task
+from marl_mm.envs.registry import register_task
 from marl_mm.envs.rollout import EpisodePlan, run_episode
 from marl_mm.envs.task import Attempt, ScriptConfig, Task, Terms, Values
 from marl_mm.envs.tasks.reach import LAYOUT, Reach
@@ -136,13 +135,9 @@ class Quiet(Reach):
 
 
 @pytest.fixture(autouse=True)
-def registered() -> Iterator[None]:
-    TASKS.names()
-    kept = dict(TASKS._things), dict(TASKS._origins)
+def registered(registries: None) -> None:
     register_task("Pair-v0", Pair())
     register_task("Quiet-v0", Quiet())
-    yield
-    TASKS._things, TASKS._origins = kept
 
 
 @pytest.mark.slow
