@@ -18,6 +18,8 @@ from marl_mm.algorithms.speed import (
 )
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import Location
+from marl_mm.datasets.metadata import read_metadata
+from marl_mm.datasets.provenance import Provenance
 from marl_mm.errors import DivergedError
 from marl_mm.eval.studies import sb3
 from marl_mm.eval.studies.study import BEST, LAST, Data, Online, Probe, Setting
@@ -54,7 +56,7 @@ class Learner:
 
     @property
     def dataset(self) -> Dataset:
-        """The dataset."""
+        """The dataset; it is read each time, as learners travel to processes."""
         assert self.source is not None
         return load_dataset(self.source)
 
@@ -63,7 +65,8 @@ class Learner:
         """Task that is evaluated in."""
         if isinstance(self.training, OnlineTraining):
             return self.training.task
-        return self.dataset.provenance.task
+        assert self.source is not None
+        return Provenance.from_json(read_metadata(self.source)["marl_mm"]).task
 
     @property
     def probes(self) -> tuple[Probe, ...]:
