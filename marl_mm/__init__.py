@@ -8,12 +8,13 @@ from marl_mm.plugins import load_installed
 
 if TYPE_CHECKING:
     from marl_mm.datasets.dataset import load_dataset
-    from marl_mm.eval.studies.study import Online, Setting, Source, Study
+    from marl_mm.eval.studies.study import Online, Setting, Study
     from marl_mm.runs.collect import collect
     from marl_mm.runs.evaluate import evaluate
     from marl_mm.runs.play import play
     from marl_mm.runs.policies import load_policy
     from marl_mm.runs.run import load_run
+    from marl_mm.runs.sources import Source
     from marl_mm.runs.train import train
 
 __version__ = "0.2.0"
@@ -33,9 +34,8 @@ __all__ = [
 ]
 
 _MODULES = {
-    **dict.fromkeys(
-        ("Online", "Setting", "Source", "Study"), "marl_mm.eval.studies.study"
-    ),
+    **dict.fromkeys(("Online", "Setting", "Study"), "marl_mm.eval.studies.study"),
+    "Source": "marl_mm.runs.sources",
     "collect": "marl_mm.runs.collect",
     "evaluate": "marl_mm.runs.evaluate",
     "load_dataset": "marl_mm.datasets.dataset",

@@ -4,14 +4,13 @@ from marl_mm.eval.studies.study import (
     BEST,
     LAST,
     Curves,
-    Mix,
     Online,
     Probe,
     Reported,
     Setting,
-    Source,
     Study,
 )
+from marl_mm.runs.sources import Mix, Source
 
 __all__ = [
     "BEST",

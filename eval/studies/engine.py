@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 
 from marl_mm.errors import FailedRunsError
 from marl_mm.eval.rows import write_csv
-from marl_mm.eval.studies.data import Datasets, Tell, silence
+from marl_mm.eval.studies import ours
 from marl_mm.eval.studies.jobs import Job, do_jobs
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.plan import (
@@ -22,9 +22,15 @@ from marl_mm.eval.studies.summary import summarize
 from marl_mm.eval.studies.table import Table
 from marl_mm.files import refuse_existing
 from marl_mm.progress import Bar, silent_bar
+from marl_mm.runs.paper import PAPER
+from marl_mm.runs.sources import Datasets, Tell, silence
 
 Studies = Mapping[str, Study]
 """Studies by the name of their files."""
+
+
+_KNOWN = {source.name: source for source in (*PAPER, *ours.OTHER_TASKS)}
+"""Declared sources by the word that an id is short for."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +162,7 @@ class Engine:
         options = self.options
         small = options.runs_folder / "datasets" if options.small else None
         pool = options.workers, options.executor
-        datasets = Datasets(small, *pool, self.tell, self.bar, plan)
+        datasets = Datasets(small, *pool, self.tell, self.bar, _KNOWN, plan=plan)
         return missing_cells(options, studies.values(), datasets)
 
 

@@ -12,13 +12,13 @@ from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.errors import MarlMmError, WorkerDiedError
 from marl_mm.eval.evaluate import evaluate
-from marl_mm.eval.studies.data import Tell
 from marl_mm.eval.studies.held import FixedAlpha
 from marl_mm.eval.studies.learners import Learner
 from marl_mm.eval.studies.rows import is_probed
 from marl_mm.eval.studies.study import Probe
 from marl_mm.files import write_json
 from marl_mm.progress import Advance, Bar, distant_bars, show_distant_bars, silent_bar
+from marl_mm.runs.sources import Tell
 from marl_mm.workers import Executor, open_pool
 
 _DEATHS = 3

@@ -22,9 +22,10 @@ from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.errors import DivergedError
 from marl_mm.eval.studies import sb3
-from marl_mm.eval.studies.study import BEST, LAST, Data, Online, Probe, Setting
+from marl_mm.eval.studies.study import BEST, LAST, Online, Probe, Setting
 from marl_mm.progress import Bar
 from marl_mm.runs import offline, online
+from marl_mm.runs.sources import Data
 from marl_mm.runs.training import Offline, Training, offline_training, online_training
 from marl_mm.runs.training import Online as OnlineTraining
 

@@ -12,10 +12,10 @@ from marl_mm.eval.studies.study import (
     Online,
     Reported,
     Setting,
-    Source,
     Study,
     cell_name,
 )
+from marl_mm.runs.sources import Source
 
 _REACH = Online("Reach-v0")
 

@@ -3,8 +3,10 @@
 from itertools import product
 from typing import Any
 
-from marl_mm.eval.studies.paper import GOOD, GOOD_30K, MIXES, PD_30K, beside_the_paper
-from marl_mm.eval.studies.study import LAST, Probe, Setting, Source
+from marl_mm.eval.studies.paper import GOOD, beside_the_paper
+from marl_mm.eval.studies.study import LAST, Probe, Setting
+from marl_mm.runs.paper import GOOD_30K, MIXES, PD_30K
+from marl_mm.runs.sources import Source
 
 OTHER_TASKS = (
     Source("pretrained", "SmoothReach-v0", 30_000, name="smooth-30k"),

@@ -1,4 +1,4 @@
-"""The paper's datasets, and its tables and figures of offline learning."""
+"""The paper's tables and figures of offline learning."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -8,30 +8,16 @@ from marl_mm.eval.studies.study import (
     BEST,
     LAST,
     Cell,
-    Mix,
     Online,
     Probe,
     Reported,
     Setting,
-    Source,
     Study,
     cell_name,
 )
-from marl_mm.runs.paper import COLLECTED, MIXED
+from marl_mm.runs.paper import GOOD_30K, GOOD_60K, MIXES, PD_30K
 
-# --- Datasets ----------------------------------------------------------------
-
-_COLLECTED = {
-    name: Source(collector, steps=steps, name=name)
-    for name, (collector, steps) in COLLECTED.items()
-}
-GOOD_30K, PD_30K = _COLLECTED["good-30k"], _COLLECTED["pd-30k"]
-GOOD_60K = Source("pretrained", steps=60_000, name="good-60k", first=GOOD_30K)
 GOOD = (GOOD_30K, GOOD_60K)
-MIXES = tuple(
-    Mix(name, [(_COLLECTED[source], steps) for source, steps in parts.items()])
-    for name, parts in MIXED.items()
-)
 
 # --- Results that the paper reports ------------------------------------------
 

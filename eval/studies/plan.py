@@ -6,7 +6,6 @@ from pathlib import Path
 
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.errors import OtherConfigError, UsageError
-from marl_mm.eval.studies.data import Datasets
 from marl_mm.eval.studies.jobs import Job
 from marl_mm.eval.studies.learners import GOAL, Learner, made_of, training_of
 from marl_mm.eval.studies.options import StudyOptions
@@ -21,6 +20,7 @@ from marl_mm.eval.studies.study import (
 )
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar
+from marl_mm.runs.sources import Datasets
 
 
 @dataclass(frozen=True)

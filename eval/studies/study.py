@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
-from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.errors import UsageError
 from marl_mm.progress import Bar, silent_bar
-from marl_mm.runs.settings import check_positive, with_settings
+from marl_mm.runs.settings import with_settings
+from marl_mm.runs.sources import Data, Mix, Source
 
 if TYPE_CHECKING:
     from marl_mm.eval.studies.table import Table
@@ -26,68 +26,6 @@ def _check_name(name: str) -> None:
 
 
 # --- Sources -----------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Source:
-    """A dataset of one collector, which is collected where it is missing."""
-
-    collector: str = "pd"
-    """Registered name of the collector."""
-
-    task: str = DEFAULT
-    """Registered name of the task."""
-
-    steps: int = 10_000
-    """Least number of steps; the last episode is kept whole."""
-
-    seed: int = 0
-    """Seed of the collection."""
-
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    """Settings of the collector that are not its defaults."""
-
-    name: str = ""
-    """Id of the dataset, or a word that is short for one; default made of the fields
-    above."""
-
-    first: "Source | None" = None
-    """Shorter source of the same collector, task and seed that this one begins with."""
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be collected, and name it."""
-        make_task(self.task)
-        check_positive(steps=self.steps)
-        _ = self.config
-        if not self.name:
-            words = self.collector, self.task.removesuffix("-v0"), self.steps, self.seed
-            parts = [*words, *(f"{k}-{v}" for k, v in self.settings.items())]
-            slug = re.sub(r"[^A-Za-z0-9]+", "-", "-".join(map(str, parts)))
-            object.__setattr__(self, "name", slug.strip("-").lower())
-
-    @property
-    def config(self) -> Any:
-        """Settings of the collector."""
-        default = COLLECTORS.get(self.collector).config()
-        return with_settings(f"collector {self.collector}", default, self.settings)
-
-
-@dataclass(frozen=True)
-class Mix:
-    """A dataset of episodes drawn from sources, which is made where it is missing."""
-
-    name: str
-    """Id of the dataset, or a word that is short for one."""
-
-    parts: Sequence[tuple[Source, int]]
-    """Sources, and how many steps are drawn from each, at least."""
-
-    seed: int = 0
-    """Seed of the draw."""
-
-
-Data = Source | Mix | str
-"""A dataset: one that is made where it is missing, or the id or path of one."""
 
 
 @dataclass(frozen=True)

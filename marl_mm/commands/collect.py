@@ -12,12 +12,14 @@ from marl_mm.commands.options import REGISTERED
 from marl_mm.commands.parser import Subcommand, parse_subcommand, value_of
 from marl_mm.datasets.card import card, card_text, keep_card
 from marl_mm.envs.registry import DEFAULT, TASKS
+from marl_mm.errors import UsageError
 from marl_mm.progress import progress_bars
-from marl_mm.runs import paper
 from marl_mm.runs.collect import begun_settings, collect_into, default_dataset
 from marl_mm.runs.collecting import Collecting
-from marl_mm.runs.settings import with_values
-from marl_mm.workers import available_cores
+from marl_mm.runs.paper import PAPER
+from marl_mm.runs.settings import check_positive, check_seed, with_values
+from marl_mm.runs.sources import Datasets, seeded
+from marl_mm.workers import Executor, available_cores
 
 C = TypeVar("C")
 
@@ -42,18 +44,30 @@ class CollectWith(Collecting, Generic[C]):
 
 
 @dataclass(frozen=True)
-class Paper(paper.Paper):
+class Paper:
     """Make what is missing of the paper's datasets, marl_mm/reach/NAME-v0.
 
     good-30k, good-60k, pd-30k, random-10k, medium-5k and the mixes of Table 4. The same
     command goes on after an interruption. good-60k begins with good-30k.
     """
 
+    scale: float = 1.0
+    """Share of the paper's steps, to see that everything works."""
+
+    seed: int = 0
+    """Seed of all datasets."""
+
     workers: int = field(default_factory=available_cores)
     """Processes; the datasets do not depend on their number."""
 
+    executor: Executor = "local"
+    """Processes of this machine, or of a Ray cluster."""
+
     resume: bool = False
     """Go on after an interruption: it does so anyway."""
+
+    overwrite: bool = False
+    """Replace those that are damaged, of another seed or of a larger scale."""
 
     json: bool = False
     """Print the cards as JSON."""
@@ -115,10 +129,22 @@ def _resumed(arguments: Sequence[str]) -> Subcommand:
 
 
 def _paper(command: Paper) -> None:
+    check_seed(command.seed)
+    check_positive(workers=command.workers)
+    if not 0.0 < command.scale <= 100.0:
+        raise UsageError(f"--scale is {command.scale}, expected a share such as 0.01")
     cards = []
     with progress_bars() as bar:
-        for data in paper.collect_paper(command, bar):
-            cards.append(keep_card(data))
+        datasets = Datasets(
+            workers=command.workers,
+            executor=command.executor,
+            bar=bar,
+            scale=command.scale,
+            overwrite=command.overwrite,
+        )
+        for data in PAPER:
+            made = datasets.make(seeded(data, command.seed))
+            cards.append(keep_card(made))
             if not command.json:
                 print(card_text(cards[-1]), end="\n\n", flush=True)
     if command.json:

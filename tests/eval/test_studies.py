@@ -30,10 +30,9 @@ from marl_mm.errors import (
 )
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies import rows as study_rows
-from marl_mm.eval.studies.data import Datasets
 from marl_mm.eval.studies.jobs import Job, do_jobs
 from marl_mm.eval.studies.learners import Learner
-from marl_mm.eval.studies.paper import GOOD_30K, PAPER, reported
+from marl_mm.eval.studies.paper import PAPER, reported
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.study import (
     BEST,
@@ -42,12 +41,13 @@ from marl_mm.eval.studies.study import (
     Probe,
     Reported,
     Setting,
-    Source,
     Study,
     cell_name,
 )
 from marl_mm.eval.studies.targets import GROUPS, STUDIES
 from marl_mm.progress import silent_bar
+from marl_mm.runs.paper import GOOD_30K
+from marl_mm.runs.sources import Datasets, Source
 from marl_mm.runs.training import offline_training
 
 WorkersOf = Callable[[int], list[psutil.Process]]

@@ -1,21 +1,24 @@
-"""The datasets that studies learn from: what is missing is collected or mixed first."""
+"""Datasets as declarations: what is missing of them is collected or mixed."""
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
+from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.config_diff import as_json
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import SHIPPED, Location, locate
 from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.recipe import Part, mix, write_mix
-from marl_mm.errors import UnknownDatasetError
-from marl_mm.eval.studies import ours, paper
-from marl_mm.eval.studies.study import Data, Mix, Source
+from marl_mm.envs.registry import DEFAULT, make_task
+from marl_mm.errors import DatasetError, UnknownDatasetError, UsageError
 from marl_mm.files import only_here
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.collecting import Collecting, collect_dataset
+from marl_mm.runs.settings import check_positive, with_settings
 from marl_mm.workers import Executor
 
 FEW = 30
@@ -29,9 +32,75 @@ def silence(text: str) -> None:
     """For callers who want no messages."""
 
 
-_DECLARED: tuple[Source | Mix, ...] = (*paper.GOOD, paper.PD_30K, *paper.MIXES)
-_KNOWN = {source.name: source for source in (*_DECLARED, *ours.OTHER_TASKS)}
-"""Declared sources by the word that an id is short for."""
+@dataclass(frozen=True)
+class Source:
+    """A dataset of one collector, which is collected where it is missing."""
+
+    collector: str = "pd"
+    """Registered name of the collector."""
+
+    task: str = DEFAULT
+    """Registered name of the task."""
+
+    steps: int = 10_000
+    """Least number of steps; the last episode is kept whole."""
+
+    seed: int = 0
+    """Seed of the collection."""
+
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Settings of the collector that are not its defaults."""
+
+    name: str = ""
+    """Id of the dataset, or a word that is short for one; default made of the fields
+    above."""
+
+    first: "Source | None" = None
+    """Shorter source of the same collector, task and seed that this one begins with."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be collected, and name it."""
+        make_task(self.task)
+        check_positive(steps=self.steps)
+        _ = self.config
+        if not self.name:
+            words = self.collector, self.task.removesuffix("-v0"), self.steps, self.seed
+            parts = [*words, *(f"{k}-{v}" for k, v in self.settings.items())]
+            slug = re.sub(r"[^A-Za-z0-9]+", "-", "-".join(map(str, parts)))
+            object.__setattr__(self, "name", slug.strip("-").lower())
+
+    @property
+    def config(self) -> Any:
+        """Settings of the collector."""
+        default = COLLECTORS.get(self.collector).config()
+        return with_settings(f"collector {self.collector}", default, self.settings)
+
+
+@dataclass(frozen=True)
+class Mix:
+    """A dataset of episodes drawn from sources, which is made where it is missing."""
+
+    name: str
+    """Id of the dataset, or a word that is short for one."""
+
+    parts: Sequence[tuple[Source, int]]
+    """Sources, and how many steps are drawn from each, at least."""
+
+    seed: int = 0
+    """Seed of the draw."""
+
+
+Data = Source | Mix | str
+"""A dataset: one that is made where it is missing, or the id or path of one."""
+
+
+def seeded(data: Source | Mix, seed: int) -> Source | Mix:
+    """A declaration, and all that it begins with or is drawn from, of another seed."""
+    if isinstance(data, Source):
+        first = data.first and replace(data.first, seed=seed)
+        return replace(data, seed=seed, first=first)
+    parts = [(replace(source, seed=seed), steps) for source, steps in data.parts]
+    return replace(data, seed=seed, parts=parts)
 
 
 @dataclass(frozen=True)
@@ -50,6 +119,15 @@ class Datasets:
     tell: Tell = silence
     bar: Bar = silent_bar
 
+    known: Mapping[str, Source | Mix] = field(default_factory=dict)
+    """Declared sources by the word that an id is short for."""
+
+    scale: float = 1.0
+    """Share of the declared steps."""
+
+    overwrite: bool = False
+    """Replace what is damaged, of another declaration or of more steps."""
+
     plan: bool = False
     """Whether nothing is made: the dataset that ships counts for what is missing."""
 
@@ -65,7 +143,7 @@ class Datasets:
 
     def find(self, data: Data) -> Dataset:
         """A dataset that is there and whole; an UnknownDatasetError if it is not."""
-        data = _declared(data)
+        data = self._declared(data)
         if isinstance(data, str):
             return load_dataset(data)
         location = self._location(data)
@@ -83,7 +161,7 @@ class Datasets:
             OtherConfigError: If another collection has its name.
             KeyboardInterrupt: After Ctrl-C; the same call goes on.
         """
-        data = _declared(data)
+        data = self._declared(data)
         if isinstance(data, str):
             return load_dataset(data)
         location = self._location(data)
@@ -111,15 +189,29 @@ class Datasets:
             resume=begun,
         )
         first = next(map(self._location, self._made_of(source)), None)
-        collection = collect_dataset(
-            location, source.collector, source.config, collecting, first, self.bar
-        )
+        of, beside = (location, source.collector, source.config), (first, self.bar)
+        try:
+            collection = collect_dataset(*of, collecting, *beside)
+        except (UsageError, DatasetError):
+            if not (begun and self.overwrite):
+                raise
+            anew = replace(collecting, resume=False, overwrite=True)
+            collection = collect_dataset(*of, anew, *beside)
         if not collection.complete:
             raise KeyboardInterrupt(f"stopped in {source.name}; the same call goes on")
 
     def _mix(self, data: Mix, location: Location) -> None:
         parts = [Part(self.find(s), self._steps(steps)) for s, steps in data.parts]
-        write_mix(location, mix(parts, data.seed))
+        write_mix(location, mix(parts, data.seed), self._gives_way(data, location))
+
+    def _gives_way(self, data: Mix, location: Location) -> bool:
+        """Whether a mix that is there may be replaced: it is of no more steps."""
+        if self.overwrite or not location.folder.exists():
+            return True
+        known = Provenance.from_json(read_metadata(location)["marl_mm"])
+        drawn = sum((known.recipe or {}).get("steps", {}).values())
+        asked = sum(self._steps(steps) for _, steps in data.parts)
+        return known.seed == data.seed and 0 < drawn <= asked
 
     def _made_of(self, data: Source | Mix) -> list[Source]:
         """Sources that it begins with, or is drawn from."""
@@ -131,7 +223,12 @@ class Datasets:
         """Whether the dataset is there, as it is declared, with all its steps."""
         if not location.folder.exists():
             return False
-        known = Provenance.from_json(read_metadata(location)["marl_mm"])
+        try:
+            known = Provenance.from_json(read_metadata(location)["marl_mm"])
+        except DatasetError:
+            if self.overwrite:
+                return False
+            raise
         if isinstance(data, Mix):
             steps = [self._steps(steps) for _, steps in data.parts]
             drawn = (known.recipe or {}).get("steps", {})
@@ -156,9 +253,8 @@ class Datasets:
         return locate(str((self.small / data.name.replace("/", "-")).resolve()))
 
     def _steps(self, steps: int) -> int:
-        return min(steps, FEW) if self.small else steps
+        return min(steps, FEW) if self.small else max(1, round(self.scale * steps))
 
-
-def _declared(data: Data) -> Data:
-    """The source that a word is short for, if it is a declared one's."""
-    return _KNOWN.get(data, data) if isinstance(data, str) else data
+    def _declared(self, data: Data) -> Data:
+        """The source that a word is short for, if it is a declared one's."""
+        return self.known.get(data, data) if isinstance(data, str) else data
