@@ -16,21 +16,29 @@ from marl_mm.progress import Advance, silent
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A policy's episodes and what they say together."""
+    """Episodes of a policy on fixed goals, and their summary."""
 
     policy: str
+    """Name of the policy."""
+
     policy_config: dict[str, Any]
+    """Settings of the policy."""
+
     task: str
+    """Registered name of the task."""
+
     overrides: dict[str, Any]
-    """Of the task's ``Task``."""
+    """Replaced fields of the task."""
 
     seed: int
+    """Seed of goals, environment and policy."""
+
     rows: list[EvaluationRow]
-    """One per episode, raw; see ``episode_row``."""
+    """Rows, one per episode; see ``episode_row``."""
 
     @property
     def summary(self) -> dict[str, dict[str, Any]]:
-        """By direction: ``all``, ``forward``, ``backward``."""
+        """Summaries by direction: ``all``, ``forward``, ``backward``."""
         return summarize_directions(self.rows)
 
     @property
@@ -46,12 +54,12 @@ class Evaluation:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> "Evaluation":
-        """Back from ``to_json``."""
+        """The evaluation of a dictionary of ``to_json``."""
         names = ("policy", "policy_config", "task", "overrides", "seed", "episodes")
         return cls(*(values[name] for name in names))
 
     def to_json(self) -> dict[str, Any]:
-        """Everything, JSON-serialisable; the layout of ``eval.json``."""
+        """The evaluation as JSON-serialisable values, the layout of ``eval.json``."""
         everything = self.summary["all"]
         return {
             "policy": self.policy,
@@ -78,13 +86,13 @@ def evaluate(
     """Run a policy on a seed's goals, half ahead and half behind; see ``goal_set``.
 
     Args:
-        policy: Who acts.
+        policy: Policy to evaluate.
         episodes: Number of goals.
-        seed: Of goals, environment and policy.
-        task: A registered task's name.
-        overrides: Fields of its ``Task`` to replace.
-        workers: Processes; the result does not depend on it.
-        advance: Told the finished episodes.
+        seed: Seed of goals, environment and policy.
+        task: Registered name of the task.
+        overrides: Replaced fields of the task.
+        workers: Number of processes; the result does not depend on it.
+        advance: Called with the number of finished episodes.
 
     Raises:
         UsageError: If ``episodes`` is not positive or ``seed`` is negative.
@@ -102,7 +110,7 @@ def evaluate_with(
     overrides: Mapping[str, Any] | None = None,
     advance: Advance = silent,
 ) -> Evaluation:
-    """``evaluate`` in environments of that task which are there already."""
+    """``evaluate`` in existing environments of the task."""
     if episodes < 1:
         raise UsageError(f"episodes is {episodes}, expected >= 1")
     if seed < 0:

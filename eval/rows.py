@@ -15,7 +15,7 @@ from marl_mm.files import new_file
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """Rows as CSV, compressed if the name ends in .gz.
+    """Write rows as CSV, compressed if the name ends in .gz.
 
     Numbers have six significant digits, intervals two columns; what only some rows have
     is empty in the others.
@@ -37,15 +37,15 @@ def _spread(row: Row) -> dict[str, str]:
     flat: dict[str, str] = {}
     for name, value in row.items():
         if isinstance(value, list | tuple):
-            for end, one in zip(("low", "high"), value, strict=True):
-                flat[f"{name}_{end}"] = f"{one:.6g}"
+            for end, bound in zip(("low", "high"), value, strict=True):
+                flat[f"{name}_{end}"] = f"{bound:.6g}"
         else:
             flat[name] = f"{value:.6g}" if isinstance(value, float) else str(value)
     return flat
 
 
 def as_read(rows: Sequence[Row]) -> list[Row]:
-    """Rows as they would be read back from a file: with six digits."""
+    """Rows as they are read back from a file, with six digits."""
     return [_typed(_spread(row)) for row in rows]
 
 
@@ -56,9 +56,9 @@ def to_json(values: Any) -> str:
 
 def _or_null(value: Any) -> Any:
     if isinstance(value, tuple | list):
-        return [_or_null(one) for one in value]
+        return [_or_null(item) for item in value]
     if isinstance(value, dict):
-        return {name: _or_null(one) for name, one in value.items()}
+        return {name: _or_null(item) for name, item in value.items()}
     return None if isinstance(value, float) and math.isnan(value) else value
 
 

@@ -18,12 +18,12 @@ _DIRECTIONS = ("all", "forward", "backward")
 
 
 def header() -> tuple[str, ...]:
-    """Heads of the columns: those of every evaluation, and of metrics that have one."""
-    return *_HEADER, *(one.column for one in _columns().values())
+    """Headings of the columns: of every evaluation, and of metrics that have one."""
+    return *_HEADER, *(metric.column for metric in _columns().values())
 
 
 def _columns() -> dict[str, Metric]:
-    return {name: one for name, one in METRICS.items() if one.column}
+    return {name: metric for name, metric in METRICS.items() if metric.column}
 
 
 def table_rows(evaluations: Sequence[Evaluation]) -> list[tuple[str, ...]]:
@@ -44,8 +44,8 @@ def table_rows(evaluations: Sequence[Evaluation]) -> list[tuple[str, ...]]:
                     "-" if steps is None else f"{steps:.1f}",
                     f"{summary['return']:.2f}",
                     *(
-                        _number(summary.get(name), one.form)
-                        for name, one in _columns().items()
+                        _number(summary.get(name), metric.form)
+                        for name, metric in _columns().items()
                     ),
                 )
             )
@@ -92,18 +92,18 @@ def without(
 def percent_with_interval(value: float, interval: tuple[float, float]) -> str:
     """A share [%], with its interval if it is known."""
     low, high = (100 * bound for bound in interval)
-    told = "" if math.isnan(low) else f" [{low:.1f}, {high:.1f}]"
-    return f"{100 * value:.1f}{told}"
+    bounds = "" if math.isnan(low) else f" [{low:.1f}, {high:.1f}]"
+    return f"{100 * value:.1f}{bounds}"
 
 
 def rate_with_deviation(row: Mapping[str, Any], name: str = "success") -> str:
-    """A success rate [%] of ``summarize_success``; over several seeds +- so much."""
+    """A success rate [%] of ``summarize_success``; of several seeds with deviation."""
     deviation = f" +- {100 * row[f'{name}_std']:.1f}" if row["seeds"] > 1 else ""
     return f"{100 * row[name]:.1f}{deviation}"
 
 
 def rate_with_interval(row: Mapping[str, Any], name: str = "success") -> str:
-    """The same, with its interval."""
+    """A success rate as in ``rate_with_deviation``, with its interval."""
     low, high = (100 * bound for bound in row[f"{name}_interval"])
     return f"{rate_with_deviation(row, name)} [{low:.1f}, {high:.1f}]"
 

@@ -49,8 +49,8 @@ class Recorder:
     """Frames of a world, taken tick by tick at a rate of simulated time.
 
     Args:
-        world: What to look at.
-        camera: Where from.
+        world: World to film.
+        camera: Place of the camera.
         fps: Frames per simulated second; 0 takes none.
     """
 
@@ -58,7 +58,7 @@ class Recorder:
         self._world, self._camera, self._fps = world, camera, fps
         self._elapsed = 0
         self.frames: list[np.ndarray] = []
-        """Each of shape (height, width, 3), uint8."""
+        """Frames, each of shape (height, width, 3), uint8."""
 
     def __call__(self, tick: Tick) -> None:
         """Take a frame if it is time for the next after this tick."""
@@ -84,13 +84,13 @@ def film_episode(
     """Run an episode and render it.
 
     Args:
-        config: The task.
-        policy: Who acts.
-        plan: The episode.
-        camera: Where to look from.
+        config: Task of the episode.
+        policy: Policy that acts.
+        plan: Seed and goal of the episode.
+        camera: Place of the camera.
         fps: Frames per simulated second; 0 renders nothing, for watching the window.
-        gui: Open PyBullet's window.
-        advance: Told the finished steps.
+        gui: Whether to open PyBullet's window.
+        advance: Called with the number of finished steps.
 
     Returns:
         The episode, and frames of shape (height, width, 3), uint8.
@@ -115,11 +115,13 @@ class TwoWays(NamedTuple):
     """An episode ahead and one behind, filmed."""
 
     episodes: list[Episode]
+    """The episode ahead and the one behind."""
+
     frames: list[np.ndarray]
     """Frames of both episodes, one after the other."""
 
     strips: list[tuple[str, list[tuple[str, np.ndarray]]]]
-    """For ``film_strip``: five pictures an episode, with the step in the corner."""
+    """Rows for ``film_strip``: five pictures an episode, with the step in a corner."""
 
 
 def film_both_ways(
@@ -128,11 +130,12 @@ def film_both_ways(
     """Film a policy on a seed's first goal ahead and on its first one behind.
 
     Args:
-        config: The task.
-        policy: Who acts.
-        seed: Of the goals.
+        config: Task of the episode.
+        policy: Policy that acts.
+        seed: Seed of the goals.
         fps: Frames per simulated second.
-        advance: Told the steps; both episodes together count twice the task's most.
+        advance: Called with the number of finished steps; both episodes together count
+            twice the task's most.
     """
     result = TwoWays([], [], [])
     for plan, direction in zip(
@@ -182,8 +185,8 @@ def film_strip(path: Path, rows: Strips) -> None:
     """Write pictures side by side, one row per episode, as a PNG.
 
     Args:
-        path: Of the PNG.
-        rows: Each a label and its pictures, each with a note for its corner.
+        path: File of the PNG.
+        rows: Labels of rows with their pictures, each with a note for its corner.
     """
     with new_file(path) as temporary:
         draw_film_strip(temporary, rows)

@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except MarlMmError as error:
         _complain(str(error))
         return error.exit_code
-    except BrokenPipeError:  # the reader has gone; say nothing more, at exit neither
+    except BrokenPipeError:  # the reader has gone; keep silent, also at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return 0
     except OSError as error:  # disk full, no permission

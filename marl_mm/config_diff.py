@@ -14,7 +14,7 @@ _LISTED = 6
 _ADVICE = (
     "go on with the same, or start anew in another folder or with `overwrite=True`"
 )
-"""What to do about another config, where nobody knows better."""
+"""Default advice on a config mismatch."""
 
 
 def refuse_other_config(
@@ -26,7 +26,7 @@ def refuse_other_config(
         folder: The folder.
         theirs: The config it was begun with, JSON-serialisable.
         mine: The config of now; keys that only ``theirs`` has are ignored.
-        advice: What to do about it.
+        advice: Advice that the error ends with.
 
     Raises:
         OtherConfigError: Listing the values that differ.

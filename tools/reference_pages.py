@@ -42,11 +42,11 @@ WHAT = {
 """What there is to do, by task."""
 
 STRIPS = {
-    "CarryReach-v0": ("carry-reach.png", "the script, which carries"),
-    "Grasp-v0": ("grasp.png", "the script, which lifts"),
-    "GraspReach-v0": ("grasp-reach.png", "the script, which takes and brings"),
+    "CarryReach-v0": "carry-reach.png",
+    "Grasp-v0": "grasp.png",
+    "GraspReach-v0": "grasp-reach.png",
 }
-"""Film strip of a task, where it is not Reach's, and who acts in it."""
+"""Film strip of the script by task; the other tasks show the pretrained agent's."""
 
 DATA = {
     "smooth-30k": "SmoothReach-v0",
@@ -71,13 +71,17 @@ NAMES = {
 
 def _task_page(name: str) -> str:
     task = TASKS.get(name)
-    picture, actor = STRIPS.get(name, ("reach.png", "a learnt policy, of Reach-v0,"))
+    picture, actor = "reach.png", "the pretrained agent on Reach-v0"
+    words, more = "pretrained", ", and with `--direction forward`"
+    if name in STRIPS:
+        picture, actor = STRIPS[name], "the script"
+        words, more = f"scripted --task {name}", ""
     parts = [
         f"# {name}\n",
         f"**{WHAT[name]}** {_ends(task)} {_best(name)}\n",
         f"![Film strip: {actor} at work](../../images/{picture})\n",
-        f"Film strip of {actor.rstrip(',')}. Try it: `marl-mm play scripted --task {name} "
-        "--video FILE.mp4`.\n",
+        f"Film strip of {actor}. Try it: `marl-mm play {words} --video FILE.mp4`"
+        f"{more}.\n",
         "## What is seen\n",
         _entries(task.layout, task.layout.state, "sees"),
         "Compared with the goal: "
@@ -97,9 +101,11 @@ def _task_page(name: str) -> str:
 
 
 def _ends(task: Task) -> str:
-    end = f"An episode ends after {task.max_steps} steps of a second"
-    failed = ", or where it fails" * task.fails
-    return f"{end}, where the goal is reached{failed}."
+    failed = ", when it fails" * task.fails
+    return (
+        f"An episode ends when the goal is reached{failed}, or after {task.max_steps} "
+        "steps of 1 s."
+    )
 
 
 def _best(name: str) -> str:

@@ -31,8 +31,8 @@ class Watcher:
     """The largest excess over each limit seen so far; negative where it was kept.
 
     Args:
-        drive: The robot that is watched.
-        robot: Its mass properties.
+        drive: Drive of the watched robot.
+        robot: Mass properties of the robot.
         keep_out: Plane of the controller's limits [m].
     """
 
@@ -89,10 +89,10 @@ def abuse(
     """Run at least ``ticks`` ticks of abuse and report.
 
     Args:
-        config: The task; its controller is what is abused.
-        ticks: Of 1/240 s.
-        seed: Of targets and alphas.
-        advance: Told the finished ticks.
+        config: Task whose controller is abused.
+        ticks: Number of ticks of 1/240 s.
+        seed: Seed of targets and alphas.
+        advance: Called with the number of finished ticks.
 
     Returns:
         ``worst_excess``, the largest excess over each limit (a share of it, or in its

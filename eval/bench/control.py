@@ -1,4 +1,4 @@
-"""What a controller tick costs, part by part, beside the simulator's step.
+"""Cost of a controller tick, part by part, beside the simulator's step.
 
 Everything is timed in one run and given as a ratio to PyBullet's own step, because
 machines are noisy. References solve the very states of that run.
@@ -27,17 +27,17 @@ from marl_mm.robot.model import ModelTerms, RobotState
 from marl_mm.sim.config import RATE
 
 _SAMPLED = 37
-"""Every how many ticks a state is kept for the references; no divisor of 240."""
+"""Ticks between states that are kept for the references; no divisor of 240."""
 
 _OVERLOAD = np.array([0, 0, 0, 300.0, 0, 0, 0, 0, 0, 0])
-"""Torque added to the first arm joint's [N m]."""
+"""Torque added to that of the first arm joint [N m]."""
 
 _REPEATS = 20
-"""Of the compiled parts on one state."""
+"""Number of timed calls of the compiled parts on one state."""
 
 
 class Sample(NamedTuple):
-    """What one call of the controller was given."""
+    """Inputs of one call of the controller."""
 
     state: RobotState
     terms: ModelTerms
@@ -54,10 +54,10 @@ def bench_control(
     without them.
 
     Args:
-        config: The task.
-        steps: Environment steps with random actions, with clocks and without.
-        seed: Of the actions.
-        advance: Told the finished steps.
+        config: Task of the episodes.
+        steps: Number of environment steps with random actions, with clocks and without.
+        seed: Seed of the actions.
+        advance: Called with the number of finished steps.
     """
     core = EpisodeCore(config)
     rng = np.random.default_rng(seed)
@@ -149,8 +149,8 @@ def _timed(
         times.append(perf_counter() - begin)
         if keep is not None and len(times) % _SAMPLED == 0:
             state, terms, reference, priorities = arguments
-            copied = ModelTerms(*(array.copy(order="K") for array in terms))
-            keep.append(Sample(state, copied, reference, priorities))
+            kept_terms = ModelTerms(*(array.copy(order="K") for array in terms))
+            keep.append(Sample(state, kept_terms, reference, priorities))
         return result
 
     return timed

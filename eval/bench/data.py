@@ -1,4 +1,4 @@
-"""What collecting, loading and storing episodes costs.
+"""Costs of collecting, loading and storing episodes.
 
 Collection is compared with the bare environment, turn by turn in one run; loading and
 sizes with Minari's own reader and writer on the same episodes.
@@ -75,11 +75,11 @@ def bench_collection(
     """Steps per second of random collection, medians of turns, and the episodes.
 
     Args:
-        episodes: Of 25 steps, per turn and number of workers.
+        episodes: Number of episodes of 25 steps, per turn and number of workers.
         workers: Numbers of processes to compare.
-        seed: Of the episodes.
-        folder: For the journal.
-        advance: Told the episodes.
+        seed: Seed of the episodes.
+        folder: Folder of the journal.
+        advance: Called with the number of finished episodes.
 
     Returns:
         ``bare`` and each number of workers; processes are started before.
@@ -132,9 +132,9 @@ def bench_grasps(episodes: int, seed: int, advance: Advance = silent) -> dict[st
     """Steps per second of the script taking and carrying a block, by how it is held.
 
     Args:
-        episodes: Per turn and kind of grasp.
-        seed: Of the episodes.
-        advance: Told the episodes.
+        episodes: Number of episodes per turn and kind of grasp.
+        seed: Seed of the episodes.
+        advance: Called with the number of finished episodes.
     """
     script = ScriptedPolicy(ScriptConfig(), make_task(HANDLED))
     cores = {
@@ -164,7 +164,7 @@ def bench_grasps(episodes: int, seed: int, advance: Advance = silent) -> dict[st
 
 
 def _bare(core: EpisodeCore, episodes: int, seed: int) -> None:
-    """Random episodes of the environment alone."""
+    """Run random episodes of the environment alone."""
     for number in range(episodes):
         rng = np.random.default_rng(episode_seed(seed, number, "collect"))
         core.reset(rng)
@@ -178,11 +178,11 @@ def bench_storage(
     """Time, memory and space of a dataset of so many steps.
 
     Args:
-        episodes: Repeated, as 10 steps each, until there are enough: that is how long
-            successful episodes are.
+        episodes: Episodes that are cut to 10 steps, the length of successful ones, and
+            repeated until there are enough.
         steps: Least number of steps.
-        folder: To write to; an empty one.
-        advance: Told the parts of the work, four.
+        folder: Empty folder to write to.
+        advance: Called with 1 after each of four parts of the work.
 
     Returns:
         Seconds to write, to load without and with the cache, and with Minari's reader;
@@ -228,20 +228,20 @@ def _short(episodes: Sequence[Episode], steps: int) -> EpisodeArrays:
     ends = np.arange(length) == length - 1
     cut = [
         Episode(
-            states=one.states[: length + 1],
-            actions=one.actions[:length],
-            rewards=one.rewards[:length],
+            states=episode.states[: length + 1],
+            actions=episode.actions[:length],
+            rewards=episode.rewards[:length],
             terminated=ends,
             truncated=np.zeros(length, bool),
-            info={key: values[:length] for key, values in one.info.items()},
-            seed=one.seed,
-            index=one.index,
-            source=one.source,
-            start=one.start,
-            layout=one.layout,
+            info={key: values[:length] for key, values in episode.info.items()},
+            seed=episode.seed,
+            index=episode.index,
+            source=episode.source,
+            start=episode.start,
+            layout=episode.layout,
         )
-        for one in episodes
-        if len(one) >= length
+        for episode in episodes
+        if len(episode) >= length
     ]
     once = arrays_of(cut, "marl_mm/reach/bench-v0")
     return joined([once] * -(-steps // once.steps))
@@ -279,16 +279,16 @@ def _minari_size(arrays: EpisodeArrays, folder: Path) -> float:
     storage.update_episodes(
         EpisodeBuffer(
             observations={
-                "observation": one.states[:, layout.observation],
-                "achieved_goal": one.states[:, layout.achieved],
-                "desired_goal": one.states[:, layout.goal],
+                "observation": episode.states[:, layout.observation],
+                "achieved_goal": episode.states[:, layout.achieved],
+                "desired_goal": episode.states[:, layout.goal],
             },
-            actions=one.actions,
-            rewards=one.rewards,
-            terminations=one.terminated,
-            truncations=one.truncated,
-            infos=one.info,
+            actions=episode.actions,
+            rewards=episode.rewards,
+            terminations=episode.terminated,
+            truncations=episode.truncated,
+            infos=episode.info,
         )
-        for one in (arrays.episode(i) for i in range(len(arrays)))
+        for episode in (arrays.episode(i) for i in range(len(arrays)))
     )
     return (folder / "minari" / FILE).stat().st_size / 1e6 / len(arrays)

@@ -41,13 +41,13 @@ HIGHEST = "td3-bc, --precision highest"
 HIDDEN = (256, 256)
 
 LEARNERS = 8
-"""How many are timed."""
+"""Number of timed learners."""
 
 _TURN = 100
 """Updates until it is another's turn."""
 
 _LOOK_EVERY = 0.5
-"""Between looks at a command's memory [s]."""
+"""Time between measurements of a command's memory [s]."""
 
 MANY = 32
 """Seeds that learn side by side on a GPU."""
@@ -56,12 +56,12 @@ MANY = 32
 def bench_offline(
     updates: int, seed: int = 0, advance: Advance = silent
 ) -> dict[str, Any]:
-    """Updates per second of each, and ours over the authors'.
+    """Updates per second of each learner, and ours over the authors'.
 
     Args:
-        updates: Of each algorithm, in turns.
-        seed: Of networks and batches.
-        advance: Told the updates.
+        updates: Number of updates of each algorithm, in turns.
+        seed: Seed of networks and batches.
+        advance: Called with the number of finished updates.
     """
     prepare_for_small_networks()
     learners = _learners(seed)
@@ -89,31 +89,31 @@ def bench_seeds(
     """The command ``marl-mm train td3-bc`` with several seeds, over one, in turns.
 
     Args:
-        updates: Of each seed; the time that a command takes to begin counts, too.
-        seeds: How many.
-        turns: Of each; the shortest counts.
-        advance: Told the seeds that are trained.
+        updates: Number of updates of each seed; the start of a command counts too.
+        seeds: Number of seeds.
+        turns: Number of turns of each command; the shortest counts.
+        advance: Called with the number of trained seeds.
 
     Returns:
-        Seconds of each, how many times the throughput of one several have, and the
-        most memory that all processes of each had [MiB], what they share counted once.
+        Seconds of each command, the throughput of several seeds over that of one, and
+        the most memory of all processes [MiB], where shared memory counts once.
     """
     walls: dict[int, list[float]] = {1: [], seeds: []}
     memory = dict.fromkeys(walls, 0.0)
     for _ in range(turns):
-        for count, found in walls.items():
+        for count, seconds in walls.items():
             with TemporaryDirectory() as folder:
                 wall, most = _train(updates, count, folder)
-            found.append(wall)
+            seconds.append(wall)
             memory[count] = max(memory[count], most)
             advance(count, f"{count} seeds")
-    one, several = min(walls[1]), min(walls[seeds])
+    single, several = min(walls[1]), min(walls[seeds])
     return {
         "seeds": seeds,
         "cores": available_cores(),
-        "one_s": one,
+        "one_s": single,
         "several_s": several,
-        "throughput_over_one": seeds * one / several,
+        "throughput_over_one": seeds * single / several,
         "one_memory_mib": memory[1],
         "several_memory_mib": memory[seeds],
     }
@@ -125,10 +125,10 @@ def bench_side_by_side(
     """Updates per second of many seeds of TD3+BC in one process, together, over one.
 
     Args:
-        updates: Of each seed.
-        seeds: How many.
-        device: A GPU; on a CPU seeds are trained in processes instead.
-        advance: Told the updates of either.
+        updates: Number of updates of each seed.
+        seeds: Number of seeds.
+        device: Name of a GPU; on a CPU seeds are trained in processes instead.
+        advance: Called with the number of finished updates.
     """
     arrays, rewards = shipped_arrays(), make_task()
     config = Td3BcConfig(hidden=HIDDEN)
@@ -179,12 +179,12 @@ def _train(updates: int, seeds: int, folder: str) -> tuple[float, float]:
 
 
 def _memory(process: psutil.Process) -> float:
-    """Of a process and all that it began [MiB]: the proportional set size."""
+    """Proportional set size of a process and its children [MiB]."""
     total = 0
     with suppress(psutil.NoSuchProcess):  # it may end meanwhile
-        for one in (process, *process.children(recursive=True)):
+        for member in (process, *process.children(recursive=True)):
             with suppress(psutil.NoSuchProcess):
-                total += one.memory_full_info().pss
+                total += member.memory_full_info().pss
     return total / 2**20
 
 
@@ -207,7 +207,7 @@ def _learners(seed: int) -> dict[str, Callable[[], object]]:
 
 
 def plain_config() -> Td3BcConfig:
-    """What the authors' code does, of ours."""
+    """Our settings that match the authors' code."""
     config = preset("td3-bc", "paper")
     assert isinstance(config, Td3BcConfig)
     return replace(config, hidden=HIDDEN)

@@ -45,14 +45,14 @@ def bench_online(
     episodes: int = 40,
     advance: Advance = silent,
 ) -> dict[str, Any]:
-    """Updates per second of each, and ours over SB3's.
+    """Updates per second of each learner, and ours over SB3's.
 
     Args:
-        updates: Of each algorithm, in turns.
-        seed: Of networks and episodes.
-        sb3: Whether to time Stable-Baselines3, too.
-        episodes: Random ones in the replays.
-        advance: Told the updates.
+        updates: Number of updates of each algorithm, in turns.
+        seed: Seed of networks and episodes.
+        sb3: Whether to time Stable-Baselines3 too.
+        episodes: Number of random episodes in the replays.
+        advance: Called with the number of finished updates.
     """
     prepare_for_small_networks()
     learners = _learners(seed, sb3, episodes, advance)
@@ -80,7 +80,7 @@ def bench_online(
 def _learners(
     seed: int, sb3: bool, episodes: int, advance: Advance
 ) -> dict[str, Callable[[int], object]]:
-    """What makes so many updates of each algorithm, after random episodes."""
+    """Functions that make updates of each algorithm, after random episodes."""
     config = make_task(TASK)
     layout = config.layout
     plain = replace(preset("ddpg-her"), layer_norm=False)
@@ -114,11 +114,11 @@ def bench_success(
     """Success after training from nothing for so many steps of the environment.
 
     Args:
-        env_steps: Of each; the last episodes are whole.
-        seed: Of networks and episodes.
-        goals: Of the evaluation, half ahead.
-        sb3: Whether to train Stable-Baselines3, too.
-        advance: Told the environment's steps.
+        env_steps: Environment steps of each learner; the last episodes are whole.
+        seed: Seed of networks and episodes.
+        goals: Number of goals of the evaluation, half ahead.
+        sb3: Whether to train Stable-Baselines3 too.
+        advance: Called with the number of finished environment steps.
 
     Returns:
         Success rate and its 95 % interval over the goals, by name.
@@ -142,7 +142,7 @@ def bench_success(
 def _taught(
     rollouts: Rollouts, hyper: DdpgConfig, env_steps: int, seed: int, advance: Advance
 ) -> Ddpg:
-    """Ours, after so many steps."""
+    """Our learner, after so many steps."""
 
     def run_episodes(policy: Explorer, numbers: Iterable[int]) -> Iterator[Episode]:
         plans = [EpisodePlan(i, episode_seed(seed, i, "train")) for i in numbers]
@@ -159,15 +159,15 @@ def _taught(
 def _sb3_taught(
     hyper: DdpgConfig, env_steps: int, seed: int, advance: Advance
 ) -> Policy:
-    """Stable-Baselines3's, after so many steps."""
+    """Stable-Baselines3's policy, after so many steps."""
     from marl_mm.eval.bench.sb3_reference import Sb3Policy, learn_sb3, sb3_model
 
-    model, told = sb3_model(TASK, hyper, seed), 0
+    model, counted = sb3_model(TASK, hyper, seed), 0
 
     def look(episode: int, steps: int) -> bool:
-        nonlocal told
-        advance(steps - told, SB3)
-        told = steps
+        nonlocal counted
+        advance(steps - counted, SB3)
+        counted = steps
         return steps < env_steps
 
     learn_sb3(model, look)

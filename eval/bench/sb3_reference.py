@@ -79,9 +79,9 @@ def learn_sb3(model: DDPG, look: Callable[[int, int], bool]) -> None:
     """Train until a look at the model says that it is enough.
 
     Args:
-        model: From ``sb3_model``.
-        look: Called after each episode and its updates with the episodes and the
-            environment's steps so far; whether to go on.
+        model: Model of ``sb3_model``.
+        look: Callback after each episode and its updates, with the numbers of episodes
+            and environment steps so far; returns whether to go on.
     """
 
     class Looking(BaseCallback):

@@ -1,4 +1,4 @@
-"""What benchmark and abuse found, as Markdown."""
+"""Results of the benchmarks, as Markdown."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -29,7 +29,10 @@ ABUSE = {
 def abuse_table(results: Mapping[str, Mapping[str, Any]]) -> str:
     """Worst excess over each limit per form, as Markdown; negative: never reached."""
     lines = [
-        (name, *(form.format(one["worst_excess"][key]) for one in results.values()))
+        (
+            name,
+            *(form.format(result["worst_excess"][key]) for result in results.values()),
+        )
         for key, (name, form) in ABUSE.items()
     ]
     counts = (
@@ -44,7 +47,7 @@ def abuse_table(results: Mapping[str, Mapping[str, Any]]) -> str:
         ("longest tick of the controller", "longest_controller_tick_us", "{:.0f} us"),
     )
     lines += [
-        (name, *(form.format(one[key]) for one in results.values()))
+        (name, *(form.format(result[key]) for result in results.values()))
         for name, key, form in counts
     ]
     return markdown_table(("worst excess over a limit", *results), lines)
@@ -88,15 +91,15 @@ def offline_speed_table(result: Mapping[str, Any]) -> str:
         (name, f"{rate:.0f}", f"{over.get(name, 1):.2f}")
         for name, rate in offline["updates_per_second"].items()
     ]
-    told = f"{seeds['seeds']} seeds in one command on {seeds['cores']} cores"
+    label = f"{seeds['seeds']} seeds in one command on {seeds['cores']} cores"
     ratio = f"{seeds['throughput_over_one']:.2f} times one seed's"
-    one, several = (round(seeds[f"{n}_memory_mib"]) for n in ("one", "several"))
-    lines.append((told, ratio, f"{several} MiB of memory, one seed {one}"))
+    single, several = (round(seeds[f"{n}_memory_mib"]) for n in ("one", "several"))
+    lines.append((label, ratio, f"{several} MiB of memory, one seed {single}"))
     return markdown_table(("one thread", "updates per second", "over theirs"), lines)
 
 
 def data_table(result: Mapping[str, Any]) -> str:
-    """What collecting, loading and storing cost, beside others, as Markdown."""
+    """Costs of collecting, loading and storing, beside others', as Markdown."""
     rates, storage = result["steps_per_second"], result["storage"]
     grasps = result["grasps"]
     lines = [

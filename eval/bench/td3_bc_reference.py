@@ -67,9 +67,9 @@ class PlainTd3Bc:
     """The authors' algorithm.
 
     Args:
-        arrays: The dataset's episodes.
+        arrays: Episodes of the dataset.
         config: Batch, rates, discount, noise and c; the first hidden layer's units.
-        seed: Of networks, batches and noise.
+        seed: Seed of networks, batches and noise.
     """
 
     def __init__(self, arrays: EpisodeArrays, config: Td3BcConfig, seed: int) -> None:

@@ -1,4 +1,4 @@
-"""What learning costs: online and offline learners beside others', and many seeds."""
+"""Costs of learning: online and offline learners beside others', and many seeds."""
 
 from importlib.util import find_spec
 from typing import Any

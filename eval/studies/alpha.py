@@ -1,4 +1,4 @@
-"""The learnt alpha: what it is over time, and what it is worth.
+"""The learnt alpha over time, and its worth.
 
 Worth: the return of a trained agent against the same agent with its alpha held at one
 value, on the same goals.
@@ -31,14 +31,14 @@ ABOUT = "What alpha the trained agents choose, and what it is worth."
 """Title."""
 
 ALPHAS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.8, 0.9, 1.0)
-"""Alphas that are held, closer where the best one lies on ``SmoothReach-v0``."""
+"""Fixed alphas, closer where the best one lies on ``SmoothReach-v0``."""
 
 LEARNT = "learnt"
 
 CHOOSING = STUDIES["online"].part(
     None, ("ddpg-her", "ddpg-her-smooth", "maddpg-her-smooth")
 )
-"""Agents that are looked at."""
+"""Agents whose alpha is compared."""
 
 LABELS = {setting.name: setting.about for _, setting in CHOOSING.cells}
 

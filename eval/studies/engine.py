@@ -23,14 +23,14 @@ from marl_mm.eval.studies.table import Table
 from marl_mm.files import refuse_existing
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.paper import PAPER
-from marl_mm.runs.sources import Datasets, Tell, silence
+from marl_mm.runs.sources import Datasets, Notify, silence
 
 Studies = Mapping[str, Study]
 """Studies by the name of their files."""
 
 
 _KNOWN = {source.name: source for source in (*PAPER, *ours.OTHER_TASKS)}
-"""Declared sources by the word that an id is short for."""
+"""Declared sources by their short names."""
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,13 @@ class Engine:
     """
 
     options: StudyOptions
-    """How studies are run."""
+    """Settings of how studies are run."""
 
-    tell: Tell = silence
-    """Told what a reader should know while it happens."""
+    notify: Notify = silence
+    """Callback for messages to the user."""
 
     bar: Bar = silent_bar
-    """Begins a bar of progress; it is called in a thread."""
+    """Factory of progress bars, called in a thread."""
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
@@ -144,10 +144,10 @@ class Engine:
         time = (
             "" if options.small else f", about {hours(left, options.workers):.1f} hours"
         )
-        self.tell(f"{text}{time}; after Ctrl-C, go on with `resume=True`")
+        self.notify(f"{text}{time}; after Ctrl-C, go on with `resume=True`")
         pool = options.workers, options.executor
         try:
-            failed = do_jobs(left, *pool, done, self.tell, self.bar)
+            failed = do_jobs(left, *pool, done, self.notify, self.bar)
         except KeyboardInterrupt:
             text = f"stopped in {options.runs_folder}: go on with `resume=True`"
             raise KeyboardInterrupt(text) from None
@@ -162,7 +162,7 @@ class Engine:
         options = self.options
         small = options.runs_folder / "datasets" if options.small else None
         pool = options.workers, options.executor
-        datasets = Datasets(small, *pool, self.tell, self.bar, _KNOWN, plan=plan)
+        datasets = Datasets(small, *pool, self.notify, self.bar, _KNOWN, plan=plan)
         return missing_cells(options, studies.values(), datasets)
 
 

@@ -13,7 +13,7 @@ from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.study import Cell, Curves, Online, Study, cell_name
 
 PAPER_COLORS = ("#c8553d", "#2e7d4f", "#1b6ca8", "#8a6fb0", "#8a8a8a", "#c9a227")
-"""Red without, green with hindsight, as in the paper; then others."""
+"""Colors of lines: red without, green with hindsight, as in the paper; then others."""
 
 
 def curves_figure(
@@ -69,7 +69,7 @@ def _panel(cell: Cell, curves: Curves) -> str:
 
 
 def _label(cell: Cell, panel: Sequence[Cell]) -> str:
-    """What sets a line apart in its panel: the source, the setting, or both."""
+    """Label of a line in its panel: the source, the setting, or both."""
     source, _ = cell_name(cell)
     if len(panel) > 1 and len({way.name for _, way in panel}) == 1:
         return source

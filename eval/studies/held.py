@@ -1,4 +1,4 @@
-"""A policy whose alpha is held at one value."""
+"""A policy with a fixed alpha."""
 
 from typing import Any
 
@@ -9,14 +9,14 @@ from marl_mm.policy import Policy
 
 
 class FixedAlpha:
-    """A policy whose alpha is held, and which does not notice.
+    """A policy whose alpha is replaced by a fixed one.
 
     Where the state has the last alpha, the policy sees the one that it chose itself: a
     joint actor would otherwise move the hand differently, too.
 
     Args:
-        policy: Who sets the rest of the action.
-        alpha: 0 accurate hand ... 1 stable base.
+        policy: Policy that sets the rest of the action.
+        alpha: Fixed alpha, from 0, accurate hand, to 1, stable base.
     """
 
     def __init__(self, policy: Policy, alpha: float) -> None:
@@ -29,14 +29,14 @@ class FixedAlpha:
         return {"alpha": self._alpha, **self._policy.describe()}
 
     def begin(self, rng: np.random.Generator, layout: Layout) -> None:
-        """A new episode of the policy, too."""
+        """Begin an episode of the policy."""
         self._policy.begin(rng, layout)
         self._mode = layout.columns("control_mode")
         self._place = layout.settings("alpha")
         self._chosen = None
 
     def act(self, state: np.ndarray) -> np.ndarray:
-        """The policy's action with the held alpha."""
+        """The policy's action with the fixed alpha."""
         seen = state.copy()
         if self._chosen is not None:
             seen[self._mode] = self._chosen

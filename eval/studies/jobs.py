@@ -18,11 +18,12 @@ from marl_mm.eval.studies.rows import is_probed
 from marl_mm.eval.studies.study import Probe
 from marl_mm.files import write_json
 from marl_mm.progress import Advance, Bar, distant_bars, show_distant_bars, silent_bar
-from marl_mm.runs.sources import Tell
+from marl_mm.runs.sources import Notify
 from marl_mm.workers import Executor, open_pool
 
 _DEATHS = 3
-"""Deaths of processes that did nothing but a run with which that counts as failed."""
+"""Number of processes that a run may kill while nothing else runs in them; then it
+fails for good."""
 
 _ALL = "all runs"
 """Label of the bar of the whole plan."""
@@ -30,10 +31,10 @@ _ALL = "all runs"
 
 @dataclass(frozen=True)
 class Job:
-    """A run to be trained, from where it stands, and to be evaluated."""
+    """A run to train, from its last checkpoint, and to evaluate."""
 
     label: str
-    """Name of the run's bar of progress."""
+    """Label of the run's progress bar."""
 
     seed: int
     """Seed of the run."""
@@ -42,26 +43,26 @@ class Job:
     """Folder of the run."""
 
     learner: Learner
-    """How the run is trained."""
+    """Learner that trains the run."""
 
     probes: tuple[Probe, ...]
-    """How the run is evaluated."""
+    """Evaluations of the run."""
 
     seconds: float = 1.0
-    """How long the rest of it takes, about."""
+    """Estimated remaining time [s]."""
 
     @property
     def done(self) -> bool:
-        """Whether nothing of it is missing."""
+        """Whether the run is trained and has all its evaluations."""
         return self.trained and all(map(self.has, self.probes))
 
     @property
     def trained(self) -> bool:
-        """Whether it has what a training ends with."""
+        """Whether the run has the evaluations that a training ends with."""
         return all(map(self.has, self.learner.probes))
 
     def has(self, probe: Probe) -> bool:
-        """Whether it has been evaluated so."""
+        """Whether the run has this evaluation."""
         training = self.learner.training
         return is_probed(self.run, probe, training.eval_episodes, training.overrides)
 
@@ -75,25 +76,25 @@ def do_jobs(
     workers: int,
     executor: Executor,
     done: Callable[[Job], None],
-    tell: Tell,
+    notify: Notify,
     bar: Bar,
 ) -> dict[Path, Complaint]:
-    """Do jobs, whatever becomes of some of them.
+    """Do jobs; one that fails does not stop the others.
 
     When a process dies, the runs that may have been under way are then done one at a
     time, so that it shows which of them kills processes.
 
     Args:
-        jobs: Runs to be done.
-        workers: Processes.
-        executor: Processes of this machine, or of others that share its file system.
-        done: Called in this process after each that succeeded; a ``MarlMmError`` makes
-            it one that failed.
-        tell: Told that a process died.
-        bar: Begins a bar of progress; it is called in a thread.
+        jobs: Runs to train and evaluate.
+        workers: Number of processes.
+        executor: Processes of this machine, or of a Ray cluster that shares its files.
+        done: Callback in this process after each job that succeeded; with a
+            ``MarlMmError`` it counts as failed.
+        notify: Callback for messages to the user, such as that a process died.
+        bar: Factory of progress bars, called in a thread.
 
     Returns:
-        Runs that failed, and why.
+        Folders of the runs that failed, and why.
 
     Raises:
         KeyboardInterrupt: After Ctrl-C; runs go on from their last checkpoints.
@@ -131,7 +132,7 @@ def do_jobs(
                         del left[suspects[0]]
                 else:  # no more are handed out at once
                     suspects = [run for run in under_way if run in left][: 2 * workers]
-                tell(f"{error}; going on with {len(left)} runs")
+                notify(f"{error}; going on with {len(left)} runs")
             except BaseException:
                 stop.set()
                 raise
@@ -142,7 +143,7 @@ def do_jobs(
 
 
 def _settled(job: Job, done: Callable[[Job], None]) -> Complaint:
-    """What stands in the way of a run's rows, if anything does."""
+    """Why a finished run's rows cannot be kept; empty if they can."""
     try:
         done(job)
     except MarlMmError as error:
@@ -151,7 +152,7 @@ def _settled(job: Job, done: Callable[[Job], None]) -> Complaint:
 
 
 def _remaining(spent: float, rest: float, total: float) -> str:
-    """How long the rest will take, if all goes on as it went."""
+    """Estimated remaining time in words, from the speed so far."""
     hours = spent * rest / max(total - rest, 1e-9) / 3600
     return f"about {hours:.1f} h left" if rest else ""
 
@@ -160,7 +161,7 @@ _bar: Bar
 
 
 def _begin(messages: Any, stop: Any) -> None:
-    """A process's first act."""
+    """Initialise a process."""
     global _bar
     if messages is None:
         _bar = silent_bar
@@ -170,7 +171,7 @@ def _begin(messages: Any, stop: Any) -> None:
 
 
 def _do(job: Job) -> tuple[Path, Complaint]:
-    """The job, or why it failed."""
+    """Do a job; its run, and why it failed."""
     try:
         if not job.trained:
             job.learner.train(job.seed, job.run, _named(job))
@@ -185,7 +186,7 @@ def _do(job: Job) -> tuple[Path, Complaint]:
 
 
 def _probe(job: Job, probe: Probe) -> None:
-    """Evaluate a trained run in a way of its own."""
+    """Evaluate a trained run as a probe says."""
     training = job.learner.training
     file = checkpoint.BEST if probe.checkpoint == "best" else checkpoint.FILE
     policy: Any = load_policy(job.run / file)

@@ -33,13 +33,13 @@ _SMALL = {"updates": 120, "episodes": 8, "warm_up": 12, "updates_per_episode": 5
 """Hyper-parameters with the smoke budget."""
 
 _TIMED = 30
-"""Updates that are timed, after as many that are not."""
+"""Number of timed updates; as many run before them."""
 
 _ONLINE_RUN = 600.0
-"""Length of an online run, about [s]."""
+"""Estimated duration of an online run [s]."""
 
 GOAL = 0.03
-"""Length of an evaluated episode, about [s]."""
+"""Estimated duration of an evaluated episode [s]."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Learner:
 
     @property
     def task(self) -> str:
-        """Task that is evaluated in."""
+        """Task of the evaluations."""
         if isinstance(self.training, OnlineTraining):
             return self.training.task
         assert self.source is not None
@@ -112,7 +112,7 @@ class Learner:
         return replace(self.training, demonstrations=shown)
 
     def seconds_per_update(self) -> float:
-        """How long an update takes, measured; 0 of one that learns online."""
+        """Measured duration of an update [s]; 0 online."""
         if not isinstance(self.training, Offline):
             return 0.0
         prepare_for_small_networks()
@@ -125,7 +125,7 @@ class Learner:
         return (perf_counter() - begin) / _TIMED
 
     def seconds_left(self, run: Path, per_update: float) -> float:
-        """How long the rest of a run's training takes, about."""
+        """Estimated remaining time of a run's training [s]."""
         training = self.training
         rows = read_metrics(run) if (run / FILE).exists() else []
         if not isinstance(training, Offline):
@@ -139,11 +139,11 @@ class Learner:
 def training_of(
     source: Data | Online, setting: Setting, small: bool, precision: Precision = "auto"
 ) -> Training:
-    """Settings of a cell's runs, but for where its dataset is.
+    """Settings of a cell's runs, without the path of its dataset.
 
     Args:
-        source: Source of what is learnt.
-        setting: How to learn.
+        source: Dataset, or episodes of the learner's own.
+        setting: Algorithm and hyper-parameters.
         small: Whether hardly anything is trained.
         precision: Precision of matrix products of offline runs.
     """
@@ -176,7 +176,7 @@ def training_of(
 
 
 def made_of(setting: Setting, training: Training) -> dict[str, Any]:
-    """What rows must have been made of; seeds and dataset stand elsewhere."""
+    """Config that rows must have been made with, without seed and dataset."""
     if setting.library == "sb3":
         assert isinstance(training, OnlineTraining)
         return sb3.made_of(training)

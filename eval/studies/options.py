@@ -1,4 +1,4 @@
-"""How studies are run: where, how much, and with how many processes."""
+"""Settings of how studies are run: folders, budget, processes."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ RESULTS = "results"
 
 @dataclass(frozen=True, kw_only=True)
 class StudyOptions:
-    """How studies are run."""
+    """Settings of how studies are run."""
 
     runs: Path | None = None
     """Folder of the raw runs, RUNS/SOURCE/SETTING/SEED; missing ones are trained;

@@ -29,25 +29,26 @@ _MATD3_BC = Setting("matd3-bc", "MATD3+BC", "matd3-bc")
 _LEARNERS = (_MABC, _TD3_BC, _MATD3_BC)
 
 _FEWER = 100
-"""Goals of what is only compared."""
+"""Evaluation goals per run in ``cures``, where settings are only compared with each
+other."""
 
 _UPDATES = {"updates": _TD3_BC.config.updates}
-"""As many as in the rows that literal ones are compared with; Table 3 has 100,000."""
+"""Updates of the tuned preset, used for the literal ones too; Table 3 has 100,000."""
 
 
 def _cure(name: str, about: str, **changes: Any) -> Setting:
-    """TD3+BC's tuned preset with one choice another."""
+    """TD3+BC's tuned preset with one change."""
     return Setting(f"td3-bc-{name}", f"TD3+BC, {about}", changes=changes, goals=_FEWER)
 
 
 def _multi(name: str, about: str, **changes: Any) -> Setting:
-    """MATD3+BC's tuned preset with one choice another."""
+    """MATD3+BC's tuned preset with one change."""
     about = f"MATD3+BC, {about}"
     return Setting(f"matd3-bc-{name}", about, "matd3-bc", changes=changes, goals=_FEWER)
 
 
 def _literal(algorithm: str, name: str, about: str, **changes: Any) -> Setting:
-    """The paper's preset, shorter."""
+    """The paper's preset with as many updates as the tuned one."""
     return Setting(
         f"{algorithm}-literal{name}",
         f"{algorithm.upper().replace('-', '+')} as in the paper, {about}",
@@ -64,7 +65,7 @@ _ONE_CURE = (
     _literal("td3-bc", "-goals", "but other goals too", future=0.2, elsewhere=0.4),
     _literal("td3-bc", "-scaled", "but imitation scaled", imitation_scaled=True),
 )
-"""What fails, with one thing of what does not."""
+"""The paper's preset, which fails, with exactly one of our changes."""
 
 _UNSCALED = _cure("unscaled", "imitation not scaled by spread", imitation_scaled=False)
 
@@ -95,7 +96,8 @@ _FINER_CURES = (
     _multi("own", "a critic for each agent", critics="own"),
     _multi("data", "others' actions from the data", others="data"),
 )
-"""Run on a mix only: on good data, where every episode succeeds, some are the same."""
+"""Further changes, for a mix only: on good data, where every episode succeeds, some
+make no difference."""
 
 _HELD = tuple(
     Probe(f"alpha-{alpha:g}", f"alpha {alpha:g}", alpha=alpha)
@@ -110,7 +112,7 @@ _WITHIN = tuple(
     )
     for distance in (0.01, 0.02, 0.10)
 )
-"""Beside the 5 cm of ``Reach-v0``."""
+"""Evaluations with other success distances than the 5 cm of ``Reach-v0``."""
 
 STUDIES = {
     "offline": beside_the_paper(

@@ -79,7 +79,7 @@ def beside_the_paper(
 
 
 def _long(algorithm: str, preset: str, batch: int = 256, **more: Any) -> Setting:
-    """As many updates as in Table 4, and learning curves."""
+    """A setting with as many updates as in Table 4, and learning curves."""
     changes: dict[str, Any] = {"updates": LONG}
     name = f"{algorithm}-{preset}-180k"
     about = f"{algorithm.upper().replace('-', '+')}, {preset}"
@@ -92,7 +92,7 @@ def _long(algorithm: str, preset: str, batch: int = 256, **more: Any) -> Setting
 
 
 def _both(algorithm: str, **more: Any) -> tuple[Setting, Setting]:
-    """Under the paper's preset and ours."""
+    """Settings with the paper's preset and with ours."""
     return _long(algorithm, "paper", **more), _long(algorithm, "tuned", **more)
 
 

@@ -1,4 +1,4 @@
-"""What studies lack, and how long it will take."""
+"""Missing runs of studies, and the time that they will take."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -25,12 +25,16 @@ from marl_mm.runs.sources import Datasets
 
 @dataclass(frozen=True)
 class Wanted:
-    """A cell whose rows are not all there."""
+    """A cell with missing rows."""
 
     cell: Cell
+    """Source and setting."""
+
     probes: tuple[Probe, ...]
+    """Evaluations of each run."""
+
     jobs: tuple[Job, ...]
-    """One per seed; some may be done."""
+    """Jobs, one per seed; some may be done."""
 
 
 def missing_cells(
@@ -96,7 +100,7 @@ def _cells(
 
 
 def run_folder(options: StudyOptions, cell: Cell, seed: int) -> Path:
-    """Where a run of a cell is."""
+    """Folder of a cell's run."""
     source, setting = cell_name(cell)
     folder = options.runs_folder / source.replace("/", "-") / setting / str(seed)
     return folder.absolute() if options.executor == "ray" else folder  # is elsewhere
@@ -106,7 +110,7 @@ def run_folder(options: StudyOptions, cell: Cell, seed: int) -> Path:
 
 
 def estimated(wanted: Sequence[Wanted], bar: Bar) -> list[Wanted]:
-    """With how long each job will take, from short measurements on this machine."""
+    """Cells with the estimated duration of each job, measured on this machine."""
     per_update: dict[str, float] = {}
     known = []
     advance = bar("measuring", len(wanted))
@@ -128,12 +132,12 @@ def estimated(wanted: Sequence[Wanted], bar: Bar) -> list[Wanted]:
 
 
 def hours(jobs: Iterable[Job], workers: int) -> float:
-    """Hours until these jobs are done, about."""
+    """Estimated hours until these jobs are done."""
     return sum(job.seconds for job in jobs if not job.done) / workers / 3600
 
 
 def plan_table(wanted: Sequence[Wanted], workers: int, measured: bool) -> str:
-    """What is missing, a line per cell, as Markdown; the last line is the sum."""
+    """Missing runs, a line per cell, as Markdown; the last line is the sum."""
 
     def line(source: str, about: str, jobs: Sequence[Job]) -> list[str]:
         left = [job for job in jobs if not job.done]

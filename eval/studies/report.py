@@ -33,11 +33,13 @@ class Media:
     """A picture or a video within the page."""
 
     name: str
+    """Name of the file."""
+
     kind: str
     """MIME type."""
 
     data: str
-    """Address that holds all of it."""
+    """Data URL with the whole file."""
 
 
 @dataclass(frozen=True)
@@ -45,14 +47,22 @@ class Section:
     """A part of the page."""
 
     name: str
+    """Anchor of the section."""
+
     title: str
+    """Heading."""
+
     command: str = ""
     """Command that makes it."""
 
     text: str | Markup = ""
+    """Text below the heading."""
+
     media: Sequence[Media] = ()
+    """Pictures and videos."""
+
     details: Sequence[tuple[str, str]] = ()
-    """Titles and texts of what is folded."""
+    """Titles and texts of folded parts."""
 
 
 def report_page(results: Path, videos: Sequence[Path] = ()) -> str:

@@ -24,10 +24,10 @@ from marl_mm.eval.studies.study import BEST, LAST, Cell, Probe, cell_name
 from marl_mm.files import only_here, write_json
 
 _ADVICE = "name another folder with `out`"
-"""What to do about rows of runs that were made with something else."""
+"""Advice if rows are of runs with another config."""
 
 _CURVES = ".curve.csv.gz"
-"""End of the name of a cell's learning curves."""
+"""Suffix of files with a cell's learning curves."""
 
 _MEASURED = {
     "step": ("steps", "return", "final_distance", "d_mm", "d_mp", "alpha"),
@@ -67,6 +67,7 @@ class RowStore:
     """Rows in a folder."""
 
     folder: Path
+    """Folder of the cells' files."""
 
     def missing(
         self,
@@ -152,7 +153,7 @@ class RowStore:
     def _check_same_training(
         self, cell: Cell, seeds: Collection[int], new: list[Row], known: list[Row]
     ) -> None:
-        """Raise if rows that stay are of a training that learnt something else."""
+        """Raise if rows that stay are of a training with another learning curve."""
         for seed in seeds:
             curves = [[r for r in rows if r["seed"] == seed] for rows in (new, known)]
             if curves[1] and repr(curves[0]) != repr(curves[1]):  # nan is not nan
@@ -205,7 +206,7 @@ class RowStore:
 
 
 def _bytes_of(identity: Mapping[str, Any]) -> dict[str, Any]:
-    """What a dataset is, wherever it lies."""
+    """Identity of a dataset without its path."""
     return {key: value for key, value in identity.items() if key != "path"}
 
 

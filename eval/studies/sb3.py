@@ -43,7 +43,7 @@ def check_sb3_run(training: Online, seed: int, run: Path) -> None:
 
 
 def made_of(training: Online) -> dict[str, Any]:
-    """What rows must have been made of; seeds stand elsewhere."""
+    """Config that rows must have been made with, without the seed."""
     return {"algorithm": SB3, "task": training.task, **_settings(training)}
 
 
@@ -108,7 +108,7 @@ _UNUSED = (
     "random_share",
     "std_floor",
 )
-"""Of our hyper-parameters: SB3 has no such thing."""
+"""Hyper-parameters of ours that Stable-Baselines3 does not have."""
 
 
 def _settings(training: Online) -> dict[str, Any]:

@@ -30,13 +30,13 @@ def _check_name(name: str) -> None:
 
 @dataclass(frozen=True)
 class Online:
-    """Episodes of the learner's own."""
+    """A source: episodes of the learner's own."""
 
     task: str = DEFAULT
     """Registered name of the task."""
 
     demonstrations: Data | None = None
-    """Dataset whose episodes are replayed, too."""
+    """Dataset whose episodes are replayed too."""
 
     name: str = ""
     """Name of the source in rows; default made of the fields above."""
@@ -52,7 +52,7 @@ class Online:
 
 
 def name_of(source: Data | Online) -> str:
-    """What a source is called in rows and tables."""
+    """Name of a source in rows and tables."""
     return source if isinstance(source, str) else source.name
 
 
@@ -76,7 +76,7 @@ class Setting:
     """Preset of hyper-parameters that the changes are made to."""
 
     changes: Mapping[str, Any] = field(default_factory=dict)
-    """Hyper-parameters that are not the preset's."""
+    """Hyper-parameters that replace the preset's."""
 
     goals: int = 200
     """Number of goals of each evaluation of a trained policy."""
@@ -132,7 +132,7 @@ class Probe:
     """Settings of the task that are replaced."""
 
     alpha: float | None = None
-    """Alpha that is held, whatever the policy sets; None: the policy's."""
+    """Fixed alpha that replaces the policy's; None: the policy's own."""
 
     def __post_init__(self) -> None:
         """Refuse what could not be done."""
@@ -147,12 +147,12 @@ class Probe:
 
     @property
     def way(self) -> dict[str, Any]:
-        """What is done, whatever it is called."""
+        """The evaluation's settings without its name."""
         known = asdict(self)
         return {key: known[key] for key in ("checkpoint", "overrides", "alpha")}
 
     def file(self, run: Path) -> Path:
-        """Where a run keeps the evaluation."""
+        """File of the evaluation in a run folder."""
         return run / ("eval.json" if self == LAST else f"eval_{self.name}.json")
 
 
@@ -219,7 +219,7 @@ class Curves:
     """Upper end of the axis; None shows everything."""
 
     panels: Literal["preset", "task"] = "preset"
-    """What cells of one panel share."""
+    """Grouping of cells into panels."""
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,7 @@ class Study:
     """Sources, and how to learn from each."""
 
     probes: Sequence[Probe] = (LAST,)
-    """How each run is evaluated."""
+    """Evaluations of each run."""
 
     figure: bool | Curves = False
     """Whether learning curves are drawn, or how."""
@@ -295,7 +295,7 @@ class Study:
         Args:
             out: Folder of the table, the figure and their rows; default RUNS/results.
             name: Name of the table's and the figure's files.
-            progress: Begins a bar of progress; it is called in a thread.
+            progress: Factory of progress bars, called in a thread.
             **options: Fields of ``StudyOptions``: ``runs``, ``seeds``, ``workers``,
                 ``budget``, ``resume``, ``overwrite`` ...
 

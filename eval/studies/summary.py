@@ -24,6 +24,8 @@ class CellRows:
     """The rows of a cell."""
 
     cell: Cell
+    """Source and setting."""
+
     probes: Mapping[str, Sequence[Row]]
     """Evaluated goals by probe."""
 
@@ -99,7 +101,7 @@ def returns_of(rows: Sequence[Row]) -> np.ndarray:
 
 
 def _at_the_end(curves: Sequence[Row], key: str) -> Row:
-    """A critic's last number: mean over the seeds where it is finite, and every one."""
+    """A critic's last value: mean over seeds where it is finite, and every seed's."""
     last = {row["seed"]: float(row.get(key, np.nan)) for row in curves}
     known = [value for value in last.values() if np.isfinite(value)]
     every = "" if np.isnan(list(last.values())).all() else _listed(last.values())

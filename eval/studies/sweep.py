@@ -43,14 +43,14 @@ SMOOTH = "SmoothReach-v0"
 EPISODES, LOAD_EPISODES = "episodes.csv.gz", "load_episodes.csv.gz"
 
 FINE = 0.05
-"""Step of the fixed alphas they are compared with."""
+"""Spacing of the fixed alphas that the rules are compared with."""
 
 _TASKS = tuple(task for tasks in RUNS.values() for task in tasks)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """What is swept."""
+    """Settings of the alpha sweep."""
 
     out: Path = Path("runs/alpha")
     """Folder of the results."""
@@ -59,7 +59,7 @@ class Sweep:
     """Tasks: Reach-v0, SmoothReach-v0, PreciseReach-v0."""
 
     forms: tuple[Form, ...] = FORMS
-    """How alpha enters the controller: blend, rhp, rhp-literal."""
+    """Forms in which alpha enters the controller: blend, rhp, rhp-literal."""
 
     goals: int = 48
     """Goals per alpha, half ahead and half behind."""

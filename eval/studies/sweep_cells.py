@@ -55,7 +55,7 @@ class SweepCell:
     max_steps: int = LONG_EPISODE
 
     mass: float | None = None
-    """Mass of what is carried [kg]; None: nothing is."""
+    """Mass of the load [kg]; None: no load."""
 
     @property
     def overrides(self) -> dict[str, Any]:
@@ -70,7 +70,7 @@ class SweepCell:
 
 
 def load_cells(goals: int, seed: int) -> list[SweepCell]:
-    """Every mass at every alpha, on the same goals.
+    """Cells of every mass at every alpha, on the same goals.
 
     Args:
         goals: Number of goals, half ahead, half behind.
@@ -84,7 +84,7 @@ def load_cells(goals: int, seed: int) -> list[SweepCell]:
 
 
 class _Swing:
-    """Where along the base its zero-moment point has been, every few ticks."""
+    """Fore-aft positions of the zero-moment point, every few ticks."""
 
     def __init__(self, drive: Drive, every: int) -> None:
         self._drive, self._every = drive, every

@@ -1,4 +1,4 @@
-"""What the alpha sweep shows: means over goals, evenness, and what alpha is worth."""
+"""Results of the alpha sweep: means over goals, and the worth of alpha."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ from marl_mm.eval.metrics import Row
 from marl_mm.eval.studies.sweep_cells import SHORT_EPISODE
 
 GAINED = ("zmp_margin", "zmp_fore_aft")
-"""Columns in which alpha's gain is looked at."""
+"""Columns with the gain over alpha 0."""
 
 
 def summarize_cells(rows: Sequence[Row]) -> list[Row]:

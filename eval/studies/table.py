@@ -29,7 +29,7 @@ CRITICS = {
 value going to the goal than away from it; no return can pass 10."""
 
 OVER_HELD = "return over the best alpha held [95 %]"
-"""Heading of what the learnt alpha is worth."""
+"""Heading of the learnt alpha's gain over the best fixed one."""
 
 FAILED = "failed"
 """Heading of how many episodes of all seeds failed, and why, where they can."""
@@ -43,6 +43,8 @@ class Line:
     """A cell in a table."""
 
     cell: Cell
+    """Source and setting."""
+
     reported: Reported | None
     """Result of others."""
 
@@ -71,6 +73,8 @@ class Table:
     """The table of a study."""
 
     study: Study
+    """The study."""
+
     rows: list[Row]
     """Rows as in the CSV file: one per cell and probe, or one per cell."""
 
@@ -115,7 +119,7 @@ def _columns(study: Study, rows: Sequence[Row]) -> list[Column]:
 
 
 def _of_probes(study: Study, rows: Sequence[Row]) -> list[Column]:
-    """The first probe in full, of others what changes."""
+    """Columns: the first probe in full, the others in short."""
     first, *others = study.probes
     columns = [
         Column("dataset", lambda line: str(line.row["dataset"])),
@@ -180,7 +184,7 @@ def _theirs(line: Line) -> str:
 
 
 def _difference(line: Line) -> str:
-    """Ours less what others report, after as many updates."""
+    """Our success rate less the reported one, after as many updates."""
     theirs = line.reported
     if theirs is None or theirs.success is None:
         return ""

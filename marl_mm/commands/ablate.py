@@ -37,12 +37,12 @@ class Ablate(StudyOptions):
     """Make tables and figures, training the runs that are missing."""
 
     datasets: tuple[str, ...] | None = None
-    """Those named; default all of the study. What is missing of ours is collected
-    first."""
+    """Names of the datasets to run; default all of the study. Missing ones of ours are
+    collected first."""
 
     settings: tuple[str, ...] | None = None
-    """Those named; default all of the study. Of some datasets or settings, files are
-    called NAME-part."""
+    """Names of the settings to run; default all of the study. With some datasets or
+    settings only, files are called NAME-part."""
 
     workers: int = field(default_factory=available_cores)
     """Runs at once; the result does not depend on their number."""
@@ -69,7 +69,7 @@ def main(arguments: Sequence[str]) -> None:
         check_tables(_checks(options, studies, with_alpha))
         return
     with progress_bars(vanish=True) as bar:
-        engine = Engine(options, _tell, bar)
+        engine = Engine(options, _notify, bar)
         if options.plan:
             needed = {_ALPHA: CHOOSING} if with_alpha else {}
             print(engine.plan(studies | needed), end="")
@@ -141,7 +141,7 @@ def _parsed(arguments: Sequence[str]) -> tuple[str, Ablate, dict[str, Study]]:
     return target, options, {name: STUDIES[name] for name in names if name in STUDIES}
 
 
-def _tell(text: str) -> None:
+def _notify(text: str) -> None:
     print(as_options(text), file=sys.stderr)
 
 

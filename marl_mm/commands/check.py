@@ -40,7 +40,7 @@ class Check:
 
     task: Annotated[
         str,
-        tyro.conf.arg(help=f"Where collectors act and metrics measure: {REGISTERED}."),
+        tyro.conf.arg(help=f"Task of collectors and metrics: {REGISTERED}."),
     ] = DEFAULT
 
     json: bool = False
@@ -48,11 +48,16 @@ class Check:
 
 
 class Subject(NamedTuple):
-    """Something to be checked."""
+    """A registered object to check."""
 
     words: str
+    """Kind and name, for messages."""
+
     about: Any
+    """Object that the claims are about."""
+
     claims: dict[str, Claim]
+    """Claims by name."""
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -60,7 +65,9 @@ def main(arguments: Sequence[str]) -> None:
     options = parse_options(Check, "marl-mm check", arguments)
     if not options.what:
         raise UsageError("name a plug-in, FILE.py or a module, or what is registered")
-    subjects = [one for what in options.what for one in _subjects(what, options.task)]
+    subjects = [
+        subject for what in options.what for subject in _subjects(what, options.task)
+    ]
     findings = []
     total = sum(len(subject.claims) for subject in subjects)
     with progress_bar("check", total) as advance:

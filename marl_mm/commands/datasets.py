@@ -88,7 +88,9 @@ class Export(_Printed):
     layout: Annotated[
         str,
         tyro.conf.arg(
-            help=" ".join(f"{name}: {one.about}" for name, one in DATASET_FORMS.items())
+            help=" ".join(
+                f"{name}: {form.about}" for name, form in DATASET_FORMS.items()
+            )
         ),
     ] = "flat"
 

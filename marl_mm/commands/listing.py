@@ -44,13 +44,13 @@ def main(arguments: Sequence[str]) -> None:
 def _algorithms() -> Iterable[Row]:
     from marl_mm.algorithms.registry import ALGORITHMS
 
-    for name, one in ALGORITHMS.items():
+    for name, algorithm in ALGORITHMS.items():
         yield {
             "name": name,
-            "learns": "online" if one.online else "from a dataset",
-            "about": one.about,
-            "source": one.source,
-            "presets": list(one.presets),
+            "learns": "online" if algorithm.online else "from a dataset",
+            "about": algorithm.about,
+            "source": algorithm.source,
+            "presets": list(algorithm.presets),
             "from": ALGORITHMS.origin(name),
         }
 
@@ -58,15 +58,15 @@ def _algorithms() -> Iterable[Row]:
 def _tasks() -> Iterable[Row]:
     from marl_mm.envs.registry import TASKS
 
-    for name, one in TASKS.items():
+    for name, task in TASKS.items():
         yield {
             "name": name,
-            "about": one.about,
-            "numbers": _changed(one),
-            "agents": [agent.name for agent in one.layout.team],
-            "state": len(one.layout.state),
-            "action": len(one.layout.action),
-            "max_steps": one.max_steps,
+            "about": task.about,
+            "numbers": _changed(task),
+            "agents": [agent.name for agent in task.layout.team],
+            "state": len(task.layout.state),
+            "action": len(task.layout.action),
+            "max_steps": task.max_steps,
             "from": TASKS.origin(name),
         }
 
@@ -74,8 +74,8 @@ def _tasks() -> Iterable[Row]:
 def _collectors() -> Iterable[Row]:
     from marl_mm.collectors.registry import COLLECTORS
 
-    for name, one in COLLECTORS.items():
-        yield {"name": name, "about": one.about, "from": COLLECTORS.origin(name)}
+    for name, collector in COLLECTORS.items():
+        yield {"name": name, "about": collector.about, "from": COLLECTORS.origin(name)}
 
 
 def _formats() -> Iterable[Row]:
@@ -88,11 +88,11 @@ def _formats() -> Iterable[Row]:
         ("datasets, written", DATASET_FORMS),
         ("datasets, read", IMPORTS),
     ):
-        for name, one in registry.items():
+        for name, form in registry.items():
             yield {
                 "name": name,
                 "of": of,
-                "about": one.about,
+                "about": form.about,
                 "from": registry.origin(name),
             }
 
@@ -100,8 +100,8 @@ def _formats() -> Iterable[Row]:
 def _metrics() -> Iterable[Row]:
     from marl_mm.eval.metrics import METRICS
 
-    for name, one in METRICS.items():
-        yield {"name": name, "about": one.about, "from": METRICS.origin(name)}
+    for name, metric in METRICS.items():
+        yield {"name": name, "about": metric.about, "from": METRICS.origin(name)}
 
 
 _ROWS = {
@@ -115,20 +115,20 @@ _ROWS = {
 
 def _changed(task: Any) -> dict[str, Any]:
     """A task's numbers that are not those of its kind."""
-    usual = {name: config_dict(one) for name, one in defaults(type(task)).items()}
+    usual = {name: config_dict(value) for name, value in defaults(type(task)).items()}
     own = config_dict(task)
-    return {name: value for name, value in _differences(usual, own)}
+    return {name: value for name, value in _changed_fields(usual, own)}
 
 
-def _differences(usual: Any, own: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+def _changed_fields(usual: Any, own: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     for name, value in own.items():
         if isinstance(value, dict):
-            yield from _differences(usual[name], value, f"{path}{name}.")
+            yield from _changed_fields(usual[name], value, f"{path}{name}.")
         elif value != usual[name]:
             yield f"{path}{name}", value
 
 
 def _text(value: Any) -> str:
     if isinstance(value, dict):
-        value = [f"{name} {one}" for name, one in value.items()]
+        value = [f"{name} {number}" for name, number in value.items()]
     return escape(", ".join(map(str, value)) if isinstance(value, list) else str(value))

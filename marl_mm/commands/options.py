@@ -25,7 +25,7 @@ COMMITTED = Path(marl_mm.__file__).parent / "eval" / "results"
 """Folder of the committed results, in a clone."""
 
 REGISTERED = " or ".join((", ".join(TASKS.names()[:-1]), TASKS.names()[-1]))
-"""The tasks, for helps."""
+"""Names of the tasks, for help texts."""
 
 
 def with_policies(options: type[T]) -> type[T]:
@@ -33,11 +33,11 @@ def with_policies(options: type[T]) -> type[T]:
     settings = [
         (
             _attribute(name),
-            Annotated[one.config, tyro.conf.arg(name=name)],
-            field(default_factory=one.config),
+            Annotated[collector.config, tyro.conf.arg(name=name)],
+            field(default_factory=collector.config),
         )
-        for name, one in COLLECTORS.items()
-        if name != AGENT and fields(one.config)
+        for name, collector in COLLECTORS.items()
+        if name != AGENT and fields(collector.config)
     ]
     made = make_dataclass(
         options.__name__,

@@ -36,9 +36,10 @@ class Subcommand(NamedTuple):
     """A subcommand whose options have other defaults than their class."""
 
     default: Any
-    """The options if nothing is said."""
+    """Default options."""
 
     description: str
+    """Description in the help."""
 
     kind: Any = None
     """Type of the options, where their class is generic; None: their class."""
@@ -54,9 +55,9 @@ def parse_subcommand(
 
     Args:
         commands: Dataclasses of options by name.
-        prog: How the command is called.
-        description: Of all subcommands together.
-        arguments: The command line behind ``prog``.
+        prog: Name of the command.
+        description: Description of all subcommands together.
+        arguments: Command line after ``prog``.
 
     Raises:
         UsageError: If they name none, or are not its options.
@@ -109,9 +110,9 @@ def _refuse_clashes(options: Any) -> None:
         UsageError: Naming the setting.
     """
     taken: list[str] = []
-    for one in fields(options):
-        value = getattr(options, one.name)
-        names = [one.name]
+    for option in fields(options):
+        value = getattr(options, option.name)
+        names = [option.name]
         if is_dataclass(value) and not isinstance(value, type):
             names = [inner.name for inner in fields(value)]
             refuse_taken(type(value), names, taken)

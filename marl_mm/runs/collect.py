@@ -31,7 +31,7 @@ def collect(
         dataset: Id below ``$MINARI_DATASETS_PATH``, or path; default
             ``marl_mm/TASK/COLLECTOR-v0``.
         config: Settings of the collector; default its own.
-        progress: Begins a bar of progress.
+        progress: Factory of progress bars.
         **settings: Fields of ``Collecting`` (``steps``, ``seed``, ``workers``,
             ``resume`` ...) and of the collector's config, by name.
 
@@ -74,7 +74,7 @@ def collect_into(
         collector: Name of a registered collector.
         config: Settings of the collector.
         collecting: Settings of the collection.
-        bar: Begins a bar of progress.
+        bar: Factory of progress bars.
 
     Returns:
         The dataset, and whether it is complete: Ctrl-C may have come before.

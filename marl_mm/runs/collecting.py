@@ -92,7 +92,7 @@ def collect_dataset(
         config: Settings of the collector.
         options: Settings of the collection.
         first: A shorter dataset of the same policy, task and seed to begin with.
-        bar: Begins a bar of progress.
+        bar: Factory of progress bars.
 
     Raises:
         UsageError: If an argument makes no sense, the dataset exists, or another

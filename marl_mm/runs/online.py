@@ -62,9 +62,9 @@ def check_online_run(
 
     Args:
         training: Settings of the run.
-        seed: Of the run.
-        run: Its folder.
-        further: Whether it may go on to more episodes than it was to have.
+        seed: Seed of the run.
+        run: Folder of the run.
+        further: Whether the run may go on to more episodes than it began with.
     """
     config = _run_config(training, _demonstrations(training), seed)
     continued = _CONTINUED if further else ()

@@ -68,7 +68,7 @@ def run_quickstart(
 
     Args:
         options: Size and place.
-        progress: Begins a bar of progress.
+        progress: Factory of progress bars.
 
     Returns:
         Wall times [s], the dataset's card and the evaluations, JSON-serialisable; and

@@ -36,7 +36,7 @@ def train_offline(
         dataset: Episodes to learn from.
         training: Settings of the runs.
         runs: Folders by seed.
-        bar: Begins a bar of progress.
+        bar: Factory of progress bars.
 
     Raises:
         DatasetError: If there is nothing to learn from.

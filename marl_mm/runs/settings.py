@@ -118,7 +118,7 @@ def check_seed(seed: int) -> None:
 
 
 def refuse_both(resume: bool, overwrite: bool) -> None:
-    """Raise if what is there is to be gone on with and to be replaced.
+    """Raise if both `resume` and `overwrite` are set.
 
     Raises:
         UsageError: If it is.

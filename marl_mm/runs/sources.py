@@ -24,8 +24,8 @@ from marl_mm.workers import Executor
 FEW = 30
 """Steps of a source where hardly anything is trained."""
 
-Tell = Callable[[str], None]
-"""Called with what a reader should know while it happens."""
+Notify = Callable[[str], None]
+"""Callback for messages to the user."""
 
 
 def silence(text: str) -> None:
@@ -116,7 +116,9 @@ class Datasets:
     executor: Executor = "local"
     """Processes of this machine, or of a Ray cluster."""
 
-    tell: Tell = silence
+    notify: Notify = silence
+    """Callback for messages to the user."""
+
     bar: Bar = silent_bar
 
     known: Mapping[str, Source | Mix] = field(default_factory=dict)
@@ -138,7 +140,7 @@ class Datasets:
         try:
             return self.find(data)
         except UnknownDatasetError as error:
-            self.tell(f"counted as if learnt from good-5k: {error}")
+            self.notify(f"counted as if learnt from good-5k: {error}")
             return load_dataset(SHIPPED)
 
     def find(self, data: Data) -> Dataset:
@@ -172,7 +174,7 @@ class Datasets:
             if not self._whole(data, location):
                 begun = location.folder.exists() or location.working.exists()
                 state = "is not whole, or another" if begun else "is not there"
-                self.tell(f"dataset {data.name} {state}: {self._deed(data)}")
+                self.notify(f"dataset {data.name} {state}: {self._deed(data)}")
                 if isinstance(data, Source):
                     self._collect(data, location, begun)
                 else:

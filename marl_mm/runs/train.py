@@ -37,7 +37,7 @@ def train(
         seeds: Seeds of the runs; default 0, or when resuming those that there are.
         preset: Preset of hyper-parameters; default tuned.
         config: Hyper-parameters in place of the preset's.
-        progress: Begins a bar of progress; with several workers it is called in a
+        progress: Factory of progress bars; with several workers it is called in a
             thread.
         **settings: Fields of ``Offline`` or ``Online`` (``eval_episodes``, ``workers``,
             ``resume`` ...) and of the algorithm's hyper-parameters, by name.
@@ -74,7 +74,7 @@ def repeat(
     Args:
         config: Record of the run, as ``load_run(...).config``.
         out: Folder of the new run: seed s goes to ``out/s``.
-        progress: Begins a bar of progress.
+        progress: Factory of progress bars.
         **settings: Settings in place of the run's, by name.
 
     Raises:
@@ -89,7 +89,7 @@ def repeat(
 
 
 def dataset_of(config: RunConfig) -> Dataset | None:
-    """The dataset that a run learnt from; None if it learnt from nobody's episodes.
+    """The dataset that a run learnt from; None for a run without a dataset.
 
     Raises:
         UsageError: If the dataset is gone or another by now.
@@ -119,7 +119,7 @@ def trained(
         dataset: Dataset to learn from; None where the algorithm learns online.
         out: Folder of the runs.
         seeds: Seeds of the runs.
-        bar: Begins a bar of progress.
+        bar: Factory of progress bars.
     """
     check_runs(training, out, seeds)
     runs = {seed: out / str(seed) for seed in seeds}

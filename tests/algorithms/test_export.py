@@ -72,8 +72,8 @@ def test_onnx_of_one_agent_acts_on_its_own_observation(
 ) -> None:
     words = ["--format", "onnx", "--agent", "balance", "--json"]
     assert main(["export", str(mabc), *words]) == 0
-    told = json.loads(capsys.readouterr().out)
-    session = onnxruntime.InferenceSession(told["file"])
+    exported = json.loads(capsys.readouterr().out)
+    session = onnxruntime.InferenceSession(exported["file"])
     inside = json.loads(session.get_modelmeta().custom_metadata_map["marl_mm"])
     layout = REACH.agents[1]
     assert inside["observation"] == [REACH.state_names[i] for i in layout.observation]
@@ -87,8 +87,8 @@ def test_onnx_of_one_agent_acts_on_its_own_observation(
 
 def test_a_joint_policy_as_onnx(states: np.ndarray, tmp_path: Path) -> None:
     policy = load_pretrained()
-    told = export_policy(policy, tmp_path / "p.onnx", "onnx")
-    assert (told["observation"], told["action"]) == (
+    exported = export_policy(policy, tmp_path / "p.onnx", "onnx")
+    assert (exported["observation"], exported["action"]) == (
         list(REACH.state_names),
         list(REACH.action_names),
     )

@@ -348,8 +348,8 @@ def test_a_policy_of_other_entries_is_refused(capsys: Output) -> None:
         ("pd", "pd does not set grip"),
     ):
         assert run("play", policy, "--task", "Grasp-v0", "--video", "x.mp4") == 2
-        told = capsys.readouterr().err.splitlines()[-1]  # after the progress bar
-        assert complaint in told
+        message = capsys.readouterr().err.splitlines()[-1]  # after the progress bar
+        assert complaint in message
         assert not Path("x.mp4").exists()
 
 
@@ -358,9 +358,9 @@ def test_no_run_is_of_a_dataset_with_other_entries_than_its_task(
 ) -> None:
     options = ["--dataset", "good-5k", "--task", "Grasp-v0", "--out", f"{tmp_path}/run"]
     assert run("train", "mabc", *options) == 2
-    told = one_line(capsys)
-    assert "good-5k-v0 is made for another layout than Grasp-v0 has" in told
-    assert "agent balance sees held (only there)" in told
+    message = one_line(capsys)
+    assert "good-5k-v0 is made for another layout than Grasp-v0 has" in message
+    assert "agent balance sees held (only there)" in message
     assert not (tmp_path / "run").exists()
 
 
@@ -388,11 +388,11 @@ def test_play_writes_a_film_or_a_strip_or_both(
     assert run("play", "pd", *options) == 0
     assert strip.read_bytes().startswith(b"\x89PNG")
     assert list(tmp_path.iterdir()) == [strip]
-    told = f"{strip}: pd did not reach the goal in 2 steps"
-    assert told in capsys.readouterr().out
+    message = f"{strip}: pd did not reach the goal in 2 steps"
+    assert message in capsys.readouterr().out
     assert run("play", "pd", *options, "--video", str(film), "--overwrite") == 0
     assert film.stat().st_size > 1000
-    assert f"{film}, {told}" in capsys.readouterr().out
+    assert f"{film}, {message}" in capsys.readouterr().out
 
 
 @pytest.mark.slow

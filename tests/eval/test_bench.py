@@ -79,10 +79,12 @@ def test_abuse_is_seeded() -> None:
 
 @pytest.mark.slow
 def test_bench_online_times_ours_and_theirs_in_turns() -> None:
-    told: list[int] = []
-    result = bench_online(100, episodes=3, advance=lambda done, note: told.append(done))
+    counts: list[int] = []
+    result = bench_online(
+        100, episodes=3, advance=lambda done, note: counts.append(done)
+    )
     names = {"ddpg-her", "ddpg-her-no-layer-norm", "maddpg-her", "sb3-ddpg-her"}
-    assert sum(told) == 100 * len(names)
+    assert sum(counts) == 100 * len(names)
     assert result["updates_per_second"].keys() == names
     assert all(rate > 0 for rate in result["updates_per_second"].values())
     assert result["ddpg-her_over_sb3"] > 0
@@ -92,22 +94,22 @@ def test_bench_online_times_ours_and_theirs_in_turns() -> None:
 
 @pytest.mark.slow
 def test_bench_success_compares_success_after_equal_steps() -> None:
-    told: list[int] = []
-    success = bench_success(60, goals=2, advance=lambda done, note: told.append(done))
+    counts: list[int] = []
+    success = bench_success(60, goals=2, advance=lambda done, note: counts.append(done))
     assert success.keys() == {"ddpg-her", "sb3-ddpg-her"}
     for measured in success.values():
         low, high = measured["interval"]
         assert 0 <= low <= measured["success_rate"] <= high <= 1
-    assert 2 * 60 <= sum(told) < 2 * 60 + 5 * 25  # whole cycles, whole episodes
+    assert 2 * 60 <= sum(counts) < 2 * 60 + 5 * 25  # whole cycles, whole episodes
 
 
 @pytest.mark.slow
 def test_bench_offline_times_all_in_turns() -> None:
-    told: list[int] = []
-    result = bench_offline(100, advance=lambda done, note: told.append(done))
+    counts: list[int] = []
+    result = bench_offline(100, advance=lambda done, note: counts.append(done))
     rates = result["updates_per_second"]
     assert len(rates) == LEARNERS and min(rates.values()) > 0
-    assert sum(told) == 100 * LEARNERS
+    assert sum(counts) == 100 * LEARNERS
     ratio = rates["mabc"] / rates[AUTHORS]
     assert result["over_authors"]["mabc"] == pytest.approx(ratio)  # of a single turn
 
@@ -116,9 +118,9 @@ def test_bench_offline_times_all_in_turns() -> None:
 def test_bench_seeds_runs_the_command(
     monkeypatch: pytest.MonkeyPatch, datasets_home: Path
 ) -> None:
-    told: list[int] = []
-    result = bench_seeds(100, 2, 1, lambda done, note: told.append(done))
-    assert told == [1, 2]
+    counts: list[int] = []
+    result = bench_seeds(100, 2, 1, lambda done, note: counts.append(done))
+    assert counts == [1, 2]
     assert min(result["one_memory_mib"], result["several_memory_mib"]) > 100
     expected = 2 * result["one_s"] / result["several_s"]
     assert result["throughput_over_one"] == pytest.approx(expected)
@@ -129,9 +131,9 @@ def test_bench_seeds_runs_the_command(
 
 def test_side_by_side_counts_all_seeds() -> None:
     """On a GPU; the CPU can do it, too."""
-    told: list[int] = []
-    result = bench_side_by_side(5, 3, "cpu", lambda done, note: told.append(done))
-    assert told == [5, 5] and result["seeds"] == 3
+    counts: list[int] = []
+    result = bench_side_by_side(5, 3, "cpu", lambda done, note: counts.append(done))
+    assert counts == [5, 5] and result["seeds"] == 3
     ratio = result["all_updates_per_second"] / result["one_updates_per_second"]
     assert result["over_one"] == pytest.approx(ratio)
 

@@ -99,9 +99,9 @@ def test_every_table_stands_with_what_makes_it(page_file: Path) -> None:
 def test_every_section_of_results_says_what_makes_it(page_file: Path) -> None:
     page = page_file.read_text()
     sections = re.findall(r'<section id="([^"]+)">(.*?)</section>', page, re.DOTALL)
-    told = {name for name, text in sections if re.search(r"</h2>\s*<pre>", text)}
+    described = {name for name, text in sections if re.search(r"</h2>\s*<pre>", text)}
     # What runs were made of, and what drew the page, nothing makes anew.
-    assert {name for name, _ in sections} - told == {
+    assert {name for name, _ in sections} - described == {
         "versions",
         "configs",
     }

@@ -452,11 +452,11 @@ def test_a_run_that_kills_its_process_takes_no_other_along(
         for number, kind in enumerate((Done, Deadly, Done, Done))
     ]
     done: list[Job] = []
-    told: list[str] = []
-    failed = do_jobs(jobs, 2, "local", done.append, told.append, silent_bar)
+    messages: list[str] = []
+    failed = do_jobs(jobs, 2, "local", done.append, messages.append, silent_bar)
     assert failed.keys() == {tmp_path / "1"}
     assert "a worker process died" in failed[tmp_path / "1"]
-    assert "going on with" in told[0]
+    assert "going on with" in messages[0]
     assert sorted(job.label for job in done) == ["0", "2", "3"]
 
 
@@ -592,17 +592,17 @@ def test_what_there_is_no_data_for_is_collected_first(
     process.send_signal(signal.SIGINT)
     assert process.wait(60) == 130
     assert 0 < load_dataset("tiny").arrays.steps < 60
-    told: list[str] = []
-    made = Datasets(tell=told.append)
+    messages: list[str] = []
+    made = Datasets(notify=messages.append)
     with pytest.raises(UnknownDatasetError, match="60 steps of pd in Reach-v0 are"):
         made.find(tiny)
     assert made.make(tiny).arrays.steps >= 60
-    assert "tiny is not whole, or another: 60 steps" in told.pop()
-    assert made.find(tiny).fingerprint == made.make(tiny).fingerprint and not told
+    assert "tiny is not whole, or another: 60 steps" in messages.pop()
+    assert made.find(tiny).fingerprint == made.make(tiny).fingerprint and not messages
     shutil.rmtree(load_dataset("tiny").location.folder)
     assert main(["collect", "pd", "--steps", "30", "--dataset", "tiny"]) == 0
     assert made.make(tiny).arrays.steps >= 60
-    assert "tiny is not whole" in told.pop()
+    assert "tiny is not whole" in messages.pop()
     with pytest.raises(OtherConfigError, match="seed"):
         made.make(Source(steps=90, seed=1, name="tiny"))
     shutil.rmtree(load_dataset("tiny").location.folder)
@@ -655,5 +655,5 @@ def test_what_cannot_be_made_is_told_in_one_line(
         "Setting('own', 'own', changes={'hiden': (8, 8)})\n"
     )
     assert main(["ablate", *asked]) == 2
-    told = capsys.readouterr().err
-    assert complaint in told and told.count("\n") == 1
+    messages = capsys.readouterr().err
+    assert complaint in messages and messages.count("\n") == 1
