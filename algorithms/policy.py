@@ -37,6 +37,9 @@ class LearnedPolicy:
         self.layout = layout
         self._source = source
 
+    def __repr__(self) -> str:
+        return f"<LearnedPolicy {self.name}: {self._source}>"
+
     def describe(self) -> dict[str, Any]:
         """Path that it was loaded from."""
         return {"checkpoint": self._source}

@@ -44,7 +44,7 @@ def train(
     evaluate: Evaluate,
     evaluate_every: int,
     advance: Advance = silent,
-    stop_unsound: bool = True,
+    stop_diverging: bool = True,
     loggers: Sequence[str] = DEFAULT_LOGGERS,
 ) -> None:
     """Update until the config's number of updates, from wherever the algorithm stands.
@@ -56,7 +56,7 @@ def train(
             ``evaluate_every``-th and after the last.
         evaluate_every: Updates between evaluations.
         advance: Progress callback, called with updates.
-        stop_unsound: Whether a metric beyond its bound stops the run, too.
+        stop_diverging: Whether a metric beyond its bound stops the run, too.
         loggers: Names of the loggers beside ``metrics.jsonl``, see ``LOGGERS``.
 
     Raises:
@@ -86,7 +86,7 @@ def train(
                 step = min(_after(saved, LOG_EVERY), _after(saved, evaluate_every))
                 step = min(step, total)
                 measured = _updated(algorithm, step) | algorithm.diagnose()
-                _refuse_odd_values(algorithm, measured, stop_unsound)
+                _refuse_odd_values(algorithm, measured, stop_diverging)
                 rows = _each_seeds(algorithm, measured)
                 if step % evaluate_every == 0 or step == total:
                     points = _evaluated(algorithm, evaluate)
@@ -125,7 +125,7 @@ def _updated(algorithm: OfflineAlgorithm, step: int) -> dict[str, torch.Tensor]:
 def _refuse_odd_values(
     algorithm: OfflineAlgorithm,
     measured: Mapping[str, torch.Tensor],
-    stop_unsound: bool,
+    stop_diverging: bool,
 ) -> None:
     """Raise for a metric that is not finite, or beyond its bound.
 
@@ -133,7 +133,7 @@ def _refuse_odd_values(
         DivergedError: Naming the metric.
     """
     for key, value in measured.items():
-        limit = algorithm.bounds.get(key, math.inf) if stop_unsound else math.inf
+        limit = algorithm.bounds.get(key, math.inf) if stop_diverging else math.inf
         for seed, number in zip(algorithm.seeds, value.tolist(), strict=True):
             if not (abs(number) <= limit and math.isfinite(number)):
                 excess = f", more than {limit:.3g}" if math.isfinite(number) else ""

@@ -21,6 +21,7 @@ from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import read_arrays
 from marl_mm.episode import Episode
+from marl_mm.errors import UsageError
 from marl_mm.layout import columns
 
 
@@ -166,6 +167,8 @@ def load_dataset(name: str | Path | Location) -> Dataset:
             ones.
         DatasetError: If the files are damaged.
     """
+    if not isinstance(name, str | Path | Location):
+        raise UsageError(f"{name!r:.80} is no dataset's name, expected an id or a path")
     location = name if isinstance(name, Location) else existing(str(name))
     metadata = read_metadata(location)
     return Dataset(location, metadata, read_arrays(location, metadata))

@@ -8,40 +8,48 @@ from marl_mm.plugins import load_installed
 
 if TYPE_CHECKING:
     from marl_mm.datasets.dataset import load_dataset
-    from marl_mm.eval.studies.study import Online, Setting, Study
+    from marl_mm.eval.studies.study import Online, Probe, Setting, Study
     from marl_mm.runs.collect import collect
     from marl_mm.runs.evaluate import evaluate
     from marl_mm.runs.play import play
     from marl_mm.runs.policies import load_policy
-    from marl_mm.runs.run import load_run
-    from marl_mm.runs.sources import Source
-    from marl_mm.runs.train import train
+    from marl_mm.runs.run import find_runs, load_run
+    from marl_mm.runs.sources import Mix, Source
+    from marl_mm.runs.train import repeat, train
 
 __version__ = "0.2.0"
 
 __all__ = [
+    "Mix",
     "Online",
+    "Probe",
     "Setting",
     "Source",
     "Study",
     "collect",
     "evaluate",
+    "find_runs",
     "load_dataset",
     "load_policy",
     "load_run",
     "play",
+    "repeat",
     "train",
 ]
 
 _MODULES = {
-    **dict.fromkeys(("Online", "Setting", "Study"), "marl_mm.eval.studies.study"),
-    "Source": "marl_mm.runs.sources",
+    **dict.fromkeys(
+        ("Online", "Probe", "Setting", "Study"), "marl_mm.eval.studies.study"
+    ),
+    **dict.fromkeys(("Mix", "Source"), "marl_mm.runs.sources"),
     "collect": "marl_mm.runs.collect",
     "evaluate": "marl_mm.runs.evaluate",
+    "find_runs": "marl_mm.runs.run",
     "load_dataset": "marl_mm.datasets.dataset",
     "load_policy": "marl_mm.runs.policies",
     "load_run": "marl_mm.runs.run",
     "play": "marl_mm.runs.play",
+    "repeat": "marl_mm.runs.train",
     "train": "marl_mm.runs.train",
 }
 """Modules of the public names: imported at their first use, as torch takes a second."""

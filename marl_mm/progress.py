@@ -133,13 +133,16 @@ def distant_bars(messages: "Queue[Any]", stop: Event) -> Bar:
 
 
 @contextmanager
-def show_distant_bars(messages: "Queue[Any]", bar: Bar) -> Iterator[None]:
+def show_distant_bars(messages: "Queue[Any]", stop: Event, bar: Bar) -> Iterator[None]:
     """Show the bars of other processes until the block ends; their labels must differ.
 
     Args:
         messages: Queue that ``distant_bars`` writes to.
-        bar: Begins a bar of this process; it is called in a thread.
+        stop: Event that ends the work of the other processes.
+        bar: Begins a bar of this process; it is called in a thread. An error that it
+            raises ends the work, and is raised here at the end of the block.
     """
+    failures: list[BaseException] = []
 
     def show() -> None:
         bars: dict[str, Advance] = {}
@@ -153,6 +156,10 @@ def show_distant_bars(messages: "Queue[Any]", bar: Bar) -> Iterator[None]:
                     bars[label](done, note)
             except OSError:  # nobody reads stderr any more
                 seen = False
+            except BaseException as error:
+                failures.append(error)
+                seen = False
+                stop.set()
 
     thread = threading.Thread(target=show, daemon=True)
     thread.start()
@@ -163,3 +170,5 @@ def show_distant_bars(messages: "Queue[Any]", bar: Bar) -> Iterator[None]:
         thread.join(_LOST)
         messages.cancel_join_thread()
         messages.close()
+        if failures:
+            raise failures[0]

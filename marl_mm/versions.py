@@ -4,7 +4,6 @@ import platform
 from importlib.metadata import PackageNotFoundError, version
 
 PACKAGES = (
-    "marl-mm",
     "pybullet",
     "pin",
     "proxsuite",
@@ -18,8 +17,10 @@ PACKAGES = (
 
 
 def versions(*others: str) -> dict[str, str]:
-    """Versions of Python, of every package in ``PACKAGES`` and of others, by name."""
-    found = {"python": platform.python_version()}
+    """Versions of Python, of this package, of ``PACKAGES`` and of others, by name."""
+    from marl_mm import __version__  # of this code, whatever is installed
+
+    found = {"python": platform.python_version(), "marl-mm": __version__}
     for name in (*PACKAGES, *others):
         try:
             found[name] = version(name)

@@ -106,7 +106,7 @@ def do_jobs(
     messages, stop = context.Queue(), context.Event()
     deaths = dict.fromkeys(left, 0)
     suspects: list[Path] = []
-    with show_distant_bars(messages, bar):
+    with show_distant_bars(messages, stop, bar):
         messages.put((_ALL, len(left), 0, ""))
         while left:
             shared = (messages, stop) if executor == "local" else (None, None)

@@ -163,7 +163,7 @@ def training_of(
             setting.preset,
             curve_every=setting.curve_every,
             curve_episodes=setting.curve_goals or 20,
-            stop_unsound=False,  # a table's runs have all their updates
+            stop_diverging=False,  # a table's runs have all their updates
         )
         changes = {"precision": resolved(precision), **changes}
     own: dict[str, Any] = {"eval_episodes": setting.goals}

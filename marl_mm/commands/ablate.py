@@ -121,6 +121,8 @@ def _parts(studies: dict[str, Study], options: Ablate, target: str) -> dict[str,
 
 def _parsed(arguments: Sequence[str]) -> tuple[str, Ablate, dict[str, Study]]:
     """The target, the options, and the studies that the target stands for."""
+    if arguments and arguments[0].endswith(".py"):
+        raise UsageError(f"name a study of the file, such as {arguments[0]}:STUDY")
     if arguments and _OF_FILE in arguments[0]:
         path, _, name = arguments[0].partition(_OF_FILE)
         own = parse_options(Ablate, "marl-mm ablate", arguments[1:])

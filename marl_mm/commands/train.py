@@ -121,7 +121,8 @@ def _train(name: str, options: Offline[Any] | Online[Any]) -> None:
                 if not options.json:
                     print(run.summary(), flush=True)
     finally:  # if some seeds diverge, others do not
-        if options.json and results:
+        if options.json and results:  # in the order of the seeds
+            results.sort(key=lambda r: options.seeds.index(int(Path(r["run"]).name)))
             print(json.dumps(results, indent=2))
 
 
@@ -129,15 +130,21 @@ def _without_config(
     arguments: Sequence[str],
 ) -> tuple[RunConfig | None, Sequence[str]]:
     """The record that ``--config`` names, and the words with its algorithm instead."""
-    if not arguments or arguments[0].partition("=")[0] != "--config":
+    places = [i for i, word in enumerate(arguments) if word.split("=")[0] == "--config"]
+    if not places:
         return None, arguments
+    if not arguments[0].startswith("-"):
+        raise UsageError(
+            f"--config takes the algorithm of its run: leave out {arguments[0]!r}"
+        )
     from marl_mm.runs.folder import read_config
 
     file = value_of(arguments, "--config", "")
     if not Path(file).exists():
         raise UsageError(f"there is no {file!r}, expected a run or its config.json")
     config = read_config(Path(file))
-    rest = arguments[1:] if "=" in arguments[0] else arguments[2:]
+    (first, *_), rest = places, list(arguments)
+    del rest[first : first + (1 if "=" in arguments[first] else 2)]
     return config, (config.algorithm, *rest)
 
 

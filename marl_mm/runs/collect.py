@@ -31,7 +31,8 @@ def collect(
         dataset: Id below ``$MINARI_DATASETS_PATH``, or path; default
             ``marl_mm/TASK/COLLECTOR-v0``.
         config: Settings of the collector; default its own.
-        progress: Factory of progress bars.
+        progress: Called with a label and the amount of work; returns a function that
+            is called with the work done and a note, see ``marl_mm.progress``.
         **settings: Fields of ``Collecting`` (``steps``, ``seed``, ``workers``,
             ``resume`` ...) and of the collector's config, by name.
 

@@ -177,7 +177,7 @@ def train_side_by_side(
             curve(rollouts, training, task),
             training.curve_every,
             advance,
-            training.stop_unsound,
+            training.stop_diverging,
             training.logger,
         )
     for seed, run in runs.items():

@@ -118,7 +118,8 @@ def play(
         gui: Open PyBullet's window and take no pictures; needs a screen.
         camera: Place of the camera; default the task's.
         config: Settings of a collector's policy; default the collector's.
-        progress: Factory of progress bars.
+        progress: Called with a label and the amount of work; returns a function that
+            is called with the work done and a note, see ``marl_mm.progress``.
         **settings: Settings of a collector's policy, by name.
 
     Raises:
@@ -166,7 +167,8 @@ def play_demo(
         fps: Pictures per second of film and of simulated time.
         gui: Open PyBullet's window and take no pictures.
         camera: Place of the camera.
-        progress: Factory of progress bars.
+        progress: Called with a label and the amount of work; returns a function that
+            is called with the work done and a note, see ``marl_mm.progress``.
 
     Returns:
         How far the resting half drifted, and the pictures.

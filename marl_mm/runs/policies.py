@@ -52,6 +52,11 @@ def load_policy(
         policy: Policy = source
         return policy
     path = getattr(source, "folder", source)
+    if not isinstance(path, str | Path):
+        raise UsageError(
+            f"{source!r:.80} is no policy, expected a run, its folder, a checkpoint "
+            f"file, {', '.join(policy_names())}, or an object with `act`"
+        )
     if path != AGENT and not Path(path).exists():
         raise UsageError(
             f"no policy {str(path)!r}: expected {', '.join(policy_names())}, a run "
@@ -75,7 +80,10 @@ def own_task(policies: Sequence[Any]) -> str:
     for source in policies:
         if hasattr(source, "act") or source in policy_names():
             continue
-        path = Path(getattr(source, "folder", source))
+        path = getattr(source, "folder", source)
+        if not isinstance(path, str | Path):
+            continue  # load_policy refuses it
+        path = Path(path)
         config = (path.parent if path.is_file() else path) / "config.json"
         if config.exists():
             tasks[json.loads(config.read_text()).get("task", DEFAULT)] = path

@@ -1,6 +1,5 @@
 """A trained run: its folder, read when it is asked for."""
 
-import base64
 import html
 import io
 import json
@@ -14,6 +13,7 @@ from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.eval.evaluate import Evaluation
+from marl_mm.notebook import html_picture
 from marl_mm.runs.evaluate import task_overrides
 from marl_mm.runs.folder import BEST_EVALUATION, CONFIG, CURVE, EVALUATION, read_config
 
@@ -79,12 +79,20 @@ class Run:
         from marl_mm.envs.registry import make_task
         from marl_mm.eval.video import draw_film_strip, film_both_ways
 
+        if seed in self._strips:
+            return self._strips[seed]
         max_steps = self.config.settings.get("max_steps")
         task = make_task(self.config.task, task_overrides(max_steps))
         picture = io.BytesIO()
         both = film_both_ways(task, self.policy, seed, _FPS)
         draw_film_strip(picture, both.strips)
-        return picture.getvalue()
+        self._strips[seed] = picture.getvalue()
+        return self._strips[seed]
+
+    @cached_property
+    def _strips(self) -> dict[int, bytes]:
+        """Film strips that are drawn already, by seed."""
+        return {}
 
     def __repr__(self) -> str:
         config = self.config
@@ -97,9 +105,11 @@ class Run:
         if evaluation := self.evaluation:
             parts.append(evaluation._repr_html_())
         if (self.folder / CURVE).exists():
-            parts.append(_image((self.folder / CURVE).read_bytes(), "learning curve"))
+            parts.append(
+                html_picture((self.folder / CURVE).read_bytes(), "learning curve")
+            )
         if evaluation:
-            parts.append(_image(self.film_strip(), "film strip"))
+            parts.append(html_picture(self.film_strip(), "film strip"))
         return "\n".join(parts)
 
 
@@ -109,6 +119,8 @@ def load_run(folder: str | Path) -> Run:
     Raises:
         UsageError: If the folder holds none.
     """
+    if not isinstance(folder, str | Path):
+        raise UsageError(f"{folder!r:.80} is no folder, expected a run's")
     path = Path(folder)
     if not (path / CONFIG).exists():
         seeds = sorted(config.parent.name for config in path.glob(f"*/{CONFIG}"))
@@ -145,8 +157,3 @@ def _success(evaluation: Evaluation) -> str:
         f"{100 * evaluation.success_rate:.1f} % of {everything['episodes']} goals "
         f"reached, 95 % interval [{low:.1f}, {high:.1f}]"
     )
-
-
-def _image(png: bytes, text: str) -> str:
-    data = base64.b64encode(png).decode()
-    return f'<img alt="{text}" src="data:image/png;base64,{data}">'

@@ -82,7 +82,7 @@ def _apart(
     go_on = f"{', '.join(map(str, runs.values()))}: go on with `resume=True`"
     try:
         with (
-            show_distant_bars(messages, bar),
+            show_distant_bars(messages, stop, bar),
             Workers(processes, _begin_process, arguments) as pool,
         ):
             try:

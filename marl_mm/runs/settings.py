@@ -64,8 +64,9 @@ def check_types(owner: str, record: Any, settings: Mapping[str, Any]) -> None:
             try:
                 check_type(settings[field.name], hints[field.name])
             except TypeCheckError as error:
+                why = " ".join(str(error).split())
                 raise UsageError(
-                    f"{owner}: {field.name} is {settings[field.name]!r:.80}, {error}"
+                    f"{owner}: {field.name} is {settings[field.name]!r:.80}, {why}"
                 ) from None
 
 

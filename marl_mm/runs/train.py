@@ -37,8 +37,8 @@ def train(
         seeds: Seeds of the runs; default 0, or when resuming those that there are.
         preset: Preset of hyper-parameters; default tuned.
         config: Hyper-parameters in place of the preset's.
-        progress: Factory of progress bars; with several workers it is called in a
-            thread.
+        progress: Called with a label and the amount of work; returns a function that
+            is called with the work done and a note, see ``marl_mm.progress``.
         **settings: Fields of ``Offline`` or ``Online`` (``eval_episodes``, ``workers``,
             ``resume`` ...) and of the algorithm's hyper-parameters, by name.
 
@@ -57,13 +57,17 @@ def train(
         if preset is None:
             training = with_values(training, known)
     if config is not None:
+        kind = type(training.config)
+        if not isinstance(config, kind):
+            raise UsageError(f"config is {config!r:.80}, expected a {kind.__name__}")
         training = replace(training, config=config)
     training = with_settings(algorithm, training, settings)
     if dataset is None and isinstance(training, Offline):
         dataset = known.get("dataset")
     if seeds is None:
         seeds = known.get("seeds", (0,))
-    return list(trained(training, dataset, folder, seeds, progress))
+    runs = list(trained(training, dataset, folder, seeds, progress))
+    return sorted(runs, key=lambda run: seeds.index(int(run.folder.name)))
 
 
 def repeat(
@@ -74,7 +78,8 @@ def repeat(
     Args:
         config: Record of the run, as ``load_run(...).config``.
         out: Folder of the new run: seed s goes to ``out/s``.
-        progress: Factory of progress bars.
+        progress: Called with a label and the amount of work; returns a function that
+            is called with the work done and a note, see ``marl_mm.progress``.
         **settings: Settings in place of the run's, by name.
 
     Raises:

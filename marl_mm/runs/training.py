@@ -89,7 +89,7 @@ class Offline(Training):
     curve_episodes: int = 20
     """Number of goals per point of the learning curve."""
 
-    stop_unsound: bool = True
+    stop_diverging: bool = True
     """Stop a run when a critic's values are a hundred times what any return can be;
     otherwise only when a number is not finite."""
 

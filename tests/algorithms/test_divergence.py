@@ -117,7 +117,7 @@ def test_unless_it_is_to_go_on_to_its_end(
     arrays: EpisodeArrays, tmp_path: Path
 ) -> None:
     algorithm, spoil = spoilt_at_200(arrays)
-    train(algorithm, [tmp_path], lambda policy: {}, 100, spoil, stop_unsound=False)
+    train(algorithm, [tmp_path], lambda policy: {}, 100, spoil, stop_diverging=False)
     assert algorithm.step == 300
     rows = read_metrics(tmp_path)
     assert rows[-1]["q/largest"] > algorithm.bounds["q/largest"]

@@ -1,0 +1,331 @@
+"""Python and the command line do the same, to the byte, and Python prints nothing."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+import marl_mm
+from marl_mm.cli import main
+from marl_mm.errors import MarlMmError, OutputExistsError, UsageError
+from marl_mm.progress import Advance
+from marl_mm.runs.evaluate import save_evaluations
+from marl_mm.runs.train import repeat
+
+Capture = pytest.CaptureFixture[str]
+
+FEW: dict[str, Any] = {
+    "updates": 40,
+    "hidden": (16, 16),
+    "batch_size": 32,
+    "eval_episodes": 2,
+    "curve_episodes": 2,
+    "max_steps": 2,
+}
+ONLINE = FEW | {"episodes": 4, "warm_up": 4, "epoch": 2, "updates_per_episode": 2}
+del ONLINE["updates"]
+
+
+def words(settings: dict[str, Any]) -> list[str]:
+    """Settings as options."""
+    options: list[str] = []
+    for name, value in settings.items():
+        values = value if isinstance(value, tuple) else (value,)
+        options += [f"--{name.replace('_', '-')}", *map(str, values)]
+    return options
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """All files of a folder; of TensorBoard's, which hold the time, none."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and "tfevents" not in path.name
+    }
+
+
+def without_path(files: dict[str, bytes], *folders: Path) -> dict[str, bytes]:
+    """The same with the folders' names left out of the files."""
+    for folder in folders:
+        name = str(folder).encode()
+        files = {path: data.replace(name, b"") for path, data in files.items()}
+    return files
+
+
+@pytest.fixture
+def quiet(capfd: pytest.CaptureFixture[str]) -> Callable[[], None]:
+    """Asserts that nothing was printed since the last call."""
+
+    def check() -> None:
+        assert capfd.readouterr() == ("", "")
+
+    return check
+
+
+@pytest.mark.slow
+def test_collect_gives_the_bytes_of_the_command(
+    tmp_path: Path, quiet: Callable[[], None], capfd: pytest.CaptureFixture[str]
+) -> None:
+    python, command = tmp_path / "python" / "d", tmp_path / "command" / "d"
+    made = marl_mm.collect("pd", dataset=python, steps=12, seed=3, alpha_rule="room")
+    quiet()
+    assert made.arrays.steps >= 12
+    options = ["--steps", "12", "--seed", "3", "--alpha-rule", "room"]
+    assert main(["collect", "pd", "--dataset", str(command), *options]) == 0
+    assert without_path(contents(python), python) == without_path(
+        contents(command), command
+    )
+
+
+@pytest.mark.slow
+def test_train_offline_gives_the_bytes_of_the_command(
+    tmp_path: Path, quiet: Callable[[], None], datasets_home: Path
+) -> None:
+    python, command = tmp_path / "python", tmp_path / "command"
+    data = marl_mm.load_dataset("good-5k")
+    runs = marl_mm.train("td3-bc", data, out=python, seeds=(0, 1), **FEW)
+    quiet()
+    assert [run.config.seed for run in runs] == [0, 1]
+    arguments = ["--dataset", "good-5k", "--out", str(command), "--seeds", "0", "1"]
+    assert main(["train", "td3-bc", *arguments, *words(FEW)]) == 0
+    assert without_path(contents(python), python) == without_path(
+        contents(command), command
+    )
+
+
+@pytest.mark.slow
+def test_train_online_gives_the_bytes_of_the_command(
+    tmp_path: Path, quiet: Callable[[], None]
+) -> None:
+    python, command = tmp_path / "python", tmp_path / "command"
+    (run,) = marl_mm.train("maddpg-her", task="SmoothReach-v0", out=python, **ONLINE)
+    quiet()
+    assert run.best_evaluation is not None
+    arguments = ["--task", "SmoothReach-v0", "--out", str(command), *words(ONLINE)]
+    assert main(["train", "maddpg-her", *arguments]) == 0
+    assert without_path(contents(python), python) == without_path(
+        contents(command), command
+    )
+
+
+def test_evaluate_gives_the_bytes_of_the_command(
+    tmp_path: Path, quiet: Callable[[], None]
+) -> None:
+    python, command = tmp_path / "python.json", tmp_path / "command.json"
+    few: dict[str, Any] = {"episodes": 4, "seed": 2, "max_steps": 3}
+    evaluations = [
+        marl_mm.evaluate("pretrained", **few),
+        marl_mm.evaluate("pd", alpha_rule="room", **few),
+    ]
+    save_evaluations(evaluations, python)
+    quiet()
+    arguments = ["pretrained", "pd", "--pd.alpha-rule", "room", "--out", str(command)]
+    assert main(["eval", *arguments, *words(few)]) == 0
+    assert python.read_bytes() == command.read_bytes()
+
+
+@pytest.mark.slow
+def test_what_was_stopped_goes_on_with_what_it_began_with(
+    tmp_path: Path, datasets_home: Path
+) -> None:
+    part, whole = tmp_path / "part", tmp_path / "whole"
+    marl_mm.train("mabc", "good-5k", out=part, seeds=(5,), **{**FEW, "updates": 20})
+    (run,) = marl_mm.train("mabc", out=part, resume=True, updates=40)
+    assert run.config.settings["hidden"] == [16, 16]
+    marl_mm.train("mabc", "good-5k", out=whole, seeds=(5,), **FEW)
+    weights = [(out / "5" / "checkpoint.pt").read_bytes() for out in (part, whole)]
+    assert weights[0] == weights[1]
+
+    short = marl_mm.collect("pd", dataset=tmp_path / "d", steps=8, seed=4, alpha=0.5)
+    longer = marl_mm.collect("pd", dataset=tmp_path / "d", steps=30, resume=True)
+    assert longer.provenance.seed == 4
+    first = short.arrays.steps
+    assert np.array_equal(longer.joint().action[:first], short.joint().action)
+
+
+@pytest.mark.slow
+def test_an_interrupted_collection_is_a_valid_dataset(tmp_path: Path) -> None:
+    def bar(label: str, total: int) -> Advance:
+        def advance(done: int, note: str) -> None:
+            if done:
+                raise KeyboardInterrupt
+
+        return advance
+
+    with pytest.raises(KeyboardInterrupt, match="resume=True"):
+        marl_mm.collect("pd", dataset=tmp_path / "d", steps=30, progress=bar)
+    assert main(["datasets", "verify", str(tmp_path / "d")]) == 0
+    whole = marl_mm.collect("pd", dataset=tmp_path / "d", steps=30, resume=True)
+    uninterrupted = marl_mm.collect("pd", dataset=tmp_path / "e", steps=30)
+    assert whole.fingerprint == uninterrupted.fingerprint
+
+
+def test_loggers_are_chosen_by_name_and_change_no_byte(
+    tmp_path: Path, datasets_home: Path
+) -> None:
+    few = FEW | {"updates": 4}
+    (plain,) = marl_mm.train("mabc", "good-5k", out=tmp_path / "a", **few)
+    (other,) = marl_mm.train(
+        "mabc", "good-5k", out=tmp_path / "b", logger=("csv",), **few
+    )
+    assert list(plain.folder.glob("events.out.tfevents.*"))
+    assert not list(other.folder.glob("events.out.tfevents.*"))
+    assert (other.folder / "metrics.csv").read_text().startswith("step,")
+    for name in ("checkpoint.pt", "metrics.jsonl", "config.json"):
+        same = [(run.folder / name).read_bytes() for run in (plain, other)]
+        assert same[0] == same[1], name
+    with pytest.raises(UsageError, match="no logger 'fly', expected one of tensor"):
+        marl_mm.train("mabc", "good-5k", out=tmp_path / "c", logger=("fly",), **few)
+
+
+@pytest.mark.slow
+def test_a_run_is_repeated_from_its_record(
+    tmp_path: Path, datasets_home: Path, capfd: Capture
+) -> None:
+    (run,) = marl_mm.train("matd3-bc", "good-5k", out=tmp_path / "a", seeds=(3,), **FEW)
+    again = repeat(run.config, out=tmp_path / "b")
+    record = str(run.folder / "config.json")
+    assert main(["train", "--config", record, "--out", str(tmp_path / "c")]) == 0
+    first, *others = (
+        without_path(contents(folder), folder)
+        for folder in (run.folder, again.folder, tmp_path / "c" / "3")
+    )
+    assert others == [first, first]
+    marl_mm.collect("pd", dataset=tmp_path / "d", steps=8)
+    (own,) = marl_mm.train("mabc", tmp_path / "d", out=tmp_path / "e", **FEW)
+    marl_mm.collect("pd", dataset=tmp_path / "d", steps=8, seed=1, overwrite=True)
+    with pytest.raises(UsageError, match="the run learnt from"):
+        repeat(own.config, out=tmp_path / "f")
+    capfd.readouterr()
+    record = str(own.folder)
+    assert main(["train", "--config", record, "--out", str(tmp_path / "f")]) == 2
+    assert "name its --dataset" in capfd.readouterr().err
+
+
+def test_runs_are_listed_with_their_scores_whatever_is_damaged(
+    tmp_path: Path, datasets_home: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    few = FEW | {"updates": 4}
+    run, other = marl_mm.train("mabc", "good-5k", out=tmp_path, seeds=(0, 1), **few)
+    (other.folder / "eval.json").write_text("{")
+    assert main(["runs", str(tmp_path), "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["run"] for row in rows] == ["0", "1"]
+    assert run.evaluation is not None
+    assert rows[0]["success [%]"] == 100 * run.evaluation.success_rate
+    assert rows[0]["trained"] == "4 of 4 updates"
+    assert "eval.json" in rows[1]["note"]
+    assert main(["runs", str(tmp_path)]) == 0
+    assert "4 of 4 updates" in capsys.readouterr().out
+    assert main(["runs", str(tmp_path / "none")]) == 2
+
+
+@pytest.mark.slow
+def test_a_run_and_its_film_are_read_back(
+    tmp_path: Path, datasets_home: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (made,) = marl_mm.train("mabc", "good-5k", out=tmp_path, **FEW)
+    run = marl_mm.load_run(tmp_path / "0")
+    assert run.metrics[-1]["step"] == 40
+    evaluation = run.evaluation
+    assert evaluation is not None
+    again = marl_mm.evaluate(made, episodes=2, max_steps=2)
+    assert again.rows == evaluation.rows
+    page = run._repr_html_()
+    assert page.count("data:image/png;base64,") == 2
+    film = marl_mm.play(run, max_steps=2, fps=2)
+    film.save(tmp_path / "film.gif")
+    film.strip(tmp_path / "film.png")
+    assert (tmp_path / "film.gif").read_bytes().startswith(b"GIF8")
+    assert "video/mp4" in film._repr_html_()
+    assert len(film.frames) == 5
+    assert "reach" in repr(film)
+    with pytest.raises(OutputExistsError):
+        film.save(tmp_path / "film.gif")
+    with pytest.raises(UsageError, match=r"name one of its runs, such as .*/0"):
+        marl_mm.load_run(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: marl_mm.train("mabc"), "mabc learns from a dataset: name one"),
+        (lambda: marl_mm.train("ddpg", "good-5k"), "takes no `dataset`: use mabc"),
+        (lambda: marl_mm.train("mabc", "good-5k", update=5), "did you mean updates?"),
+        (
+            lambda: marl_mm.train("mabc", "good-5k", updates="5"),
+            "mabc: updates is '5', str is not an instance of int",
+        ),
+        (lambda: marl_mm.train("mabc", "good-5k", seeds=()), "names no seed"),
+        (lambda: marl_mm.collect("pd", alpha_rul="room"), "did you mean alpha_rule?"),
+        (lambda: marl_mm.collect("fly"), "unknown collector 'fly'"),
+        (lambda: marl_mm.evaluate("fly"), "no policy 'fly': expected pretrained, pd"),
+        (lambda: marl_mm.evaluate("pretrained", alpha=1.0), "takes no settings"),
+        (lambda: marl_mm.evaluate("pd", episodes=0), "`episodes` is 0, expected >= 1"),
+        (lambda: marl_mm.play("pd", fps=0), "`fps` is 0, expected >= 1"),
+        (lambda: marl_mm.load_run("nowhere"), "nowhere is no run"),
+        (lambda: marl_mm.load_run(cast(Any, None)), "None is no folder"),
+        (lambda: marl_mm.load_policy(3), "3 is no policy, expected a run"),
+        (lambda: marl_mm.evaluate(None), "None is no policy"),
+        (lambda: marl_mm.load_dataset(cast(Any, None)), "None is no dataset's name"),
+        (
+            lambda: marl_mm.collect("pd", steps="a"),
+            "collect: steps is 'a', str did not match",
+        ),
+        (
+            lambda: marl_mm.train("mabc", "good-5k", config=3),
+            "config is 3, expected a MabcConfig",
+        ),
+    ],
+)
+def test_mistakes_are_told_in_one_line(
+    call: Callable[[], Any], message: str, datasets_home: Path
+) -> None:
+    with pytest.raises(MarlMmError) as raised:
+        call()
+    assert message in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.slow
+def test_runs_come_in_the_order_of_the_seeds(
+    tmp_path: Path, datasets_home: Path
+) -> None:
+    few = FEW | {"updates": 4, "workers": 2}
+    runs = marl_mm.train("mabc", "good-5k", out=tmp_path, seeds=(2, 0, 1), **few)
+    assert [run.config.seed for run in runs] == [2, 0, 1]
+
+
+@pytest.mark.slow
+def test_an_error_of_a_callback_ends_the_training_and_is_raised(
+    tmp_path: Path, datasets_home: Path
+) -> None:
+    def bar(label: str, total: int) -> Advance:
+        def advance(done: int, note: str) -> None:
+            raise RuntimeError("full")
+
+        return advance
+
+    few = FEW | {"updates": 100_000, "workers": 2}
+    with pytest.raises(RuntimeError, match="full"):
+        marl_mm.train(
+            "mabc", "good-5k", out=tmp_path, seeds=(0, 1), progress=bar, **few
+        )
+
+
+def test_the_package_offers_what_it_names() -> None:
+    for name in marl_mm.__all__:
+        assert callable(getattr(marl_mm, name)), name
+    with pytest.raises(AttributeError, match="no attribute 'fly'"):
+        _ = marl_mm.fly
+
+
+def test_results_are_shown_as_json_that_the_command_prints(capfd: Capture) -> None:
+    evaluation = marl_mm.evaluate("pd", episodes=2, max_steps=2)
+    assert main(["eval", "pd", "--episodes", "2", "--max-steps", "2", "--json"]) == 0
+    (printed,) = json.loads(capfd.readouterr().out)
+    del printed["packages"]
+    assert printed == json.loads(json.dumps(evaluation.to_json()))
