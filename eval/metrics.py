@@ -39,18 +39,18 @@ EvaluationRow = TypedDict(
 """An episode as numbers; metrics that plug-ins add stand beside these."""
 
 Rows = Sequence[Mapping[str, Any]]
-"""Rows that are only read."""
+"""Rows of episodes, read-only."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Metric:
-    """One number of an episode."""
+    """A number that describes an episode."""
 
     about: str
     """Meaning, with its unit."""
 
     value: Callable[[Episode], float | None]
-    """The number; None where the episode does not have what it is made of."""
+    """Function of an episode; None where the episode lacks what it needs."""
 
     averaged: bool = False
     """Whether summaries have the mean over episodes."""
@@ -63,10 +63,10 @@ class Metric:
     """Format specification of the number in tables."""
 
     def measure(self, name: str, episode: Episode) -> float | int | None:
-        """Its value, for rows.
+        """The metric's value of an episode, for rows.
 
         Raises:
-            MarlMmError: If it is no number; naming the metric.
+            MarlMmError: If the value is no number.
         """
         value = self.value(episode)
         value = value.item() if isinstance(value, np.generic) else value
@@ -144,7 +144,7 @@ _add(
 
 
 def episode_row(episode: Episode) -> EvaluationRow:
-    """One episode as numbers.
+    """An episode's row.
 
     ``direction`` where the layout has one; ``reason``, why it failed or nothing, where
     the task can fail.
@@ -194,7 +194,7 @@ def count_failures(rows: Rows) -> dict[str, int] | None:
 
 
 def failures_in_words(failures: Mapping[str, int]) -> str:
-    """Counts of ``count_failures``."""
+    """Counts of ``count_failures`` as text."""
     return ", ".join(f"{reason} {n}" for reason, n in failures.items()) or "none"
 
 

@@ -23,7 +23,7 @@ from marl_mm.sim.config import RATE, Camera
 FORMATS = (".mp4", ".gif")
 
 Strips = Sequence[tuple[str, Sequence[tuple[str, np.ndarray]]]]
-"""Rows of a film strip: a label, and pictures with a note each."""
+"""Rows of a film strip: a label, and pairs of a note and its picture."""
 
 
 def check_format(path: Path) -> None:
@@ -39,7 +39,7 @@ def check_format(path: Path) -> None:
 
 
 class Rendered(Protocol):
-    """A world, or several side by side."""
+    """Something to film: a world, or several side by side."""
 
     def render(self, camera: Camera) -> np.ndarray:
         """A picture, shape (height, width, 3), uint8."""
@@ -67,7 +67,7 @@ class Recorder:
             self.frames.append(self._world.render(self._camera))
 
     def add(self) -> None:
-        """Take a last frame, of the end."""
+        """Take the last frame."""
         if self._fps:
             self.frames.append(self._world.render(self._camera))
 

@@ -40,9 +40,16 @@ class Sample(NamedTuple):
     """Inputs of one call of the controller."""
 
     state: RobotState
+    """State of the robot."""
+
     terms: ModelTerms
+    """Dynamics and kinematics at that state."""
+
     reference: Reference
+    """Targets of the controller."""
+
     priorities: Priorities
+    """Priorities of the controller's tasks."""
 
 
 def bench_control(

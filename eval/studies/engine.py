@@ -51,7 +51,7 @@ class Engine:
     """Factory of progress bars, called in a thread."""
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense."""
+        """Check the options."""
         self.options.check_settings()
 
     def run(self, studies: Studies) -> Iterator[tuple[str, Table]]:
@@ -79,7 +79,7 @@ class Engine:
             raise failed
 
     def plan(self, studies: Studies) -> str:
-        """What is missing, and about how long it will take, as Markdown.
+        """Missing runs, and the estimated time that they will take, as Markdown.
 
         Raises:
             OtherConfigError: If rows there were made with something else.

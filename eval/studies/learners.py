@@ -1,4 +1,4 @@
-"""How a cell's runs are trained: from a dataset, online, or by Stable-Baselines3."""
+"""Training of a cell's runs: from a dataset, online, or by Stable-Baselines3."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -44,20 +44,20 @@ GOAL = 0.03
 
 @dataclass(frozen=True)
 class Learner:
-    """How a cell's runs are trained."""
+    """Training of a cell's runs."""
 
     training: Training
     """Settings of the runs, with one worker."""
 
     source: Location | None
-    """Dataset or demonstrations."""
+    """Location of the dataset or the demonstrations; None without."""
 
     sb3: bool = False
-    """Whether Stable-Baselines3 learns; what is interrupted there starts again."""
+    """Whether Stable-Baselines3 learns; its interrupted runs start again."""
 
     @property
     def dataset(self) -> Dataset:
-        """The dataset; it is read each time, as learners travel to processes."""
+        """The dataset, read at each call, as learners are sent to processes."""
         assert self.source is not None
         return load_dataset(self.source)
 
@@ -88,7 +88,7 @@ class Learner:
                 online.check_online_run(training, seed, run, further=False)
 
     def train(self, seed: int, run: Path, bar: Bar) -> None:
-        """Train and evaluate a run; one that diverges counts as it was before."""
+        """Train and evaluate a run; one that diverges keeps its checkpoint."""
         training = self.training
         try:
             if self.sb3:

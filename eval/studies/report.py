@@ -72,7 +72,7 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
         results: Folder with what there is of ``studies``, ``alpha``, ``controller``,
             ``data``, ``offline`` and ``online``; or of runs, with results in
             ``studies``.
-        videos: Films to show.
+        videos: Files of films to show.
 
     Raises:
         UsageError: If there is nothing to show, or a video is none.
@@ -106,7 +106,7 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
 
 
 def _studies(folder: Path) -> Iterator[Section]:
-    """Ours as their tables, in our order; the rows of others and of parts."""
+    """Our studies as tables, in our order; other studies and parts as rows."""
     for name, study in STUDIES.items():
         if (folder / f"{name}.csv").exists():
             table = Table(study, read_rows(folder / f"{name}.csv"))

@@ -142,7 +142,7 @@ class RowStore:
             if step < config.get("updates", 0):
                 ends[seed] = step
         record = {
-            "probes": dict(sorted(ways.items())),  # whoever came first
+            "probes": dict(sorted(ways.items())),  # in order, whichever run came first
             "diverged": {str(seed): ends[seed] for seed in sorted(ends)},
             **config,
         }

@@ -1,4 +1,4 @@
-"""What a study is: settings that learn from sources, and how they are evaluated."""
+"""Declaration of studies: sources, settings that learn from them, and evaluations."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -42,7 +42,7 @@ class Online:
     """Name of the source in rows; default made of the fields above."""
 
     def __post_init__(self) -> None:
-        """Refuse a task that is not there, and name it."""
+        """Refuse an unknown task, and make the default name."""
         make_task(self.task)
         if not self.name:
             beside = (
@@ -61,7 +61,7 @@ def name_of(source: Data | Online) -> str:
 
 @dataclass(frozen=True)
 class Setting:
-    """One way to learn."""
+    """An algorithm with its hyper-parameters and evaluations."""
 
     name: str
     """Name of the setting's folder; no two settings of a study share one."""
@@ -94,7 +94,7 @@ class Setting:
     """Implementation: ours, or Stable-Baselines3's DDPG + HER."""
 
     def __post_init__(self) -> None:
-        """Refuse what could not be run."""
+        """Refuse settings that cannot be run."""
         _check_name(self.name)
         if self.goals < 2 or self.goals % 2:
             raise UsageError(f"goals is {self.goals}, expected 2, 4, 6 ...: each way")
@@ -135,7 +135,7 @@ class Probe:
     """Fixed alpha that replaces the policy's; None: the policy's own."""
 
     def __post_init__(self) -> None:
-        """Refuse what could not be done."""
+        """Refuse settings that cannot be evaluated."""
         _check_name(self.name)
         if self.checkpoint not in ("last", "best"):
             raise UsageError(
@@ -164,13 +164,13 @@ BEST = Probe("best", "at the best checkpoint", checkpoint="best")
 
 @dataclass(frozen=True)
 class Reported:
-    """A result that others report of a cell, to stand beside ours."""
+    """A reported result of a cell, shown beside ours."""
 
     where: str
-    """Table, figure or section."""
+    """Source: a table, figure or section."""
 
     success: float | None = None
-    """Goals reached, mean over seeds [%]; None where only words tell."""
+    """Goals reached, mean over seeds [%]; None where ``words`` has the result."""
 
     deviation: float | None = None
     """Standard deviation over seeds [%]."""
@@ -179,8 +179,8 @@ class Reported:
     """The result in words."""
 
     updates: int | None = None
-    """Updates after which it is reported: only runs of as many are compared with it;
-    None: all are."""
+    """Updates of the reported runs: only runs of as many are compared with them; None:
+    all are."""
 
     def __str__(self) -> str:
         text = self.words
@@ -191,11 +191,11 @@ class Reported:
 
 
 Cell = tuple[Data | Online, Setting]
-"""A line of a table or a curve of a figure: a source, and how to learn from it."""
+"""A line of a table or a curve of a figure: a source and a setting."""
 
 
 def cell_name(cell: Cell) -> tuple[str, str]:
-    """Names of source and setting."""
+    """Names of a cell's source and setting."""
     return name_of(cell[0]), cell[1].name
 
 
@@ -230,13 +230,13 @@ class Study:
     """Title."""
 
     cells: Sequence[Cell]
-    """Sources, and how to learn from each."""
+    """Pairs of a source and a setting."""
 
     probes: Sequence[Probe] = (LAST,)
     """Evaluations of each run."""
 
     figure: bool | Curves = False
-    """Whether learning curves are drawn, or how."""
+    """Whether learning curves are drawn, or their description."""
 
     reported: Mapping[tuple[str, str], Reported] = field(default_factory=dict)
     """Results of others, by names of source and setting."""
@@ -249,7 +249,7 @@ class Study:
     episodes that it took."""
 
     def __post_init__(self) -> None:
-        """Refuse cells that share a name, or cannot learn so."""
+        """Refuse cells that share a name or cannot be run."""
         if not self.cells:
             raise UsageError(f"{self.about!r} has no cells")
         for cell in self.cells:
@@ -267,7 +267,7 @@ class Study:
     def part(
         self, datasets: Sequence[str] | None, settings: Sequence[str] | None
     ) -> "Study":
-        """The cells of some sources and settings, by name; None: of all."""
+        """The study with the cells of some sources and settings only; None: all."""
         known = [cell_name(cell) for cell in self.cells]
         sources = _chosen("datasets", datasets, [name for name, _ in known])
         ways = _chosen("settings", settings, [name for _, name in known])
@@ -295,7 +295,8 @@ class Study:
         Args:
             out: Folder of the table, the figure and their rows; default RUNS/results.
             name: Name of the table's and the figure's files.
-            progress: Factory of progress bars, called in a thread.
+            progress: Called in a thread with a label and the amount of work; returns a
+                function that is called with the work done and a note.
             **options: Fields of ``StudyOptions``: ``runs``, ``seeds``, ``workers``,
                 ``budget``, ``resume``, ``overwrite`` ...
 

@@ -22,7 +22,7 @@ from marl_mm.eval.metrics import Row
 from marl_mm.robot.description import CASTER_X
 
 LONG_EPISODE, SHORT_EPISODE = 50, 25
-"""Steps that an episode has, and steps of the registered tasks."""
+"""Steps of an episode, and steps of the registered tasks' episodes."""
 
 RUNS = {
     "Reach-v0": ("Reach-v0", "SmoothReach-v0"),
@@ -45,7 +45,11 @@ class SweepCell:
     """Task that is run; see ``RUNS`` for those that give others' rewards, too."""
 
     form: Form
+    """Form in which alpha enters the controller."""
+
     pd: PdConfig
+    """Settings of the PD agent."""
+
     goals: int
     """Number of goals, half ahead, half behind."""
 
@@ -53,6 +57,7 @@ class SweepCell:
     """Seed of the goals."""
 
     max_steps: int = LONG_EPISODE
+    """Steps of an episode."""
 
     mass: float | None = None
     """Mass of the load [kg]; None: no load."""

@@ -25,14 +25,14 @@ CRITICS = {
     "q_policy": "critic's value, every seed",
     "q_slope": "critic's slope, every seed",
 }
-"""Headings of what the critics say of the policy's actions, and how much more they
+"""Headings of the critics' value of the policy's actions, and of how much more they
 value going to the goal than away from it; no return can pass 10."""
 
 OVER_HELD = "return over the best alpha held [95 %]"
 """Heading of the learnt alpha's gain over the best fixed one."""
 
 FAILED = "failed"
-"""Heading of how many episodes of all seeds failed, and why, where they can."""
+"""Heading of the numbers of failed episodes of all seeds, by reason."""
 
 IQM = "IQM at the end [%]"
 """Heading of the interquartile mean, of tables with a row per setting."""
@@ -46,10 +46,10 @@ class Line:
     """Source and setting."""
 
     reported: Reported | None
-    """Result of others."""
+    """Reported result."""
 
     rows: Mapping[str, Row]
-    """Rows of the table by probe; those with a row per setting have one only."""
+    """Rows of the table by probe; a single one in tables with a row per setting."""
 
     @property
     def row(self) -> Row:
@@ -153,7 +153,7 @@ def _every_seed(line: Line) -> str:
 
 
 def _in_a_row(values: str | float) -> str:
-    """Numbers apart by commas; a single one may have been read as such."""
+    """Numbers separated by commas; a single one may have been read as a number."""
     return str(values).replace(" ", ", ")
 
 

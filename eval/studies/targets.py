@@ -1,4 +1,4 @@
-"""What ``marl-mm ablate`` makes by name: our studies, and one of another's file."""
+"""Targets of ``marl-mm ablate``: our studies by name, and studies of user files."""
 
 import runpy
 import sys
@@ -15,14 +15,14 @@ GROUPS = {
     "paper": ("table4", "table5", "fig4", "fig5", "fig7", "fig8", "fig9", "fig10"),
     "all": (*STUDIES, "alpha"),
 }
-"""Names that stand for several; ``alpha`` is what the learnt alpha is worth."""
+"""Targets by the name of their group; ``alpha`` is the worth of the learnt alpha."""
 
 
 def study_of(path: Path, name: str) -> Study:
-    """A study from somebody's own file.
+    """A study of a user's Python file.
 
     Raises:
-        UsageError: If there is none of that name.
+        UsageError: If the file has no study of that name.
     """
     if not path.is_file():
         raise UsageError(f"there is no file {path}, expected FILE.py:NAME")

@@ -37,7 +37,7 @@ class BenchControl(_Bench):
     """Environment steps of 240 ticks with random actions, with clocks and without."""
 
     form: Form = "blend"
-    """How alpha enters the controller."""
+    """Form in which alpha enters the controller."""
 
     solver: Solver = "active-set"
     """Compiled controller, or the readable reference."""
@@ -60,7 +60,7 @@ class BenchAbuse(_Bench):
     """Controller ticks of 1/240 s; rounded up to whole steps of 240."""
 
     form: Form = "blend"
-    """How alpha enters the controller."""
+    """Form in which alpha enters the controller."""
 
     def measure(self, bar: Bar) -> dict[str, Any]:
         """The benchmark of these options."""

@@ -1,4 +1,4 @@
-"""marl-mm check: the package's own contract tests, on somebody's code."""
+"""marl-mm check: the package's own contract tests, on plug-ins."""
 
 import json
 import sys
@@ -85,7 +85,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _subjects(what: str, task: str) -> Iterator[Subject]:
-    """Everything that a plug-in has registered, or that has a name."""
+    """Registered objects of a plug-in, or of a name."""
     kinds: tuple[tuple[Registry[Any], Any, Any], ...] = (
         (TASKS, short, tasks.task_claims),
         (ALGORITHMS, learners.candidate, algorithms.algorithm_claims),

@@ -1,4 +1,4 @@
-"""marl-mm datasets: what there is, what is in it, and new ones made of it."""
+"""marl-mm datasets: lists, cards and checks of datasets, and new ones made of them."""
 
 import json
 import sys
@@ -100,7 +100,7 @@ class Export(_Printed):
 
 @dataclass(frozen=True, kw_only=True)
 class Delete(_Printed):
-    """Delete a dataset, and what a stopped collection into it has kept."""
+    """Delete a dataset, and the kept episodes of a stopped collection into it."""
 
     dataset: tyro.conf.Positional[str]
     """Id or path."""
@@ -152,7 +152,7 @@ def _list(command: List) -> None:
         counts = ("-" if row[key] is None else str(row[key]) for key in _COUNTS)
         table.add_row(row["id"], *counts, row["note"])
     console = Console()
-    if not console.is_terminal:  # whole ids, for whoever searches them
+    if not console.is_terminal:  # whole ids, for a search
         console = Console(width=80 + max(len(row["id"]) for row in rows))
     console.print(table)
     if not known_ids():

@@ -1,4 +1,4 @@
-"""marl-mm algorithms, tasks, collectors and the like: what there is, and whose."""
+"""marl-mm algorithms, tasks, collectors and so on: lists of what is registered."""
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
@@ -36,7 +36,7 @@ def main(arguments: Sequence[str]) -> None:
     for row in rows:
         table.add_row(*(_text(value) for value in row.values()))
     console = Console()
-    if not console.is_terminal:  # whole sentences, for whoever searches them
+    if not console.is_terminal:  # whole sentences, for a search
         console = Console(width=200)
     console.print(table)
 
@@ -114,7 +114,7 @@ _ROWS = {
 
 
 def _changed(task: Any) -> dict[str, Any]:
-    """A task's numbers that are not those of its kind."""
+    """Numbers of a task that are not its class's defaults."""
     usual = {name: config_dict(value) for name, value in defaults(type(task)).items()}
     own = config_dict(task)
     return {name: value for name, value in _changed_fields(usual, own)}

@@ -65,7 +65,7 @@ def _attribute(name: str) -> str:
 
 
 def print_evaluations(evaluations: Sequence["Evaluation"]) -> None:
-    """A table on the terminal; into a pipe, with names in full."""
+    """Print a table of evaluations; into a pipe, with names in full."""
     from rich.console import Console
 
     from marl_mm.eval.metrics import failures_in_words
@@ -97,7 +97,7 @@ def read_dataset(name: str | Location) -> "Dataset":
 
 
 def warn_if_stopped(location: Location, metadata: Mapping[str, Any]) -> None:
-    """Say so on stderr if a dataset holds less than was asked for."""
+    """Warn on stderr about a dataset whose collection was stopped."""
     if not metadata["marl_mm"].get("complete", True):
         print(
             f"marl-mm: {location.name} is of a collection that was stopped: "

@@ -42,7 +42,7 @@ def main(arguments: Sequence[str]) -> None:
     for row in rows:
         table.add_row(*(escape(_text(row[name])) for name in columns))
     console = Console()
-    if not console.is_terminal:  # whole names, for whoever searches them
+    if not console.is_terminal:  # whole names, for a search
         console = Console(width=200)
     console.print(table)
 

@@ -87,7 +87,7 @@ def collect_dataset(
     """Collect and write one dataset; Ctrl-C leaves the episodes until then.
 
     Args:
-        location: Where the dataset is written.
+        location: Location of the dataset.
         collector: Name of a registered collector.
         config: Settings of the collector.
         options: Settings of the collection.

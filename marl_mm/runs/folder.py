@@ -49,7 +49,7 @@ def check_runs(training: Training, out: Path, seeds: Sequence[int]) -> None:
     """Raise for settings that make no sense, whatever the algorithm.
 
     Args:
-        training: How to train.
+        training: Settings of the runs.
         out: Folder of the runs, one for each seed.
         seeds: Seeds of the runs.
 
@@ -75,9 +75,9 @@ def check_run(
     """Raise before any work is done for what would stop a run.
 
     Args:
-        run: Its folder.
-        config: What it will be made of.
-        training: Whether it may be there already.
+        run: Folder of the run.
+        config: Record of the run's settings.
+        training: Settings that say whether the run may exist already.
         ignored: Keys of the config in which a run that is resumed may differ.
 
     Raises:

@@ -68,7 +68,8 @@ def run_quickstart(
 
     Args:
         options: Size and place.
-        progress: Factory of progress bars.
+        progress: Called with a label and the amount of work; returns a function that
+            is called with the work done and a note, see ``marl_mm.progress``.
 
     Returns:
         Wall times [s], the dataset's card and the evaluations, JSON-serialisable; and

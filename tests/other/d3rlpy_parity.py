@@ -166,10 +166,10 @@ def ours(folder: Path) -> None:
                 rates[name].append(evaluate(policy, GOALS, workers=2).success_rate)
         for name, seeds in rates.items():
             low, high = success_interval(round(sum(seeds) * GOALS), len(seeds) * GOALS)
-            told = ", ".join(f"{100 * rate:.1f}" for rate in seeds)
+            by_seed = ", ".join(f"{100 * rate:.1f}" for rate in seeds)
             print(
                 f"{dataset}, c = {c}, {name}: {100 * np.mean(seeds):.1f} % "
-                f"[{100 * low:.1f}, {100 * high:.1f}] ({told})",
+                f"[{100 * low:.1f}, {100 * high:.1f}] ({by_seed})",
                 flush=True,
             )
 
