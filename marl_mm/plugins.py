@@ -149,7 +149,9 @@ def _run(name: str, source: str, is_file: bool) -> ModuleType:
             ) from error
         raise PluginError(f"plug-in {name} fails: {error}") from error
     except (Exception, SystemExit) as error:
-        line = traceback.extract_tb(error.__traceback__)[-1].lineno
+        frames = traceback.extract_tb(error.__traceback__)
+        own = [frame for frame in frames if is_file and frame.filename == source]
+        line = (own or frames)[-1].lineno
         line = error.lineno if isinstance(error, SyntaxError) else line
         text = error.msg if isinstance(error, SyntaxError) else error
         reason = " ".join(f"{type(error).__name__}: {text}".split())

@@ -322,7 +322,9 @@ def test_what_a_script_registers_works_in_workers(tmp_path: Path) -> None:
 
 
 def test_plugins_that_are_none_or_fail_are_told_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     broken = tmp_path / "broken.py"
     broken.write_text("x = 1\nraise KeyError('oh')\n")
@@ -336,6 +338,9 @@ def test_plugins_that_are_none_or_fail_are_told_in_one_line(
     other.mkdir()
     (other / "iql.py").write_text((EXAMPLES / "iql.py").read_text() + "\n# changed\n")
     (tmp_path / "quits.py").write_text("import sys\nsys.exit(0)\n")
+    leave = sys.exit
+    # As packages do that want to know how a process ends.
+    monkeypatch.setattr(sys, "exit", lambda code: leave(code))
     for code, words, message in (
         (2, ["--plugin", tmp_path / "no.py"], "no plug-in"),
         (
