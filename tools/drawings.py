@@ -2,7 +2,7 @@
 
 import json
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -211,7 +211,7 @@ def _means(curves: dict[int, list[Point]]) -> list[Point]:
 
 
 def _learning(
-    kinds: dict[str, Sequence[dict[str, Any]]], x: str, label: str, about: str
+    kinds: Mapping[str, Sequence[dict[str, Any]]], x: str, label: str, about: str
 ) -> str:
     """Goals reached over updates or episodes: seeds, their mean, a colour a kind."""
     most = max(row[x] for rows in kinds.values() for row in rows)

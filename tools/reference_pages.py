@@ -411,7 +411,7 @@ def _algorithm_results(name: str) -> str:
             markdown_table(header, rows)
             + "\n[Online learning](../../results/online.md).\n"
         )
-    rows = [
+    lines = [
         (
             row["dataset"],
             _task_of(row),
@@ -421,11 +421,8 @@ def _algorithm_results(name: str) -> str:
         for row in _offline_rows()
         if row["setting"] == name
     ]
-    header = ("dataset", "task", "goals reached [%]", "return")
-    return (
-        markdown_table(header, rows)
-        + "\n[Offline learning](../../results/offline.md).\n"
-    )
+    table = markdown_table(("dataset", "task", "goals reached [%]", "return"), lines)
+    return f"{table}\n[Offline learning](../../results/offline.md).\n"
 
 
 def _algorithms_index() -> str:
