@@ -42,11 +42,13 @@ WHAT = {
 """What there is to do, by task."""
 
 STRIPS = {
+    "SmoothReach-v0": "smooth-reach.png",
+    "PreciseReach-v0": "precise-reach.png",
     "CarryReach-v0": "carry-reach.png",
     "Grasp-v0": "grasp.png",
     "GraspReach-v0": "grasp-reach.png",
 }
-"""Film strip of the script by task; the other tasks show the pretrained agent's."""
+"""Film strip of the script by task; Reach-v0 shows the pretrained agent's."""
 
 DATA = {
     "smooth-30k": "SmoothReach-v0",
