@@ -2,7 +2,7 @@
 
 The usual test run takes a few hundred steps a task. A long one, of one task:
 
-    MARL_MM_LONG_STEPS=100000 pytest tests/envs/test_long_run.py -k Reach-v0 \
+    MARL_MM_LONG_STEPS=100000 pytest tests/envs/test_long_run.py -k "[Reach-v0]" \
         -o faulthandler_timeout=0 -o log_cli=true --log-cli-level=INFO
 """
 
