@@ -40,7 +40,7 @@ def test_online_targets_from_raw_runs(
     summary = read_rows(tmp_path / "online-part.csv")
     assert [row["setting"] for row in summary] == compared
     cell = tmp_path / "rows/online-Reach-v0/ddpg"
-    assert len(read_rows(cell.with_suffix(".csv.gz"))) == 2 * 2  # probes, goals
+    assert len(read_rows(cell.with_suffix(".csv.xz"))) == 2 * 2  # probes, goals
     record = cell.with_suffix(".json")
     made_of = json.loads(record.read_text())
     assert made_of["max_steps"] == 4
@@ -67,7 +67,7 @@ def test_stable_baselines3_and_demonstrations_in_the_same_table(
 ) -> None:
     settings = ["ddpg-her-demonstrations", "sb3-ddpg-her"]
     assert ablate(runs, tmp_path, "online", "--settings", *settings) == 0
-    for path in tmp_path.glob("rows/*/*.curve.csv.gz"):  # epochs of 4, every second
+    for path in tmp_path.glob("rows/*/*.curve.csv.xz"):  # epochs of 4, every second
         assert [row["episode"] for row in read_rows(path)] == [8]
     assert len(read_rows(tmp_path / "online-part.csv")) == 2
     metadata = runs / "datasets/demonstrations/data/metadata.json"
@@ -134,6 +134,6 @@ def test_what_is_committed_is_drawn_from_its_rows(
 def test_rows_that_are_not_there_are_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for target, file in (("online", "ddpg.csv.gz"), ("alpha", "alpha_goals.csv.gz")):
+    for target, file in (("online", "ddpg.csv.xz"), ("alpha", "alpha_goals.csv.xz")):
         assert main(["ablate", target, "--out", str(tmp_path), "--check"]) == 2
         assert file in capsys.readouterr().err
