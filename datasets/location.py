@@ -15,7 +15,9 @@ from marl_mm.errors import UsageError
 SHIPPED = "marl_mm/reach/good-5k-v0"
 """Id of the dataset that ships; its first use writes it below the root."""
 
-_ID = re.compile(r"([a-zA-Z0-9_-]{2,}/)+[a-zA-Z0-9_-]+-v\d+")
+ID = re.compile(r"([a-zA-Z0-9_-]{2,}/)+[a-zA-Z0-9_-]+-v\d+")
+"""Form of ids."""
+
 _WORD = re.compile(r"[a-zA-Z0-9_][a-zA-Z0-9_-]*")
 
 
@@ -62,7 +64,7 @@ def locate(text: str) -> Location:
         raise UsageError("the dataset's name is empty, expected an id or a path")
     if _WORD.fullmatch(text):
         text = f"marl_mm/reach/{_versioned(text)}"
-    if _ID.fullmatch(text):
+    if ID.fullmatch(text):
         return Location(text, datasets_root() / text)
     if text.startswith("marl_mm/"):
         raise UsageError(f"{text!r} looks like an id without its version, as in -v0")
