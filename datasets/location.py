@@ -68,7 +68,7 @@ def locate(text: str) -> Location:
         return Location(text, datasets_root() / text)
     if text.startswith("marl_mm/"):
         raise UsageError(f"{text!r} looks like an id without its version, as in -v0")
-    folder = Path(text).expanduser().resolve()
+    folder = _absolute(Path(text).expanduser())
     if folder.name == "data" and (folder / "metadata.json").exists():
         folder = folder.parent
     name = re.sub(r"[^a-zA-Z0-9_-]", "-", folder.name)
@@ -94,6 +94,13 @@ def known_ids() -> list[str]:
     found = root.glob("**/data/metadata.json") if root.exists() else []
     folders = (path.parent.parent.relative_to(root) for path in found)
     return sorted(f.as_posix() for f in folders if not f.name.startswith("."))
+
+
+def _absolute(path: Path) -> Path:
+    """The path with links resolved, but for the last one, which can be deleted."""
+    if path.name in ("", "..") or not path.is_symlink():
+        return path.resolve()
+    return path.parent.resolve() / path.name
 
 
 def _versioned(name: str) -> str:

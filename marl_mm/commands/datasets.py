@@ -226,11 +226,13 @@ def _export(command: Export) -> None:
 def _delete(command: Delete) -> None:
     location = find(command.dataset)
     check_deletable(location)
+    target = location.folder.readlink() if location.folder.is_symlink() else None
+    what = location.folder if target is None else f"the link {location.folder}"
     if not command.yes:
         if not sys.stdin.isatty():
             raise UsageError("nobody is here to answer: add --yes to delete")
         try:
-            answer = input(f"delete {location.folder}? [y/N] ")
+            answer = input(f"delete {what}? [y/N] ")
         except EOFError:
             answer = ""
         if answer.strip().lower() not in ("y", "yes"):
@@ -240,4 +242,5 @@ def _delete(command: Delete) -> None:
     if command.json:
         print(json.dumps({"deleted": str(location.folder)}))
     else:
-        print(f"deleted {location.folder}")
+        kept = "" if target is None else f"; {target}, where it led, is kept"
+        print(f"deleted {what}{kept}")
