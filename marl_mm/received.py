@@ -8,7 +8,7 @@ import hashlib
 import json
 import stat
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,10 @@ from typeguard import CollectionCheckStrategy, TypeCheckError, check_type
 
 from marl_mm.errors import MarlMmError
 
-RECORD_BYTES = 64_000_000
+RECORD_BYTES = 16_000_000
 """Largest size of a record in JSON [bytes]; ours have a few thousand."""
 
-MAX_VALUES = 1_000_000
+MAX_VALUES = 3_000_000
 """Largest number of values in a record, containers included."""
 
 _MAX_DEPTH = 60
@@ -126,11 +126,19 @@ def parse_json(text: str, where: str, refusal: Refusal) -> Any:
     return value
 
 
-def check_plain(value: Any, where: str, refusal: Refusal) -> None:
+def check_plain(
+    value: Any, where: str, refusal: Refusal, other: Callable[[Any], None] | None = None
+) -> None:
     """Raise for a value whose text could not be shown.
 
     Such values are too large, nested too deeply, or hold control characters. A
     container that stands in several places counts each time: its text would repeat it.
+
+    Args:
+        value: Value of a record.
+        where: Name of its source, for messages.
+        refusal: Class of the error.
+        other: Function that is called with each value of another type than JSON's.
 
     Raises:
         MarlMmError: Naming what is wrong.
@@ -151,6 +159,8 @@ def check_plain(value: Any, where: str, refusal: Refusal) -> None:
             left += [(part, depth + 1) for pair in inner.items() for part in pair]
         elif isinstance(inner, list | tuple | set | frozenset):
             left += [(part, depth + 1) for part in inner]
+        elif other is not None:
+            other(inner)
 
 
 def check_kind(value: Any, kind: Any, where: str, refusal: Refusal) -> None:
