@@ -5,6 +5,7 @@ A card is stored with its dataset as ``card.json``, ``card.md`` and ``card.png``
 
 import io
 import json
+import re
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -138,8 +139,14 @@ def card_text(values: dict[str, Any]) -> str:
 
 def card_markdown(values: dict[str, Any], figure: str = "card.png") -> str:
     """The card as a Markdown page that shows the figure, a file beside it."""
-    rows = "\n".join(f"| {name} | {text} |" for name, text in _rows(values))
+    rows = "\n".join(f"| {name} | {_escaped(text)} |" for name, text in _rows(values))
     return f"# {values['id']}\n\n| | |\n| --- | --- |\n{rows}\n\n![card]({figure})\n"
+
+
+def _escaped(text: str) -> str:
+    """A text that Markdown shows as it is: no cell, link, picture or HTML begins."""
+    text = " ".join(text.split("\n")).replace("&", "&amp;").replace("<", "&lt;")
+    return re.sub(r"[|`\[\]]", r"\\\g<0>", text)
 
 
 def card_html(dataset: "Dataset") -> str:

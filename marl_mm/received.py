@@ -182,6 +182,11 @@ def check_kind(value: Any, kind: Any, where: str, refusal: Refusal) -> None:
         raise refusal(f"{where}: {error!s:.200}") from None
 
 
+def printable(text: str) -> str:
+    """A text with its control characters spelled out, for terminals."""
+    return "".join(c if is_printable(c) else ascii(c)[1:-1] for c in text)
+
+
 def is_printable(text: str) -> bool:
     """Whether a text can do no harm in a terminal; it may have several lines."""
     return text.isprintable() or all(

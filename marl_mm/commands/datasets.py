@@ -151,9 +151,9 @@ def _list(command: List) -> None:
     for row in rows:
         counts = ("-" if row[key] is None else str(row[key]) for key in _COUNTS)
         table.add_row(row["id"], *counts, row["note"])
-    console = Console()
+    console = Console(markup=False)
     if not console.is_terminal:  # whole ids, for a search
-        console = Console(width=80 + max(len(row["id"]) for row in rows))
+        console = Console(width=80 + max(len(row["id"]) for row in rows), markup=False)
     console.print(table)
     if not known_ids():
         print("make one of your own: marl-mm collect pd")
