@@ -233,7 +233,7 @@ def _learning(
 def _offline(algorithm: str, **settings: str) -> str:
     folder = RESULTS / "studies/rows/good-30k"
     kinds = {
-        name.replace("_", " "): read_rows(folder / f"{setting}.curve.csv.gz")
+        name.replace("_", " "): read_rows(folder / f"{setting}.curve.csv.xz")
         for name, setting in settings.items()
     }
     about = f"{algorithm} on good-30k: goals reached over updates, mean and seeds"
@@ -243,7 +243,7 @@ def _offline(algorithm: str, **settings: str) -> str:
 def _online(algorithm: str, **settings: str) -> str:
     folder = RESULTS / "studies/rows/online-Reach-v0"
     kinds = {
-        name.replace("_", " "): read_rows(folder / f"{setting}.curve.csv.gz")
+        name.replace("_", " "): read_rows(folder / f"{setting}.curve.csv.xz")
         for name, setting in settings.items()
     }
     about = f"{algorithm} on Reach-v0: goals reached over episodes, mean and seeds"

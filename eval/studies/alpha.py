@@ -42,7 +42,7 @@ CHOOSING = STUDIES["online"].part(
 
 LABELS = {setting.name: setting.about for _, setting in CHOOSING.cells}
 
-GOALS, STEPS, WORTH = "alpha_goals.csv.gz", "alpha_steps.csv", "alpha_worth.csv"
+GOALS, STEPS, WORTH = "alpha_goals.csv.xz", "alpha_steps.csv", "alpha_worth.csv"
 """Files of the rows, of alpha over time, and of the table."""
 
 

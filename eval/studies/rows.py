@@ -2,9 +2,11 @@
 
 Three files for each cell::
 
-    ROWS/SOURCE/SETTING.csv.gz         a line per seed, probe and goal
-    ROWS/SOURCE/SETTING.curve.csv.gz   a line per seed and point of the learning curve
+    ROWS/SOURCE/SETTING.csv.xz         a line per seed, probe and goal
+    ROWS/SOURCE/SETTING.curve.csv.xz   a line per seed and point of the learning curve
     ROWS/SOURCE/SETTING.json           the record of what the runs were made of
+
+Older rows, whose names end in ``.csv.gz``, are read too.
 """
 
 import json
@@ -19,14 +21,14 @@ from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.config_diff import as_json, refuse_other_config
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.rows import as_read, read_rows, write_csv
+from marl_mm.eval.rows import as_read, has_rows, read_rows, write_csv
 from marl_mm.eval.studies.study import BEST, LAST, Cell, Probe, cell_name
 from marl_mm.files import only_here, write_json
 
 _ADVICE = "name another folder with `out`"
 """Advice if rows are of runs with another config."""
 
-_CURVES = ".curve.csv.gz"
+_CURVES = ".curve.csv.xz"
 """Suffix of files with a cell's learning curves."""
 
 _MEASURED = {
@@ -148,7 +150,7 @@ class RowStore:
         }
         write_json(self._path(cell, ".json"), record)
         write_csv(self._path(cell, _CURVES), curve)
-        write_csv(self._path(cell, ".csv.gz"), rows)  # last: without, it is missing
+        write_csv(self._path(cell, ".csv.xz"), rows)  # last: without, it is missing
 
     def _check_same_training(
         self, cell: Cell, seeds: Collection[int], new: list[Row], known: list[Row]
@@ -158,7 +160,7 @@ class RowStore:
             curves = [[r for r in rows if r["seed"] == seed] for rows in (new, known)]
             if curves[1] and repr(curves[0]) != repr(curves[1]):  # nan is not nan
                 raise MarlMmError(
-                    f"{self._path(cell, '.csv.gz')} has other evaluations of seed "
+                    f"{self._path(cell, '.csv.xz')} has other evaluations of seed "
                     f"{seed}, of a training with another learning curve: name another "
                     "folder with `out`, or delete the cell's three files"
                 )
@@ -170,7 +172,7 @@ class RowStore:
         wanted = set(product(seeds, [probe.name for probe in probes]))
         rows = [r for r in self._rows(cell) if (r["seed"], r["probe"]) in wanted]
         if {(r["seed"], r["probe"]) for r in rows} != wanted:
-            raise self._lacking(cell, ".csv.gz", seeds)
+            raise self._lacking(cell, ".csv.xz", seeds)
         return rows
 
     def curves(self, cell: Cell, seeds: Sequence[int]) -> list[Row]:
@@ -192,9 +194,9 @@ class RowStore:
         known = self._record(cell).get("diverged", {})
         return {int(seed): step for seed, step in known.items()}
 
-    def _rows(self, cell: Cell, end: str = ".csv.gz") -> list[Row]:
+    def _rows(self, cell: Cell, end: str = ".csv.xz") -> list[Row]:
         path = self._path(cell, end)
-        return read_rows(path) if path.exists() else []
+        return read_rows(path) if has_rows(path) else []
 
     def _record(self, cell: Cell) -> dict[str, Any]:
         path = self._path(cell, ".json")

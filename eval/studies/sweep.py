@@ -14,7 +14,7 @@ from marl_mm.control.config import FORMS, Form
 from marl_mm.envs.registry import config_dict, make_task
 from marl_mm.errors import UsageError
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.rows import as_read, read_rows, write_csv
+from marl_mm.eval.rows import as_read, has_rows, read_rows, write_csv
 from marl_mm.eval.studies.sweep_cells import (
     LONG_EPISODE,
     RUNS,
@@ -40,7 +40,7 @@ RULES = (PdConfig(alpha_rule="direction"), PdConfig(alpha_rule="room"))
 
 SMOOTH = "SmoothReach-v0"
 
-EPISODES, LOAD_EPISODES = "episodes.csv.gz", "load_episodes.csv.gz"
+EPISODES, LOAD_EPISODES = "episodes.csv.xz", "load_episodes.csv.xz"
 
 FINE = 0.05
 """Spacing of the fixed alphas that the rules are compared with."""
@@ -177,7 +177,7 @@ def draw_sweep(results: Path, folder: Path) -> dict[str, list[Row]]:
         for steps in (LONG_EPISODE, SHORT_EPISODE)
     )
     alphas = summarize_cells(long)
-    loads = summarize_loads(read_rows(carried)) if carried.exists() else []
+    loads = summarize_loads(read_rows(carried)) if has_rows(carried) else []
     worth = worth_of_a_rule(short, SMOOTH) if short else []
     tables = {"alpha": alphas, "worth": worth, "loads": loads}
     for name, table in tables.items():

@@ -17,7 +17,7 @@ class SweepAlpha(Sweep):
     """Run the PD agent at fixed alphas, with rules that choose alpha, and with loads.
 
     Writes figures (response.png, pareto.png, loads.png), means (alpha.csv, worth.csv,
-    loads.csv) and every episode (episodes.csv.gz, load_episodes.csv.gz). Takes about
+    loads.csv) and every episode (episodes.csv.xz, load_episodes.csv.xz). Takes about
     twenty minutes on two cores, and some more for the loads.
     """
 

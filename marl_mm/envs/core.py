@@ -88,6 +88,7 @@ class EpisodeCore:
         self.attempt: Attempt | None = None
         """The current episode; None before the first."""
 
+        self._closed = False
         self._low, self._high = np.array(task.layout.low), np.array(task.layout.high)
 
     @property
@@ -105,8 +106,10 @@ class EpisodeCore:
             goal: Goal to use instead of a drawn one, shape (g,).
 
         Raises:
-            UsageError: If the goal has another shape or is not finite.
+            UsageError: If the goal has another shape or is not finite, or after
+                ``close()``.
         """
+        self.check_open()
         given = None if goal is None else self._checked_goal(goal)
         attempt = Attempt(self.task, self.drives)
         self.task.begin(attempt, rng, given)
@@ -123,7 +126,7 @@ class EpisodeCore:
 
         Raises:
             InvalidActionError: If the action has another shape or is not finite.
-            UsageError: If there was no ``reset()``.
+            UsageError: If there was no ``reset()``, or after ``close()``.
         """
         return self.push(np.clip(self._checked(action), self._low, self._high), watch)
 
@@ -137,19 +140,35 @@ class EpisodeCore:
         return self._judged(attempt, info | motion_info(motions), reason)
 
     def render(self, camera: Camera) -> np.ndarray:
-        """A picture of every robot's world, side by side, shape (h, w, 3), uint8."""
+        """A picture of every robot's world, side by side, shape (h, w, 3), uint8.
+
+        Raises:
+            UsageError: After ``close()``.
+        """
+        self.check_open()
         return np.hstack([drive.world.render(camera) for drive in self.drives])
 
     def starts(self) -> np.ndarray:
         """Configurations of the robots now, shape (11 R,)."""
         return np.concatenate([drive.state.q for drive in self.drives])
 
+    def check_open(self) -> None:
+        """Raise if the environment was closed.
+
+        Raises:
+            UsageError: If it was.
+        """
+        if self._closed:
+            raise UsageError("the environment is closed: make another")
+
     def close(self) -> None:
-        """Disconnect from the simulators."""
+        """Disconnect from the simulators; closing twice is harmless."""
+        self._closed = True
         for drive in self.drives:
             drive.close()
 
     def _begun(self) -> Attempt:
+        self.check_open()
         if self.attempt is None:
             raise UsageError("step() was called before reset()")
         return self.attempt

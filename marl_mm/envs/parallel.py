@@ -115,7 +115,14 @@ class TeamEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Act for one second; rewards, ends and infos are the same for all agents."""
+        """Act for one second; rewards, ends and infos are the same for all agents.
+
+        Raises:
+            InvalidActionError: If an agent is missing, or an action has another shape
+                or is not finite.
+            UsageError: After ``close()``.
+        """
+        self.core.check_open()
         if not self.agents:
             return {}, {}, {}, {}, {}
         outcome = self.core.step(join_actions(actions, self.task.layout))

@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+import weakref
 from collections.abc import Sequence
 from functools import cache
 from math import asin, atan2
@@ -9,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from marl_mm.errors import NonFiniteStateError, UsageError
+from marl_mm.errors import MarlMmError, NonFiniteStateError, UsageError
 from marl_mm.robot.description import WHEEL_RADIUS, WHEEL_SEPARATION, RobotConfig
 from marl_mm.robot.description import urdf_xml as robot_urdf
 from marl_mm.robot.model import GRAVITY, RobotState
@@ -38,13 +39,17 @@ class BulletWorld:
     """One robot on a plane, in a physics client of its own.
 
     Every reset builds the world anew: after contact, resetting the joints is not enough
-    for the same bytes.
+    for the same bytes. A world that nothing refers to any more is closed.
 
     Args:
         robot: Mass properties and start posture.
         config: Settings of solver and motors.
         visual: Load the meshes, so that ``render`` and the GUI show the arm.
         gui: Open PyBullet's window.
+
+    Raises:
+        UsageError: If there is no screen for the window.
+        MarlMmError: If PyBullet has no room for another world.
     """
 
     def __init__(
@@ -60,6 +65,15 @@ class BulletWorld:
         self._config = config
         self._visual = visual or gui
         self._client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
+        if self._client < 0:
+            raise MarlMmError(
+                "PyBullet has no room for another world: close() some environments"
+            )
+        # PyBullet keeps 45 MB for a client until it is told to disconnect.
+        self._disconnect = weakref.finalize(
+            self, pybullet.disconnect, physicsClientId=self._client
+        )
+        self._disconnect.atexit = False  # the process's end frees it, too
         self._com_b = robot.base_com_b
         self._handling: Handling | None = None
 
@@ -220,9 +234,8 @@ class BulletWorld:
 
     def close(self) -> None:
         """Disconnect; closing twice is harmless."""
-        if self._client >= 0:
-            pybullet.disconnect(physicsClientId=self._client)
-            self._client = -1
+        self._client = -1  # the next world may get the number
+        self._disconnect()
 
     def _load_ground(self) -> None:
         client = self._client

@@ -93,5 +93,5 @@ def test_a_cluster_trains_the_same_study(cluster: Any, tmp_path: Path) -> None:
     distant = ["--runs", str(tmp_path / "there"), "--executor", "ray"]
     assert main([*words, *distant, "--workers", "2"]) == 0
     here, there = (tmp_path / name / "results" for name in ("here", "there"))
-    for file in ("small.csv", "rows/good-5k/own.csv.gz", "rows/good-5k/own.json"):
+    for file in ("small.csv", "rows/good-5k/own.csv.xz", "rows/good-5k/own.json"):
         assert (here / file).read_bytes() == (there / file).read_bytes()

@@ -13,9 +13,9 @@ from marl_mm.eval.studies.study import BEST, LAST, Setting
 from marl_mm.eval.studies.study import Online as StudyOnline
 from marl_mm.eval.studies.targets import STUDIES
 from marl_mm.progress import Bar, silent_bar
-from marl_mm.runs import online
-from marl_mm.runs.online import train_online_run
-from marl_mm.runs.training import Online
+from marl_mm.runs import learning
+from marl_mm.runs.learning import train_run
+from marl_mm.runs.training import Training
 
 RESULTS = Path(__file__).resolve().parents[2] / "eval/results/studies"
 
@@ -40,7 +40,7 @@ def test_online_targets_from_raw_runs(
     summary = read_rows(tmp_path / "online-part.csv")
     assert [row["setting"] for row in summary] == compared
     cell = tmp_path / "rows/online-Reach-v0/ddpg"
-    assert len(read_rows(cell.with_suffix(".csv.gz"))) == 2 * 2  # probes, goals
+    assert len(read_rows(cell.with_suffix(".csv.xz"))) == 2 * 2  # probes, goals
     record = cell.with_suffix(".json")
     made_of = json.loads(record.read_text())
     assert made_of["max_steps"] == 4
@@ -67,7 +67,7 @@ def test_stable_baselines3_and_demonstrations_in_the_same_table(
 ) -> None:
     settings = ["ddpg-her-demonstrations", "sb3-ddpg-her"]
     assert ablate(runs, tmp_path, "online", "--settings", *settings) == 0
-    for path in tmp_path.glob("rows/*/*.curve.csv.gz"):  # epochs of 4, every second
+    for path in tmp_path.glob("rows/*/*.curve.csv.xz"):  # epochs of 4, every second
         assert [row["episode"] for row in read_rows(path)] == [8]
     assert len(read_rows(tmp_path / "online-part.csv")) == 2
     metadata = runs / "datasets/demonstrations/data/metadata.json"
@@ -92,8 +92,8 @@ def test_the_worth_of_alpha_from_raw_runs(
     assert "alpha_worth.csv: the same" in capsys.readouterr().out
 
 
-def _diverge(training: Online, seed: int, run: Path, bar: Bar) -> None:
-    train_online_run(training, seed, run, bar)
+def _diverge(training: Training, data: None, seed: int, run: Path, bar: Bar) -> None:
+    train_run(training, data, seed, run, bar)
     (run / "eval.json").unlink()
     (run / "eval_best.json").unlink()
     raise DivergedError("loss/critic is nan")
@@ -102,7 +102,7 @@ def _diverge(training: Online, seed: int, run: Path, bar: Bar) -> None:
 def test_a_run_that_diverged_counts_as_it_was_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(online, "train_online_run", _diverge)
+    monkeypatch.setattr(learning, "train_run", _diverge)
     small = training_of(StudyOnline(), Setting("x", "x", "ddpg"), small=True)
     learner = Learner(small, None)
     learner.train(0, tmp_path / "run", silent_bar)
@@ -134,6 +134,6 @@ def test_what_is_committed_is_drawn_from_its_rows(
 def test_rows_that_are_not_there_are_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for target, file in (("online", "ddpg.csv.gz"), ("alpha", "alpha_goals.csv.gz")):
+    for target, file in (("online", "ddpg.csv.xz"), ("alpha", "alpha_goals.csv.xz")):
         assert main(["ablate", target, "--out", str(tmp_path), "--check"]) == 2
         assert file in capsys.readouterr().err

@@ -4,16 +4,10 @@ import gzip
 import json
 from pathlib import Path
 
-from marl_mm.eval.rows import read_rows, write_csv
+from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies.ours import BLOCKS
 
 RESULTS = Path(__file__).resolve().parents[2] / "eval/results"
-
-
-def test_a_table_is_read_back_as_it_was_written(tmp_path: Path) -> None:
-    rows = [{"name": "a", "goals": 3, "share": 0.25, "interval": [0.1, 0.5]}]
-    write_csv(tmp_path / "rows.csv", rows)
-    assert read_rows(tmp_path / "rows.csv") == rows
 
 
 def test_the_script_does_what_others_are_to_learn_from_it() -> None:

@@ -1,6 +1,8 @@
 """Studies: declared, run, interrupted, drawn and checked."""
 
+import gzip
 import json
+import lzma
 import os
 import random
 import shutil
@@ -48,7 +50,7 @@ from marl_mm.eval.studies.targets import GROUPS, STUDIES
 from marl_mm.progress import silent_bar
 from marl_mm.runs.paper import GOOD_30K
 from marl_mm.runs.sources import Datasets, Source
-from marl_mm.runs.training import offline_training
+from marl_mm.runs.training import training_of as default_training
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 
@@ -259,6 +261,23 @@ def test_rows_that_were_cut_off_between_files_are_made_again(
     assert len(store.curves(cell, [0, 1])) == 2
 
 
+def test_older_rows_are_added_to(tmp_path: Path) -> None:
+    """Their names end in .csv.gz."""
+    store, cell = RowStore(tmp_path / "rows"), ("good-5k", OURS)
+    store.keep(cell, {0: finished(tmp_path, 0)}, [LAST])
+    evaluations, curves = store.evaluations(cell, [0], [LAST]), store.curves(cell, [0])
+    for path in sorted(store.folder.rglob("*.csv.xz")):
+        path.with_suffix(".gz").write_bytes(
+            gzip.compress(lzma.decompress(path.read_bytes()))
+        )
+        path.unlink()
+    assert store.evaluations(cell, [0], [LAST]) == evaluations
+    assert repr(store.curves(cell, [0])) == repr(curves)  # nan is not nan
+    store.keep(cell, {1: finished(tmp_path, 1)}, [LAST])
+    assert len(store.evaluations(cell, [0, 1], [LAST])) == 4
+    assert not list(store.folder.rglob("*.csv.gz"))
+
+
 def test_evaluations_of_two_trainings_are_not_mixed(tmp_path: Path) -> None:
     store, cell = RowStore(tmp_path / "rows"), ("good-5k", OURS)
     one, other = (finished(tmp_path, 0, q_policy) for q_policy in (1.0, 2.0))
@@ -284,7 +303,7 @@ def test_a_study_of_ones_own_is_made_once_and_checked(
     cells = [(row["setting"], row["probe"]) for row in table]
     assert cells == list(product(settings, probes))
     for row in table:
-        rows = read_rows(results / f"rows/good-5k/{row['setting']}.csv.gz")
+        rows = read_rows(results / f"rows/good-5k/{row['setting']}.csv.xz")
         own_rows = [one for one in rows if one["probe"] == row["probe"]]
         assert len(own_rows) == 2 * 2  # seeds, goals
         mean = sum(one["success"] for one in own_rows) / len(own_rows)
@@ -330,7 +349,7 @@ def test_a_run_that_fails_does_not_stop_the_others(
     complaint = capsys.readouterr().err
     assert "2 of 4 runs failed, the same with --resume tries" in complaint
     assert "huge/1: " in complaint and "MemoryError" in complaint
-    assert (tmp_path / "runs/results/rows/good-5k/width-16.csv.gz").exists()
+    assert (tmp_path / "runs/results/rows/good-5k/width-16.csv.xz").exists()
     assert main([*asked, "--settings", "width-16"]) == 0
     assert (tmp_path / "runs/results/fails-part.csv").exists()
     assert not (tmp_path / "runs/results/fails.csv").exists()
@@ -438,7 +457,7 @@ class Deadly(Job):
 
 
 def job_of(kind: type[Job], number: int, run: Path) -> Job:
-    learner = Learner(offline_training("mabc"), load_dataset("good-5k").location)
+    learner = Learner(default_training("mabc"), load_dataset("good-5k").location)
     return kind(str(number), 0, run, learner, (LAST,))
 
 

@@ -187,7 +187,7 @@ def test_the_command_resumes_to_the_same_bytes(
         resume = ["sweep-alpha", "--out", str(cut), *ARGUMENTS, "--resume"]
         assert main(resume) == 0
     assert not set(ran) & set(done)
-    for name in ("episodes.csv.gz", "alpha.csv", "worth.csv"):
+    for name in ("episodes.csv.xz", "alpha.csv", "worth.csv"):
         assert (cut / name).read_bytes() == (whole / name).read_bytes(), name
     for name in ("response.png", "pareto.png", "config.json"):
         assert (cut / name).stat().st_size > 100

@@ -1,0 +1,126 @@
+"""Environments that are closed say so; those that nobody closed are freed."""
+
+import gc
+import weakref
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+import marl_mm  # noqa: F401  registers the environments
+from marl_mm.envs import parallel_env
+from marl_mm.envs.core import EpisodeCore
+from marl_mm.envs.goal_env import GoalEnv
+from marl_mm.envs.registry import TASKS, make_task
+from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.sim.engine import pybullet
+
+CLOSED = "the environment is closed: make another"
+
+
+@pytest.fixture
+def no_collector() -> Iterator[None]:
+    """Python's collector of reference cycles is off."""
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
+
+
+def is_open(client: int) -> bool:
+    return bool(pybullet.getConnectionInfo(client)["isConnected"])
+
+
+MAKERS: dict[str, Callable[[str], Any]] = {
+    "goal": GoalEnv,
+    "team": parallel_env,
+    "gymnasium": lambda task: gymnasium.make(f"marl_mm/{task}").unwrapped,
+}
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+@pytest.mark.parametrize("task", TASKS.names())
+def test_an_environment_that_nothing_refers_to_is_freed(
+    no_collector: None, task: str, maker: str
+) -> None:
+    """At once, as it is no part of a cycle; PyBullet would keep it for good."""
+    env = MAKERS[maker](task)
+    env.reset(seed=0)
+    if maker == "team":
+        env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+    else:
+        env.step(env.action_space.sample())
+    worlds = [drive.world for drive in env.core.drives]
+    clients = [world.client for world in worlds]
+    references = [weakref.ref(world) for world in worlds]
+    assert all(map(is_open, clients))
+    del env, worlds
+    assert [reference() for reference in references] == [None] * len(clients)
+    assert not any(map(is_open, clients))
+
+
+def test_a_number_that_is_given_again_is_not_closed_by_the_old_world() -> None:
+    first = EpisodeCore(make_task())
+    client = first.drive.world.client
+    first.close()
+    second = EpisodeCore(make_task())
+    assert second.drive.world.client == client
+    first.close()
+    del first
+    second.reset(np.random.default_rng(0))
+    second.close()
+
+
+def test_no_room_for_another_world_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pybullet, "connect", lambda mode: -1)
+    with pytest.raises(MarlMmError, match=r"no room .* close\(\) some"):
+        EpisodeCore(make_task())
+
+
+def test_a_closed_core_says_so() -> None:
+    core = EpisodeCore(make_task())
+    rng = np.random.default_rng(0)
+    core.reset(rng)
+    core.close()
+    core.close()
+    for call in (
+        lambda: core.step(np.zeros(4)),
+        lambda: core.push(np.zeros(4)),
+        lambda: core.reset(rng),
+        lambda: core.render(core.task.camera),
+    ):
+        with pytest.raises(UsageError, match=CLOSED):
+            call()
+
+
+@pytest.mark.parametrize("begun", [False, True])
+def test_a_closed_goal_environment_says_so(begun: bool) -> None:
+    env = gymnasium.make("marl_mm/Reach-v0", render_mode="rgb_array")
+    if begun:
+        env.reset(seed=0)
+    env.close()
+    env.close()
+    bare = env.unwrapped
+    for call in (
+        lambda: env.reset(seed=0),
+        lambda: bare.step(np.zeros(4, np.float32)),
+        lambda: bare.render(),
+    ):
+        with pytest.raises(UsageError, match=CLOSED):
+            call()
+
+
+@pytest.mark.parametrize("begun", [False, True])
+def test_a_closed_team_environment_says_so(begun: bool) -> None:
+    """Also where no episode runs, in which a step would do nothing."""
+    env = parallel_env("Reach-v0", render_mode="rgb_array")
+    if begun:
+        env.reset(seed=0)
+    actions = {name: env.action_space(name).sample() for name in env.possible_agents}
+    env.close()
+    env.close()
+    for call in (lambda: env.step(actions), lambda: env.reset(), lambda: env.render()):
+        with pytest.raises(UsageError, match=CLOSED):
+            call()
