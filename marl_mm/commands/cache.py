@@ -13,8 +13,8 @@ from marl_mm.datasets import cache
 class Cache:
     """Show what was derived from datasets to read them quickly, or delete it.
 
-    It lies in $MARL_MM_CACHE, or in marl_mm in the user's cache folder. At most 5 GB are
-    kept, or as many as $MARL_MM_CACHE_GB says; 0: nothing. What was not used for longest
+    It lies in $MARL_MM_CACHE, or in marl_mm in the user's cache folder. At most 5 GB
+    are kept, or as many as $MARL_MM_CACHE_GB says. What was not used for longest
     goes first, and is made again when it is needed.
     """
 
