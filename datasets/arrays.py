@@ -281,6 +281,8 @@ def _refuse_bomb(file: Path | IO[bytes]) -> None:
     with zipfile.ZipFile(file) as parts:
         packed = sum(part.compress_size for part in parts.infolist())
         size = sum(part.file_size for part in parts.infolist())
+    if not isinstance(file, Path):
+        file.seek(0)
     if size > most_unpacked(packed):
         raise ValueError(f"{size:,} bytes of arrays in a file of {packed:,} bytes")
 
