@@ -7,8 +7,9 @@ from typing import Any
 from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.envs.task import Task
-from marl_mm.errors import UsageError
+from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.policy import Policy
+from marl_mm.received import read_json
 from marl_mm.runs.settings import with_settings
 
 AGENT = "pretrained"
