@@ -114,7 +114,7 @@ def read_rows(path: Path) -> list[Row]:
     most = min(most_unpacked(size), _ROWS_BYTES)
     try:
         text = _unpacked(path, most).decode()
-        check_plain(text, "it", MarlMmError)
+        check_plain(text.replace("\r\n", "\n"), "it", MarlMmError)
         rows = list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
         for number, row in enumerate(rows, 1):
             if None in row or None in row.values():
