@@ -14,9 +14,13 @@ from marl_mm.algorithms.loggers import (
 )
 from marl_mm.errors import CheckpointError
 from marl_mm.files import append, new_file
+from marl_mm.received import check_kind, parse_json, read_text
 
 METRICS = "metrics.jsonl"
 """The record of a run: JSON lines, one a row."""
+
+METRICS_BYTES = 1_000_000_000
+"""Largest size of the record [bytes]."""
 
 CurvePoint = TypedDict(
     "CurvePoint",
@@ -106,11 +110,11 @@ def read_metrics(run: Path) -> list[Row]:
     path = run / METRICS
     if not path.exists():
         return []
-    lines = path.read_text().splitlines(keepends=True)
-    try:
-        return [json.loads(line) for line in lines if line.endswith("\n")]
-    except ValueError as error:
-        raise CheckpointError(f"{path} is damaged ({error})") from error
+    lines = read_text(path, CheckpointError, METRICS_BYTES).splitlines(keepends=True)
+    whole = [line for line in lines if line.endswith("\n")]
+    rows = [parse_json(line, str(path), CheckpointError) for line in whole]
+    check_kind(rows, list[dict[str, float]], str(path), CheckpointError)
+    return rows
 
 
 def merit(row: Row) -> tuple[float, ...]:

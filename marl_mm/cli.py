@@ -10,11 +10,13 @@ from collections.abc import Sequence
 from marl_mm.commands.wording import as_options
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.interrupts import end_on_signals
+from marl_mm.received import printable
 
 COMMANDS = {
     "quickstart": "collect, train and evaluate in a few minutes, with a report",
     "collect": "collect a dataset with a scripted or a learnt policy",
     "datasets": "list, show, mix, split, filter, verify, export, import, delete",
+    "cache": "show or clear what was derived from datasets",
     "train": "train a policy: from a dataset, or online",
     "runs": "list runs with their scores",
     "eval": "evaluate runs and scripted policies on fixed goals",
@@ -24,7 +26,7 @@ COMMANDS = {
     "ablate": "reproduce figures and tables, training the runs they need",
     "report": "all tables and figures on one page",
     "bench": "measure the controller, and the speed of training and data",
-    "check": "whether a plug-in keeps to what the package promises of its own",
+    "check": "whether a plug-in keeps its promises; whether files are whole and safe",
 }
 """Each command is a module of ``marl_mm.commands``, imported when it is called."""
 
@@ -160,7 +162,7 @@ def _in_words(error: OSError) -> str:
 
 
 def _complain(text: str) -> None:
-    sys.stderr.write(f"marl-mm: {as_options(text)}\n")
+    sys.stderr.write(f"marl-mm: {printable(as_options(text))}\n")
 
 
 if __name__ == "__main__":

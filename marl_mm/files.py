@@ -95,12 +95,14 @@ def new_folder(path: Path) -> Iterator[Path]:
             yield temporary
             for inner in (*temporary.rglob("*"), temporary):
                 _to_disk(inner)
-            if path.exists():
+            if path.exists() or path.is_symlink():
                 _exchange(temporary, path)
             else:
                 temporary.rename(path)
             _to_disk(path.parent)
     finally:
+        if temporary.is_symlink():  # it has taken the place of a link
+            temporary.unlink()
         shutil.rmtree(temporary, ignore_errors=True)
 
 

@@ -24,10 +24,11 @@ from marl_mm.errors import DivergedError
 from marl_mm.eval.studies import sb3
 from marl_mm.eval.studies.study import BEST, LAST, Online, Probe, Setting
 from marl_mm.progress import Bar
-from marl_mm.runs import offline, online
+from marl_mm.runs import learning
 from marl_mm.runs.sources import Data
-from marl_mm.runs.training import Offline, Training, offline_training, online_training
+from marl_mm.runs.training import Offline, Training
 from marl_mm.runs.training import Online as OnlineTraining
+from marl_mm.runs.training import training_of as default_training
 
 _SMALL = {"updates": 120, "episodes": 8, "warm_up": 12, "updates_per_episode": 5}
 """Hyper-parameters with the smoke budget."""
@@ -56,10 +57,9 @@ class Learner:
     """Whether Stable-Baselines3 learns; its interrupted runs start again."""
 
     @property
-    def dataset(self) -> Dataset:
+    def dataset(self) -> Dataset | None:
         """The dataset, read at each call, as learners are sent to processes."""
-        assert self.source is not None
-        return load_dataset(self.source)
+        return None if self.source is None else load_dataset(self.source)
 
     @property
     def task(self) -> str:
@@ -76,37 +76,28 @@ class Learner:
 
     def check(self, runs: Mapping[int, Path]) -> None:
         """Raise before any work is done for what would stop runs, by seed."""
-        if isinstance(self.training, Offline):
-            offline.check_offline(self.dataset, self.training, runs, further=False)
+        if not self.sb3:
+            learning.check_training(self.training, self.dataset, runs, further=False)
             return
-        training = self._online
-        online.check_online(training)
+        learning.check_training(self._sb3, None, {})
         for seed, run in runs.items():
-            if self.sb3:
-                sb3.check_sb3_run(training, seed, run)
-            else:
-                online.check_online_run(training, seed, run, further=False)
+            sb3.check_sb3_run(self._sb3, seed, run)
 
     def train(self, seed: int, run: Path, bar: Bar) -> None:
         """Train and evaluate a run; one that diverges keeps its checkpoint."""
         training = self.training
         try:
             if self.sb3:
-                sb3.train_sb3_run(self._online, seed, run, bar)
-            elif isinstance(training, Offline):
-                offline.train_offline_run(self.dataset, training, seed, run, bar)
+                sb3.train_sb3_run(self._sb3, seed, run, bar)
             else:
-                online.train_online_run(self._online, seed, run, bar)
+                learning.train_run(training, self.dataset, seed, run, bar)
         except DivergedError:
             if not all((run / file).exists() for file in (FILE, BEST_FILE)):
                 raise
-            if isinstance(training, Offline):
-                offline.evaluate_offline_run(self.dataset, training, run, bar, "eval")
-            else:
-                online.evaluate_online_run(self._online, run, bar)
+            learning.evaluate_run(training, self.dataset, run, bar, "eval")
 
     @property
-    def _online(self) -> OnlineTraining:
+    def _sb3(self) -> OnlineTraining:
         assert isinstance(self.training, OnlineTraining)
         shown = None if self.source is None else self.source.name
         return replace(self.training, demonstrations=shown)
@@ -116,7 +107,7 @@ class Learner:
         if not isinstance(self.training, Offline):
             return 0.0
         prepare_for_small_networks()
-        algorithm = offline.offline_algorithm(self.dataset, self.training, [0])
+        algorithm = learning.algorithm_of(self.training, self.dataset, [0])
         with matrix_products(self.training.config.precision):
             for number in range(2 * _TIMED):
                 if number == _TIMED:
@@ -150,7 +141,7 @@ def training_of(
     training: Training
     changes = dict(setting.changes)
     if isinstance(source, Online):
-        training = online_training(
+        training = default_training(
             setting.algorithm,
             setting.preset,
             task=source.task,
@@ -158,7 +149,7 @@ def training_of(
             schedule=Schedule(epoch=4) if small else Schedule(),
         )
     else:
-        training = offline_training(
+        training = default_training(
             setting.algorithm,
             setting.preset,
             curve_every=setting.curve_every,

@@ -19,10 +19,10 @@ from marl_mm.runs.folder import (
     BEST_EVALUATION,
     EVALUATION,
     SB3_BEST,
-    curve_point,
     refuse_other,
     start_run,
 )
+from marl_mm.runs.learning import curve_point
 from marl_mm.runs.training import Online
 from marl_mm.versions import versions
 

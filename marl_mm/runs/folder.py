@@ -1,35 +1,32 @@
 """A run's folder: its config, its evaluations, and whether a run may go on there."""
 
-import json
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.export import POLICY_FORMATS
 from marl_mm.algorithms.loggers import LOGGED
-from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.algorithms.run_config import RunConfig
-from marl_mm.algorithms.runlog import METRICS, CurvePoint
+from marl_mm.algorithms.runlog import METRICS
 from marl_mm.config_diff import as_json, refuse_other_config
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.envs.registry import TASKS
-from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import (
     CheckpointError,
     OtherConfigError,
     OutputExistsError,
     UsageError,
 )
-from marl_mm.eval.evaluate import Evaluation, evaluate, evaluate_with
+from marl_mm.eval.evaluate import Evaluation
 from marl_mm.files import refuse_existing, write_json
 from marl_mm.plugins import record
-from marl_mm.progress import Bar
+from marl_mm.received import check_kind, read_json
 from marl_mm.runs.settings import check_seeds
-from marl_mm.runs.training import Offline, Online, Training
+from marl_mm.runs.training import Training
 from marl_mm.versions import versions
 
 CONFIG = "config.json"
@@ -37,9 +34,6 @@ EVALUATION = "eval.json"
 BEST_EVALUATION = "eval_best.json"
 CURVE = "learning_curve.png"
 SB3_BEST = "best.zip"
-
-EVALUATED = ("eval_episodes", "eval_seed")
-"""Settings of the evaluation after training, in a run's record."""
 
 _MADE = ("eval*.json", *(f"*{form.suffix}" for _, form in POLICY_FORMATS.items()))
 """Files that are made of a run's policies: evaluations and exports."""
@@ -67,10 +61,7 @@ def check_runs(training: Training, out: Path, seeds: Sequence[int]) -> None:
 
 
 def check_run(
-    run: Path,
-    config: RunConfig,
-    training: Training,
-    ignored: Sequence[str] = (),
+    run: Path, config: RunConfig, training: Training, further: bool = True
 ) -> None:
     """Raise before any work is done for what would stop a run.
 
@@ -78,7 +69,7 @@ def check_run(
         run: Folder of the run.
         config: Record of the run's settings.
         training: Settings that say whether the run may exist already.
-        ignored: Keys of the config in which a run that is resumed may differ.
+        further: Whether a run may go on further than it was to go.
 
     Raises:
         UsageError: If the run exists, or the one to resume is of another config.
@@ -95,7 +86,8 @@ def check_run(
     if not ((run / FILE).exists() or (run / EVALUATION).exists()):
         return  # stopped before its first checkpoint, or before its turn
     _refuse_other_plugins(run, config, training.allow_changed_plugin)
-    refuse_other(run, config, (*ignored, "plugins"))
+    may_differ = ("preset", "device", "eval_episodes", "plugins")
+    refuse_other(run, config, (*may_differ, *(training.continued if further else ())))
 
 
 def _refuse_other_plugins(run: Path, config: RunConfig, allowed: bool) -> None:
@@ -132,17 +124,8 @@ def refuse_other(run: Path, config: RunConfig, ignored: Sequence[str] = ()) -> N
     refuse_other_config(run, theirs, mine)
 
 
-def plugins_of(algorithm: str, task: str) -> dict[str, str]:
-    """Hashes of the plug-ins that an algorithm and a task come from, if any."""
-    return record(ALGORITHMS.origin(algorithm), TASKS.origin(task))
-
-
 def run_config(
-    training: Training,
-    seed: int,
-    task: str,
-    dataset: Dataset | None,
-    settings: Mapping[str, Any],
+    training: Training, seed: int, task: str, dataset: Dataset | None
 ) -> RunConfig:
     """The record of a run.
 
@@ -151,8 +134,8 @@ def run_config(
         seed: Seed of the run.
         task: Task that is evaluated in.
         dataset: Dataset that is learnt from, if any.
-        settings: Settings to be recorded beside the hyper-parameters.
     """
+    origins = ALGORITHMS.origin(training.algorithm), TASKS.origin(task)
     return RunConfig(
         algorithm=training.algorithm,
         preset=training.preset,
@@ -160,9 +143,27 @@ def run_config(
         task=task,
         dataset=dataset.identity() if dataset else None,
         packages=versions(),
-        plugins=plugins_of(training.algorithm, task),
-        settings={**settings, **asdict(training.config)},
+        plugins=record(*origins),
+        settings=training.recorded | asdict(training.config),
     )
+
+
+def goes_on(run: Path, training: Training) -> bool:
+    """Whether a run goes on from a checkpoint."""
+    return training.resume and (run / FILE).exists()
+
+
+def begin_run(run: Path, config: RunConfig, training: Training) -> None:
+    """Make a run's folder, or note in it with what plug-ins and settings it goes on."""
+    if not goes_on(run, training):
+        start_run(run, config)
+        return
+    settings = {name: config.settings[name] for name in training.continued}
+    before = read_config(run)
+    further = before.continued(config.plugins, settings)
+    if further != before:  # what was made of where it ended before goes
+        _remove(run, *_MADE)
+        write_json(run / CONFIG, further.to_json())
 
 
 def start_run(run: Path, config: RunConfig) -> None:
@@ -170,6 +171,12 @@ def start_run(run: Path, config: RunConfig) -> None:
     run.mkdir(parents=True, exist_ok=True)
     _remove(run, FILE, BEST, METRICS, CURVE, SB3_BEST, *LOGGED, *_MADE)
     write_json(run / CONFIG, config.to_json())
+
+
+def _remove(run: Path, *patterns: str) -> None:
+    for pattern in patterns:
+        for path in run.glob(pattern):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 def saved_settings(out: Path) -> dict[str, Any]:
@@ -184,11 +191,8 @@ def saved_settings(out: Path) -> dict[str, Any]:
     Raises:
         CheckpointError: If the first run's config cannot be read.
     """
-    seeds = sorted(
-        int(config.parent.name)
-        for config in out.glob(f"*/{CONFIG}")
-        if config.parent.name.isdecimal()
-    )
+    names = (config.parent.name for config in out.glob(f"*/{CONFIG}"))
+    seeds = sorted(int(name) for name in names if name.isdecimal())
     if not seeds:
         return {}
     return settings_of(read_config(out / str(seeds[0]))) | {"seeds": seeds}
@@ -208,91 +212,22 @@ def read_config(path: Path) -> RunConfig:
         CheckpointError: If it cannot be read.
     """
     file = path / CONFIG if path.is_dir() else path
-    try:
-        return RunConfig.from_json(json.loads(file.read_text()))
-    except (OSError, ValueError, AttributeError) as error:
-        raise CheckpointError(f"cannot read {file}: {error}") from error
+    values = read_json(file, CheckpointError)
+    check_kind(values, dict[str, Any], str(file), CheckpointError)
+    return RunConfig.from_json(values)
 
 
-def continue_run(
-    run: Path, plugins: Mapping[str, str], settings: Mapping[str, Any]
-) -> None:
-    """Note in a run's config which plug-ins and settings it goes on with."""
-    config = read_config(run)
-    further = config.continued(plugins, settings)
-    if further != config:  # what was made of where it ended before goes
-        _remove(run, *_MADE)
-        write_json(run / CONFIG, further.to_json())
-
-
-def _remove(run: Path, *patterns: str) -> None:
-    for pattern in patterns:
-        for path in run.glob(pattern):
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
-
-
-def evaluate_run(
-    run: Path,
-    training: Training,
-    task: str,
-    checkpoint: str,
-    result: str,
-    bar: Bar,
-    label: str,
-    overrides: Mapping[str, Any],
-) -> Evaluation:
-    """Evaluate a trained run and keep the result beside it, unless that is there.
-
-    With ``resume``, one of as many goals of the same seed is not repeated;
-    ``continue_run`` deletes those of a run that goes further.
+def read_evaluation(path: Path) -> Evaluation | None:
+    """An evaluation in a run's folder; None where there is none.
 
     Raises:
-        KeyboardInterrupt: After Ctrl-C, saying how to go on.
+        CheckpointError: If it cannot be read.
     """
-    if training.resume and (run / result).exists():
-        known = Evaluation.from_json(json.loads((run / result).read_text()))
-        asked = (training.eval_episodes, training.eval_seed)
-        if (len(known.rows), known.seed) == asked:
-            return known
-    policy = load_policy(run / checkpoint)
+    if not path.exists():
+        return None
     try:
-        evaluation = evaluate(
-            policy,
-            training.eval_episodes,
-            training.eval_seed,
-            task,
-            overrides,
-            workers=training.workers,
-            advance=bar(label, training.eval_episodes),
-        )
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(
-            f"stopped; {run} is trained: evaluate it with `resume=True`"
-        ) from None
-    write_json(run / result, evaluation.to_json())
+        evaluation = Evaluation.from_json(read_json(path, CheckpointError))
+        _ = evaluation.summary
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+        raise CheckpointError(f"{path} is damaged ({error!r:.80})") from error
     return evaluation
-
-
-def curve(
-    rollouts: Rollouts, training: Offline | Online, task: str
-) -> Callable[[LearnedPolicy], CurvePoint]:
-    """Measures the points of a run's learning curve, on goals of their own."""
-
-    def point(policy: LearnedPolicy) -> CurvePoint:
-        count, goals = training.curve_episodes, training.eval_seed + 1
-        return curve_point(
-            evaluate_with(rollouts, policy, count, goals, task, training.overrides)
-        )
-
-    return point
-
-
-def curve_point(evaluation: Evaluation) -> CurvePoint:
-    """The numbers of an evaluation that a learning curve keeps."""
-    point: dict[str, float] = {}
-    for name, part in evaluation.summary.items():
-        point[f"success/{name}"] = part["success_rate"]
-        point[f"return/{name}"] = part["return"]
-        if "alpha" in part:
-            point[f"alpha/{name}"] = part["alpha"]
-    return cast(CurvePoint, point)

@@ -25,9 +25,9 @@ from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.collect import collect
 from marl_mm.runs.evaluate import evaluate
 from marl_mm.runs.run import Run
-from marl_mm.runs.seeds import train_offline
+from marl_mm.runs.seeds import train_seeds
 from marl_mm.runs.settings import check_positive, check_seed, with_values
-from marl_mm.runs.training import Offline, offline_training
+from marl_mm.runs.training import Offline, training_of
 
 EXPERT = PdConfig(alpha_rule="room")
 """PD agent whose episodes are collected: alpha falls as the hand runs out of room,
@@ -97,7 +97,7 @@ def run_quickstart(
                 **common,
             )
         with _timed(stages, "train and evaluate (mabc)"):
-            training = offline_training(
+            training = training_of(
                 "mabc",
                 eval_episodes=size["episodes"],
                 eval_seed=options.seed,
@@ -106,7 +106,7 @@ def run_quickstart(
             )
             training = with_values(training, {"updates": size["updates"]})
             runs = {options.seed: out / "mabc"}
-            (run,) = map(Run, train_offline(data, training, runs, progress))
+            (run,) = map(Run, train_seeds(training, data, runs, progress))
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"stopped; start again with `overwrite=True`, or use what is in {out}"

@@ -2,7 +2,6 @@
 
 import html
 import io
-import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,11 +10,18 @@ from typing import Any
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.algorithms.runlog import read_metrics
-from marl_mm.errors import CheckpointError, UsageError
+from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.notebook import html_picture
 from marl_mm.runs.evaluate import task_overrides
-from marl_mm.runs.folder import BEST_EVALUATION, CONFIG, CURVE, EVALUATION, read_config
+from marl_mm.runs.folder import (
+    BEST_EVALUATION,
+    CONFIG,
+    CURVE,
+    EVALUATION,
+    read_config,
+    read_evaluation,
+)
 
 _FPS = 1
 """Pictures per simulated second of a film strip."""
@@ -50,7 +56,7 @@ class Run:
     @property
     def evaluation(self) -> Evaluation | None:
         """Evaluation of the last checkpoint; None before the training's end."""
-        return _evaluation(self.folder / EVALUATION)
+        return read_evaluation(self.folder / EVALUATION)
 
     @property
     def evaluated(self) -> Evaluation:
@@ -66,7 +72,7 @@ class Run:
     @property
     def best_evaluation(self) -> Evaluation | None:
         """Evaluation of an online run's best checkpoint; None where there is none."""
-        return _evaluation(self.folder / BEST_EVALUATION)
+        return read_evaluation(self.folder / BEST_EVALUATION)
 
     def summary(self) -> str:
         """One line about the success of the last and the best checkpoint."""
@@ -139,15 +145,6 @@ def find_runs(folder: str | Path) -> list[Run]:
     if not root.is_dir():
         raise UsageError(f"{root} is no folder, expected one with runs in it")
     return [Run(config.parent) for config in sorted(root.rglob(CONFIG))]
-
-
-def _evaluation(path: Path) -> Evaluation | None:
-    if not path.exists():
-        return None
-    try:
-        return Evaluation.from_json(json.loads(path.read_text()))
-    except (ValueError, KeyError, TypeError) as error:
-        raise CheckpointError(f"cannot read {path}: {error}") from error
 
 
 def _success(evaluation: Evaluation) -> str:

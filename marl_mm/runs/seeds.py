@@ -1,4 +1,4 @@
-"""Several seeds that learn from a dataset: in processes, or side by side."""
+"""Several seeds: one after the other, in processes, or side by side."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
@@ -12,29 +12,30 @@ from marl_mm.datasets.dataset import Dataset
 from marl_mm.errors import DivergedError, WorkerDiedError
 from marl_mm.files import only_here
 from marl_mm.progress import Bar, distant_bars, show_distant_bars
-from marl_mm.runs.offline import (
+from marl_mm.runs.learning import (
     begin_runs,
-    check_offline,
-    train_side_by_side,
+    check_training,
+    train_runs,
     with_exact_precision,
 )
-from marl_mm.runs.training import Offline
+from marl_mm.runs.training import Offline, Training
 from marl_mm.workers import Workers
 
 _Trained = list[Path] | DivergedError
 """Folders of the runs, or why there are none."""
 
 
-def train_offline(
-    dataset: Dataset, training: Offline, runs: Mapping[int, Path], bar: Bar
+def train_seeds(
+    training: Training, dataset: Dataset | None, runs: Mapping[int, Path], bar: Bar
 ) -> Iterator[Path]:
     """Train and evaluate seeds, each into a folder that is yielded when it is done.
 
-    On a CPU seeds are trained in processes of their own, and on a GPU all at once.
+    From a dataset, seeds are trained in processes of their own on a CPU, and all at
+    once on a GPU.
 
     Args:
-        dataset: Episodes to learn from.
         training: Settings of the runs.
+        dataset: Dataset to learn from, or to replay online, if any.
         runs: Folders by seed.
         bar: Factory of progress bars.
 
@@ -44,19 +45,20 @@ def train_offline(
         KeyboardInterrupt: After Ctrl-C, saying how to go on.
     """
     training = with_exact_precision(training)
-    check_offline(dataset, training, runs)
+    check_training(training, dataset, runs)
     # Those of an incomplete last round go beside the others: no core is idle then.
     processes = min(len(runs), training.workers + len(runs) % training.workers)
+    offline = isinstance(training, Offline)
     with ExitStack() as stack:
         for run in runs.values():
             stack.enter_context(only_here(run))
-        begin_runs(dataset, training, runs)
-        if training.device == "cuda":
-            parts: Iterable[_Trained] = _together(dataset, training, runs, bar)
-        elif min(processes, training.workers) > 1:
-            parts = _apart(dataset, training, runs, processes, bar)
+        begin_runs(training, dataset, runs)
+        if isinstance(training, Offline) and training.device == "cuda":
+            parts: Iterable[_Trained] = _together(training, dataset, runs, bar)
+        elif offline and min(processes, training.workers) > 1:
+            parts = _apart(training, dataset, runs, processes, bar)
         else:
-            parts = (_try(dataset, training, {s: run}, bar) for s, run in runs.items())
+            parts = (_try(training, dataset, {s: run}, bar) for s, run in runs.items())
         failures = []
         for trained in parts:
             if isinstance(trained, DivergedError):
@@ -68,8 +70,8 @@ def train_offline(
 
 
 def _apart(
-    dataset: Dataset,
-    training: Offline,
+    training: Training,
+    dataset: Dataset | None,
     runs: Mapping[int, Path],
     processes: int,
     bar: Bar,
@@ -77,8 +79,7 @@ def _apart(
     """Seeds in processes of their own, which Ctrl-C or one that dies stops."""
     context = get_context("forkserver")
     messages, stop = context.Queue(), context.Event()
-    alone = replace(training, workers=1)
-    arguments = dataset, alone, messages, stop
+    arguments = replace(training, workers=1), dataset, messages, stop
     go_on = f"{', '.join(map(str, runs.values()))}: go on with `resume=True`"
     try:
         with (
@@ -97,7 +98,7 @@ def _apart(
 
 
 _process: tuple[Any, ...] = ()
-"""Dataset, settings and channels of a process that trains seeds."""
+"""Settings, dataset and channels of a process that trains seeds."""
 
 
 def _begin_process(*arguments: Any) -> None:
@@ -106,12 +107,12 @@ def _begin_process(*arguments: Any) -> None:
 
 
 def _train_in_process(cell: tuple[int, Path]) -> _Trained:
-    dataset, training, messages, stop = _process
-    return _try(dataset, training, dict([cell]), distant_bars(messages, stop))
+    training, dataset, messages, stop = _process
+    return _try(training, dataset, dict([cell]), distant_bars(messages, stop))
 
 
 def _together(
-    dataset: Dataset, training: Offline, runs: Mapping[int, Path], bar: Bar
+    training: Training, dataset: Dataset | None, runs: Mapping[int, Path], bar: Bar
 ) -> Iterator[_Trained]:
     """Seeds side by side in this process, those together that stand at one update."""
     steps: dict[int, dict[int, Path]] = {}
@@ -120,20 +121,20 @@ def _together(
         step = read_checkpoint(run)["state"]["step"] if begun else -1
         steps.setdefault(step, {})[seed] = run
     for group in steps.values():
-        trained = _try(dataset, training, group, bar)
+        trained = _try(training, dataset, group, bar)
         if isinstance(trained, DivergedError) and len(group) > 1:
             # The others of a group that one seed stopped go on from there.
             for seed, run in group.items():
-                yield _try(dataset, training, {seed: run}, bar)
+                yield _try(training, dataset, {seed: run}, bar)
         else:
             yield trained
 
 
 def _try(
-    dataset: Dataset, training: Offline, runs: Mapping[int, Path], bar: Bar
+    training: Training, dataset: Dataset | None, runs: Mapping[int, Path], bar: Bar
 ) -> _Trained:
     """Train; that one seed diverges is no reason to stop others."""
     try:
-        return train_side_by_side(dataset, training, runs, bar)
+        return train_runs(training, dataset, runs, bar)
     except DivergedError as error:
         return error

@@ -12,6 +12,7 @@ from marl_mm.errors import UsageError
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.folder import check_runs, saved_settings, settings_of
 from marl_mm.runs.run import Run
+from marl_mm.runs.seeds import train_seeds
 from marl_mm.runs.settings import with_settings, with_values
 from marl_mm.runs.training import Offline, Online, training_of
 
@@ -88,8 +89,7 @@ def repeat(
     training = with_values(training_of(config.algorithm), settings_of(config))
     training = with_settings(config.algorithm, training, settings)
     dataset = dataset_of(config) if isinstance(training, Offline) else None
-    runs = trained(training, dataset, Path(out), (config.seed,), progress)
-    (run,) = runs
+    (run,) = trained(training, dataset, Path(out), (config.seed,), progress)
     return run
 
 
@@ -128,25 +128,16 @@ def trained(
     """
     check_runs(training, out, seeds)
     runs = {seed: out / str(seed) for seed in seeds}
-    if isinstance(training, Offline):
-        from marl_mm.runs.seeds import train_offline
-
-        if dataset is None:
-            raise UsageError(
-                f"{training.algorithm} learns from a dataset: name one, such as good-5k"
-            )
-        data = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
-        yield from map(Run, train_offline(data, training, runs, bar))
-        return
-    from marl_mm.runs.online import check_online, check_online_run, train_online_run
-
-    refuse_dataset(training.algorithm, dataset)
-    check_online(training)
-    for seed, run in runs.items():
-        check_online_run(training, seed, run)
-    for seed, run in runs.items():
-        train_online_run(training, seed, run, bar)
-        yield Run(run)
+    if isinstance(training, Online):
+        refuse_dataset(training.algorithm, dataset)
+        dataset = training.demonstrations or None
+    elif dataset is None:
+        raise UsageError(
+            f"{training.algorithm} learns from a dataset: name one, such as good-5k"
+        )
+    if not isinstance(dataset, Dataset | None):
+        dataset = load_dataset(dataset)
+    return map(Run, train_seeds(training, dataset, runs, bar))
 
 
 def refuse_dataset(algorithm: str, dataset: object) -> None:

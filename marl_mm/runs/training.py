@@ -1,18 +1,30 @@
 """Settings of runs: of all, of offline and of online ones."""
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from marl_mm.algorithms.loggers import DEFAULT_LOGGERS, check_loggers
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
 from marl_mm.algorithms.schedule import Schedule
 from marl_mm.runs.settings import check_positive, check_seed, refuse_both
 
+_GOALS = ("curve_episodes", "eval_episodes", "eval_seed")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
     """Settings of every run."""
+
+    clock: ClassVar[str]
+    """Hyper-parameter with the length of a run."""
+
+    counter: ClassVar[str]
+    """Key of the progress in rows of ``metrics.jsonl``."""
+
+    continued: ClassVar[tuple[str, ...]]
+    """Settings of a run that may grow when it is resumed: more of it only continues.
+    (The evaluation at the former end stays in the learning curve, and counts.)"""
 
     algorithm: str
     """Registered name of the algorithm."""
@@ -30,6 +42,9 @@ class Training:
     eval_seed: int = 0
     """Seed of those goals. The learning curve has goals of its own, of the next
     seed."""
+
+    curve_episodes: int = 20
+    """Number of goals per point of the learning curve; online 50."""
 
     max_steps: int | None = None
     """Steps of an episode, of evaluations too; default the task's."""
@@ -68,10 +83,19 @@ class Training:
         refuse_both(self.resume, self.overwrite)
         check_loggers(self.logger)
 
+    @property
+    def recorded(self) -> dict[str, Any]:
+        """Settings that a run's record holds beside the hyper-parameters."""
+        raise NotImplementedError
+
 
 @dataclass(frozen=True, kw_only=True)
 class Offline(Training):
     """Settings of runs that learn from a dataset."""
+
+    clock = "updates"
+    counter = "step"
+    continued = ("updates",)
 
     task: str | None = None
     """Task that is evaluated in; default the dataset's."""
@@ -86,17 +110,24 @@ class Offline(Training):
     curve_every: int = 2_000
     """Updates between points of the learning curve."""
 
-    curve_episodes: int = 20
-    """Number of goals per point of the learning curve."""
-
     stop_diverging: bool = True
     """Stop a run when a critic's values are a hundred times what any return can be;
     otherwise only when a number is not finite."""
+
+    @property
+    def recorded(self) -> dict[str, Any]:
+        """Settings that a run's record holds beside the hyper-parameters."""
+        names = ("device", "max_steps", "curve_every", *_GOALS)
+        return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Online(Training):
     """Settings of runs that learn from episodes of their own."""
+
+    clock = "episodes"
+    counter = "episode"
+    continued = ("episodes", "patience")
 
     task: str = "Reach-v0"
     """Task to learn."""
@@ -105,27 +136,19 @@ class Online(Training):
     """Dataset, id or path, whose episodes are replayed, too."""
 
     curve_episodes: int = 50
-    """Number of goals per point of the learning curve."""
 
     schedule: Schedule = field(default_factory=Schedule)
     """Times of checkpoints and evaluations."""
 
-
-def offline_training(algorithm: str, name: str = TUNED, **settings: Any) -> Offline:
-    """Settings of an offline algorithm's runs, with some replaced."""
-    return Offline(
-        algorithm=algorithm, config=preset(algorithm, name), preset=name, **settings
-    )
-
-
-def online_training(algorithm: str, name: str = TUNED, **settings: Any) -> Online:
-    """Settings of an online algorithm's runs, with some replaced."""
-    return Online(
-        algorithm=algorithm, config=preset(algorithm, name), preset=name, **settings
-    )
+    @property
+    def recorded(self) -> dict[str, Any]:
+        """Settings that a run's record holds beside the hyper-parameters."""
+        goals = {name: getattr(self, name) for name in _GOALS}
+        return {**self.overrides, **goals, **asdict(self.schedule)}
 
 
-def training_of(algorithm: str, name: str = TUNED) -> Offline | Online:
-    """Settings of an algorithm's runs, whichever way it learns."""
-    make = online_training if ALGORITHMS.get(algorithm).online else offline_training
-    return make(algorithm, name)
+def training_of(algorithm: str, name: str = TUNED, **settings: Any) -> Offline | Online:
+    """Settings of an algorithm's runs, whichever way it learns, with some replaced."""
+    kind = Online if ALGORITHMS.get(algorithm).online else Offline
+    config = preset(algorithm, name)
+    return kind(algorithm=algorithm, config=config, preset=name, **settings)

@@ -29,8 +29,8 @@ from marl_mm.envs.registry import make_task
 from marl_mm.episode import Episode
 from marl_mm.errors import DivergedError
 from marl_mm.progress import Advance, silent_bar
-from marl_mm.runs import offline, seeds
-from marl_mm.runs.training import offline_training
+from marl_mm.runs import learning, seeds
+from marl_mm.runs.training import training_of
 
 MakeEpisode = Callable[..., Episode]
 JUDGE = make_task()
@@ -174,7 +174,7 @@ def one_diverges(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
         monkeypatch.setattr(algorithm, "diagnose", bad)
         train(algorithm, *arguments)
 
-    monkeypatch.setattr(offline, "train", spoilt)
+    monkeypatch.setattr(learning, "train", spoilt)
 
 
 @pytest.mark.slow
@@ -182,7 +182,7 @@ def test_seeds_side_by_side_outlive_one_that_diverges(
     datasets_home: Path, tmp_path: Path
 ) -> None:
     """As on a GPU, here on the CPU: the others go on alone to where they would come."""
-    options: Any = offline_training("td3-bc", workers=1, **FEW)
+    options: Any = training_of("td3-bc", workers=1, **FEW)
     small = replace(options.config, updates=200, hidden=(8, 8), batch_size=16)
     options = replace(options, config=small, resume=True)
     dataset = load_dataset("good-5k")
@@ -191,8 +191,8 @@ def test_seeds_side_by_side_outlive_one_that_diverges(
         runs = {seed: tmp_path / name / str(seed) for seed in (0, 1, 2)}
         with pytest.MonkeyPatch.context() as patch:
             one_diverges(patch, diverges)
-            offline.begin_runs(dataset, options, runs)
-            parts = list(seeds._together(dataset, options, runs, silent_bar))
+            learning.begin_runs(options, dataset, runs)
+            parts = list(seeds._together(options, dataset, runs, silent_bar))
         return parts, {seed: read_checkpoint(run) for seed, run in runs.items()}
 
     (whole,), expected = trained("whole", diverges=9)

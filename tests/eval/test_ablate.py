@@ -13,9 +13,9 @@ from marl_mm.eval.studies.study import BEST, LAST, Setting
 from marl_mm.eval.studies.study import Online as StudyOnline
 from marl_mm.eval.studies.targets import STUDIES
 from marl_mm.progress import Bar, silent_bar
-from marl_mm.runs import online
-from marl_mm.runs.online import train_online_run
-from marl_mm.runs.training import Online
+from marl_mm.runs import learning
+from marl_mm.runs.learning import train_run
+from marl_mm.runs.training import Training
 
 RESULTS = Path(__file__).resolve().parents[2] / "eval/results/studies"
 
@@ -92,8 +92,8 @@ def test_the_worth_of_alpha_from_raw_runs(
     assert "alpha_worth.csv: the same" in capsys.readouterr().out
 
 
-def _diverge(training: Online, seed: int, run: Path, bar: Bar) -> None:
-    train_online_run(training, seed, run, bar)
+def _diverge(training: Training, data: None, seed: int, run: Path, bar: Bar) -> None:
+    train_run(training, data, seed, run, bar)
     (run / "eval.json").unlink()
     (run / "eval_best.json").unlink()
     raise DivergedError("loss/critic is nan")
@@ -102,7 +102,7 @@ def _diverge(training: Online, seed: int, run: Path, bar: Bar) -> None:
 def test_a_run_that_diverged_counts_as_it_was_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(online, "train_online_run", _diverge)
+    monkeypatch.setattr(learning, "train_run", _diverge)
     small = training_of(StudyOnline(), Setting("x", "x", "ddpg"), small=True)
     learner = Learner(small, None)
     learner.train(0, tmp_path / "run", silent_bar)

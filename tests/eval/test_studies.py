@@ -50,7 +50,7 @@ from marl_mm.eval.studies.targets import GROUPS, STUDIES
 from marl_mm.progress import silent_bar
 from marl_mm.runs.paper import GOOD_30K
 from marl_mm.runs.sources import Datasets, Source
-from marl_mm.runs.training import offline_training
+from marl_mm.runs.training import training_of as default_training
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 
@@ -457,7 +457,7 @@ class Deadly(Job):
 
 
 def job_of(kind: type[Job], number: int, run: Path) -> Job:
-    learner = Learner(offline_training("mabc"), load_dataset("good-5k").location)
+    learner = Learner(default_training("mabc"), load_dataset("good-5k").location)
     return kind(str(number), 0, run, learner, (LAST,))
 
 

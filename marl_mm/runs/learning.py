@@ -1,0 +1,319 @@
+"""Runs that learn, from a dataset or online: what stops them, and their training."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import torch
+
+from marl_mm.algorithms.checkpoint import BEST, FILE
+from marl_mm.algorithms.explore import Explorer
+from marl_mm.algorithms.online import RunEpisodes, is_flat, train_online
+from marl_mm.algorithms.policy import LearnedPolicy, load_policy
+from marl_mm.algorithms.registry import ALGORITHMS
+from marl_mm.algorithms.runlog import CurvePoint, read_metrics
+from marl_mm.algorithms.speed import prepare_for_small_networks, resolved
+from marl_mm.algorithms.train import resume, resume_seeds, train
+from marl_mm.datasets.dataset import Dataset
+from marl_mm.envs.registry import make_task
+from marl_mm.envs.rollout import EpisodePlan, Rollouts, episode_seed
+from marl_mm.episode import Episode
+from marl_mm.errors import DatasetError, UsageError
+from marl_mm.eval.evaluate import Evaluation, evaluate, evaluate_with
+from marl_mm.files import only_here, write_json
+from marl_mm.layout_diff import refuse_other_layout
+from marl_mm.progress import Bar
+from marl_mm.runs.folder import (
+    BEST_EVALUATION,
+    CURVE,
+    EVALUATION,
+    begin_run,
+    check_run,
+    goes_on,
+    read_config,
+    read_evaluation,
+    run_config,
+)
+from marl_mm.runs.settings import check_positive
+from marl_mm.runs.training import Offline, Online, Training
+
+T = TypeVar("T", bound=Training)
+
+# --- What stops runs ---------------------------------------------------------
+
+
+def check_training(
+    training: Training,
+    dataset: Dataset | None,
+    runs: Mapping[int, Path],
+    further: bool = True,
+) -> None:
+    """Raise before any work is done for what would stop runs.
+
+    Args:
+        training: Settings of the runs.
+        dataset: Dataset to learn from, or to replay online, if any.
+        runs: Folders by seed.
+        further: Whether runs may go on further than they were to go.
+
+    Raises:
+        UsageError: If a setting makes no sense or a run exists.
+        DatasetError: If there is nothing to learn from.
+        OtherConfigError: If a run to resume was made otherwise.
+    """
+    check_positive(curve_episodes=training.curve_episodes)
+    if isinstance(training, Offline):
+        assert dataset is not None
+        fresh = not all(goes_on(run, training) for run in runs.values())
+        _check_offline(training, dataset, fresh)
+    else:
+        _check_online(training, dataset)
+    task = task_of(training, dataset)
+    for seed, run in runs.items():
+        check_run(run, run_config(training, seed, task, dataset), training, further)
+        if goes_on(run, training):
+            _check_end(training, run)
+    if isinstance(training, Offline):  # refuses what it cannot learn from
+        algorithm_of(training, dataset, list(runs))
+
+
+def _check_offline(training: Offline, dataset: Dataset, fresh: bool) -> None:
+    check_positive(curve_every=training.curve_every)
+    if training.device == "cuda" and not torch.cuda.is_available():
+        raise UsageError(
+            "`device` is cuda, but torch finds no such GPU: use `device` cpu, or "
+            "install a torch that is built for yours"
+        )
+    name, arrays = dataset.location.name, dataset.arrays
+    if training.require_success and fresh and not arrays.successes().any():
+        others = " (and `imitate` all)" if hasattr(training.config, "imitate") else ""
+        raise DatasetError(
+            f"none of the {len(arrays)} episodes of {name} reaches its goal, so that "
+            "there is nothing to imitate; with `require_success=False`"
+            f"{others} it is tried all the same"
+        )
+    task = task_of(training, dataset)
+    refuse_other_layout(name, arrays.layout, task, make_task(task).layout)
+
+
+def _check_online(training: Training, demonstrations: Dataset | None) -> None:
+    assert isinstance(training, Online)
+    longest = make_task(training.task, training.overrides).max_steps
+    if getattr(training.config, "capacity", longest) < longest:
+        raise UsageError(
+            f"`capacity` is {training.config.capacity}, expected at least an episode's "
+            f"{longest} steps"
+        )
+    ALGORITHMS.get(training.algorithm).check(training.config)
+    task = training.task if demonstrations is None else demonstrations.provenance.task
+    if task != training.task:
+        raise UsageError(
+            f"`demonstrations` {training.demonstrations} is of {task}, expected "
+            f"{training.task}: their rewards differ"
+        )
+
+
+def _check_end(training: Training, run: Path) -> None:
+    """Raise if a run cannot go on to the updates or episodes asked for."""
+    rows, clock = read_metrics(run), training.clock
+    done = rows[-1][training.counter] if rows else 0
+    asked = getattr(training.config, clock)
+    if done > asked:
+        raise UsageError(f"{run} has {done} {clock} already, `{clock}` is {asked}")
+    before = read_config(run).settings[clock]
+    if asked == before:
+        return
+    if getattr(training.config, "q_weight_end", None) is not None:
+        raise UsageError(
+            f"{run} was to end at {before} updates, and `q_weight_end` with it: "
+            f"`updates` {asked} needs a run of its own"
+        )
+    patience = training.schedule.patience if isinstance(training, Online) else 0
+    if is_flat(rows, patience):
+        raise UsageError(
+            f"{run} ended at episode {done}, as its success rate had been flat for "
+            f"{patience}: `patience` 0 goes on to `episodes` {asked} all the same"
+        )
+
+
+# --- Training ----------------------------------------------------------------
+
+
+def task_of(training: Training, dataset: Dataset | None) -> str:
+    """Name of the task that is evaluated in."""
+    if isinstance(training, Online):
+        return training.task
+    assert isinstance(training, Offline) and dataset is not None
+    return training.task or dataset.provenance.task
+
+
+def with_exact_precision(training: T) -> T:
+    """Settings that say what ``precision="auto"`` means on this machine.
+
+    A run goes on with that elsewhere, too.
+    """
+    if not isinstance(training, Offline):
+        return training
+    precision = resolved(training.config.precision)
+    return replace(training, config=replace(training.config, precision=precision))
+
+
+def algorithm_of(
+    training: Training, dataset: Dataset | None, seeds: Sequence[int]
+) -> Any:
+    """An algorithm before its first update: offline for several seeds at once."""
+    learner = ALGORITHMS.get(training.algorithm).learner
+    if isinstance(training, Offline):
+        assert dataset is not None
+        judge = make_task(dataset.provenance.task)
+        return learner(training.config, dataset.arrays, judge, seeds, training.device)
+    task = make_task(task_of(training, dataset), training.overrides)
+    (seed,), episodes = seeds, () if dataset is None else dataset.episodes
+    return learner(training.config, task, seed, episodes, task.layout)
+
+
+def begin_runs(
+    training: Training, dataset: Dataset | None, runs: Mapping[int, Path]
+) -> None:
+    """Make the folders of runs, or note in them what they go on with."""
+    task = task_of(training, dataset)
+    for seed, run in runs.items():
+        begin_run(run, run_config(training, seed, task, dataset), training)
+
+
+def train_run(
+    training: Training, dataset: Dataset | None, seed: int, run: Path, bar: Bar
+) -> None:
+    """Train and evaluate one seed here, after another process that may be at it.
+
+    Raises:
+        DivergedError: If it diverged; its last checkpoint is as it was.
+    """
+    with only_here(run, wait=True):
+        begin_runs(training, dataset, {seed: run})
+        train_runs(training, dataset, {seed: run}, bar)
+
+
+def train_runs(
+    training: Training, dataset: Dataset | None, runs: Mapping[int, Path], bar: Bar
+) -> list[Path]:
+    """Train runs that have begun, side by side, then evaluate one after the other.
+
+    Args:
+        training: Settings of the runs.
+        dataset: Dataset to learn from, or to replay online, if any.
+        runs: Folders by seed; online a single one.
+        bar: Factory of progress bars.
+    """
+    prepare_for_small_networks()
+    algorithm, folders = algorithm_of(training, dataset, [*runs]), [*runs.values()]
+    if any((run / FILE).exists() for run in folders):
+        if isinstance(training, Offline):
+            resume_seeds(algorithm, folders, [training.clock])
+        else:
+            resume(algorithm, folders[0], [training.clock])
+    name = task_of(training, dataset)
+    total = getattr(training.config, training.clock)
+    advance = bar(f"{algorithm.name} {' '.join(map(str, runs))}", total)
+    with Rollouts(make_task(name, training.overrides), training.workers) as rollouts:
+        point = _curve(rollouts, training, name)
+        if isinstance(training, Offline):
+            train(
+                algorithm,
+                folders,
+                point,
+                training.curve_every,
+                advance,
+                training.stop_diverging,
+                training.logger,
+            )
+        elif isinstance(training, Online):
+            train_online(
+                algorithm,
+                folders[0],
+                _episodes(rollouts, *runs),
+                point,
+                training.schedule,
+                advance,
+                training.logger,
+            )
+    for seed, run in runs.items():
+        evaluate_run(training, dataset, run, bar, f"eval {seed}")
+    return folders
+
+
+def _episodes(rollouts: Rollouts, seed: int) -> RunEpisodes:
+    """Runs the training episodes of a seed."""
+
+    def run_episodes(policy: Explorer, numbers: Iterable[int]) -> Iterator[Episode]:
+        plans = [EpisodePlan(i, episode_seed(seed, i, "train")) for i in numbers]
+        return rollouts.run(policy, plans)
+
+    return run_episodes
+
+
+def _curve(
+    rollouts: Rollouts, training: Training, task: str
+) -> Callable[[LearnedPolicy], CurvePoint]:
+    """Measures the points of a run's learning curve, on goals of their own."""
+
+    def point(policy: LearnedPolicy) -> CurvePoint:
+        count, goals = training.curve_episodes, training.eval_seed + 1
+        return curve_point(
+            evaluate_with(rollouts, policy, count, goals, task, training.overrides)
+        )
+
+    return point
+
+
+def curve_point(evaluation: Evaluation) -> CurvePoint:
+    """The numbers of an evaluation that a learning curve keeps."""
+    point: dict[str, float] = {}
+    for name, part in evaluation.summary.items():
+        point[f"success/{name}"] = part["success_rate"]
+        point[f"return/{name}"] = part["return"]
+        if "alpha" in part:
+            point[f"alpha/{name}"] = part["alpha"]
+    return cast(CurvePoint, point)
+
+
+# --- Evaluation --------------------------------------------------------------
+
+
+def evaluate_run(
+    training: Training, dataset: Dataset | None, run: Path, bar: Bar, label: str
+) -> None:
+    """Draw a trained run's learning curve; evaluate its last policy, online its best.
+
+    With ``resume``, an evaluation of as many goals of the same seed is not repeated;
+    ``begin_run`` deletes those of a run that goes further.
+
+    Raises:
+        KeyboardInterrupt: After Ctrl-C, saying how to go on.
+    """
+    from marl_mm.eval import figures  # matplotlib takes half a second
+
+    online = isinstance(training, Online)
+    draw = figures.online_curve if online else figures.learning_curve
+    draw(read_metrics(run), run / CURVE)
+    kept = {FILE: EVALUATION, BEST: BEST_EVALUATION} if online else {FILE: EVALUATION}
+    asked = training.eval_episodes, training.eval_seed
+    for file, result in kept.items():
+        known = read_evaluation(run / result) if training.resume else None
+        if known is not None and (len(known.rows), known.seed) == asked:
+            continue
+        try:
+            evaluation = evaluate(
+                load_policy(run / file),
+                *asked,
+                task_of(training, dataset),
+                training.overrides,
+                training.workers,
+                bar(f"{label} best" if file == BEST else label, training.eval_episodes),
+            )
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                f"stopped; {run} is trained: evaluate it with `resume=True`"
+            ) from None
+        write_json(run / result, evaluation.to_json())
