@@ -1,6 +1,7 @@
 """Files and folders that appear whole or not at all."""
 
 import ctypes
+import errno
 import fcntl
 import json
 import os
@@ -46,6 +47,8 @@ def named_errors(path: Path, temporary: Path | None = None) -> Iterator[None]:
         yield
     except OSError as error:
         name = error.filename
+        if error.errno is None:  # a library's own, in words
+            raise OSError(errno.EIO, str(error), str(path)) from error
         if name is None:
             error.filename = str(path)
         elif temporary is not None and isinstance(name, str | Path):

@@ -298,8 +298,9 @@ def _write(
         with deaf_to_interrupts(forget=not collection.complete):
             write_dataset(location, arrays, provenance, overwrite=True)
     except (OSError, MarlMmError) as error:  # no room
-        no_room = isinstance(error, OSError)
-        reason = f"{error.strerror}: {error.filename}" if no_room else error
+        reason = str(error)
+        if isinstance(error, OSError):
+            reason = f"{error.strerror}: {error.filename}"
         raise MarlMmError(
             f"{reason}; finished episodes are kept: make room and go on with "
             "`resume=True`"
