@@ -148,18 +148,22 @@ def _delete(
     """
     location = find(dataset)
     check_deletable(location)
+    what, kept = str(location.folder), ""
+    if location.folder.is_symlink():
+        what = f"the link {what}"
+        kept = f"; {location.folder.readlink()}, where it led, is kept"
     if not yes:
         if not sys.stdin.isatty():
             raise UsageError("nobody is here to answer: add --yes to delete")
         try:
-            answer = input(f"delete {location.folder}? [y/N] ")
+            answer = input(f"delete {what}? [y/N] ")
         except EOFError:
             answer = ""
         if answer.strip().lower() not in ("y", "yes"):
             show({"deleted": None}, "kept", json)
             return
     delete(location)
-    show({"deleted": str(location.folder)}, f"deleted {location.folder}", json)
+    show({"deleted": str(location.folder)}, f"deleted {what}{kept}", json)
 
 
 main = subcommands(

@@ -57,10 +57,10 @@ def print_evaluations(evaluations: Sequence["Evaluation"]) -> None:
     from marl_mm.eval.metrics import failures_in_words
     from marl_mm.eval.tables import evaluation_table
 
-    console = Console()
+    console = Console(markup=False)
     if not console.is_terminal:
         longest = max(len(evaluation.policy) for evaluation in evaluations)
-        console = Console(width=80 + longest)
+        console = Console(width=80 + longest, markup=False)
     console.print(evaluation_table(evaluations, console.width))
     for evaluation in evaluations:
         failures = evaluation.summary["all"].get("failures")
