@@ -64,13 +64,24 @@ def blank_actor(agent: AgentLayout, hidden: Sequence[int]) -> AgentActor:
 
 
 def actors_from(states: Mapping[str, Any], layout: Layout) -> dict[str, AgentActor]:
-    """Trained actors from their networks' states, of one joint agent or of several."""
+    """Trained actors from their networks' states, of one joint agent or of several.
+
+    Raises:
+        ValueError: If a number is not finite, or a standard deviation not positive.
+        KeyError, TypeError, AttributeError, RuntimeError: If a state is none, or of
+            other networks.
+    """
     agents = {}
     for agent in (layout.joint,) if JOINT_NAME in states else layout.agents:
         state = states[agent.name]
         agents[agent.name] = blank_actor(agent, _hidden(state))
-        agents[agent.name].actor.load_state_dict(state)
-        agents[agent.name].actor.eval()
+        actor = agents[agent.name].actor
+        actor.load_state_dict(state)
+        actor.eval()
+        if not all(bool(value.isfinite().all()) for value in state.values()):
+            raise ValueError(f"weights of {agent.name} that are NaN or infinite")
+        if not bool((actor.normalizer.std > 0).all()):
+            raise ValueError(f"standard deviations of {agent.name} that are not > 0")
     return agents
 
 

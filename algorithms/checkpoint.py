@@ -1,6 +1,8 @@
 """Checkpoints: one file that acts and resumes without anything else."""
 
+import zipfile
 from dataclasses import asdict
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ from marl_mm.algorithms.algorithm import OfflineAlgorithm, Resumable
 from marl_mm.errors import CheckpointError, LayoutError, UsageError
 from marl_mm.files import new_file
 from marl_mm.layout import Layout
+from marl_mm.received import check_kind, check_plain, check_regular
 from marl_mm.version1 import checkpoint_layout
 
 FILE = "checkpoint.pt"
@@ -26,7 +29,11 @@ _FORMATS = ("marl_mm checkpoint 1", _FORMAT)
 
 
 def save_checkpoint(path: Path, algorithm: Resumable) -> None:
-    """Write an algorithm's state with its config and layout, atomically."""
+    """Write an algorithm's state with its config and layout, atomically.
+
+    Raises:
+        OSError: If there is no room; it names the file.
+    """
     _save(path, algorithm, algorithm.state())
 
 
@@ -58,9 +65,26 @@ def _save(
         "layout": algorithm.layout.to_json(),
         "state": state,
     }
-    # Into an open file: given a name, torch would write it into the bytes.
-    with new_file(path) as temporary, temporary.open("wb") as file:
-        torch.save(contents, file)
+    # Into memory first: torch does not tell of a full disk as Python does.
+    file = BytesIO()
+    torch.save(contents, file)
+    with new_file(path) as temporary:
+        temporary.write_bytes(file.getbuffer())
+
+
+_KINDS: dict[str, Any] = {
+    "algorithm": str,
+    "config": dict[str, Any],
+    "layout": dict[str, Any],
+    "state": dict[str, Any],
+}
+"""Types of a checkpoint's parts."""
+
+DAMAGE = (
+    *(KeyError, TypeError, AttributeError, RuntimeError, ValueError, IndexError),
+    *(MemoryError, OverflowError),
+)
+"""Exceptions at states that do not fit what they are loaded into."""
 
 
 def read_checkpoint(path: Path, algorithm: str | None = None) -> dict[str, Any]:
@@ -82,8 +106,11 @@ def read_checkpoint(path: Path, algorithm: str | None = None) -> dict[str, Any]:
             f"no checkpoint at {file}, expected a run folder made by marl-mm train"
             + meant
         )
+    check_regular(file, CheckpointError)
     try:
+        _check_archive(file)
         checkpoint = torch.load(file, map_location="cpu", weights_only=True)
+        _check_values(checkpoint)
     except Exception as error:  # torch raises whatever its unpickler met
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise CheckpointError(
@@ -94,6 +121,8 @@ def read_checkpoint(path: Path, algorithm: str | None = None) -> dict[str, Any]:
     missing = {"algorithm", "config", "layout", "state"} - checkpoint.keys()
     if missing:
         raise CheckpointError(f"{file} lacks {', '.join(sorted(missing))}")
+    for name, kind in _KINDS.items():
+        check_kind(checkpoint[name], kind, f"{file}: {name}", CheckpointError)
     if algorithm is not None and checkpoint["algorithm"] != algorithm:
         raise CheckpointError(
             f"{file} holds a checkpoint of algorithm {checkpoint['algorithm']!r}, "
@@ -117,9 +146,41 @@ def restored_agents(checkpoint: dict[str, Any], path: Path) -> dict[str, AgentAc
     """
     try:
         return actors_from(checkpoint["state"]["actors"], checkpoint["layout"])
-    except (KeyError, TypeError, AttributeError, RuntimeError) as error:
-        reason = str(error).splitlines()[0]
+    except DAMAGE as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise CheckpointError(f"{path} is damaged ({reason:.80})") from error
+
+
+def _check_archive(file: Path) -> None:
+    """Raise for an archive that is not as torch writes it.
+
+    torch does not look at the checksums: a bit that flips would go unnoticed.
+    """
+    with zipfile.ZipFile(file) as archive:
+        parts = archive.infolist()
+        if len({part.filename for part in parts}) < len(parts):
+            raise ValueError("two parts of one name")
+        if any(part.compress_type != zipfile.ZIP_STORED for part in parts):
+            raise ValueError("compressed parts")
+        if sum(part.file_size for part in parts) > file.stat().st_size:
+            raise ValueError("parts larger than the file")
+        if (damaged := archive.testzip()) is not None:
+            raise ValueError(f"checksum of {damaged}")
+
+
+def _check_values(value: Any) -> None:
+    """Raise for values whose text cannot be shown, and tensors beyond their data."""
+    tensors: list[torch.Tensor] = []
+    check_plain(value, "it", CheckpointError, tensors.append)
+    for tensor in tensors:
+        if not isinstance(tensor, torch.Tensor):
+            continue
+        if tensor.layout != torch.strided or tensor.is_meta or tensor.is_quantized:
+            raise ValueError(f"a tensor of kind {tensor.layout}")
+        if tensor.numel() == 0 and max(tensor.shape) > 0:
+            raise ValueError(f"an empty tensor of shape {tuple(tensor.shape)}")
+        if tensor.numel() * tensor.element_size() > tensor.untyped_storage().nbytes():
+            raise ValueError(f"a tensor of shape {tuple(tensor.shape)} with less data")
 
 
 def _way_out(file: Path) -> str:

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,7 @@ def export_policy(
     Raises:
         UsageError: If there is no such agent, or a library is missing.
         ExportError: If the file's actions differ by more than ``TOLERANCE``.
+        OSError: If there is no room for the file; it names the file.
     """
     chosen = POLICY_FORMATS.get(form)
     if any(find_spec(name) is None for name in chosen.packages):
@@ -170,7 +172,9 @@ def _torchscript(
     module: nn.Module, example: torch.Tensor, path: Path, metadata: dict[str, Any]
 ) -> Run:
     traced = torch.jit.trace(module, example)  # type: ignore[no-untyped-call]
-    torch.jit.save(traced, path, {_METADATA: json.dumps(metadata)})
+    file = BytesIO()  # torch would end the process on a full disk
+    torch.jit.save(traced, file, {_METADATA: json.dumps(metadata)})
+    path.write_bytes(file.getbuffer())
     loaded = torch.jit.load(path)  # type: ignore[no-untyped-call]
 
     def run(observations: np.ndarray) -> np.ndarray:
@@ -196,7 +200,7 @@ def _onnx(
     )
     assert program is not None
     program.model.metadata_props[_METADATA] = json.dumps(metadata)
-    program.save(path)
+    path.write_bytes(program.model_proto.SerializeToString())
     session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
 
     def run(observations: np.ndarray) -> np.ndarray:

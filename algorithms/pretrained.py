@@ -13,13 +13,14 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from marl_mm.algorithms.actors import actors_from
-from marl_mm.algorithms.checkpoint import BEST, read_checkpoint
+from marl_mm.algorithms.checkpoint import BEST, DAMAGE, read_checkpoint
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.runlog import METRICS
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import CheckpointError
 from marl_mm.files import new_folder
 from marl_mm.layout import Layout
+from marl_mm.received import check_regular, read_json
 
 NAME = "pretrained"
 FOLDER = Path(__file__).parent / "pretrained_agent"
@@ -62,7 +63,8 @@ def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
         CheckpointError: If its files are missing or damaged.
     """
     try:
-        config = json.loads((folder / "config.json").read_text())
+        config = read_json(folder / "config.json", CheckpointError)
+        check_regular(folder / WEIGHTS, CheckpointError)
         tensors = load_file(folder / WEIGHTS)
         states: dict[str, dict[str, Any]] = {}
         for name, value in tensors.items():
@@ -73,7 +75,7 @@ def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
             Layout.from_json(recorded) if recorded else make_task(config["task"]).layout
         )
         agents = actors_from(states, layout)
-    except (OSError, ValueError, KeyError, RuntimeError, SafetensorError) as error:
+    except (*DAMAGE, OSError, SafetensorError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise CheckpointError(f"{folder} is damaged ({reason:.80})") from error
     return LearnedPolicy(NAME, agents, layout, NAME)

@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, get_type_hints
 
 from marl_mm.errors import CheckpointError
+from marl_mm.received import check_kind
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,15 +52,19 @@ class RunConfig:
         """Record from ``to_json``; fields that version 1 lacks have their defaults.
 
         Raises:
-            CheckpointError: If a field is missing.
+            CheckpointError: If a field is missing, or of another type.
         """
         known = {field.name for field in fields(cls)} - {"settings"}
         rest = {name: value for name, value in values.items() if name not in known}
         own = {name: value for name, value in values.items() if name in known}
         try:
-            return cls(settings=rest, **own)
+            record = cls(settings=rest, **own)
         except TypeError as error:
             raise CheckpointError(f"config.json: {error}") from error
+        for name, kind in get_type_hints(cls).items():
+            where = f"config.json: {name}"
+            check_kind(getattr(record, name), kind, where, CheckpointError)
+        return record
 
     def continued(
         self, plugins: Mapping[str, str], settings: Mapping[str, Any]

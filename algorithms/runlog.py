@@ -13,10 +13,14 @@ from marl_mm.algorithms.loggers import (
     check_loggers,
 )
 from marl_mm.errors import CheckpointError
-from marl_mm.files import new_file
+from marl_mm.files import append, new_file
+from marl_mm.received import check_kind, parse_json, read_text
 
 METRICS = "metrics.jsonl"
 """The record of a run: JSON lines, one a row."""
+
+METRICS_BYTES = 1_000_000_000
+"""Largest size of the record [bytes]."""
 
 CurvePoint = TypedDict(
     "CurvePoint",
@@ -82,14 +86,17 @@ class RunLog:
             logger.close(failed=exception[0] is not None)
 
     def add(self, row: Row) -> None:
-        """Write a row, and give it to every logger."""
+        """Write a row, and give it to every logger.
+
+        Raises:
+            OSError: If there is no room; it names the file, which stays as it was.
+        """
         if self._loggers is None:
             self._loggers = [
                 LOGGERS[name](self.run, self._clock, self.rows) for name in self._names
             ]
         self.rows.append(row)
-        with (self.run / METRICS).open("a") as file:
-            file.write(_line(row))
+        append(self.run / METRICS, _line(row).encode())
         for logger in self._loggers:
             logger.log(row[self._clock], row)
 
@@ -103,11 +110,11 @@ def read_metrics(run: Path) -> list[Row]:
     path = run / METRICS
     if not path.exists():
         return []
-    lines = path.read_text().splitlines(keepends=True)
-    try:
-        return [json.loads(line) for line in lines if line.endswith("\n")]
-    except ValueError as error:
-        raise CheckpointError(f"{path} is damaged ({error})") from error
+    lines = read_text(path, CheckpointError, METRICS_BYTES).splitlines(keepends=True)
+    whole = [line for line in lines if line.endswith("\n")]
+    rows = [parse_json(line, str(path), CheckpointError) for line in whole]
+    check_kind(rows, list[dict[str, float]], str(path), CheckpointError)
+    return rows
 
 
 def merit(row: Row) -> tuple[float, ...]:

@@ -6,8 +6,8 @@ point in ``best.pt`` and, from the last evaluation, ``eval.json``.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ import torch
 from marl_mm.algorithms.algorithm import OfflineAlgorithm, Resumable
 from marl_mm.algorithms.checkpoint import (
     BEST,
+    DAMAGE,
     FILE,
     read_checkpoint,
     save_seed,
@@ -198,7 +199,9 @@ def resume(algorithm: Resumable, run: Path, ignored: Sequence[str] = ()) -> None
         CheckpointError: If the run is of another algorithm.
         OtherConfigError: If it is of another config.
     """
-    algorithm.load_state(_state(algorithm, run, ignored))
+    state = _state(algorithm, run, ignored)
+    with _damage_named(run):
+        algorithm.load_state(state)
 
 
 def resume_seeds(
@@ -217,13 +220,26 @@ def resume_seeds(
         OtherConfigError: If one is of another config.
     """
     states = [_state(algorithm, run, ignored) for run in runs]
-    steps = [state["step"] for state in states]
+    with _damage_named(runs[0]):
+        steps = [int(state["step"]) for state in states]
     if len(set(steps)) > 1:
         raise CheckpointError(
             f"the runs stand at updates {', '.join(map(str, steps))}: resume them one "
             "by one"
         )
-    algorithm.load_states(states)
+    with _damage_named(runs[0]):
+        algorithm.load_states(states)
+
+
+@contextmanager
+def _damage_named(run: Path) -> Iterator[None]:
+    try:
+        yield
+    except DAMAGE as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise CheckpointError(
+            f"{run / FILE} is damaged ({reason:.80}): start anew with `overwrite=True`"
+        ) from error
 
 
 def _state(

@@ -15,6 +15,7 @@ from marl_mm.episode import Episode, directions, failures, reward_terms
 from marl_mm.errors import DatasetError
 from marl_mm.layout import Layout
 from marl_mm.layout_diff import layout_diff
+from marl_mm.received import most_unpacked
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,12 @@ class EpisodeArrays:
     def steps(self) -> int:
         """Number of steps, n."""
         return len(self.rewards)
+
+    @property
+    def nbytes(self) -> int:
+        """Size of all arrays in memory [bytes]."""
+        arrays = (*self.info.values(), *(getattr(self, name) for name in _ARRAYS))
+        return sum(array.nbytes for array in arrays)
 
     @cached_property
     def _ends(self) -> np.ndarray:
@@ -256,19 +263,62 @@ def load_arrays(file: Path | IO[bytes], layout: Layout) -> EpisodeArrays:
         DatasetError: If the file is damaged, or of another layout.
     """
     try:
+        _refuse_bomb(file)
         with np.load(file, allow_pickle=False) as values:
             keys = [key for key in values if key.startswith("info/")]
             info = {key.removeprefix("info/"): values[key] for key in keys}
             arrays = {name: values[name] for name in _ARRAYS}
     except _DAMAGE as error:
         raise DatasetError(f"{file} is damaged ({error})") from error
-    widths = arrays["states"].shape[1:], arrays["actions"].shape[1:]
-    if widths != ((len(layout.state),), (len(layout.action),)):
-        raise DatasetError(
-            f"{file} is damaged (rows of {widths} numbers, expected "
-            f"{len(layout.state)} and {len(layout.action)})"
-        )
-    return EpisodeArrays(info=info, layout=layout, **arrays)
+    loaded = EpisodeArrays(info=info, layout=layout, **arrays)
+    if problem := _inconsistency(loaded):
+        raise DatasetError(f"{file} is damaged ({problem})")
+    return loaded
+
+
+def _refuse_bomb(file: Path | IO[bytes]) -> None:
+    """Raise for a file that asks for far more memory than its size can hold."""
+    with zipfile.ZipFile(file) as parts:
+        packed = sum(part.compress_size for part in parts.infolist())
+        size = sum(part.file_size for part in parts.infolist())
+    if not isinstance(file, Path):
+        file.seek(0)
+    if size > most_unpacked(packed):
+        raise ValueError(f"{size:,} bytes of arrays in a file of {packed:,} bytes")
+
+
+def _inconsistency(arrays: EpisodeArrays) -> str:
+    """Why arrays cannot be those of whole episodes; empty if they can."""
+    lengths, layout = arrays.lengths, arrays.layout
+    if lengths.ndim != 1 or lengths.dtype.kind != "i" or not len(lengths):
+        return f"lengths of shape {lengths.shape} and type {lengths.dtype}"
+    if lengths.min() < 1 or lengths.max() > len(arrays.rewards):
+        return f"an episode of {lengths.min()} or {lengths.max()} steps"
+    steps, episodes = int(lengths.sum()), len(lengths)
+    expected: dict[str, tuple[str, tuple[int, ...]]] = {
+        "states": ("f", (steps + episodes, len(layout.state))),
+        "actions": ("f", (steps, len(layout.action))),
+        "rewards": ("f", (steps,)),
+        "terminated": ("b", (steps,)),
+        "truncated": ("b", (steps,)),
+        "starts": ("f", (episodes, *arrays.starts.shape[1:][:1])),
+        "seeds": ("iu", (episodes,)),
+        "indices": ("iu", (episodes,)),
+        "origin_episodes": ("iu", (episodes,)),
+        "sources": ("U", (episodes,)),
+        "origins": ("U", (episodes,)),
+    }
+    values = {name: getattr(arrays, name) for name in expected}
+    for key, value in arrays.info.items():
+        expected[f"info/{key}"], values[f"info/{key}"] = ("fiub", (steps,)), value
+    for name, (kinds, shape) in expected.items():
+        array = values[name]
+        if array.dtype.kind not in kinds or array.shape != shape:
+            return (
+                f"{name} of shape {array.shape} and type {array.dtype}, expected "
+                f"{shape} for {episodes} episodes"
+            )
+    return ""
 
 
 def _ranges(begins: np.ndarray, lengths: np.ndarray) -> np.ndarray:

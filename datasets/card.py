@@ -5,14 +5,18 @@ A card is stored with its dataset as ``card.json``, ``card.md`` and ``card.png``
 
 import io
 import json
+import re
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from marl_mm.datasets.arrays import EpisodeArrays
+from marl_mm.errors import DatasetError
 from marl_mm.files import new_file, write_json
 from marl_mm.notebook import html_picture, html_table
+from marl_mm.received import read_json
 
 if TYPE_CHECKING:
     from marl_mm.datasets.dataset import Dataset
@@ -89,15 +93,13 @@ def keep_card(dataset: "Dataset") -> dict[str, Any]:
     Without room or permission, nothing is written.
     """
     values = card(dataset)
-    kept = {key: value for key, value in values.items() if key != "path"}
+    kept = _without_path(values)
     folder = dataset.location.folder
     known = folder / "card.json"
     if all((folder / f"card.{kind}").exists() for kind in ("json", "md", "png")):
-        try:
-            if json.loads(known.read_text()) == kept:
+        with suppress(DatasetError):
+            if read_json(known, DatasetError) == kept:
                 return values
-        except ValueError:
-            pass
     try:
         write_json(known, kept)
         write_card(dataset, values, folder / "card")
@@ -106,11 +108,21 @@ def keep_card(dataset: "Dataset") -> dict[str, Any]:
     return values
 
 
+def kept_card(dataset: "Dataset") -> dict[str, Any]:
+    """The card as it is kept with a dataset, wherever that is."""
+    kept: dict[str, Any] = json.loads(json.dumps(_without_path(card(dataset))))
+    return kept
+
+
+def _without_path(values: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if key != "path"}
+
+
 def write_card(dataset: "Dataset", values: dict[str, Any], stem: Path) -> None:
     """Write a card as Markdown and figure; ``stem`` is their path without ending."""
     from marl_mm.datasets.card_figure import draw_card  # matplotlib takes a second
 
-    kept = {key: value for key, value in values.items() if key != "path"}
+    kept = _without_path(values)
     page, figure = (stem.with_name(stem.name + end) for end in (".md", ".png"))
     with new_file(page) as temporary:
         temporary.write_text(card_markdown(kept, figure.name))
@@ -127,8 +139,14 @@ def card_text(values: dict[str, Any]) -> str:
 
 def card_markdown(values: dict[str, Any], figure: str = "card.png") -> str:
     """The card as a Markdown page that shows the figure, a file beside it."""
-    rows = "\n".join(f"| {name} | {text} |" for name, text in _rows(values))
+    rows = "\n".join(f"| {name} | {_escaped(text)} |" for name, text in _rows(values))
     return f"# {values['id']}\n\n| | |\n| --- | --- |\n{rows}\n\n![card]({figure})\n"
+
+
+def _escaped(text: str) -> str:
+    """A text that Markdown shows as it is: no cell, link, picture or HTML begins."""
+    text = " ".join(text.split("\n")).replace("&", "&amp;").replace("<", "&lt;")
+    return re.sub(r"[|`\[\]]", r"\\\g<0>", text)
 
 
 def card_html(dataset: "Dataset") -> str:

@@ -60,6 +60,8 @@ def check_deletable(location: Location) -> None:
         UnknownDatasetError: If the location does not exist.
         UsageError: If the location holds something else.
     """
+    if location.folder.is_symlink():
+        return
     if not location.folder.exists() and not location.working.exists():
         raise UnknownDatasetError(f"no dataset {location.name!r} to delete")
     refuse_foreign(location)
@@ -70,12 +72,16 @@ def check_deletable(location: Location) -> None:
 def delete(location: Location) -> None:
     """Delete a dataset, and the journal of a stopped collection into it.
 
+    Of a link to a dataset, only the link is deleted.
+
     Raises:
         UnknownDatasetError: If the location does not exist.
         UsageError: If the location holds something else, or another process writes it.
     """
     check_deletable(location)
     with only_here(location.working):
-        if location.folder.exists():
+        if location.folder.is_symlink():
+            location.folder.unlink()
+        elif location.folder.exists():
             shutil.rmtree(location.folder)
         shutil.rmtree(location.working)

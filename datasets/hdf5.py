@@ -5,8 +5,13 @@ fifth of the space: most episodes are so short that the records about chunks wou
 outweigh the numbers.
 """
 
+import errno
+import math
+import os
 import re
-from collections.abc import Iterator, Sequence
+import resource
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +23,9 @@ import numpy as np
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
 from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError, MarlMmError
+from marl_mm.files import named_errors
 from marl_mm.layout import Layout
+from marl_mm.received import check_regular, is_printable, most_unpacked
 
 FILE = "main_data.hdf5"
 
@@ -29,6 +36,17 @@ _DAMAGE = (
 """Exceptions that h5py raises for damaged files."""
 
 _START = "initial_configuration"
+
+_ACHIEVED = "observations/achieved_goal"
+
+_LINE = 300
+"""Largest length of a text [characters]."""
+
+ROBOT_NUMBERS = 11
+"""Numbers of a robot's configuration: base's place, cosine, sine, seven joints."""
+
+_LEAST_EPISODE = 200
+"""Least size of an episode in a file [bytes]; ours have 4,000."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +74,7 @@ def episode_fields(layout: Layout) -> tuple[Field, ...]:
     goal = len(layout.desired)
     return (
         Field("observations/observation", "float", len(layout.state) - goal, 1),
-        Field("observations/achieved_goal", "float", goal, 1),
+        Field(_ACHIEVED, "float", goal, 1),
         Field("observations/desired_goal", "float", goal, 1),
         Field("actions", "float", len(layout.action)),
         Field("rewards", "float"),
@@ -69,11 +87,12 @@ def write_hdf5(path: Path, arrays: EpisodeArrays) -> None:
     """Write all episodes into a new file.
 
     Raises:
-        MarlMmError: If there is no room for the file.
+        OSError: If there is no room for the file; it names the file.
     """
     compact = _without_times()
     compact.set_layout(h5py.h5d.COMPACT)
-    with _new_hdf5(path, libver=("v110", "v110")) as file:
+
+    def fill(file: Any) -> None:
         for number in range(len(arrays)):
             group = file.create_group(f"episode_{number}")
             group.attrs.update(_attributes(arrays, number))
@@ -81,6 +100,8 @@ def write_hdf5(path: Path, arrays: EpisodeArrays) -> None:
                 folder, _, name = key.rpartition("/")
                 parent = group.require_group(folder) if folder else group
                 _write(parent, name, values, compact)
+
+    _write_new(path, fill, libver=("v110", "v110"))
 
 
 def _write(group: Any, name: str, values: np.ndarray, compact: Any) -> None:
@@ -105,7 +126,7 @@ def _contents(episode: Episode) -> dict[str, np.ndarray]:
     layout = episode.layout
     return {
         "observations/observation": episode.states[:, layout.observation],
-        "observations/achieved_goal": episode.states[:, layout.achieved],
+        _ACHIEVED: episode.states[:, layout.achieved],
         "observations/desired_goal": episode.states[:, layout.goal],
         "actions": episode.actions,
         "rewards": episode.rewards,
@@ -144,23 +165,46 @@ def write_tables(
     """Write flat arrays by key, compressed, and attributes of the file.
 
     Raises:
-        MarlMmError: If there is no room for the file.
+        OSError: If there is no room for the file; it names the file.
     """
-    with _new_hdf5(path) as file:
+
+    def fill(file: Any) -> None:
         for key, values in tables.items():
             file.create_dataset(key, data=values, compression="gzip", shuffle=True)
         file.attrs.update(attributes)
 
+    _write_new(path, fill)
 
-@contextmanager
-def _new_hdf5(path: Path, **options: Any) -> Iterator[Any]:
-    try:
-        with h5py.File(path, "w", **options) as file:
-            yield file
-    except (OSError, RuntimeError) as error:  # either, depending on the moment
-        found = re.search("error message = '([^']+)'", str(error))
-        reason = found[1] if found else " ".join(str(error).split())
-        raise MarlMmError(f"cannot write {path.name}: {reason:.160}") from error
+
+def _write_new(path: Path, fill: Callable[[Any], None], **options: Any) -> None:
+    """Write a new HDF5 file, which a function fills, by way of memory.
+
+    On a full disk, HDF5 itself complains on stderr and may end the process. Its own
+    files in memory have other bytes than those on a disk, so it writes one of the
+    operating system's; the driver "stdio" does not mind that it has no path.
+
+    Raises:
+        OSError: If there is no room for the file; it names the file.
+    """
+    limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+    if limit != resource.RLIM_INFINITY and _size(fill, options) > limit:
+        # It holds in memory, too.
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
+    with os.fdopen(os.memfd_create(FILE), "r+b") as memory:
+        name = f"/proc/self/fd/{memory.fileno()}"
+        with h5py.File(name, "w", driver="stdio", **options) as file:
+            fill(file)
+        with named_errors(path), path.open("wb") as disk:
+            shutil.copyfileobj(memory, disk)
+
+
+def _size(fill: Callable[[Any], None], options: Mapping[str, Any]) -> int:
+    """Size of a file before HDF5 cuts what it kept in reserve [bytes]."""
+    nowhere = {"driver": "core", "backing_store": False}
+    with h5py.File(FILE, "w", **nowhere, **options) as file:
+        fill(file)
+        file.flush()
+        return len(file.id.get_file_image())
 
 
 @contextmanager
@@ -170,6 +214,7 @@ def open_hdf5(path: Path) -> Iterator[Any]:
     Raises:
         DatasetError: If the file is damaged, or a part that the block reads.
     """
+    check_regular(path, DatasetError)
     try:
         with h5py.File(path, "r") as file:
             yield file
@@ -196,38 +241,80 @@ def read_hdf5(
     """
     episodes, origins, numbers = [], [], []
     wanted = *episode_fields(layout), *(Field(f"infos/{key}", "number") for key in info)
+    refuse_count(path, total)
     with open_hdf5(path) as file:
         for number in range(total):
-            group = file[f"episode_{number}"]
+            group = opened_group(path, file, f"episode_{number}")
             values = checked(path, group, wanted)
-            attributes = dict(group.attrs)
-            start = np.asarray(attributes[_START])
+            attributes = _Attributes(path, group)
+            states = states_of(values, layout)
+            if (states[:, layout.achieved] != values[_ACHIEVED]).any():
+                raise DatasetError(
+                    f"{path}, episode_{number}: 'achieved_goal' is not what the "
+                    f"observations say of {', '.join(layout.compared)}"
+                )
             episodes.append(
                 Episode(
-                    states=states_of(values, layout),
+                    states=states,
                     actions=values["actions"],
                     rewards=values["rewards"],
                     terminated=values["terminations"],
                     truncated=values["truncations"],
                     info={key: values[f"infos/{key}"] for key in info},
-                    seed=int(attributes["seed"]),
-                    index=int(attributes["index"]),
-                    source=str(attributes["collector"]),
-                    start=start,
+                    seed=attributes.number("seed"),
+                    index=attributes.number("index"),
+                    source=attributes.text("collector"),
+                    start=attributes.start(),
                     layout=layout,
                 )
             )
-            origins.append(str(attributes["source_dataset"]))
-            numbers.append(int(attributes["source_episode"]))
+            origins.append(attributes.text("source_dataset"))
+            numbers.append(attributes.number("source_episode"))
+            if episodes[-1].start.shape != episodes[0].start.shape:
+                raise DatasetError(
+                    f"{path}, episode_{number}: {_START!r} has "
+                    f"{len(episodes[-1].start)} numbers, expected "
+                    f"{len(episodes[0].start)} as in the first"
+                )
     arrays = arrays_of(episodes, "")
     return arrays.named(np.array(origins), np.array(numbers))
 
 
-def achieved_goals(path: Path, total: int) -> np.ndarray:
-    """Achieved goals as the file has them, shape (n + E, g)."""
-    with open_hdf5(path) as file:
-        names = (f"episode_{i}/observations/achieved_goal" for i in range(total))
-        return np.concatenate([file[name][()] for name in names])
+class _Attributes:
+    """Attributes of an episode's group, each of the type that it must have.
+
+    Raises:
+        DatasetError: From each method, if the attribute is missing or of another type.
+    """
+
+    def __init__(self, path: Path, group: Any) -> None:
+        self._path, self._group = path, group
+
+    def number(self, name: str) -> int:
+        """An integer of at most 64 bits."""
+        value = self._group.attrs.get(name)
+        if not isinstance(value, int | np.integer):
+            raise self._refused(name, value, "an integer")
+        return int(value)
+
+    def text(self, name: str) -> str:
+        """A line of text."""
+        value = self._group.attrs.get(name)
+        if not isinstance(value, str) or len(value) > _LINE or not is_printable(value):
+            raise self._refused(name, value, "a line of text")
+        return value
+
+    def start(self) -> np.ndarray:
+        """The robots' configurations, shape (11 R,)."""
+        value = np.asarray(self._group.attrs.get(_START))
+        if value.dtype.kind != "f" or value.ndim != 1 or value.size % ROBOT_NUMBERS:
+            expected = f"{ROBOT_NUMBERS} numbers for each robot"
+            raise self._refused(_START, value, expected)
+        return value
+
+    def _refused(self, name: str, value: Any, expected: str) -> DatasetError:
+        where = f"{self._path}, {self._group.name.removeprefix('/')}"
+        return DatasetError(f"{where}: {name!r} is {value!a:.60}, expected {expected}")
 
 
 def states_of(values: dict[str, np.ndarray], layout: Layout) -> np.ndarray:
@@ -236,22 +323,102 @@ def states_of(values: dict[str, np.ndarray], layout: Layout) -> np.ndarray:
     return layout.state_of(values["observations/observation"], goal)
 
 
-def episode_groups(file: Any) -> list[Any]:
-    """Groups of Minari's episodes in a file, in order; empty for other formats."""
+def is_of_episodes(file: Any) -> bool:
+    """Whether an open file has Minari's episodes."""
+    return any(re.fullmatch(r"episode_\d+", name) for name in file)
+
+
+def episode_groups(path: Path, file: Any) -> Iterator[Any]:
+    """Groups of Minari's episodes in an open file, in order.
+
+    Raises:
+        DatasetError: If there are more than the file can hold, or one is a link.
+    """
     names = [name for name in file if re.fullmatch(r"episode_\d+", name)]
-    return [file[name] for name in sorted(names, key=lambda name: int(name[8:]))]
+    refuse_count(path, len(names))
+    for name in sorted(names, key=lambda name: int(name[8:])):
+        yield opened_group(path, file, name)
 
 
-def optional(group: Any, key: str) -> np.ndarray | None:
+def refuse_count(path: Path, total: int) -> None:
+    """Raise for more episodes than a file can hold.
+
+    Raises:
+        DatasetError: If it would be too small for so many.
+    """
+    size = check_regular(path, DatasetError)
+    if total > size / _LEAST_EPISODE:
+        raise DatasetError(f"{path} has {size:,} bytes, too few for {total:,} episodes")
+
+
+def opened_group(path: Path, parent: Any, name: str) -> Any:
+    """A group within another.
+
+    Raises:
+        DatasetError: If it is missing, or a link.
+    """
+    group = parent[name] if _has(path, parent, name) else None
+    if not isinstance(group, h5py.Group):
+        raise DatasetError(f"{path} has no group {name!r}")
+    return group
+
+
+def optional(path: Path, group: Any, key: str) -> np.ndarray | None:
     """The array of numbers of this key; None if there is none."""
-    node = group.get(key)
-    if not isinstance(node, h5py.Dataset) or node.dtype.kind not in _KINDS["number"]:
+    if not _has(path, group, key) or not isinstance(group[key], h5py.Dataset):
         return None
-    return np.asarray(node[()])
+    node = _opened(path, group, key)
+    return _values(path, group, key, node) if node.dtype.kind in "fiub" else None
 
 
-def _has(group: Any, key: str) -> bool:
-    return isinstance(group.get(key), h5py.Dataset)
+def _has(path: Path, group: Any, key: str) -> bool:
+    """Whether a group has something of this key.
+
+    Raises:
+        DatasetError: If a part of the key is a link to another place or file.
+    """
+    parts = key.split("/")
+    for count in range(1, len(parts) + 1):
+        name = "/".join(parts[:count]).encode()
+        if not group.id.links.exists(name):
+            return False
+        if group.id.links.get_info(name).type != h5py.h5l.TYPE_HARD:
+            raise DatasetError(
+                f"{path}, {_where(group, key)} is a link to another place, expected "
+                "the array itself"
+            )
+    return True
+
+
+def _where(group: Any, key: str) -> str:
+    return f"{group.name}/{key}".lstrip("/")
+
+
+def _opened(path: Path, group: Any, key: str) -> Any:
+    """An array's node, which is stored in this file; a KeyError without one."""
+    if not _has(path, group, key):
+        raise KeyError(key)
+    node = h5py.h5d.open(group.id, key.encode())  # the fast way
+    how = node.get_create_plist()
+    if how.get_layout() == h5py.h5d.VIRTUAL or how.get_external_count():
+        raise DatasetError(
+            f"{path}, {_where(group, key)} is stored in other files, expected all data "
+            "in this one"
+        )
+    return node
+
+
+def _values(path: Path, group: Any, key: str, node: Any) -> np.ndarray:
+    """An array's values."""
+    size = math.prod(node.shape) * node.dtype.itemsize
+    if size > most_unpacked(path.stat().st_size):
+        raise DatasetError(
+            f"{path}, {_where(group, key)} has {size:,} bytes unpacked, too many for "
+            f"the file's {path.stat().st_size:,}"
+        )
+    value = np.empty(node.shape, node.dtype)
+    node.read(h5py.h5s.ALL, h5py.h5s.ALL, value)
+    return value
 
 
 def checked(path: Path, group: Any, wanted: tuple[Field, ...]) -> dict[str, np.ndarray]:
@@ -271,9 +438,10 @@ def checked(path: Path, group: Any, wanted: tuple[Field, ...]) -> dict[str, np.n
     steps = 0
     for field in ordered:
         try:
-            node = h5py.h5d.open(group.id, field.key.encode())  # the fast way
+            node = _opened(path, group, field.key)
         except KeyError:
-            missing = [repr(item.key) for item in wanted if not _has(group, item.key)]
+            keys = [item.key for item in wanted]
+            missing = [repr(key) for key in keys if not _has(path, group, key)]
             raise DatasetError(f"{where} has no array {', '.join(missing)}") from None
         shape, kind = node.shape, node.dtype
         if kind.kind not in _KINDS[field.kind]:
@@ -289,8 +457,7 @@ def checked(path: Path, group: Any, wanted: tuple[Field, ...]) -> dict[str, np.n
             raise DatasetError(
                 f"{where}: {field.key!r} has shape {shape}, expected {wanted_shape}"
             )
-        value = np.empty(shape, kind)
-        node.read(h5py.h5s.ALL, h5py.h5s.ALL, value)
+        value = _values(path, group, field.key, node)
         if field.kind == "float" and not np.isfinite(value).all():
             raise DatasetError(f"{where}: {field.key!r} holds a NaN or an infinity")
         values[field.key] = value

@@ -1,6 +1,5 @@
 """Import of files of others: Minari's episodes or flat HDF5 arrays."""
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,10 +11,12 @@ import numpy as np
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
 from marl_mm.datasets.hdf5 import (
     FILE,
+    ROBOT_NUMBERS,
     Field,
     checked,
     episode_fields,
     episode_groups,
+    is_of_episodes,
     open_hdf5,
     optional,
     states_of,
@@ -26,6 +27,7 @@ from marl_mm.episode import IMPORTED, Episode
 from marl_mm.errors import DatasetError, UsageError, WorkerDiedError
 from marl_mm.layout import Layout
 from marl_mm.layout_diff import refuse_other_layout
+from marl_mm.received import check_regular, parse_json, read_json, refuse_links_out
 from marl_mm.registry import Registry
 from marl_mm.version1 import dataset_layout
 from marl_mm.workers import apart
@@ -120,18 +122,19 @@ def read_foreign(path: Path, dataset_id: str, task: str | None = None) -> Foreig
         DatasetError: If the file cannot be read, or holds impossible values. The
             message names the key, what was got and what was expected.
     """
-    for inner in (path / "data" / FILE, path / FILE):
-        if inner.exists():
-            path = inner
-    if not path.is_file():
+    for name in (f"data/{FILE}", FILE):
+        if (path / name).exists():
+            refuse_links_out(path, (name, "data/metadata.json"), DatasetError)
+            path = path / name
+    if path.is_dir() or not path.exists():
         what = "is a folder without" if path.is_dir() else "does not exist, nor"
         raise UsageError(
             f"{path} {what} {FILE}: expected an HDF5 file or a Minari dataset's folder"
         )
+    size = check_regular(path, DatasetError)
     if not h5py.is_hdf5(path):
-        size = path.stat().st_size
         raise DatasetError(f"{path} is no HDF5 file, or a damaged one ({size} bytes)")
-    seconds = _PATIENCE + path.stat().st_size / _SLOWEST
+    seconds = _PATIENCE + size / _SLOWEST
     try:
         name = task or apart(_task_of, path, seconds) or DEFAULT
         arrays = apart(_read, (path, dataset_id, name), seconds)
@@ -172,10 +175,9 @@ def _metadata(path: Path, file: Any) -> Mapping[str, Any]:
     """Attributes of a file, or our metadata beside it."""
     if "task" in file.attrs:
         return dict(file.attrs)
-    try:
-        ours = json.loads((path.parent / "metadata.json").read_text())["marl_mm"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return {}
+    beside = path.parent / "metadata.json"
+    metadata = read_json(beside, DatasetError) if beside.exists() else None
+    ours = metadata.get("marl_mm") if isinstance(metadata, dict) else None
     return ours if isinstance(ours, dict) else {}
 
 
@@ -184,7 +186,9 @@ def _layout(metadata: Mapping[str, Any]) -> Layout | None:
     layout = metadata.get("layout")
     if layout is None:
         return dataset_layout(metadata) if "state" in metadata else None
-    return Layout.from_json(json.loads(layout) if isinstance(layout, str) else layout)
+    if isinstance(layout, str):
+        layout = parse_json(layout, "the layout in the file", DatasetError)
+    return Layout.from_json(layout)
 
 
 def _episode(
@@ -192,7 +196,7 @@ def _episode(
 ) -> Episode:
     """An episode of Minari's format with goal-dictionary observations."""
     values = checked(path, group, episode_fields(layout))
-    info = {key: optional(group, f"infos/{key}") for key in names}
+    info = {key: optional(path, group, f"infos/{key}") for key in names}
     seed = group.attrs.get("seed", -1)
     return _built(
         number,
@@ -208,7 +212,7 @@ def _episode(
 
 
 def _minari(path: Path, file: Any, layout: Layout, names: list[str]) -> list[Episode]:
-    groups = enumerate(episode_groups(file))
+    groups = enumerate(episode_groups(path, file))
     return [_episode(path, i, group, layout, names) for i, group in groups]
 
 
@@ -304,7 +308,7 @@ def _built(
         seed=seed,
         index=number,
         source=IMPORTED,
-        start=np.full(11, np.nan),
+        start=np.full(ROBOT_NUMBERS, np.nan),
         layout=layout,
     )
 
@@ -331,7 +335,7 @@ IMPORTS.add(
     "minari",
     ImportForm(
         about="Minari's episodes with goal-dictionary observations.",
-        fits=lambda file: bool(episode_groups(file)),
+        fits=is_of_episodes,
         episodes=_minari,
     ),
 )

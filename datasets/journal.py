@@ -18,6 +18,7 @@ from marl_mm.datasets.location import datasets_root
 from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError, MarlMmError
 from marl_mm.layout import Layout
+from marl_mm.received import check_kind, check_regular, parse_json
 
 FILE = "episodes.sqlite"
 
@@ -41,7 +42,16 @@ def begun() -> dict[str, int | None]:
 def noted(folder: Path) -> dict[str, Any] | None:
     """The record of a collection; None if nothing was begun, or it cannot be read."""
     text = _asked(folder, "select text from about")
-    return None if text is None else json.loads(text)
+    return None if text is None else _record(text, folder / FILE)
+
+
+def _record(text: Any, path: Path) -> dict[str, Any]:
+    if not isinstance(text, str):
+        raise DatasetError(f"{path} is damaged: its record is {text!r:.60}")
+    value = parse_json(text, str(path), DatasetError)
+    check_kind(value, dict[str, Any], str(path), DatasetError)
+    record: dict[str, Any] = value
+    return record
 
 
 def _asked(folder: Path, question: str) -> Any:
@@ -49,10 +59,18 @@ def _asked(folder: Path, question: str) -> Any:
     address = f"{(folder / FILE).absolute().as_uri()}?mode=rw"  # does not create it
     try:
         with closing(sqlite3.connect(address, uri=True)) as file:
+            _refuse_programs(file, folder / FILE)
             row = file.execute(question).fetchone()
-    except sqlite3.DatabaseError:
+    except (sqlite3.DatabaseError, DatasetError):
         return None
     return None if row is None else row[0]
+
+
+def _refuse_programs(file: sqlite3.Connection, path: Path) -> None:
+    """Raise for a file whose tables are computed when they are read."""
+    question = "select count(*) from sqlite_master where type not in ('table', 'index')"
+    if file.execute(question).fetchone()[0]:
+        raise DatasetError(f"{path} is damaged: it holds more than tables")
 
 
 class Journal:
@@ -69,8 +87,11 @@ class Journal:
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self._path = folder / FILE
+        if self._path.exists():
+            check_regular(self._path, DatasetError)
         with self._errors():
             self._file = sqlite3.connect(self._path)
+            _refuse_programs(self._file, self._path)
             self._file.execute("create table if not exists about (text)")
             self._file.execute(
                 "create table if not exists episodes (number integer primary key, npz)"
@@ -86,7 +107,7 @@ class Journal:
         """The record of the collection; None if nothing was begun."""
         with self._errors():
             row = self._file.execute("select text from about").fetchone()
-        return None if row is None else json.loads(row[0])
+        return None if row is None else _record(row[0], self._path)
 
     def begin(self, about: dict[str, Any]) -> None:
         """Delete everything and store the record of a collection."""
@@ -125,10 +146,10 @@ class Journal:
             rows = self._file.execute("select number, npz from episodes").fetchall()
         try:
             return {
-                number: load_arrays(io.BytesIO(blob), layout).episode(0)
+                int(number): load_arrays(io.BytesIO(blob), layout).episode(0)
                 for number, blob in rows
             }
-        except DatasetError as error:
+        except (DatasetError, TypeError, ValueError) as error:
             raise DatasetError(
                 f"an episode in {self._path} is damaged: start anew with "
                 "`overwrite=True`"

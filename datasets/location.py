@@ -15,7 +15,9 @@ from marl_mm.errors import UsageError
 SHIPPED = "marl_mm/reach/good-5k-v0"
 """Id of the dataset that ships; its first use writes it below the root."""
 
-_ID = re.compile(r"([a-zA-Z0-9_-]{2,}/)+[a-zA-Z0-9_-]+-v\d+")
+ID = re.compile(r"([a-zA-Z0-9_-]{2,}/)+[a-zA-Z0-9_-]+-v\d+")
+"""Form of ids."""
+
 _WORD = re.compile(r"[a-zA-Z0-9_][a-zA-Z0-9_-]*")
 
 
@@ -62,11 +64,11 @@ def locate(text: str) -> Location:
         raise UsageError("the dataset's name is empty, expected an id or a path")
     if _WORD.fullmatch(text):
         text = f"marl_mm/reach/{_versioned(text)}"
-    if _ID.fullmatch(text):
+    if ID.fullmatch(text):
         return Location(text, datasets_root() / text)
     if text.startswith("marl_mm/"):
         raise UsageError(f"{text!r} looks like an id without its version, as in -v0")
-    folder = Path(text).expanduser().resolve()
+    folder = _absolute(Path(text).expanduser())
     if folder.name == "data" and (folder / "metadata.json").exists():
         folder = folder.parent
     name = re.sub(r"[^a-zA-Z0-9_-]", "-", folder.name)
@@ -92,6 +94,13 @@ def known_ids() -> list[str]:
     found = root.glob("**/data/metadata.json") if root.exists() else []
     folders = (path.parent.parent.relative_to(root) for path in found)
     return sorted(f.as_posix() for f in folders if not f.name.startswith("."))
+
+
+def _absolute(path: Path) -> Path:
+    """The path with links resolved, but for the last one, which can be deleted."""
+    if path.name in ("", "..") or not path.is_symlink():
+        return path.resolve()
+    return path.parent.resolve() / path.name
 
 
 def _versioned(name: str) -> str:

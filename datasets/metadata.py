@@ -12,14 +12,37 @@ from typing import Any
 import numpy as np
 
 from marl_mm.datasets.arrays import EpisodeArrays
+from marl_mm.datasets.hdf5 import FILE
 from marl_mm.datasets.journal import FILE as JOURNAL
-from marl_mm.datasets.location import SHIPPED, Location, datasets_root, known_ids
+from marl_mm.datasets.location import ID, SHIPPED, Location, datasets_root, known_ids
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.reference import reference_scores
 from marl_mm.errors import DatasetError, LayoutError, UnknownDatasetError
 from marl_mm.layout import Layout
+from marl_mm.received import check_kind, read_json, refuse_links_out
 from marl_mm.version1 import dataset_layout
 from marl_mm.versions import versions
+
+OWN_FILES = (
+    "data",
+    f"data/{FILE}",
+    "data/metadata.json",
+    "cache",
+    "card.json",
+    "card.md",
+    "card.png",
+)
+"""Files and folders that a dataset's folder may hold. ``cache``, with arrays in it, is
+of version 1 and ignored."""
+
+_MINARI: dict[str, Any] = {"dataset_id": str, "total_episodes": int, "total_steps": int}
+_OURS: dict[str, Any] = {
+    "data_sha256": str,
+    "episodes": int,
+    "steps": int,
+    "statistics": dict[str, list[float]],
+}
+"""Types of Minari's fields and ours that are read, beside layout and provenance."""
 
 SCHEMA = 3
 """Version of our metadata; version 2 had no layout, and is read, too."""
@@ -41,12 +64,9 @@ def read_metadata(location: Location) -> dict[str, Any]:
             f"{location.folder} is {kind} and no dataset of marl_mm; marl-mm datasets "
             "import takes HDF5 files of others"
         )
+    refuse_links_out(location.folder, OWN_FILES, DatasetError)
     path = location.data / "metadata.json"
-    try:
-        metadata: dict[str, Any] = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise DatasetError(f"cannot read {path}: {reason}") from error
+    metadata: dict[str, Any] = read_json(path, DatasetError)
     ours = metadata.get("marl_mm") if isinstance(metadata, dict) else None
     schema = ours.get("schema") if isinstance(ours, dict) else None
     if not isinstance(ours, dict) or schema not in (2, SCHEMA):
@@ -59,6 +79,16 @@ def read_metadata(location: Location) -> dict[str, Any]:
             f"{path} is damaged: it is not as it was written; marl-mm datasets import "
             "takes files that were changed on purpose"
         )
+    for values, kinds in ((metadata, _MINARI), (ours, _OURS)):
+        for name, expected in kinds.items():
+            check_kind(values.get(name), expected, f"{path}: {name}", DatasetError)
+    check_kind(ours.get("info", []), list[str], f"{path}: info", DatasetError)
+    if not ID.fullmatch(metadata["dataset_id"]) or not 1 <= ours["episodes"]:
+        raise DatasetError(
+            f"{path}: dataset_id is {metadata['dataset_id']!r} and episodes "
+            f"{ours['episodes']}, expected an id such as {SHIPPED} and at least 1"
+        )
+    Provenance.from_json(ours)
     return metadata
 
 

@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, get_type_hints
 
 from marl_mm.errors import DatasetError
+from marl_mm.received import check_kind
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,11 +135,10 @@ class Provenance:
             found = cls(**filled)
         except (TypeError, AttributeError) as error:
             raise DatasetError(f"metadata.json: {error}") from error
-        if not isinstance(found.task, str) or not isinstance(found.overrides, Mapping):
-            raise DatasetError(
-                f"metadata.json: task is {found.task!r} and overrides "
-                f"{found.overrides!r}, expected a name and a mapping"
-            )
+        for record in (found, *found.origins.values()):
+            for name, kind in get_type_hints(type(record)).items():
+                where = f"metadata.json: {name}"
+                check_kind(getattr(record, name), kind, where, DatasetError)
         return found
 
 

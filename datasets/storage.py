@@ -1,11 +1,8 @@
-"""The folder of a dataset: Minari's ``data/``, our metadata in it, and a cache.
+"""The folder of a dataset: Minari's ``data/``, our metadata in it, and the card.
 
 The stored form is joint: goal-dictionary observations, joint actions, team rewards.
-``cache/`` holds the same episodes as flat arrays, named after the data's hash. It is
-written with the dataset, and again if it is missing.
 """
 
-import hashlib
 import re
 from copy import deepcopy
 from pathlib import Path
@@ -15,36 +12,24 @@ import gymnasium
 from gymnasium.envs.registration import EnvSpec
 from minari.dataset.minari_storage import MinariStorage
 
-from marl_mm.datasets.arrays import EpisodeArrays, load_arrays, save_arrays
-from marl_mm.datasets.hdf5 import FILE, read_hdf5, write_hdf5
+from marl_mm.datasets import cache
+from marl_mm.datasets.arrays import EpisodeArrays
+from marl_mm.datasets.convert import read_apart
+from marl_mm.datasets.hdf5 import FILE, write_hdf5
 from marl_mm.datasets.location import Location, datasets_root
-from marl_mm.datasets.metadata import layout_in, new_metadata, sign_metadata
+from marl_mm.datasets.metadata import (
+    OWN_FILES,
+    layout_in,
+    new_metadata,
+    sign_metadata,
+)
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.envs.registry import TASKS
 from marl_mm.episode import INFO
 from marl_mm.errors import DatasetError, UsageError
-from marl_mm.files import (
-    new_file,
-    new_folder,
-    only_here,
-    refuse_existing,
-    write_json,
-)
-from marl_mm.layout import Layout
+from marl_mm.files import new_folder, only_here, refuse_existing, write_json
+from marl_mm.received import file_digest
 from marl_mm.spaces import action_space, goal_observation_space
-
-OWN_FILES = frozenset(
-    {
-        "data",
-        f"data/{FILE}",
-        "data/metadata.json",
-        "cache",
-        "card.json",
-        "card.md",
-        "card.png",
-    }
-)
-"""Files and folders that a dataset's folder may hold, beside arrays in the cache."""
 
 
 def write_dataset(
@@ -80,7 +65,7 @@ def write_dataset(
         path = temporary / "data" / FILE
         path.unlink()
         write_hdf5(path, arrays)
-        digest = file_digest(path)
+        digest = file_digest(path, DatasetError)
         storage.update_metadata(
             {
                 "total_episodes": len(arrays),
@@ -90,7 +75,7 @@ def write_dataset(
             }
         )
         sign_metadata(temporary / "data" / "metadata.json")
-        _write_cache(temporary, digest, arrays)
+    cache.keep(_key(digest, arrays), arrays)
 
 
 def write_alone(
@@ -163,60 +148,30 @@ def read_arrays(
     Args:
         location: Id and folder of the dataset.
         metadata: Result of ``read_metadata``.
-        cached: Whether to read the cache first, and write it if it is missing.
+        cached: Whether to look into the user's cache first.
 
     Raises:
         DatasetError: If the data are not as they were written.
     """
-    path = location.data / FILE
-    expected = metadata["marl_mm"]["data_sha256"]
-    try:
-        digest = file_digest(path)
-    except OSError as error:
-        raise DatasetError(f"cannot read {path}: {error.strerror}") from error
-    if digest != expected:
+    path, ours = location.data / FILE, metadata["marl_mm"]
+    digest = file_digest(path, DatasetError)
+    if digest != ours["data_sha256"]:
         raise DatasetError(
             f"{path} is damaged: its {path.stat().st_size} bytes are not those that "
             f"were written; delete it with marl-mm datasets delete {location.name} and "
             "make it again"
         )
-    layout, ours = layout_in(metadata), metadata["marl_mm"]
-    if cached and (found := _read_cache(location.folder, digest, layout)) is not None:
-        return found
-    arrays = read_hdf5(path, ours["episodes"], layout, ours.get("info", list(INFO)))
-    if cached:
-        try:
-            _write_cache(location.folder, digest, arrays)
-        except OSError:  # somebody else's folder, or a full disk: it works without
-            pass
+    names = tuple(ours.get("info", INFO))
+    key = cache.Key(digest, ours["episodes"], names, layout_in(metadata))
+    arrays = cache.cached(key) if cached else None
+    if arrays is None:
+        arrays = read_apart(path, key.episodes, key.layout, key.info)
+        cache.keep(key, arrays)
     return arrays
 
 
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file's bytes, in hex digits."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def cache_file(folder: Path, digest: str) -> Path:
-    """Path of the flat arrays of data with this hash."""
-    return folder / "cache" / f"{digest[:16]}.npz"
-
-
-def _read_cache(folder: Path, digest: str, layout: Layout) -> EpisodeArrays | None:
-    path = cache_file(folder, digest)
-    try:
-        return load_arrays(path, layout) if path.exists() else None
-    except DatasetError:  # it is only a cache
-        return None
-
-
-def _write_cache(folder: Path, digest: str, arrays: EpisodeArrays) -> None:
-    path = cache_file(folder, digest)
-    for old in path.parent.glob("*.npz"):
-        old.unlink()
-    with new_file(path) as temporary:
-        save_arrays(temporary, arrays, compress=False)
+def _key(digest: str, arrays: EpisodeArrays) -> cache.Key:
+    return cache.Key(digest, len(arrays), tuple(arrays.info), arrays.layout)
 
 
 def _name_namespaces(location: Location) -> None:

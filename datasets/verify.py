@@ -1,22 +1,23 @@
 """Checks of a dataset's files, without the simulator."""
 
 import json
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
-from marl_mm.datasets.arrays import EpisodeArrays, load_arrays
-from marl_mm.datasets.hdf5 import FILE, achieved_goals
+from marl_mm.datasets.arrays import EpisodeArrays
+from marl_mm.datasets.card import kept_card
+from marl_mm.datasets.dataset import Dataset
 from marl_mm.datasets.location import Location
 from marl_mm.datasets.metadata import read_metadata, statistics
-from marl_mm.datasets.storage import cache_file, file_digest, read_arrays
+from marl_mm.datasets.storage import read_arrays
 from marl_mm.episode import IMPORTED
 from marl_mm.errors import DatasetError
+from marl_mm.received import read_json
 
 
 def verify(location: Location) -> list[str]:
-    """Check schema, hashes, finiteness, ranges, ends, cache and card of a dataset.
+    """Check schema, hashes, finiteness, ranges, ends and card of a dataset.
 
     Returns:
         One line per problem; empty if all is well.
@@ -33,9 +34,7 @@ def verify(location: Location) -> list[str]:
         *_counts(arrays, metadata),
         *problems_of(arrays),
         *_infos(arrays),
-        *_achieved(arrays, location),
-        *_cache(arrays, location),
-        *_card(location),
+        *_card(Dataset(location, metadata, arrays)),
     ]
 
 
@@ -87,13 +86,6 @@ def _infos(arrays: EpisodeArrays) -> list[str]:
     return [f"{n} values of infos/{key} are NaN" for key, n in counts.items() if n]
 
 
-def _achieved(arrays: EpisodeArrays, location: Location) -> list[str]:
-    achieved = achieved_goals(location.data / FILE, len(arrays))
-    count = (achieved != arrays.states[:, arrays.layout.achieved]).any(axis=1).sum()
-    text = "achieved goals are not where the hand, or the block, is"
-    return [f"{count} {text}"] if count else []
-
-
 def _ends(arrays: EpisodeArrays) -> list[str]:
     last = np.zeros(arrays.steps, bool)
     last[np.cumsum(arrays.lengths) - 1] = True
@@ -110,35 +102,14 @@ def _ends(arrays: EpisodeArrays) -> list[str]:
     return [f"{count} {text}" for text, count in checks.items() if count]
 
 
-def _cache(arrays: EpisodeArrays, location: Location) -> list[str]:
-    path = cache_file(location.folder, file_digest(location.data / FILE))
+def _card(dataset: Dataset) -> list[str]:
+    """Problems of the card, which may be missing."""
+    path = dataset.location.folder / "card.json"
     if not path.exists():
         return []
+    again = f"marl-mm datasets show {dataset.location.name} writes it again"
     try:
-        cached = load_arrays(path, arrays.layout)
+        kept = read_json(path, DatasetError)
     except DatasetError as error:
-        return [str(error)]
-    others = ("info", "layout")
-    names = [field.name for field in fields(arrays) if field.name not in others]
-    pairs = [(getattr(arrays, name), getattr(cached, name)) for name in names]
-    pairs += [(arrays.info[key], cached.info.get(key)) for key in arrays.info]
-    equal = all(other is not None and _same(own, other) for own, other in pairs)
-    return [] if equal else [f"{path} is not what the data are: delete it"]
-
-
-def _card(location: Location) -> list[str]:
-    path = location.folder / "card.json"
-    try:
-        if path.exists():
-            json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        again = f"marl-mm datasets show {location.name} writes it again"
-        return [f"{path} is damaged ({error}): {again}"]
-    return []
-
-
-def _same(own: np.ndarray, other: np.ndarray) -> bool:
-    """Whether arrays are equal to the bit; texts may differ in their width."""
-    if own.dtype.kind == "U":
-        return np.array_equal(own, other)
-    return own.shape == other.shape and own.tobytes() == other.tobytes()
+        return [f"{error}: {again}"]
+    return [] if kept == kept_card(dataset) else [f"{path} is of other data: {again}"]

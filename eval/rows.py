@@ -6,13 +6,15 @@ import io
 import json
 import lzma
 import math
-from collections.abc import Callable, Sequence
+import zlib
+from collections.abc import Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-from marl_mm.errors import UsageError
+from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.files import new_file
+from marl_mm.received import check_plain, check_regular, most_unpacked
 
 _XZ = (
     {
@@ -25,9 +27,12 @@ _XZ = (
 )
 """Filters of ``lzma`` for text that is mostly digits."""
 
+_XZ_MEMORY = 100_000_000
+"""Most memory for unpacking [bytes]."""
 
-_OPENED: dict[str, Callable[..., IO[str]]] = {".xz": lzma.open, ".gz": gzip.open}
-"""Functions that open compressed files, by their suffix."""
+
+_ROWS_BYTES = 1_000_000_000
+"""Largest size of unpacked rows [bytes]."""
 
 
 def older_file(path: Path) -> Path:
@@ -99,13 +104,46 @@ def read_rows(path: Path) -> list[Row]:
 
     Raises:
         UsageError: If there is no such file.
+        MarlMmError: If it is damaged.
     """
     if not has_rows(path):
         raise UsageError(f"there is no {path} to draw from")
     if not path.exists():
         path = older_file(path)
-    with _OPENED.get(path.suffix, open)(path, "rt", newline="") as file:
-        return [_typed(row) for row in csv.DictReader(file)]
+    size = check_regular(path, MarlMmError)
+    most = min(most_unpacked(size), _ROWS_BYTES)
+    try:
+        text = _unpacked(path, most).decode()
+        check_plain(text.replace("\r\n", "\n"), "it", MarlMmError)
+        rows = list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
+        for number, row in enumerate(rows, 1):
+            if None in row or None in row.values():
+                raise ValueError(f"row {number} has not as many values as the first")
+        return [_typed(row) for row in rows]
+    except _DAMAGE as error:
+        reason = str(error) or type(error).__name__
+        raise MarlMmError(f"{path} is damaged ({reason:.120})") from error
+
+
+_DAMAGE = (
+    *(OSError, EOFError, ValueError, KeyError, MemoryError),
+    *(csv.Error, zlib.error, lzma.LZMAError, MarlMmError),
+)
+"""Exceptions that reading damaged rows raises."""
+
+
+def _unpacked(path: Path, most: int) -> bytes:
+    """A file's bytes, unpacked if it is compressed."""
+    packed = path.read_bytes()
+    if path.suffix not in (".xz", ".gz"):
+        return packed
+    unpacker: Any = zlib.decompressobj(wbits=31)
+    if path.suffix == ".xz":
+        unpacker = lzma.LZMADecompressor(memlimit=_XZ_MEMORY)
+    data: bytes = unpacker.decompress(packed, most)
+    if not unpacker.eof:
+        raise ValueError(f"cut off, or more than {most:,} bytes unpacked")
+    return data
 
 
 def _typed(row: dict[str, str]) -> Row:

@@ -6,7 +6,6 @@ from typing import Any
 
 from markdown_it import MarkdownIt
 from rich.box import SIMPLE_HEAD
-from rich.markup import escape
 from rich.table import Table
 
 from marl_mm.eval.evaluate import Evaluation
@@ -63,8 +62,9 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def markdown_html(text: str) -> str:
-    """Markdown with tables as HTML; HTML in it is shown as text."""
-    page: str = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
+    """Markdown with tables as HTML; HTML and pictures in it are shown as text."""
+    parser = MarkdownIt("commonmark", {"html": False}).enable("table").disable("image")
+    page: str = parser.render(text)
     return page
 
 
@@ -127,7 +127,7 @@ def evaluation_table(evaluations: Sequence[Evaluation], width: int = 80) -> Tabl
         max(map(len, column)) + 1 for column in list(zip(heads, *rows, strict=True))[1:]
     )
     room = max(width, 80) - 2 - sum(rest)  # the edges
-    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=escape(_CAPTION))
+    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=_CAPTION)
     for column, head in enumerate(heads):
         table.add_column(head, justify="left" if column < 2 else "right", no_wrap=True)
     for name, goals, *numbers in rows:

@@ -1,5 +1,6 @@
 """The command line: finds a command, runs it, and turns errors into one line."""
 
+import errno
 import importlib
 import os
 import signal
@@ -9,11 +10,13 @@ from collections.abc import Sequence
 from marl_mm.commands.wording import as_options
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.interrupts import end_on_signals
+from marl_mm.received import printable
 
 COMMANDS = {
     "quickstart": "collect, train and evaluate in a few minutes, with a report",
     "collect": "collect a dataset with a scripted or a learnt policy",
     "datasets": "list, show, mix, split, filter, verify, export, import, delete",
+    "cache": "show or clear what was derived from datasets",
     "train": "train a policy: from a dataset, or online",
     "runs": "list runs with their scores",
     "eval": "evaluate runs and scripted policies on fixed goals",
@@ -23,7 +26,7 @@ COMMANDS = {
     "ablate": "reproduce figures and tables, training the runs they need",
     "report": "all tables and figures on one page",
     "bench": "measure the controller, and the speed of training and data",
-    "check": "whether a plug-in keeps to what the package promises of its own",
+    "check": "whether a plug-in keeps its promises; whether files are whole and safe",
 }
 """Each command is a module of ``marl_mm.commands``, imported when it is called."""
 
@@ -50,6 +53,9 @@ ABOUT_COMPLETION = (
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
 
+_UNWRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
+"""Errors of writing to an open file."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``marl-mm`` and return its exit code: 0, 1 failure, 2 usage, 130 Ctrl-C."""
@@ -66,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return 0
     except OSError as error:  # disk full, no permission
-        _complain(f"{error.strerror or error}: {error.filename or 'standard output'}")
+        _complain(_in_words(error))
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return MarlMmError.exit_code
     except KeyboardInterrupt as error:
@@ -147,8 +153,16 @@ def _print(text: str) -> None:
     sys.stdout.write(text + "\n")
 
 
+def _in_words(error: OSError) -> str:
+    """What the operating system refused, and where: files that we write have names."""
+    where = error.filename
+    if where is None and error.errno in _UNWRITTEN:
+        where = "standard output"
+    return f"{error.strerror or error}" + (f": {where}" if where else "")
+
+
 def _complain(text: str) -> None:
-    sys.stderr.write(f"marl-mm: {as_options(text)}\n")
+    sys.stderr.write(f"marl-mm: {printable(as_options(text))}\n")
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from marl_mm.errors import LayoutError
+from marl_mm.received import is_printable
 
 JOINT_NAME = "joint"
 """Name of the single actor of algorithms without agents."""
@@ -22,6 +23,9 @@ _RESERVED = (
     *("state", "next_state", "rewards", "terminals", "timeouts", "episodes"),
 )
 """Names that agents may not have: logs, checkpoints and exported files use them."""
+
+MAX_ENTRIES = 1_000
+"""Largest number of entries of a list in a layout that comes from a file."""
 
 MAX_AGENTS = 8
 """Largest number of agents in a layout."""
@@ -263,6 +267,10 @@ class Layout:
             LayoutError: If they are no layout.
         """
         try:
+            agents = values["agents"]
+            lists = [*values.values(), *(names for agent in agents for names in agent)]
+            if max(map(len, lists)) > MAX_ENTRIES:
+                raise LayoutError(f"expected at most {MAX_ENTRIES:,} entries")
             return cls(
                 tuple(_entry_from_json(*entry) for entry in values["state"]),
                 tuple(_entry_from_json(*entry) for entry in values["action"]),
@@ -341,6 +349,8 @@ def _entry_to_json(entry: Entry) -> list[Any]:
 def _entry_from_json(
     name: str, unit: str, low: float | None, high: float | None
 ) -> Entry:
+    if not is_printable(str(unit)):
+        raise LayoutError(f"entry {name!r} has the unit {unit!a}, expected a text")
     return Entry(
         str(name),
         str(unit),

@@ -40,15 +40,19 @@ def process_context(module: str) -> ForkServerContext:
 @contextmanager
 def _of_this_package() -> Iterator[None]:
     """A server started here imports this package, not one in the working folder."""
-    package = str(Path(__file__).resolve().parents[1])
     saved = {name: os.environ.get(name) for name in (*_CHANGED, SAVED)}
-    path = filter(None, (package, os.environ.get("PYTHONPATH")))
-    changed = dict(zip(_CHANGED, ("1", os.pathsep.join(path)), strict=True))
-    set_variables({**changed, SAVED: json.dumps(saved)})
+    set_variables({**importing_this(), SAVED: json.dumps(saved)})
     try:
         yield
     finally:
         set_variables(saved)
+
+
+def importing_this() -> dict[str, str]:
+    """Environment variables with which a new Python process imports this package."""
+    package = str(Path(__file__).resolve().parents[1])
+    path = filter(None, (package, os.environ.get("PYTHONPATH")))
+    return dict(zip(_CHANGED, ("1", os.pathsep.join(path)), strict=True))
 
 
 def set_variables(values: Mapping[str, str | None]) -> None:

@@ -39,7 +39,7 @@ class _Elastic(TextColumn):
     """Column of text that is cut off in narrow terminals, so that numbers are not."""
 
     def __init__(self, form: str) -> None:
-        super().__init__(form, table_column=Column(no_wrap=False))
+        super().__init__(form, markup=False, table_column=Column(no_wrap=False))
 
     def render(self, task: Task) -> Text:
         """The text in one line."""

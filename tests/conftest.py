@@ -40,6 +40,12 @@ OpenWorld = Callable[..., EpisodeCore]
 Situation = tuple[RobotState, ModelTerms, Reference]
 
 
+@pytest.fixture(autouse=True, scope="session")
+def cache_home(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Derived data go into a folder of the tests."""
+    os.environ["MARL_MM_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+
+
 @pytest.fixture
 def registries() -> Iterator[None]:
     """Nothing stays registered, loaded or open after the test."""

@@ -1,6 +1,5 @@
 """All results on one page of HTML, which needs nothing else: no network, no files."""
 
-import json
 from base64 import b64encode
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from marl_mm.eval.studies.paper import NOTE
 from marl_mm.eval.studies.table import Table
 from marl_mm.eval.studies.targets import STUDIES
 from marl_mm.eval.tables import markdown_html, markdown_table, rows_table
+from marl_mm.received import read_json, read_text
 from marl_mm.versions import versions
 
 _TEMPLATE = Path(__file__).with_name("report.html")
@@ -120,7 +120,9 @@ def _studies(folder: Path) -> Iterator[Section]:
             text = rows_table(read_rows(path))
             yield _drawn(path.stem, path.stem, "TARGET", text, folder)
     if made_of := sorted(folder.glob("rows/*/*.json")):
-        details = [(f"{p.parent.name}, {p.stem}", p.read_text()) for p in made_of]
+        details = [
+            (f"{p.parent.name}, {p.stem}", read_text(p, UsageError)) for p in made_of
+        ]
         yield Section("configs", "What the runs were made of", details=details)
 
 
@@ -149,11 +151,11 @@ def _benchmarks(results: Path) -> Iterator[Section]:
     }
     for name, (title, target, table) in tables.items():
         if (results / name).exists():
-            text = _html(table(json.loads((results / name).read_text())))
+            text = _html(table(read_json(results / name, UsageError)))
             key = name.replace("/", "-")
             yield Section(key, title, f"marl-mm bench {target}", text)
     abuse = sorted(results.glob("controller/abuse-*.json"))
-    if found := {p.stem[len("abuse-") :]: json.loads(p.read_text()) for p in abuse}:
+    if found := {p.stem[len("abuse-") :]: read_json(p, UsageError) for p in abuse}:
         text = _html(abuse_table(found))
         command = "marl-mm bench abuse --ticks 1000000"
         yield Section("abuse", "Limits under abuse", command, text)

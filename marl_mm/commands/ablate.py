@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-from marl_mm.commands.options import COMMITTED
-from marl_mm.commands.parser import Subcommand, parse_options, parse_subcommand
+import marl_mm
+from marl_mm.commands.parser import Subcommand, parse_subcommand
 from marl_mm.commands.wording import as_options
 from marl_mm.errors import FailedRunsError, MarlMmError, UsageError
 from marl_mm.eval.metrics import Row
@@ -30,6 +30,9 @@ from marl_mm.progress import progress_bars
 from marl_mm.workers import available_cores
 
 _OF_FILE, _ALPHA = ".py:", "alpha"
+
+_COMMITTED = Path(marl_mm.__file__).parent / "eval" / "results"
+"""Folder of the committed results, in a clone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,17 +124,16 @@ def _parts(studies: dict[str, Study], options: Ablate, target: str) -> dict[str,
 
 def _parsed(arguments: Sequence[str]) -> tuple[str, Ablate, dict[str, Study]]:
     """The target, the options, and the studies that the target stands for."""
-    if arguments and arguments[0].endswith(".py"):
-        raise UsageError(f"name a study of the file, such as {arguments[0]}:STUDY")
-    if arguments and _OF_FILE in arguments[0]:
-        path, _, name = arguments[0].partition(_OF_FILE)
-        own = parse_options(Ablate, "marl-mm ablate", arguments[1:])
-        return arguments[0], own, {name.lower(): study_of(Path(f"{path}.py"), name)}
+    word = arguments[0] if arguments else ""
+    if word.endswith(".py"):
+        raise UsageError(f"name a study of the file, such as {word}:STUDY")
     abouts = {name: study.about for name, study in STUDIES.items()} | {
         _ALPHA: ABOUT,
         "paper": "The paper's own: Tables 4 and 5 and Figs. 4 to 10, in one night.",
         "all": "Every table and figure.",
     }
+    if _OF_FILE in word:
+        abouts = {word: "A study of your own."}
     target, options = parse_subcommand(
         {name: Subcommand(Ablate(), about) for name, about in abouts.items()},
         "marl-mm ablate",
@@ -139,6 +141,9 @@ def _parsed(arguments: Sequence[str]) -> tuple[str, Ablate, dict[str, Study]]:
         "study of your own, an object NAME of class marl_mm.Study.",
         arguments,
     )
+    if _OF_FILE in target:
+        path, _, name = target.partition(_OF_FILE)
+        return target, options, {name.lower(): study_of(Path(f"{path}.py"), name)}
     names = GROUPS.get(target, (target,))
     return target, options, {name: STUDIES[name] for name in names if name in STUDIES}
 
@@ -158,8 +163,8 @@ def _checks(
 ) -> Sequence[Check]:
     """Checks of the tables that there are."""
     committed = not (options.out or options.runs or options.small)
-    if committed and COMMITTED.exists():
-        options = replace(options, out=COMMITTED / "studies")
+    if committed and _COMMITTED.exists():
+        options = replace(options, out=_COMMITTED / "studies")
     results, engine = options.results, Engine(options)
     checks: list[Check] = [
         (results, partial(engine.draw, name, study))
@@ -168,7 +173,7 @@ def _checks(
     ]
     if with_alpha and (not studies or (results / WORTH).exists()):
         checks.append((results, partial(draw_worth, results)))
-    swept = COMMITTED / "alpha"
+    swept = _COMMITTED / "alpha"
     if committed and len(studies) == len(STUDIES) and swept.exists():
         checks.append((swept, partial(draw_sweep, swept)))
     return checks

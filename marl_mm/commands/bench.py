@@ -1,14 +1,10 @@
 """marl-mm bench: what ticks, updates and data cost, and what abuse does."""
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
-
+from marl_mm.commands.output import print_rows, show
 from marl_mm.commands.parser import parse_subcommand
 from marl_mm.control.config import Form, Solver
 from marl_mm.envs.registry import make_task
@@ -134,17 +130,15 @@ def main(arguments: Sequence[str]) -> None:
     with progress_bars() as bar:
         result = options.measure(bar) | {"options": values}
     if options.json:
-        print(json.dumps(result | {"versions": versions()}, indent=2))
-        return
-    table = Table("quantity", "value")
-    _add_rows(table, result, "")
-    Console().print(table)
+        show(result | {"versions": versions()}, None, options.json)
+    else:
+        print_rows([*_rows(result)], options.json)
 
 
-def _add_rows(table: Table, values: Mapping[str, Any], prefix: str) -> None:
+def _rows(values: Mapping[str, Any], prefix: str = "") -> Iterator[dict[str, str]]:
     for key, value in values.items():
         if isinstance(value, Mapping):
-            _add_rows(table, value, f"{prefix}{key} ")
+            yield from _rows(value, f"{prefix}{key} ")
         else:
             text = f"{value:.4g}" if isinstance(value, float) else str(value)
-            table.add_row(f"{prefix}{key}", escape(text))
+            yield {"quantity": f"{prefix}{key}", "value": text}

@@ -1,10 +1,9 @@
 """marl-mm check: the package's own contract tests, on plug-ins."""
 
-import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import redirect_stdout
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from typing import Annotated, Any, NamedTuple
 
@@ -12,8 +11,9 @@ import tyro
 
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.collectors.registry import COLLECTORS
-from marl_mm.commands.options import REGISTERED
-from marl_mm.commands.parser import parse_options
+from marl_mm.commands.options import task_help
+from marl_mm.commands.output import show
+from marl_mm.commands.parser import command
 from marl_mm.contracts import algorithms, collectors, learners, metrics, tasks
 from marl_mm.contracts.claims import Claim, Finding, examine
 from marl_mm.contracts.episodes import short
@@ -23,28 +23,6 @@ from marl_mm.eval.metrics import METRICS
 from marl_mm.plugins import load
 from marl_mm.progress import progress_bar
 from marl_mm.registry import Registry
-
-
-@dataclass(frozen=True)
-class Check:
-    """Check whether plug-ins keep to what the package promises of its own.
-
-    Each of their tasks, algorithms, collectors and metrics is put through the package's
-    own contract tests, in short: seeds, resuming, several seeds at once, shapes and
-    ranges, exports, PettingZoo's and Gymnasium's tests, replays, hindsight, workers,
-    NaN. Exit code 1 if a claim does not hold.
-    """
-
-    what: tyro.conf.Positional[tuple[str, ...]]
-    """Plug-ins, FILE.py or module, or names of what is registered."""
-
-    task: Annotated[
-        str,
-        tyro.conf.arg(help=f"Task of collectors and metrics: {REGISTERED}."),
-    ] = DEFAULT
-
-    json: bool = False
-    """Print the findings as JSON."""
 
 
 class Subject(NamedTuple):
@@ -60,14 +38,28 @@ class Subject(NamedTuple):
     """Claims by name."""
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Run the command line of ``marl-mm check``."""
-    options = parse_options(Check, "marl-mm check", arguments)
-    if not options.what:
+@command
+def main(
+    what: tyro.conf.Positional[tuple[str, ...]],
+    *,
+    task: Annotated[str, task_help("Task of collectors and metrics: {}.")] = DEFAULT,
+    json: bool = False,
+) -> None:
+    """Check whether plug-ins keep to what the package promises of its own.
+
+    Each of their tasks, algorithms, collectors and metrics is put through the package's
+    own contract tests, in short: seeds, resuming, several seeds at once, shapes and
+    ranges, exports, PettingZoo's and Gymnasium's tests, replays, hindsight, workers,
+    NaN. Exit code 1 if a claim does not hold.
+
+    Args:
+        what: Plug-ins, FILE.py or module, or names of what is registered.
+        task: Task of collectors and metrics.
+        json: Print the findings as JSON.
+    """
+    if not what:
         raise UsageError("name a plug-in, FILE.py or a module, or what is registered")
-    subjects = [
-        subject for what in options.what for subject in _subjects(what, options.task)
-    ]
+    subjects = [subject for word in what for subject in _subjects(word, task)]
     findings = []
     total = sum(len(subject.claims) for subject in subjects)
     with progress_bar("check", total) as advance:
@@ -75,10 +67,10 @@ def main(arguments: Sequence[str]) -> None:
             for finding in _examined(subject):
                 findings.append(finding)
                 advance(1, subject.words)
-                if not options.json:
+                if not json:
                     print(_line(finding), flush=True)
-    if options.json:
-        print(json.dumps([asdict(finding) for finding in findings], indent=2))
+    if json:
+        show([asdict(finding) for finding in findings], None, json)
     broken = [finding for finding in findings if finding.broken]
     if broken:
         raise MarlMmError(f"{len(broken)} of {len(findings)} claims do not hold")
@@ -86,19 +78,17 @@ def main(arguments: Sequence[str]) -> None:
 
 def _subjects(what: str, task: str) -> Iterator[Subject]:
     """Registered objects of a plug-in, or of a name."""
+    collector, metric = (
+        partial(module.candidate, task=task) for module in (collectors, metrics)
+    )
     kinds: tuple[tuple[Registry[Any], Any, Any], ...] = (
         (TASKS, short, tasks.task_claims),
         (ALGORITHMS, learners.candidate, algorithms.algorithm_claims),
-        (
-            COLLECTORS,
-            partial(collectors.candidate, task=task),
-            collectors.collector_claims,
-        ),
-        (METRICS, partial(metrics.candidate, task=task), metrics.metric_claims),
+        (COLLECTORS, collector, collectors.collector_claims),
+        (METRICS, metric, metrics.metric_claims),
     )
-    known = [kind for kind in kinds if what in kind[0]]
-    chosen = [(*kind, what) for kind in known]
-    if not known:
+    chosen = [(*kind, what) for kind in kinds if what in kind[0]]
+    if not chosen:
         origin = load(what).name
         chosen = [
             (*kind, name)
@@ -106,10 +96,8 @@ def _subjects(what: str, task: str) -> Iterator[Subject]:
             for name in kind[0].names()
             if kind[0].origin(name) == origin
         ]
-        if not chosen:
-            raise UsageError(
-                f"{what} registers no task, algorithm, collector or metric"
-            )
+    if not chosen:
+        raise UsageError(f"{what} registers no task, algorithm, collector or metric")
     for registry, make, claims, name in chosen:
         about = make(name)
         yield Subject(f"{registry.kind} {name}", about, claims(about))

@@ -1,14 +1,14 @@
 """marl-mm collect: episodes of a policy into a Minari dataset."""
 
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any
 
 import tyro
 
 from marl_mm.collectors.registry import COLLECTORS
-from marl_mm.commands.options import REGISTERED
+from marl_mm.commands.options import task_help
+from marl_mm.commands.output import show
 from marl_mm.commands.parser import Subcommand, parse_subcommand, value_of
 from marl_mm.datasets.card import card, card_text, keep_card
 from marl_mm.envs.registry import DEFAULT, TASKS
@@ -21,17 +21,12 @@ from marl_mm.runs.settings import check_positive, check_seed, with_values
 from marl_mm.runs.sources import Datasets, seeded
 from marl_mm.workers import Executor, available_cores
 
-C = TypeVar("C")
-
 
 @dataclass(frozen=True)
-class CollectWith(Collecting, Generic[C]):
+class Collect(Collecting):
     """Options of a collection, and the collector's own."""
 
-    task: Annotated[str, tyro.conf.arg(help=f"{REGISTERED}.")] = DEFAULT
-
-    workers: int = field(default_factory=available_cores)
-    """Processes; the dataset does not depend on their number."""
+    task: Annotated[str, task_help("{}.")] = DEFAULT
 
     dataset: str | None = None
     """Id below $MINARI_DATASETS_PATH, or path; default marl_mm/TASK/COLLECTOR-v0, of
@@ -40,7 +35,7 @@ class CollectWith(Collecting, Generic[C]):
     json: bool = False
     """Print the dataset's card as JSON."""
 
-    policy: Annotated[C, tyro.conf.arg(name="")] = field(kw_only=True)
+    policy: Annotated[Any, tyro.conf.arg(name="")] = field(kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -75,14 +70,13 @@ class Paper:
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm collect``."""
-    commands: dict[str, type | Subcommand] = {
-        name: _subcommand(name) for name in COLLECTORS.names()
+    begun = _begun(arguments) if "--resume" in arguments else {}
+    commands: dict[str, Any] = {
+        name: Subcommand(_options(name, begun), collector.about)
+        for name, collector in COLLECTORS.items()
     }
-    commands["paper"] = Paper
-    if "--resume" in arguments and arguments[0] in COLLECTORS:
-        commands[arguments[0]] = _resumed(arguments)
     kind, command = parse_subcommand(
-        commands,
+        commands | {"paper": Paper},
         "marl-mm collect",
         "Collect a dataset with a scripted or a learnt policy.",
         arguments,
@@ -96,11 +90,8 @@ def main(arguments: Sequence[str]) -> None:
     with progress_bars() as bar:
         data, complete = collect_into(name, kind, command.policy, command, bar)
     summary = card(data)
-    if command.json:
-        print(json.dumps(summary, indent=2))
-    else:
-        folder = data.location.folder
-        print(f"{folder}: {summary['steps']} steps, {_successes(summary)}")
+    text = f"{data.location.folder}: {summary['steps']} steps, {_successes(summary)}"
+    show(summary, text, command.json)
     if not complete:
         named = f" --dataset {command.dataset}" if command.dataset else ""
         elsewhere = f" --task {command.task}" if not named else ""
@@ -110,22 +101,19 @@ def main(arguments: Sequence[str]) -> None:
         )
 
 
-def _subcommand(name: str, options: Any = None) -> Subcommand:
-    collector = COLLECTORS.get(name)
-    options = options or CollectWith(policy=collector.config())
-    kind = CollectWith[collector.config]  # type: ignore[name-defined]
-    return Subcommand(options, collector.about, kind)
+def _options(name: str, settings: Mapping[str, Any]) -> Collect:
+    policy = COLLECTORS.get(name).config()
+    options = Collect(policy=policy, workers=available_cores())
+    return with_values(options, settings)
 
 
-def _resumed(arguments: Sequence[str]) -> Subcommand:
-    """Options whose defaults are what the collection was begun with."""
-    name = arguments[0]
-    options = CollectWith(policy=COLLECTORS.get(name).config())
-    task = value_of(arguments, "--task", options.task)
-    if task not in TASKS:  # a wrong one is refused when all options are parsed
-        return _subcommand(name)
+def _begun(arguments: Sequence[str]) -> Mapping[str, Any]:
+    """Settings that the collection to resume was begun with, as defaults."""
+    name, task = arguments[0], value_of(arguments, "--task", DEFAULT)
+    if name not in COLLECTORS or task not in TASKS:  # is refused later
+        return {}
     dataset = value_of(arguments, "--dataset", "") or default_dataset(task, name)
-    return _subcommand(name, with_values(options, begun_settings(dataset, name)))
+    return begun_settings(dataset, name)
 
 
 def _paper(command: Paper) -> None:
@@ -143,12 +131,11 @@ def _paper(command: Paper) -> None:
             overwrite=command.overwrite,
         )
         for data in PAPER:
-            made = datasets.make(seeded(data, command.seed))
-            cards.append(keep_card(made))
+            cards.append(keep_card(datasets.make(seeded(data, command.seed))))
             if not command.json:
                 print(card_text(cards[-1]), end="\n\n", flush=True)
     if command.json:
-        print(json.dumps(cards, indent=2))
+        show(cards, None, command.json)
 
 
 def _successes(summary: dict[str, Any]) -> str:

@@ -1,13 +1,12 @@
 """Commands that make datasets of other datasets' episodes."""
 
-import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from marl_mm.commands.options import REGISTERED, read_dataset
+from marl_mm.commands.options import task_help
+from marl_mm.commands.output import read_dataset, show
 from marl_mm.datasets.card import card_text, keep_card
 from marl_mm.datasets.dataset import existing, load_dataset
 from marl_mm.datasets.importing import read_foreign
@@ -21,72 +20,104 @@ from marl_mm.errors import UsageError
 from marl_mm.files import refuse_existing
 from marl_mm.runs.settings import check_seed
 
-
-@dataclass(frozen=True, kw_only=True)
-class _New:
-    overwrite: bool = False
-    """Replace what exists."""
-
-    json: bool = False
-    """Print the new dataset's card as JSON."""
+_TASK = task_help(
+    'Whose rewards they are: {}; default what the file\'s attribute "task" says, and '
+    "Reach-v0 where it says nothing."
+)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Mix(_New):
-    """Draw so many steps of each of several datasets at random, as whole episodes."""
+def make_mix(
+    parts: tyro.conf.Positional[tuple[str, ...]],
+    *,
+    out: str,
+    seed: int = 0,
+    overwrite: bool = False,
+    json: bool = False,
+) -> None:
+    """Draw so many steps of each of several datasets at random, as whole episodes.
 
-    parts: tyro.conf.Positional[tuple[str, ...]]
-    """DATASET:STEPS, such as good:20000 medium:5000 random:5000."""
-
-    out: str
-    """Id or path of the mix."""
-
-    seed: int = 0
-    """Seed of the draw."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Split(_New):
-    """Divide a dataset's episodes at random into OUT-first-v0 and OUT-rest-v0."""
-
-    dataset: tyro.conf.Positional[str]
-    """Id or path."""
-
-    out: str | None = None
-    """Beginning of the new ids; default the dataset's own."""
-
-    share: float = 0.8
-    """Share of the episodes that go into the first dataset."""
-
-    seed: int = 0
-    """Seed of the draw."""
+    Args:
+        parts: DATASET:STEPS, such as good:20000 medium:5000 random:5000.
+        out: Id or path of the mix.
+        seed: Seed of the draw.
+        overwrite: Replace what exists.
+        json: Print the new dataset's card as JSON.
+    """
+    check_seed(seed)
+    location = _free(out, overwrite)
+    if not parts:
+        raise UsageError("name at least one DATASET:STEPS")
+    write_mix(location, mix([_part(text) for text in parts], seed), overwrite)
+    _tell([location], json)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Filter(_New):
-    """Keep the episodes that meet all conditions."""
+def make_split(
+    dataset: tyro.conf.Positional[str],
+    *,
+    out: str | None = None,
+    share: float = 0.8,
+    seed: int = 0,
+    overwrite: bool = False,
+    json: bool = False,
+) -> None:
+    """Divide a dataset's episodes at random into OUT-first-v0 and OUT-rest-v0.
 
-    dataset: tyro.conf.Positional[str]
-    """Id or path."""
+    Args:
+        dataset: Id or path.
+        out: Beginning of the new ids; default the dataset's own.
+        share: Share of the episodes that go into the first dataset.
+        seed: Seed of the draw.
+        overwrite: Replace what exists.
+        json: Print the new datasets' cards as JSON.
+    """
+    check_seed(seed)
+    source = existing(dataset)
+    stem = (out or source.name).rstrip("/").removesuffix("-v0")
+    locations = [_free(f"{stem}-{part}-v0", overwrite) for part in ("first", "rest")]
+    recipes = split(read_dataset(source), share, seed)
+    for location, recipe in zip(locations, recipes, strict=True):
+        write_mix(location, recipe, overwrite)
+    _tell(locations, json)
 
-    out: str
-    """Id or path of the new dataset."""
 
-    outcome: Literal["reached", "missed"] | None = None
-    """Only episodes that reached their goal, or only those that did not."""
+def make_filtered(
+    dataset: tyro.conf.Positional[str],
+    *,
+    out: str,
+    outcome: Literal["reached", "missed"] | None = None,
+    direction: Literal["forward", "backward"] | None = None,
+    min_return: float | None = None,
+    max_return: float | None = None,
+    overwrite: bool = False,
+    json: bool = False,
+) -> None:
+    """Keep the episodes that meet all conditions.
 
-    direction: Literal["forward", "backward"] | None = None
-    """Only episodes whose goal is ahead, or behind."""
+    Args:
+        dataset: Id or path.
+        out: Id or path of the new dataset.
+        outcome: Only episodes that reached their goal, or only those that did not.
+        direction: Only episodes whose goal is ahead, or behind.
+        min_return: Least sum of rewards.
+        max_return: Largest sum of rewards.
+        overwrite: Replace what exists.
+        json: Print the new dataset's card as JSON.
+    """
+    location = _free(out, overwrite)
+    success = None if outcome is None else outcome == "reached"
+    condition = Condition(success, direction, min_return, max_return)
+    write_mix(location, filtered(read_dataset(dataset), condition), overwrite)
+    _tell([location], json)
 
-    min_return: float | None = None
-    """Least sum of rewards."""
 
-    max_return: float | None = None
-    """Largest sum of rewards."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Import(_New):
+def make_imported(
+    file: tyro.conf.Positional[Path],
+    *,
+    out: str,
+    task: Annotated[str | None, _TASK] = None,
+    overwrite: bool = False,
+    json: bool = False,
+) -> None:
     """Take a Minari dataset or an HDF5 file of your own.
 
     Minari's form with goal-dictionary observations: observation, achieved_goal,
@@ -94,77 +125,27 @@ class Import(_New):
     actions (n, k), next_observations, rewards, terminals, timeouts; or what export
     writes per agent.
     The place where its episodes were collected is not kept: nothing can replay them.
+
+    Args:
+        file: HDF5 file, or folder of a Minari dataset.
+        out: Id or path of the new dataset.
+        task: Registered name of the task.
+        overwrite: Replace what exists.
+        json: Print the new dataset's card as JSON.
     """
-
-    file: tyro.conf.Positional[Path]
-    """HDF5 file, or folder of a Minari dataset."""
-
-    out: str
-    """Id or path of the new dataset."""
-
-    task: Annotated[
-        str | None,
-        tyro.conf.arg(
-            help=f"Whose rewards they are: {REGISTERED}; default what the file's "
-            'attribute "task" says, and Reach-v0 where it says nothing.'
-        ),
-    ] = None
-
-
-def make_mix(command: Mix) -> None:
-    """Run ``marl-mm datasets mix``."""
-    check_seed(command.seed)
-    location = _free(command.out, command.overwrite)
-    if not command.parts:
-        raise UsageError("name at least one DATASET:STEPS")
-    parts = [_part(text) for text in command.parts]
-    write_mix(location, mix(parts, command.seed), command.overwrite)
-    _tell([location], command.json)
-
-
-def make_split(command: Split) -> None:
-    """Run ``marl-mm datasets split``."""
-    check_seed(command.seed)
-    source = existing(command.dataset)
-    stem = (command.out or source.name).rstrip("/").removesuffix("-v0")
-    locations = [
-        _free(f"{stem}-{part}-v0", command.overwrite) for part in ("first", "rest")
-    ]
-    recipes = split(read_dataset(source), command.share, command.seed)
-    for location, recipe in zip(locations, recipes, strict=True):
-        write_mix(location, recipe, command.overwrite)
-    _tell(locations, command.json)
-
-
-def make_filtered(command: Filter) -> None:
-    """Run ``marl-mm datasets filter``."""
-    location = _free(command.out, command.overwrite)
-    condition = Condition(
-        None if command.outcome is None else command.outcome == "reached",
-        command.direction,
-        command.min_return,
-        command.max_return,
-    )
-    recipe = filtered(read_dataset(command.dataset), condition)
-    write_mix(location, recipe, command.overwrite)
-    _tell([location], command.json)
-
-
-def make_imported(command: Import) -> None:
-    """Run ``marl-mm datasets import``."""
-    location = _free(command.out, command.overwrite)
-    if command.task is not None:
-        make_task(command.task)  # a wrong one is refused before the file is read
-    found = read_foreign(command.file, location.id, command.task)
-    longest = max(make_task(found.task).max_steps, int(found.arrays.lengths.max()))
+    location = _free(out, overwrite)
+    if task is not None:
+        make_task(task)  # a wrong one is refused before the file is read
+    foreign = read_foreign(file, location.id, task)
+    longest = max(make_task(foreign.task).max_steps, int(foreign.arrays.lengths.max()))
     provenance = Provenance(
-        task=found.task,
+        task=foreign.task,
         overrides={"max_steps": longest},
         collector=IMPORTED,
-        origins={location.id: Origin(file=command.file.name)},
+        origins={location.id: Origin(file=file.name)},
     )
-    write_alone(location, found.arrays, provenance, command.overwrite)
-    _tell([location], command.json)
+    write_alone(location, foreign.arrays, provenance, overwrite)
+    _tell([location], json)
 
 
 def _free(name: str, overwrite: bool) -> Location:
@@ -183,7 +164,5 @@ def _part(text: str) -> Part:
 
 def _tell(locations: list[Location], as_json: bool) -> None:
     cards = [keep_card(load_dataset(location)) for location in locations]
-    if as_json:
-        print(json.dumps(cards if len(cards) > 1 else cards[0], indent=2))
-    else:
-        print("\n\n".join(card_text(values) for values in cards))
+    values = cards if len(cards) > 1 else cards[0]
+    show(values, "\n\n".join(map(card_text, cards)), as_json)

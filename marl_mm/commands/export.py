@@ -1,8 +1,5 @@
 """marl-mm export: a policy as a file that runs without this package."""
 
-import json
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -11,67 +8,52 @@ import tyro
 from marl_mm.algorithms.checkpoint import BEST
 from marl_mm.algorithms.export import POLICY_FORMATS, export_policy
 from marl_mm.algorithms.policy import load_policy
-from marl_mm.commands.parser import parse_options
+from marl_mm.commands.output import show
+from marl_mm.commands.parser import command
 from marl_mm.errors import UsageError
 from marl_mm.files import refuse_existing
 
+_FORMATS = f'{" or ".join(POLICY_FORMATS.names())}; onnx needs the extra "onnx".'
 
-@dataclass(frozen=True)
-class Export:
+
+@command
+def main(
+    run: tyro.conf.Positional[str],
+    *,
+    format: Annotated[str, tyro.conf.arg(help=_FORMATS)] = "torchscript",
+    agent: str | None = None,
+    out: Path | None = None,
+    overwrite: bool = False,
+    json: bool = False,
+) -> None:
     """Write a policy as TorchScript or ONNX, to run beside a real controller.
 
     The file takes observations, float32, shape (n, d), and returns actions, shape
     (n, k), in the action space: displacements of the end-effector's target [m] and
     alpha. Names of all entries and the actions' bounds lie in the file. Its actions are
     compared with the policy's before it appears.
+
+    Args:
+        run: Run folder, checkpoint file or "pretrained".
+        format: Format of the file.
+        agent: One decentralised actor on its own observation; default the joint action
+            at the joint state.
+        out: File; default RUN/policy or RUN/AGENT with .ts or .onnx, of RUN/best.pt
+            RUN/best-policy or RUN/best-AGENT, for "pretrained" in this folder.
+        overwrite: Replace OUT if it exists.
+        json: Print the file's metadata and the largest difference as JSON.
     """
-
-    run: tyro.conf.Positional[str]
-    """Run folder, checkpoint file or "pretrained"."""
-
-    format: Annotated[
-        str,
-        tyro.conf.arg(
-            help=f'{" or ".join(POLICY_FORMATS.names())}; onnx needs the extra "onnx".'
-        ),
-    ] = "torchscript"
-
-    agent: str | None = None
-    """One decentralised actor on its own observation; default the joint action at the
-    joint state."""
-
-    out: Path | None = None
-    """File; default RUN/policy or RUN/AGENT with .ts or .onnx, of RUN/best.pt
-    RUN/best-policy or RUN/best-AGENT, for "pretrained" in this folder."""
-
-    overwrite: bool = False
-    """Replace OUT if it exists."""
-
-    json: bool = False
-    """Print the file's metadata and the largest difference as JSON."""
-
-
-def main(arguments: Sequence[str]) -> None:
-    """Run the command line of ``marl-mm export``."""
-    options = parse_options(Export, "marl-mm export", arguments)
-    policy = load_policy(options.run)
-    run = Path(options.run)
-    folder = run if run.is_dir() else run.parent
-    best = "best-" if run.is_file() and run.name == BEST else ""
-    name = (
-        f"{best}{options.agent or 'policy'}{POLICY_FORMATS.get(options.format).suffix}"
-    )
-    out = options.out or folder / name
+    policy, path = load_policy(run), Path(run)
+    best = "best-" if path.is_file() and path.name == BEST else ""
+    name = f"{best}{agent or 'policy'}{POLICY_FORMATS.get(format).suffix}"
+    out = out or (path if path.is_dir() else path.parent) / name
     if out.is_dir():
         raise UsageError(
             f"--out {out} is a folder, expected a file such as {out}/{name}"
         )
-    refuse_existing(out, options.overwrite)
-    about = export_policy(policy, out, options.format, options.agent)
-    if options.json:
-        print(json.dumps({"file": str(out), **about}, indent=2))
-        return
-    print(
-        f"{out}: {', '.join(about['observation'])} -> {', '.join(about['action'])}; "
-        f"actions differ from the run's by at most {about['largest_difference']:.1g}"
-    )
+    refuse_existing(out, overwrite)
+    about = export_policy(policy, out, format, agent)
+    shown = f"{', '.join(about['observation'])} -> {', '.join(about['action'])}"
+    difference = f"{about['largest_difference']:.1g}"
+    text = f"{out}: {shown}; actions differ from the run's by at most {difference}"
+    show({"file": str(out), **about}, text, json)

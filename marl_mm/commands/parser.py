@@ -1,11 +1,13 @@
-"""Options from dataclasses, through tyro, with its complaints brought to one line."""
+"""Commands from functions and dataclasses, through tyro; its complaints in one line."""
 
 import difflib
+import inspect
 import io
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stderr
 from dataclasses import fields, is_dataclass
+from functools import partial, wraps
 from itertools import pairwise
 from typing import Annotated, Any, NamedTuple, TypeVar, Union
 
@@ -17,19 +19,69 @@ from marl_mm.errors import UsageError
 
 T = TypeVar("T")
 
+Main = Callable[[Sequence[str]], None]
+"""A command: a function of the words after its name."""
 
-def parse_options(options: type[T], prog: str, arguments: Sequence[str]) -> T:
-    """One command's options.
+
+def command(function: Callable[..., None]) -> Main:
+    """The command ``marl-mm MODULE`` whose options are a function's parameters.
+
+    Options with defaults of functions have what these return when they are parsed.
+    """
+    module = function.__module__.rpartition(".")[2]
+    return partial(run, function, f"marl-mm {module.replace('_', '-')}")
+
+
+def run(function: Callable[..., None], prog: str, arguments: Sequence[str]) -> None:
+    """Call a function with options for its parameters.
+
+    Args:
+        function: Function; its docstring is the help.
+        prog: Name of the command.
+        arguments: Command line after ``prog``.
 
     Raises:
-        UsageError: If the arguments are not the options' own.
+        UsageError: If the arguments are not the function's.
     """
-    description = f"{options.__doc__ or ''}\n\n{ABOUT_PLUGINS}"
+    about = inspect.cleandoc(function.__doc__ or "").partition("\n\nArgs:")[0]
+    _parse(_to_call(function), prog, prog, about, arguments)()
 
-    def parse() -> T:
-        return tyro.cli(options, prog=prog, description=description, args=arguments)
 
-    return _in_one_line(parse, prog)
+def subcommands(
+    prog: str, about: str, functions: Mapping[str, Callable[..., None]]
+) -> Main:
+    """A command with subcommands, whose options are parameters of functions.
+
+    Args:
+        prog: Name of the command.
+        about: Description of all subcommands together.
+        functions: Functions by the subcommands' names.
+    """
+
+    def main(arguments: Sequence[str]) -> None:
+        kinds = {name: _to_call(function) for name, function in functions.items()}
+        _, call = parse_subcommand(kinds, prog, about, arguments)
+        call()
+
+    return main
+
+
+def _to_call(function: Callable[..., None]) -> Callable[..., Callable[[], None]]:
+    """A function of the same parameters that returns the call instead of making it."""
+
+    @wraps(function)
+    def call(*arguments: Any, **options: Any) -> Callable[[], None]:
+        return partial(function, *arguments, **options)
+
+    signature = inspect.signature(function)
+    parameters = [
+        parameter.replace(default=parameter.default())
+        if inspect.isfunction(parameter.default)
+        else parameter
+        for parameter in signature.parameters.values()
+    ]
+    call.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return call
 
 
 class Subcommand(NamedTuple):
@@ -41,12 +93,9 @@ class Subcommand(NamedTuple):
     description: str
     """Description in the help."""
 
-    kind: Any = None
-    """Type of the options, where their class is generic; None: their class."""
-
 
 def parse_subcommand(
-    commands: Mapping[str, type | Subcommand],
+    commands: Mapping[str, Callable[..., Any] | Subcommand],
     prog: str,
     description: str,
     arguments: Sequence[str],
@@ -54,7 +103,7 @@ def parse_subcommand(
     """The subcommand that the arguments name, and its options.
 
     Args:
-        commands: Dataclasses of options by name.
+        commands: Dataclasses of options by name, or functions that return them.
         prog: Name of the command.
         description: Description of all subcommands together.
         arguments: Command line after ``prog``.
@@ -70,15 +119,10 @@ def parse_subcommand(
             f"{prog} knows no {word!r}, expected one of {', '.join(commands)}{hint} "
             "What a plug-in adds needs --plugin"
         )
-    kinds = [_kind(name, command) for name, command in commands.items()]
+    kinds = [_kind(name, kind) for name, kind in commands.items()]
+    helped = f"{prog} {word}" if word in commands else prog
     union: Any = Union[tuple(kinds)]  # noqa: UP007
-
-    def parse() -> Any:
-        about = f"{description}\n\n{ABOUT_PLUGINS}"
-        return tyro.cli(union, prog=prog, description=about, args=arguments)
-
-    known = arguments and arguments[0] in commands
-    options = _in_one_line(parse, f"{prog} {arguments[0]}" if known else prog)
+    options = _parse(union, prog, helped, description, arguments)
     return arguments[0], options
 
 
@@ -93,14 +137,14 @@ def value_of(arguments: Sequence[str], option: str, default: str) -> str:
     return value
 
 
-def _kind(name: str, command: type | Subcommand) -> Any:
-    if isinstance(command, type):
-        return Annotated[command, tyro.conf.subcommand(name)]
-    _refuse_clashes(command.default)
+def _kind(name: str, kind: Callable[..., Any] | Subcommand) -> Any:
+    if not isinstance(kind, Subcommand):
+        return Annotated[Any, tyro.conf.subcommand(name, constructor=kind)]
+    _refuse_clashes(kind.default)
     about = tyro.conf.subcommand(
-        name, default=command.default, description=command.description
+        name, default=kind.default, description=kind.description
     )
-    return Annotated[command.kind or type(command.default), about]
+    return Annotated[type(kind.default), about]
 
 
 def _refuse_clashes(options: Any) -> None:
@@ -119,16 +163,20 @@ def _refuse_clashes(options: Any) -> None:
         taken += names
 
 
-def _in_one_line(parse: Callable[[], T], prog: str) -> T:
+def _parse(
+    kind: Any, prog: str, helped: str, about: str, arguments: Sequence[str]
+) -> Any:
+    """Options of a kind; ``helped`` is the command whose help tells what is wrong."""
     complaint = io.StringIO()
+    about = f"{about}\n\n{ABOUT_PLUGINS}"
     try:
         with redirect_stderr(complaint):
-            return parse()
+            return tyro.cli(kind, prog=prog, description=about, args=arguments)
     except SystemExit as end:
         if not end.code:  # --help
             raise
         text = _summary(complaint.getvalue())
-        raise UsageError(f"{text}; see {prog} --help") from None
+        raise UsageError(f"{text}; see {helped} --help") from None
 
 
 def _summary(box: str) -> str:

@@ -1,16 +1,13 @@
 """marl-mm play: one episode on film, or in PyBullet's window."""
 
-import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
 
 import tyro
 
-from marl_mm.commands.options import REGISTERED, config_of, with_policies
-from marl_mm.commands.parser import parse_options
+from marl_mm.commands.options import CollectorsSettings, OwnTask, config_of
+from marl_mm.commands.output import show
+from marl_mm.commands.parser import command
 from marl_mm.envs.demos import DEMOS, Drift
 from marl_mm.errors import UsageError
 from marl_mm.eval.metrics import episode_row
@@ -20,135 +17,104 @@ from marl_mm.progress import progress_bars
 from marl_mm.runs.play import Direction, check_strip, play, play_demo
 from marl_mm.sim.config import Camera
 
-
-@dataclass(frozen=True)
-class Play:
-    """Film an episode, or watch it in a window."""
-
-    policy: tyro.conf.Positional[str]
-    """Run folder, checkpoint file, "pretrained" or the name of a collector; or the
-    robot alone: "arm-reach" (the base stands) or "base-turn" (the arm rests). These two
-    take no goal and no task, and hold the arm's posture tightly."""
-
-    video: Path | None = None
-    """File of the film, .mp4 or .gif; default episode.mp4, or none with
-    --strip."""
-
-    strip: Path | None = None
-    """File of six pictures of the episode, side by side: a PNG."""
-
-    direction: Direction | None = None
-    """Side of the robot on which the goal is, where the task does not draw its own;
-    default backward."""
-
-    seed: int = 0
-    """Seed of the goal and of random policies."""
-
-    task: Annotated[
-        str | None,
-        tyro.conf.arg(help=f"{REGISTERED}; default the run's own, or Reach-v0."),
-    ] = None
-
-    max_steps: int | None = None
-    """Steps of one second until the episode is cut off; default the task's."""
-
-    fps: int = 10
-    """Frames per second of film and of simulated time."""
-
-    gui: bool = False
-    """Open PyBullet's window instead of writing a film; needs a screen."""
-
-    overwrite: bool = False
-    """Replace what exists."""
-
-    json: bool = False
-    """Print the episode's row as JSON."""
-
-    camera: Camera = field(default_factory=Camera)
-    """Place of the camera."""
-
-    target: tuple[float, float, float] = (0.8, 0.3, 0.8)
-    """Place that the hand reaches in "arm-reach", world x, y, z [m]; it starts at
-    0.65, 0.10, 0.58."""
-
-    angle: float = 90.0
-    """Angle by which the base turns in "base-turn", -180 to 180 [deg]."""
-
-    seconds: float = 4.0
-    """Duration of "arm-reach" and "base-turn" [s]."""
-
-    @property
-    def film(self) -> Path | None:
-        """The file of the film, if one is to be written."""
-        if self.gui or (self.video is None and self.strip is not None):
-            return None
-        return self.video or Path("episode.mp4")
-
-    @property
-    def where(self) -> str:
-        """Names of the files that are written, before the line about them."""
-        files = ", ".join(str(file) for file in (self.film, self.strip) if file)
-        return files and f"{files}: "
+_CAMERA = Camera()
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Run the command line of ``marl-mm play``."""
-    options = parse_options(with_policies(Play), "marl-mm play", arguments)
-    if options.film is not None:
-        check_format(options.film)
-        refuse_existing(options.film, options.overwrite)
-    if options.strip is not None:
-        if options.gui or options.policy in DEMOS:
+@command
+def main(
+    policy: tyro.conf.Positional[str],
+    *,
+    video: Path | None = None,
+    strip: Path | None = None,
+    direction: Direction | None = None,
+    seed: int = 0,
+    task: OwnTask = None,
+    max_steps: int | None = None,
+    fps: int = 10,
+    gui: bool = False,
+    overwrite: bool = False,
+    json: bool = False,
+    camera: Camera = _CAMERA,
+    target: tuple[float, float, float] = (0.8, 0.3, 0.8),
+    angle: float = 90.0,
+    seconds: float = 4.0,
+    settings: CollectorsSettings,
+) -> None:
+    """Film an episode, or watch it in a window.
+
+    Args:
+        policy: Run folder, checkpoint file, "pretrained" or the name of a collector; or
+            the robot alone: "arm-reach" (the base stands) or "base-turn" (the arm
+            rests). These two take no goal and no task, and hold the arm's posture
+            tightly.
+        video: File of the film, .mp4 or .gif; default episode.mp4, or none with
+            --strip.
+        strip: File of six pictures of the episode, side by side: a PNG.
+        direction: Side of the robot on which the goal is, where the task does not draw
+            its own; default backward.
+        seed: Seed of the goal and of random policies.
+        task: Registered name of the task.
+        max_steps: Steps of one second until the episode is cut off; default the task's.
+        fps: Frames per second of film and of simulated time.
+        gui: Open PyBullet's window instead of writing a film; needs a screen.
+        overwrite: Replace what exists.
+        json: Print the episode's row as JSON.
+        camera: Place of the camera.
+        target: Place that the hand reaches in "arm-reach", world x, y, z [m]; it starts
+            at 0.65, 0.10, 0.58.
+        angle: Angle by which the base turns in "base-turn", -180 to 180 [deg].
+        seconds: Duration of "arm-reach" and "base-turn" [s].
+        settings: Settings of collectors' policies.
+    """
+    if gui or (video is None and strip is not None):
+        video = None
+    else:
+        video = video or Path("episode.mp4")
+        check_format(video)
+        refuse_existing(video, overwrite)
+    if strip is not None:
+        if gui or policy in DEMOS:
             raise UsageError("--strip is for films of episodes")
-        check_strip(options.strip)
-        refuse_existing(options.strip, options.overwrite)
-    if options.policy in DEMOS:
-        _play_demo(options)
+        check_strip(strip)
+        refuse_existing(strip, overwrite)
+    files = ", ".join(str(file) for file in (video, strip) if file)
+    written = files and f"{files}: "
+    if policy in DEMOS:
+        with progress_bars() as bar:
+            drift, frames = play_demo(
+                policy,
+                target=target,
+                angle=angle,
+                seconds=seconds,
+                fps=fps,
+                gui=gui,
+                camera=camera,
+                progress=bar,
+            )
+        if video is not None:
+            write_video(video, frames, fps)
+        show(drift._asdict(), written + _in_words(drift), json)
         return
     with progress_bars() as bar:
         film = play(
-            options.policy,
-            task=options.task,
-            seed=options.seed,
-            direction=options.direction,
-            max_steps=options.max_steps,
-            fps=options.fps,
-            gui=options.gui,
-            camera=None if options.camera == Camera() else options.camera,
+            policy,
+            task=task,
+            seed=seed,
+            direction=direction,
+            max_steps=max_steps,
+            fps=fps,
+            gui=gui,
+            camera=None if camera == _CAMERA else camera,
+            config=config_of(policy, settings),
             progress=bar,
-            config=config_of(options.policy, options),
         )
-    if options.film is not None:
-        film.save(options.film, options.overwrite)
-    if options.strip is not None:
-        film.strip(options.strip, options.overwrite)
-    if options.json:
-        print(json.dumps(episode_row(film.episode), indent=2))
-        return
+    if video is not None:
+        film.save(video, overwrite)
+    if strip is not None:
+        film.strip(strip, overwrite)
     ending = "reached the goal" if film.episode.success else "did not reach the goal"
-    steps = len(film.episode)
-    print(f"{options.where}{film.policy} {ending} in {steps} steps")
-
-
-def _play_demo(options: Play) -> None:
-    """Run one of the robot's own tests, and say how far the resting half drifted."""
-    with progress_bars() as bar:
-        drift, frames = play_demo(
-            options.policy,
-            target=options.target,
-            angle=options.angle,
-            seconds=options.seconds,
-            fps=options.fps,
-            gui=options.gui,
-            camera=options.camera,
-            progress=bar,
-        )
-    if options.film is not None:
-        write_video(options.film, frames, options.fps)
-    if options.json:
-        print(json.dumps(drift._asdict(), indent=2))
-        return
-    print(options.where + _in_words(drift))
+    text = f"{written}{film.policy} {ending} in {len(film.episode)} steps"
+    show(episode_row(film.episode), text, json)
 
 
 def _in_words(drift: Drift) -> str:

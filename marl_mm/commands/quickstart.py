@@ -1,34 +1,36 @@
 """marl-mm quickstart: the whole chain once, small in size and real in every part."""
 
-import json
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from typing import Annotated, Any
 
-from marl_mm.commands.options import print_evaluations
-from marl_mm.commands.parser import parse_options
+import tyro
+
+from marl_mm.commands.output import print_evaluations, show
+from marl_mm.commands.parser import command
 from marl_mm.progress import progress_bars
-from marl_mm.runs import quickstart
+from marl_mm.runs.quickstart import Quickstart, run_quickstart
 from marl_mm.workers import available_cores
 
 
-@dataclass(frozen=True)
-class Quickstart(quickstart.Quickstart):
-    """Collect with PD, train MABC, evaluate both and random: a table and a report."""
-
-    workers: int = field(default_factory=available_cores)
-    """Processes; the results do not depend on their number."""
-
-    json: bool = False
-    """Print wall times, the dataset's card and the evaluations as JSON."""
+def _with_all_cores() -> Quickstart:
+    return Quickstart(workers=available_cores())
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Run the command line of ``marl-mm quickstart``."""
-    options = parse_options(Quickstart, "marl-mm quickstart", arguments)
+@command
+def main(
+    options: Annotated[Any, tyro.conf.arg(name="")] = _with_all_cores,
+    *,
+    json: bool = False,
+) -> None:
+    """Collect with PD, train MABC, evaluate both and random: a table and a report.
+
+    Args:
+        options: Size and place.
+        json: Print wall times, the dataset's card and the evaluations as JSON.
+    """
     with progress_bars() as bar:
-        values, evaluations = quickstart.run_quickstart(options, bar)
-    if options.json:
-        print(json.dumps(values, indent=2))
+        values, evaluations = run_quickstart(options, bar)
+    if json:
+        show(values, None, json)
         return
     print_evaluations(evaluations)
     seconds = sum(values["stages_s"].values())

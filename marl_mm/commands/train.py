@@ -1,17 +1,17 @@
 """marl-mm train: a policy from a dataset file or from episodes of its own."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any
 
 import tyro
 
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, names, preset
 from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.algorithms.schedule import Schedule
-from marl_mm.commands.options import REGISTERED
+from marl_mm.commands.options import task_help
+from marl_mm.commands.output import show
 from marl_mm.commands.parser import Subcommand, parse_subcommand, value_of
 from marl_mm.envs.registry import DEFAULT
 from marl_mm.errors import UsageError
@@ -19,12 +19,14 @@ from marl_mm.runs import training
 from marl_mm.runs.settings import with_values
 from marl_mm.workers import available_cores
 
-C = TypeVar("C")
-
 
 @dataclass(frozen=True, kw_only=True)
 class _Options:
     """Options of both ways to learn that Python has as arguments."""
+
+    algorithm: Annotated[str, tyro.conf.Suppress]
+
+    config: Annotated[Any, tyro.conf.arg(name="")]
 
     out: Path | None = None
     """Folder of the runs; seed s goes to OUT/s; default runs/ALGORITHM."""
@@ -37,64 +39,55 @@ class _Options:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Offline(_Options, training.Offline, Generic[C]):
+class Offline(_Options, training.Offline):
     """Learn from a dataset."""
-
-    algorithm: Annotated[str, tyro.conf.Suppress]
-
-    config: Annotated[C, tyro.conf.arg(name="")]
 
     dataset: str
     """Id, such as marl_mm/reach/pd-v0 or pd for short, or path; good-5k ships."""
 
     task: Annotated[
-        str | None,
-        tyro.conf.arg(
-            help=f"To evaluate on: {REGISTERED}; default that of the dataset."
-        ),
+        str | None, task_help("To evaluate on: {}; default that of the dataset.")
     ] = None
-
-    workers: int = field(default_factory=available_cores)
-    """Processes that run episodes, and that train seeds. The result does not depend on
-    their number."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Online(_Options, training.Online, Generic[C]):
+class Online(_Options, training.Online):
     """Learn from episodes of one's own."""
 
-    algorithm: Annotated[str, tyro.conf.Suppress]
-
-    config: Annotated[C, tyro.conf.arg(name="")]
-
-    task: Annotated[str, tyro.conf.arg(help=f"To learn: {REGISTERED}.")] = DEFAULT
+    task: Annotated[str, task_help("To learn: {}.")] = DEFAULT
 
     schedule: Annotated[Schedule, tyro.conf.arg(name="")] = field(
         default_factory=Schedule
     )
 
-    workers: int = field(default_factory=available_cores)
-    """Processes that run episodes. The result does not depend on their number."""
-
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm train``."""
     repeated, arguments = _without_config(arguments)
-    started_from = value_of(arguments, "--preset", TUNED)
+    word = arguments[0] if arguments else ""
+    named = value_of(arguments, "--preset", "")  # asks for that preset's values
+    dataset = value_of(arguments, "--dataset", "")
     offline, online = names(online=False), names(online=True)
-    commands: dict[str, type | Subcommand] = {
-        name: _subcommand(name, started_from if name in arguments[:1] else TUNED)
+    commands: dict[str, Any] = {
+        name: _subcommand(name, named if name == word and named else TUNED)
         for name in (*offline, *online)
     }
-    if set(online) & set(arguments[:1]) and value_of(arguments, "--dataset", ""):
+    if word in online and dataset:
         from marl_mm.runs.train import refuse_dataset
 
-        refuse_dataset(arguments[0], value_of(arguments, "--dataset", ""))
-    named = value_of(arguments, "--preset", "")  # asks for that preset's values
-    if "--resume" in arguments and arguments[0] in commands and not named:
-        commands[arguments[0]] = _resumed(arguments)
+        refuse_dataset(word, dataset)
     if repeated is not None:
-        commands[repeated.algorithm] = _repeated(repeated, arguments)
+        from marl_mm.runs.folder import settings_of
+        from marl_mm.runs.train import dataset_of
+
+        if not dataset:
+            dataset_of(repeated)  # is that which it learnt from
+        commands[word] = _subcommand(word, TUNED, settings_of(repeated))
+    elif "--resume" in arguments and word in commands and not named:
+        from marl_mm.runs.folder import saved_settings
+
+        out = Path(value_of(arguments, "--out", f"runs/{word}"))
+        commands[word] = _subcommand(word, TUNED, saved_settings(out))
     name, options = parse_subcommand(
         commands,
         "marl-mm train",
@@ -105,7 +98,24 @@ def main(arguments: Sequence[str]) -> None:
     _train(name, options)
 
 
-def _train(name: str, options: Offline[Any] | Online[Any]) -> None:
+def _subcommand(name: str, started_from: str, saved: Any = None) -> Subcommand:
+    """An algorithm's options if nothing is said; those of a run where it was saved."""
+    algorithm = ALGORITHMS.get(name)
+    settings: dict[str, Any] = {
+        "algorithm": name,
+        "config": preset(name, started_from),
+        "preset": started_from,
+        "workers": available_cores(),
+    }
+    options = (
+        Online(**settings)
+        if algorithm.online
+        else Offline(**settings, dataset=tyro.MISSING)
+    )
+    return Subcommand(with_values(options, saved or {}), algorithm.about)
+
+
+def _train(name: str, options: Offline | Online) -> None:
     from marl_mm.progress import progress_bars
     from marl_mm.runs.train import trained  # torch takes a second to import
 
@@ -123,7 +133,7 @@ def _train(name: str, options: Offline[Any] | Online[Any]) -> None:
     finally:  # if some seeds diverge, others do not
         if options.json and results:  # in the order of the seeds
             results.sort(key=lambda r: options.seeds.index(int(Path(r["run"]).name)))
-            print(json.dumps(results, indent=2))
+            show(results, None, options.json)
 
 
 def _without_config(
@@ -146,38 +156,3 @@ def _without_config(
     (first, *_), rest = places, list(arguments)
     del rest[first : first + (1 if "=" in arguments[first] else 2)]
     return config, (config.algorithm, *rest)
-
-
-def _repeated(config: RunConfig, arguments: Sequence[str]) -> Subcommand:
-    """Options whose defaults are the values of a run's record."""
-    from marl_mm.runs.folder import settings_of
-    from marl_mm.runs.train import dataset_of
-
-    if not value_of(arguments, "--dataset", ""):
-        dataset_of(config)  # is that which it learnt from
-    subcommand = _subcommand(config.algorithm, TUNED)
-    options = with_values(subcommand.default, settings_of(config))
-    return subcommand._replace(default=options)
-
-
-def _resumed(arguments: Sequence[str]) -> Subcommand:
-    """Options whose defaults are the values that the first run was made of."""
-    from marl_mm.runs.folder import saved_settings
-
-    name = arguments[0]
-    out = Path(value_of(arguments, "--out", f"runs/{name}"))
-    subcommand = _subcommand(name, TUNED)
-    options = with_values(subcommand.default, saved_settings(out))
-    return subcommand._replace(default=options)
-
-
-def _subcommand(name: str, started_from: str) -> Subcommand:
-    """An algorithm's options if nothing is said."""
-    algorithm = ALGORITHMS.get(name)
-    config = preset(name, started_from)
-    settings: Any = {"algorithm": name, "config": config, "preset": started_from}
-    if algorithm.online:
-        options: Any = Online(**settings)
-    else:
-        options = Offline(**settings, dataset=tyro.MISSING)
-    return Subcommand(options, algorithm.about, type(options)[type(config)])

@@ -1,6 +1,5 @@
 """A run's folder: its config, its evaluations, and whether a run may go on there."""
 
-import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -25,6 +24,7 @@ from marl_mm.errors import (
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.files import refuse_existing, write_json
 from marl_mm.plugins import record
+from marl_mm.received import check_kind, read_json
 from marl_mm.runs.settings import check_seeds
 from marl_mm.runs.training import Training
 from marl_mm.versions import versions
@@ -212,10 +212,9 @@ def read_config(path: Path) -> RunConfig:
         CheckpointError: If it cannot be read.
     """
     file = path / CONFIG if path.is_dir() else path
-    try:
-        return RunConfig.from_json(json.loads(file.read_text()))
-    except (OSError, ValueError, AttributeError) as error:
-        raise CheckpointError(f"cannot read {file}: {error}") from error
+    values = read_json(file, CheckpointError)
+    check_kind(values, dict[str, Any], str(file), CheckpointError)
+    return RunConfig.from_json(values)
 
 
 def read_evaluation(path: Path) -> Evaluation | None:
@@ -227,6 +226,8 @@ def read_evaluation(path: Path) -> Evaluation | None:
     if not path.exists():
         return None
     try:
-        return Evaluation.from_json(json.loads(path.read_text()))
-    except (ValueError, KeyError, TypeError) as error:
-        raise CheckpointError(f"cannot read {path}: {error}") from error
+        evaluation = Evaluation.from_json(read_json(path, CheckpointError))
+        _ = evaluation.summary
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+        raise CheckpointError(f"{path} is damaged ({error!r:.80})") from error
+    return evaluation

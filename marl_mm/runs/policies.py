@@ -1,6 +1,5 @@
 """Policies by name: runs, the agent that ships, and collectors."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -8,8 +7,9 @@ from typing import Any
 from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.envs.task import Task
-from marl_mm.errors import UsageError
+from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.policy import Policy
+from marl_mm.received import read_json
 from marl_mm.runs.settings import with_settings
 
 AGENT = "pretrained"
@@ -86,7 +86,11 @@ def own_task(policies: Sequence[Any]) -> str:
         path = Path(path)
         config = (path.parent if path.is_file() else path) / "config.json"
         if config.exists():
-            tasks[json.loads(config.read_text()).get("task", DEFAULT)] = path
+            record = read_json(config, CheckpointError)
+            task = record.get("task", DEFAULT) if isinstance(record, dict) else None
+            if not isinstance(task, str):
+                raise CheckpointError(f"{config} is damaged: its task is {task!r:.60}")
+            tasks[task] = path
     if len(tasks) > 1:
         listed = ", ".join(f"{name} for {task}" for task, name in sorted(tasks.items()))
         raise UsageError(f"runs for several tasks, {listed}: choose one with `task`")

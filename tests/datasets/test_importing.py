@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 from marl_mm.cli import main
-from marl_mm.datasets.arrays import arrays_of, save_arrays
+from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import load_dataset
-from marl_mm.datasets.hdf5 import FILE
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.provenance import Provenance
-from marl_mm.datasets.storage import cache_file, file_digest, write_dataset
+from marl_mm.datasets.storage import write_dataset
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import Episode
 
@@ -223,12 +222,6 @@ def test_verify_finds_what_only_it_looks_at(
     arrays.info["zmp_margin"][5] = 0.0
     write_dataset(location, arrays, provenance, overwrite=True)
     assert run("datasets", "verify", ID) == 0
-    cached = cache_file(location.folder, file_digest(location.data / FILE))
-    arrays.starts[2, 3] += 1.0
-    save_arrays(cached, arrays, compress=False)
-    capsys.readouterr()
-    assert run("datasets", "verify", ID) == 1
-    assert "is not what the data are: delete it" in capsys.readouterr().out
 
 
 def fuzz(path: Path, rng: np.random.Generator) -> str:

@@ -16,6 +16,7 @@ import pytest
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm.cli import main
 from marl_mm.datasets.arrays import arrays_of
+from marl_mm.datasets.cache import FOLDER_VARIABLE, cache_folder
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import find, known_ids, locate
@@ -41,6 +42,12 @@ PROVENANCE = Provenance(task="Reach-v0", collector="pd", seed=0)
 def written(datasets_home: Path, episodes: list[Episode]) -> Path:
     write(ID, episodes)
     return datasets_home / ID
+
+
+@pytest.fixture
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "derived"))
+    return cache_folder()
 
 
 def write(name: str, episodes: list[Episode], overwrite: bool = False) -> None:
@@ -149,6 +156,7 @@ def test_what_killed_writers_left_is_replaced(
     written: Path, episodes: list[Episode]
 ) -> None:
     """But nothing that somebody else put there."""
+    (written / "cache").mkdir()  # version 1 kept arrays there
     for name in (".card.123.png", ".card.4.json", "cache/.a.5.npz"):
         (written / name).write_text("half")
     write(ID, episodes[:2], overwrite=True)
@@ -314,22 +322,26 @@ def test_one_bit_more_or_less_is_seen(written: Path) -> None:
         load_dataset(ID)
 
 
-def test_the_cache_is_only_a_cache(written: Path, episodes: list[Episode]) -> None:
+def test_the_cache_is_only_a_cache(
+    written: Path, episodes: list[Episode], own_cache: Path
+) -> None:
     """Missing or damaged it is made anew; of other data it is not used."""
-    (cache,) = (written / "cache").iterdir()
-    good = cache.read_bytes()
-    for content in (None, b"", good[: len(good) // 2], b"no zip"):
+    load_dataset(ID)
+    (entry,) = own_cache.iterdir()
+    good = entry.read_bytes()
+    flipped = bytearray(good)
+    flipped[len(good) // 2] ^= 8
+    for content in (None, b"", good[: len(good) // 2], b"no zip", bytes(flipped)):
         if content is None:
-            cache.unlink()
+            entry.unlink()
         else:
-            cache.write_bytes(content)
+            entry.write_bytes(content)
         joint = load_dataset(ID).joint()
         np.testing.assert_array_equal(joint.reward[:3], episodes[0].rewards)
-        assert cache.read_bytes() == good
+        assert entry.read_bytes() == good
     write(ID, episodes[1:], overwrite=True)
-    (other,) = (written / "cache").iterdir()
-    assert other.name != cache.name
     assert len(load_dataset(ID).episodes) == len(episodes) - 1
+    assert len([*own_cache.iterdir()]) == 2 and not (written / "cache").exists()
 
 
 def test_views_share_memory_with_the_whole(written: Path) -> None:

@@ -1,0 +1,99 @@
+"""Reading of HDF5 files in a process of its own.
+
+The HDF5 library can crash, never end, or ask for all memory at a file that was made to
+that end. The process that reads has limits, and hands over plain arrays.
+"""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from marl_mm.datasets.arrays import EpisodeArrays, load_arrays, save_arrays
+from marl_mm.datasets.hdf5 import read_hdf5
+from marl_mm.errors import DatasetError
+from marl_mm.layout import Layout
+from marl_mm.processes import importing_this
+from marl_mm.received import most_unpacked
+
+_PATIENCE = 30.0
+"""Longest time that reading a small file may take [s]."""
+
+_SLOWEST = 200_000.0
+"""Least speed of reading a large file [bytes/s]: a tenth of the usual speed."""
+
+_OWN_MEMORY = 2**32
+"""Address space of the process beside the arrays [bytes]: libraries map a lot."""
+
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+
+_CODE = "from marl_mm.datasets.convert import main; main()"
+
+
+def read_apart(
+    path: Path, total: int, layout: Layout, info: Sequence[str]
+) -> EpisodeArrays:
+    """``read_hdf5`` of a file that may have been made to do harm.
+
+    Args:
+        path: The file.
+        total: Number of episodes in the file.
+        layout: Layout of the states and actions.
+        info: Names of the step numbers.
+
+    Raises:
+        DatasetError: If the file is damaged, or reading it takes too long.
+    """
+    with TemporaryDirectory(prefix="marl_mm-") as folder:
+        out = Path(folder, "arrays.npz")
+        asked = {
+            "path": str(path.absolute()),
+            "total": total,
+            "layout": layout.to_json(),
+            "info": [*info],
+            "out": str(out),
+        }
+        try:
+            ended = subprocess.run(
+                [sys.executable, "-c", _CODE],
+                input=json.dumps(asked),
+                capture_output=True,
+                env={**os.environ, **importing_this(), **_ONE_THREAD},
+                timeout=_PATIENCE + path.stat().st_size / _SLOWEST,
+                text=True,
+                check=False,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise DatasetError(
+                f"{path} is damaged: reading it did not end in {error.timeout:.0f} s"
+            ) from None
+        if ended.stdout:
+            raise DatasetError(json.loads(ended.stdout))
+        if ended.returncode or not out.exists():
+            why = f"it ended with {ended.returncode}"
+            raise DatasetError(
+                f"{path} is damaged: the HDF5 library cannot read it ({why})"
+            )
+        return load_arrays(out, layout)
+
+
+def main() -> None:
+    """Read what standard input asks for; print an error as JSON."""
+    asked = json.load(sys.stdin)
+    path, out = Path(asked["path"]), Path(asked["out"])
+    most = _OWN_MEMORY + 4 * most_unpacked(path.stat().st_size)
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    layout = Layout.from_json(asked["layout"])
+    try:
+        arrays = read_hdf5(path, asked["total"], layout, asked["info"])
+        save_arrays(out, arrays, compress=False)
+    except DatasetError as error:
+        sys.stdout.write(json.dumps(str(error)))
+    except (OSError, MemoryError) as error:
+        reason = str(error) or "it needs more memory than its size allows"
+        sys.stdout.write(json.dumps(f"cannot read {path}: {reason}"))

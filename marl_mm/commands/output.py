@@ -1,0 +1,92 @@
+"""Output that several commands share."""
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from marl_mm.datasets.location import Location
+
+if TYPE_CHECKING:  # a help takes neither data nor the simulator
+    from marl_mm.datasets.dataset import Dataset
+    from marl_mm.eval.evaluate import Evaluation
+
+
+def show(values: Any, text: str | None, as_json: bool) -> None:
+    """Print values as JSON, or a text about them."""
+    if as_json:
+        print(json.dumps(values, indent=2))
+    elif text is not None:
+        print(text)
+
+
+def print_rows(
+    rows: Sequence[Mapping[str, Any]], as_json: bool, title: str | None = None
+) -> None:
+    """Print rows as JSON or, a column a key, as a table without empty columns.
+
+    Into a pipe, texts of the table are whole, for a search.
+    """
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Column, Table
+
+    if as_json:
+        show(rows, None, as_json)
+        return
+    names = [name for name in rows[0] if any(row[name] is not None for row in rows)]
+    table = Table(*(Column(name, overflow="fold") for name in names), title=title)
+    for row in rows:
+        table.add_row(*(escape(_text(row[name])) for name in names))
+    console = Console()
+    (console if console.is_terminal else Console(width=200)).print(table)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        value = [f"{name} {number}" for name, number in value.items()]
+    if isinstance(value, list):
+        return ", ".join(map(str, value))
+    return "-" if value is None else str(value)
+
+
+def print_evaluations(evaluations: Sequence["Evaluation"]) -> None:
+    """Print a table of evaluations; into a pipe, with names in full."""
+    from rich.console import Console
+
+    from marl_mm.eval.metrics import failures_in_words
+    from marl_mm.eval.tables import evaluation_table
+
+    console = Console(markup=False)
+    if not console.is_terminal:
+        longest = max(len(evaluation.policy) for evaluation in evaluations)
+        console = Console(width=80 + longest, markup=False)
+    console.print(evaluation_table(evaluations, console.width))
+    for evaluation in evaluations:
+        failures = evaluation.summary["all"].get("failures")
+        if failures is not None:
+            print(f"{evaluation.policy} failed: {failures_in_words(failures)}")
+
+
+def read_dataset(name: str | Location) -> "Dataset":
+    """A dataset, with a line on stderr if its collection was stopped.
+
+    Raises:
+        UnknownDatasetError: If there is none.
+        DatasetError: If its files are damaged.
+    """
+    from marl_mm.datasets.dataset import load_dataset
+
+    dataset = load_dataset(name)
+    warn_if_stopped(dataset.location, dataset.metadata)
+    return dataset
+
+
+def warn_if_stopped(location: Location, metadata: Mapping[str, Any]) -> None:
+    """Warn on stderr about a dataset whose collection was stopped."""
+    if not metadata["marl_mm"].get("complete", True):
+        print(
+            f"marl-mm: {location.name} is of a collection that was stopped: "
+            f"{metadata['total_steps']} steps",
+            file=sys.stderr,
+        )
