@@ -59,9 +59,7 @@ def subcommands(
     """
 
     def main(arguments: Sequence[str]) -> None:
-        kinds = {name: _to_call(function) for name, function in functions.items()}
-        _, call = parse_subcommand(kinds, prog, about, arguments)
-        call()
+        parse_subcommand(functions, prog, about, arguments)[1]()
 
     return main
 
@@ -103,7 +101,8 @@ def parse_subcommand(
     """The subcommand that the arguments name, and its options.
 
     Args:
-        commands: Dataclasses of options by name, or functions that return them.
+        commands: Dataclasses of options by name, or functions of them: of a function
+            the call that is to be made is returned.
         prog: Name of the command.
         description: Description of all subcommands together.
         arguments: Command line after ``prog``.
@@ -139,6 +138,7 @@ def value_of(arguments: Sequence[str], option: str, default: str) -> str:
 
 def _kind(name: str, kind: Callable[..., Any] | Subcommand) -> Any:
     if not isinstance(kind, Subcommand):
+        kind = _to_call(kind) if inspect.isfunction(kind) else kind
         return Annotated[Any, tyro.conf.subcommand(name, constructor=kind)]
     _refuse_clashes(kind.default)
     about = tyro.conf.subcommand(
