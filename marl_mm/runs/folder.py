@@ -42,11 +42,6 @@ _MADE = ("eval*.json", *(f"*{form.suffix}" for _, form in POLICY_FORMATS.items()
 def check_runs(training: Training, out: Path, seeds: Sequence[int]) -> None:
     """Raise for settings that make no sense, whatever the algorithm.
 
-    Args:
-        training: Settings of the runs.
-        out: Folder of the runs, one for each seed.
-        seeds: Seeds of the runs.
-
     Raises:
         UsageError: Naming the setting.
     """
@@ -127,14 +122,7 @@ def refuse_other(run: Path, config: RunConfig, ignored: Sequence[str] = ()) -> N
 def run_config(
     training: Training, seed: int, task: str, dataset: Dataset | None
 ) -> RunConfig:
-    """The record of a run.
-
-    Args:
-        training: Settings of the run.
-        seed: Seed of the run.
-        task: Task that is evaluated in.
-        dataset: Dataset that is learnt from, if any.
-    """
+    """The record of a run that is evaluated in a task, and learns from any dataset."""
     origins = ALGORITHMS.origin(training.algorithm), TASKS.origin(task)
     return RunConfig(
         algorithm=training.algorithm,

@@ -200,11 +200,7 @@ def train_runs(
 ) -> list[Path]:
     """Train runs that have begun, side by side, then evaluate one after the other.
 
-    Args:
-        training: Settings of the runs.
-        dataset: Dataset to learn from, or to replay online, if any.
-        runs: Folders by seed; online a single one.
-        bar: Factory of progress bars.
+    Online there is a single run. Arguments are those of ``train_seeds``.
     """
     prepare_for_small_networks()
     algorithm, folders = algorithm_of(training, dataset, [*runs]), [*runs.values()]
@@ -244,8 +240,6 @@ def train_runs(
 
 
 def _episodes(rollouts: Rollouts, seed: int) -> RunEpisodes:
-    """Runs the training episodes of a seed."""
-
     def run_episodes(policy: Explorer, numbers: Iterable[int]) -> Iterator[Episode]:
         plans = [EpisodePlan(i, episode_seed(seed, i, "train")) for i in numbers]
         return rollouts.run(policy, plans)

@@ -9,8 +9,6 @@ from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
 from marl_mm.algorithms.schedule import Schedule
 from marl_mm.runs.settings import check_positive, check_seed, refuse_both
 
-_GOALS = ("curve_episodes", "eval_episodes", "eval_seed")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
@@ -86,7 +84,8 @@ class Training:
     @property
     def recorded(self) -> dict[str, Any]:
         """Settings that a run's record holds beside the hyper-parameters."""
-        raise NotImplementedError
+        names = ("curve_episodes", "eval_episodes", "eval_seed")
+        return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,8 +116,8 @@ class Offline(Training):
     @property
     def recorded(self) -> dict[str, Any]:
         """Settings that a run's record holds beside the hyper-parameters."""
-        names = ("device", "max_steps", "curve_every", *_GOALS)
-        return {name: getattr(self, name) for name in names}
+        names = ("device", "max_steps", "curve_every")
+        return {name: getattr(self, name) for name in names} | super().recorded
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,8 +142,7 @@ class Online(Training):
     @property
     def recorded(self) -> dict[str, Any]:
         """Settings that a run's record holds beside the hyper-parameters."""
-        goals = {name: getattr(self, name) for name in _GOALS}
-        return {**self.overrides, **goals, **asdict(self.schedule)}
+        return {**self.overrides, **super().recorded, **asdict(self.schedule)}
 
 
 def training_of(algorithm: str, name: str = TUNED, **settings: Any) -> Offline | Online:
