@@ -123,7 +123,7 @@ def _paper(
             if not json:
                 print(card_text(cards[-1]), end="\n\n", flush=True)
     if json:
-        show(cards, None, json)
+        show(cards)
 
 
 def _successes(summary: dict[str, Any]) -> str:

@@ -91,7 +91,7 @@ def _verify(
         if not json:
             print(f"{name}: {'; '.join(problems) or 'all is well'}", flush=True)
     if json:
-        show(problems_of, None, json)
+        show(problems_of)
     if any(problems_of.values()):
         broken = [name for name, problems in problems_of.items() if problems]
         raise DatasetError(f"not as they should be: {', '.join(broken)}")

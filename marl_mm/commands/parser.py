@@ -148,11 +148,7 @@ def _kind(name: str, kind: Callable[..., Any] | Subcommand) -> Any:
 
 
 def _refuse_clashes(options: Any) -> None:
-    """Raise if settings that stand among a command's options have one's name.
-
-    Raises:
-        UsageError: Naming the setting.
-    """
+    """Raise a UsageError that names a setting that has the name of another option."""
     taken: list[str] = []
     for option in fields(options):
         value = getattr(options, option.name)

@@ -133,7 +133,7 @@ def _train(name: str, options: Offline | Online) -> None:
     finally:  # if some seeds diverge, others do not
         if options.json and results:  # in the order of the seeds
             results.sort(key=lambda r: options.seeds.index(int(Path(r["run"]).name)))
-            show(results, None, options.json)
+            show(results)
 
 
 def _without_config(

@@ -40,11 +40,7 @@ _MADE = ("eval*.json", *(f"*{form.suffix}" for _, form in POLICY_FORMATS.items()
 
 
 def check_runs(training: Training, out: Path, seeds: Sequence[int]) -> None:
-    """Raise for settings that make no sense, whatever the algorithm.
-
-    Raises:
-        UsageError: Naming the setting.
-    """
+    """Raise a UsageError that names the first setting that makes no sense."""
     training.check()
     check_seeds(seeds)
     if training.resume and (out / CONFIG).exists():
@@ -86,11 +82,7 @@ def check_run(
 
 
 def _refuse_other_plugins(run: Path, config: RunConfig, allowed: bool) -> None:
-    """Raise if a plug-in is not the one that the run was made with, by whatever name.
-
-    Raises:
-        OtherConfigError: Naming it.
-    """
+    """Raise an OtherConfigError for a plug-in that is not the run's, by whatever name."""
     before, now = read_config(run).plugins, config.plugins
     if allowed or {*before.values()} == {*now.values()}:
         return

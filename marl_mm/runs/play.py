@@ -215,10 +215,6 @@ def play_demo(
 
 
 def check_strip(path: Path) -> None:
-    """Raise if a film strip's name has another ending than .png.
-
-    Raises:
-        UsageError: If it has.
-    """
+    """Raise a UsageError if a film strip's name has another ending than .png."""
     if path.suffix != ".png":
         raise UsageError(f"film strip {path} ends in {path.suffix!r}, expected .png")

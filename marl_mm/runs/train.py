@@ -131,11 +131,7 @@ def trained(
 
 
 def refuse_dataset(algorithm: str, dataset: object) -> None:
-    """Raise if an algorithm that learns online is given a dataset.
-
-    Raises:
-        UsageError: Naming those that learn from one.
-    """
+    """Raise a UsageError if an algorithm that learns online is given a dataset."""
     if dataset is not None:
         raise UsageError(
             f"{algorithm} learns from episodes of its own and takes no `dataset`: use "

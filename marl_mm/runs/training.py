@@ -71,11 +71,7 @@ class Training:
         return {} if self.max_steps is None else {"max_steps": self.max_steps}
 
     def check(self) -> None:
-        """Raise for settings that make no sense, whatever the algorithm.
-
-        Raises:
-            UsageError: Naming the setting.
-        """
+        """Raise a UsageError that names the first setting that makes no sense."""
         check_positive(eval_episodes=self.eval_episodes, workers=self.workers)
         check_seed(self.eval_seed)
         refuse_both(self.resume, self.overwrite)
