@@ -82,7 +82,7 @@ def check_run(
 
 
 def _refuse_other_plugins(run: Path, config: RunConfig, allowed: bool) -> None:
-    """Raise an OtherConfigError for a plug-in that is not the run's, by whatever name."""
+    """Raise an OtherConfigError for a plug-in that is not the run's, by any name."""
     before, now = read_config(run).plugins, config.plugins
     if allowed or {*before.values()} == {*now.values()}:
         return
