@@ -26,7 +26,7 @@ from marl_mm.files import refuse_existing, write_json
 from marl_mm.plugins import record
 from marl_mm.received import check_kind, read_json
 from marl_mm.runs.settings import check_seeds
-from marl_mm.runs.training import Training
+from marl_mm.runs.training import Offline, Online, Training
 from marl_mm.versions import versions
 
 CONFIG = "config.json"
@@ -111,11 +111,17 @@ def refuse_other(run: Path, config: RunConfig, ignored: Sequence[str] = ()) -> N
     refuse_other_config(run, theirs, mine)
 
 
-def run_config(
-    training: Training, seed: int, task: str, dataset: Dataset | None
-) -> RunConfig:
-    """The record of a run that is evaluated in a task, and learns from any dataset."""
-    origins = ALGORITHMS.origin(training.algorithm), TASKS.origin(task)
+def task_of(training: Training, dataset: Dataset | None) -> str:
+    """Name of the task that is evaluated in."""
+    if isinstance(training, Online):
+        return training.task
+    assert isinstance(training, Offline) and dataset is not None
+    return training.task or dataset.provenance.task
+
+
+def run_config(training: Training, dataset: Dataset | None, seed: int) -> RunConfig:
+    """The record of a run."""
+    task = task_of(training, dataset)
     return RunConfig(
         algorithm=training.algorithm,
         preset=training.preset,
@@ -123,7 +129,7 @@ def run_config(
         task=task,
         dataset=dataset.identity() if dataset else None,
         packages=versions(),
-        plugins=record(*origins),
+        plugins=record(ALGORITHMS.origin(training.algorithm), TASKS.origin(task)),
         settings=training.recorded | asdict(training.config),
     )
 
