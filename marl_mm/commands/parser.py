@@ -47,23 +47,6 @@ def run(function: Callable[..., None], prog: str, arguments: Sequence[str]) -> N
     _parse(_to_call(function), prog, prog, about, arguments)()
 
 
-def subcommands(
-    prog: str, about: str, functions: Mapping[str, Callable[..., None]]
-) -> Main:
-    """A command with subcommands, whose options are parameters of functions.
-
-    Args:
-        prog: Name of the command.
-        about: Description of all subcommands together.
-        functions: Functions by the subcommands' names.
-    """
-
-    def main(arguments: Sequence[str]) -> None:
-        parse_subcommand(functions, prog, about, arguments)[1]()
-
-    return main
-
-
 def _to_call(function: Callable[..., None]) -> Callable[..., Callable[[], None]]:
     """A function of the same parameters that returns the call instead of making it."""
 
