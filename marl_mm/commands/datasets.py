@@ -1,7 +1,7 @@
 """marl-mm datasets: lists, cards and checks of datasets, and new ones made of them."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -169,7 +169,7 @@ def _delete(
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm datasets``."""
-    functions = {
+    functions: dict[str, Callable[..., None]] = {
         "list": _list,
         "show": _show,
         "mix": make_mix,
