@@ -8,6 +8,7 @@ import hashlib
 import json
 import stat
 import unicodedata
+import zipfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -206,6 +207,26 @@ def file_digest(path: Path, refusal: Refusal) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise refusal(f"cannot read {path}: {error.strerror}") from error
+
+
+def check_archive(file: Path) -> None:
+    """Raise for a zip archive of torch that is not as torch writes them.
+
+    torch does not look at the checksums: a bit that flips would go unnoticed.
+
+    Raises:
+        ValueError, zipfile.BadZipFile, ...: Naming what is wrong.
+    """
+    with zipfile.ZipFile(file) as archive:
+        parts = archive.infolist()
+        if len({part.filename for part in parts}) < len(parts):
+            raise ValueError("two parts of one name")
+        if any(part.compress_type != zipfile.ZIP_STORED for part in parts):
+            raise ValueError("compressed parts")
+        if sum(part.file_size for part in parts) > file.stat().st_size:
+            raise ValueError("parts larger than the file")
+        if (damaged := archive.testzip()) is not None:
+            raise ValueError(f"checksum of {damaged}")
 
 
 def most_unpacked(size: int) -> int:
