@@ -236,8 +236,10 @@ def _onnx(
         verbose=False,
     )
     assert program is not None
-    program.model.metadata_props[_METADATA] = json.dumps(metadata)
-    program.save(path)
+    proto = onnx.load_from_string(program.model_proto.SerializeToString())
+    metadata["content_sha256"] = _onnx_digest(proto)
+    onnx.helper.set_model_props(proto, {_METADATA: json.dumps(metadata)})
+    path.write_bytes(proto.SerializeToString())
     session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
 
     def run(observations: np.ndarray) -> np.ndarray:

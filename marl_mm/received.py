@@ -180,7 +180,8 @@ def check_kind(value: Any, kind: Any, where: str, refusal: Refusal) -> None:
     try:
         check_type(value, kind, collection_check_strategy=every)
     except TypeCheckError as error:
-        raise refusal(f"{where}: {error!s:.200}") from None
+        reason = " ".join(str(error).split())
+        raise refusal(f"{where}: {reason:.200}") from None
 
 
 def printable(text: str) -> str:
@@ -221,10 +222,9 @@ def check_archive(file: Path) -> None:
         parts = archive.infolist()
         if len({part.filename for part in parts}) < len(parts):
             raise ValueError("two parts of one name")
-        if any(part.compress_type != zipfile.ZIP_STORED for part in parts):
-            raise ValueError("compressed parts")
-        if sum(part.file_size for part in parts) > file.stat().st_size:
-            raise ValueError("parts larger than the file")
+        size = sum(part.file_size for part in parts)
+        if size > most_unpacked(file.stat().st_size):
+            raise ValueError(f"{size:,} bytes unpacked")
         if (damaged := archive.testzip()) is not None:
             raise ValueError(f"checksum of {damaged}")
 

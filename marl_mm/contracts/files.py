@@ -5,6 +5,7 @@ Each is read as the commands read it, and must be whole, plausible and of known 
 
 import hashlib
 import shutil
+import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -125,7 +126,10 @@ def _act(policy: LearnedPolicy) -> None:
 
 def _read_run(path: Path) -> Any:
     config = read_config(path)
-    contents: list[Any] = [config.to_json(), read_metrics(path)]
+    metrics = read_metrics(path)
+    if metrics and not (path / FILE).exists():
+        raise CheckpointError(f"{path} has metrics, but no {FILE}")
+    contents: list[Any] = [config.to_json(), metrics]
     for file in (FILE, BEST):
         if (path / file).exists():
             contents.append(_read_policy(path / file))
@@ -151,6 +155,14 @@ def _read_record(path: Path) -> Any:
     return read_config(path).to_json()
 
 
+def _read_exported(path: Path) -> Any:
+    metadata = exported_metadata(path)
+    if not zipfile.is_zipfile(path):
+        return metadata
+    with zipfile.ZipFile(path) as archive:
+        return [metadata, [(part.filename, part.CRC) for part in archive.infolist()]]
+
+
 def _of_suffix(*suffixes: str) -> Callable[[Path], bool]:
     return lambda path: path.name.endswith(suffixes) and not path.is_dir()
 
@@ -164,7 +176,7 @@ KINDS = (
     Kind(
         "exported policy",
         _of_suffix(*(form.suffix for _, form in POLICY_FORMATS.items())),
-        exported_metadata,
+        _read_exported,
     ),
     Kind("record", _of_suffix(".json"), _read_record),
     Kind("metrics", _of_suffix(".jsonl"), lambda path: read_metrics(path.parent)),

@@ -69,7 +69,7 @@ def _trial(path: Path, folder: Path, number: int, seed: int, good: str) -> Trial
         outcome, message = apart(_read, copy, PATIENCE)
     except WorkerDiedError as error:
         outcome, message = "crash or hang", str(error)
-    if outcome == "accepted" and not mutation.signed and message != good:
+    if outcome == "accepted" and not mutation.plausible and message != good:
         outcome = "damage accepted"
     if _bytes_of(folder) != before:
         outcome = "changed file"

@@ -11,6 +11,7 @@ import json
 import lzma
 import os
 import sqlite3
+import warnings
 import zipfile
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -44,8 +45,8 @@ class Mutation:
     about: str
     """Description."""
 
-    signed: bool
-    """Whether checksums are those of the changed contents, which may be accepted."""
+    plausible: bool
+    """Whether the contents may be accepted: checksums are right, or there are none."""
 
 
 def mutate(path: Path, rng: Rng) -> Mutation:
@@ -67,16 +68,23 @@ def mutate(path: Path, rng: Rng) -> Mutation:
         about = informed(target, rng)
         _sign(path)
         return Mutation(f"{target.name}: {about}", True)
+    bare = target.suffix in _WITHOUT_CHECKSUM and target.name != "metadata.json"
     change = _drawn(_CHANGES, rng)
-    return Mutation(f"{target.name}: {change(target, rng)}", False)
+    return Mutation(f"{target.name}: {change(target, rng)}", bare)
 
 
 _INFORMED_SHARE = 0.6
 """Share of mutations that know the format, where there are some."""
 
 
+_WITHOUT_CHECKSUM = (".json", ".jsonl", ".csv")
+"""Suffixes of texts without a checksum, but for the metadata of datasets."""
+
+
 def _is_target(path: Path) -> bool:
-    return path.is_file() and not path.name.startswith("card.")
+    """Whether a file is read: cards, pictures and events are not."""
+    known = path.suffix in (*_INFORMED, ".onnx")
+    return path.is_file() and known and not path.name.startswith("card.")
 
 
 def _sign(path: Path) -> None:
@@ -391,7 +399,8 @@ def _archive(path: Path, rng: Rng) -> str:
     else:
         parts.append((name, content))
     kind = zipfile.ZIP_DEFLATED if rng.random() < 0.2 else zipfile.ZIP_STORED
-    with zipfile.ZipFile(path, "w", kind) as archive:
+    with zipfile.ZipFile(path, "w", kind) as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # two parts of one name
         for part, data in parts:
             archive.writestr(part, data)
     return f"{name}: {('a bit', 'half', 'missing', 'twice')[way]}"
