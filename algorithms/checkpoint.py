@@ -1,6 +1,7 @@
 """Checkpoints: one file that acts and resumes without anything else."""
 
 from dataclasses import asdict
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,11 @@ _FORMATS = ("marl_mm checkpoint 1", _FORMAT)
 
 
 def save_checkpoint(path: Path, algorithm: Resumable) -> None:
-    """Write an algorithm's state with its config and layout, atomically."""
+    """Write an algorithm's state with its config and layout, atomically.
+
+    Raises:
+        OSError: If there is no room; it names the file.
+    """
     _save(path, algorithm, algorithm.state())
 
 
@@ -59,9 +64,11 @@ def _save(
         "layout": algorithm.layout.to_json(),
         "state": state,
     }
-    # Into an open file: given a name, torch would write it into the bytes.
-    with new_file(path) as temporary, temporary.open("wb") as file:
-        torch.save(contents, file)
+    # Into memory first: torch does not tell of a full disk as Python does.
+    file = BytesIO()
+    torch.save(contents, file)
+    with new_file(path) as temporary:
+        temporary.write_bytes(file.getbuffer())
 
 
 _KINDS: dict[str, Any] = {

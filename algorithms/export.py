@@ -4,6 +4,7 @@ A file takes observations, float32, shape (n, d), and returns actions in the act
 space, shape (n, k); within it lie the names of their entries and the actions' bounds.
 """
 
+import hashlib
 import json
 import logging
 import warnings
@@ -13,6 +14,7 @@ from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +86,7 @@ def export_policy(
     Raises:
         UsageError: If there is no such agent, or a library is missing.
         ExportError: If the file's actions differ by more than ``TOLERANCE``.
+        OSError: If there is no room for the file; it names the file.
     """
     chosen = POLICY_FORMATS.get(form)
     _refuse_missing(form, chosen)
@@ -211,7 +214,9 @@ def _torchscript(
     module: nn.Module, example: torch.Tensor, path: Path, metadata: dict[str, Any]
 ) -> Run:
     traced = torch.jit.trace(module, example)  # type: ignore[no-untyped-call]
-    torch.jit.save(traced, path, {_METADATA: json.dumps(metadata)})
+    file = BytesIO()  # torch would end the process on a full disk
+    torch.jit.save(traced, file, {_METADATA: json.dumps(metadata)})
+    path.write_bytes(file.getbuffer())
     loaded = torch.jit.load(path)  # type: ignore[no-untyped-call]
 
     def run(observations: np.ndarray) -> np.ndarray:
@@ -236,9 +241,10 @@ def _onnx(
         verbose=False,
     )
     assert program is not None
-    proto = onnx.load_from_string(program.model_proto.SerializeToString())
+    proto = program.model_proto
     metadata["content_sha256"] = _onnx_digest(proto)
-    onnx.helper.set_model_props(proto, {_METADATA: json.dumps(metadata)})
+    entry = proto.metadata_props.add()
+    entry.key, entry.value = _METADATA, json.dumps(metadata)
     path.write_bytes(proto.SerializeToString())
     session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
 
@@ -265,7 +271,19 @@ def _onnx_metadata(path: Path) -> str:
         raise ValueError("weights in other files")
     onnx.checker.check_model(model)
     (text,) = (p.value for p in model.metadata_props if p.key == _METADATA)
+    written = json.loads(text).get("content_sha256")  # version 1 has none
+    if written not in (None, _onnx_digest(model)):
+        raise ValueError("its content is not what was written")
     return str(text)
+
+
+def _onnx_digest(model: Any) -> str:
+    """SHA-256 of a model's operations and weights, in hex digits."""
+    digest = hashlib.sha256()
+    graph = model.graph
+    for part in (*graph.node, *graph.initializer, *graph.input, *graph.output):
+        digest.update(part.SerializeToString(deterministic=True))
+    return digest.hexdigest()
 
 
 POLICY_FORMATS.add(

@@ -1,8 +1,12 @@
 """Loggers of a run beside its record ``metrics.jsonl``: TensorBoard, CSV, W&B."""
 
 import csv
+import io
+import itertools
 import json
 import os
+import socket
+import time
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,7 +14,7 @@ from secrets import token_hex
 from typing import Any, Protocol
 
 from marl_mm.errors import UsageError
-from marl_mm.files import new_file
+from marl_mm.files import append, new_file
 
 CSV = "metrics.csv"
 """The rows of ``metrics.jsonl`` as a table."""
@@ -20,6 +24,9 @@ LOGGED = ("events.out.tfevents.*", CSV, "wandb")
 
 PROJECT = "marl_mm"
 """Project of Weights & Biases, unless ``WANDB_PROJECT`` names another."""
+
+_EVENT_FILES = itertools.count()
+"""Numbers of the event files of this process, a part of their names."""
 
 Row = dict[str, Any]
 """A line of a run's metrics."""
@@ -43,6 +50,8 @@ class Logger(Protocol):
 class TensorBoardLogger:
     """TensorBoard's event files in the run's folder.
 
+    TensorBoard's own writer does so in a thread, which fails alone on a full disk.
+
     Args:
         run: The run's folder.
         clock: Name of the progress in a row, which is no scalar.
@@ -51,24 +60,42 @@ class TensorBoardLogger:
 
     def __init__(self, run: Path, clock: str, rows: Sequence[Row]) -> None:
         # It imports protobuf and more, which takes a second.
-        from torch.utils.tensorboard import SummaryWriter
+        from tensorboard.compat.proto.event_pb2 import Event, SessionLog
 
-        since = rows[-1][clock] if rows else 0
         self._clock = clock
-        self._writer: Any = SummaryWriter(
-            str(run), purge_step=since + 1 if since else None
-        )
+        name = f"{int(time.time()):010d}.{socket.gethostname()}.{os.getpid()}"
+        self._path = run / f"events.out.tfevents.{name}.{next(_EVENT_FILES)}"
+        first = [Event(file_version="brain.Event:2")]
+        if rows and (since := rows[-1][clock]):
+            # TensorBoard drops what other files have of this step and later ones.
+            start = SessionLog(status=SessionLog.START)
+            first.append(Event(step=since + 1, session_log=start))
+        self._write(first)
 
     def log(self, step: int, row: Mapping[str, Any]) -> None:
         """Write a row's numbers as scalars."""
-        for key, value in row.items():
-            if key != self._clock:
-                self._writer.add_scalar(key, value, step)
-        self._writer.flush()
+        from tensorboard.compat.proto.event_pb2 import Event
+        from tensorboard.compat.proto.summary_pb2 import Summary
+
+        values = [
+            Summary.Value(tag=key, simple_value=float(value))
+            for key, value in row.items()
+            if key != self._clock
+        ]
+        self._write([Event(step=step, summary=Summary(value=[v])) for v in values])
+
+    def _write(self, events: Sequence[Any]) -> None:
+        from tensorboard.summary.writer.record_writer import RecordWriter
+
+        records = io.BytesIO()
+        writer = RecordWriter(records)
+        for event in events:
+            event.wall_time = time.time()
+            writer.write(event.SerializeToString())
+        append(self._path, records.getvalue())
 
     def close(self, failed: bool) -> None:
-        """Close the event file."""
-        self._writer.close()
+        """Nothing is open between rows."""
 
 
 class CsvLogger:
@@ -93,8 +120,9 @@ class CsvLogger:
             self._columns += new
             self._rewrite()
         else:
-            with self._path.open("a", newline="") as file:
-                csv.DictWriter(file, self._columns).writerow(row)
+            line = io.StringIO(newline="")
+            csv.DictWriter(line, self._columns).writerow(row)
+            append(self._path, line.getvalue().encode())
 
     def close(self, failed: bool) -> None:
         """Nothing is open between rows."""

@@ -13,7 +13,7 @@ from marl_mm.algorithms.loggers import (
     check_loggers,
 )
 from marl_mm.errors import CheckpointError
-from marl_mm.files import new_file
+from marl_mm.files import append, new_file
 from marl_mm.received import check_kind, parse_json, read_text
 
 METRICS = "metrics.jsonl"
@@ -86,14 +86,17 @@ class RunLog:
             logger.close(failed=exception[0] is not None)
 
     def add(self, row: Row) -> None:
-        """Write a row, and give it to every logger."""
+        """Write a row, and give it to every logger.
+
+        Raises:
+            OSError: If there is no room; it names the file, which stays as it was.
+        """
         if self._loggers is None:
             self._loggers = [
                 LOGGERS[name](self.run, self._clock, self.rows) for name in self._names
             ]
         self.rows.append(row)
-        with (self.run / METRICS).open("a") as file:
-            file.write(_line(row))
+        append(self.run / METRICS, _line(row).encode())
         for logger in self._loggers:
             logger.log(row[self._clock], row)
 

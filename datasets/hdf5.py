@@ -5,9 +5,13 @@ fifth of the space: most episodes are so short that the records about chunks wou
 outweigh the numbers.
 """
 
+import errno
 import math
+import os
 import re
-from collections.abc import Iterator, Sequence
+import resource
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +23,7 @@ import numpy as np
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
 from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError, MarlMmError
+from marl_mm.files import named_errors
 from marl_mm.layout import Layout
 from marl_mm.received import check_regular, is_printable, most_unpacked
 
@@ -82,11 +87,12 @@ def write_hdf5(path: Path, arrays: EpisodeArrays) -> None:
     """Write all episodes into a new file.
 
     Raises:
-        MarlMmError: If there is no room for the file.
+        OSError: If there is no room for the file; it names the file.
     """
     compact = _without_times()
     compact.set_layout(h5py.h5d.COMPACT)
-    with _new_hdf5(path, libver=("v110", "v110")) as file:
+
+    def fill(file: Any) -> None:
         for number in range(len(arrays)):
             group = file.create_group(f"episode_{number}")
             group.attrs.update(_attributes(arrays, number))
@@ -94,6 +100,8 @@ def write_hdf5(path: Path, arrays: EpisodeArrays) -> None:
                 folder, _, name = key.rpartition("/")
                 parent = group.require_group(folder) if folder else group
                 _write(parent, name, values, compact)
+
+    _write_new(path, fill, libver=("v110", "v110"))
 
 
 def _write(group: Any, name: str, values: np.ndarray, compact: Any) -> None:
@@ -157,23 +165,46 @@ def write_tables(
     """Write flat arrays by key, compressed, and attributes of the file.
 
     Raises:
-        MarlMmError: If there is no room for the file.
+        OSError: If there is no room for the file; it names the file.
     """
-    with _new_hdf5(path) as file:
+
+    def fill(file: Any) -> None:
         for key, values in tables.items():
             file.create_dataset(key, data=values, compression="gzip", shuffle=True)
         file.attrs.update(attributes)
 
+    _write_new(path, fill)
 
-@contextmanager
-def _new_hdf5(path: Path, **options: Any) -> Iterator[Any]:
-    try:
-        with h5py.File(path, "w", **options) as file:
-            yield file
-    except (OSError, RuntimeError) as error:  # either, depending on the moment
-        found = re.search("error message = '([^']+)'", str(error))
-        reason = found[1] if found else " ".join(str(error).split())
-        raise MarlMmError(f"cannot write {path.name}: {reason:.160}") from error
+
+def _write_new(path: Path, fill: Callable[[Any], None], **options: Any) -> None:
+    """Write a new HDF5 file, which a function fills, by way of memory.
+
+    On a full disk, HDF5 itself complains on stderr and may end the process. Its own
+    files in memory have other bytes than those on a disk, so it writes one of the
+    operating system's; the driver "stdio" does not mind that it has no path.
+
+    Raises:
+        OSError: If there is no room for the file; it names the file.
+    """
+    limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+    if limit != resource.RLIM_INFINITY and _size(fill, options) > limit:
+        # It holds in memory, too.
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
+    with os.fdopen(os.memfd_create(FILE), "r+b") as memory:
+        name = f"/proc/self/fd/{memory.fileno()}"
+        with h5py.File(name, "w", driver="stdio", **options) as file:
+            fill(file)
+        with named_errors(path), path.open("wb") as disk:
+            shutil.copyfileobj(memory, disk)
+
+
+def _size(fill: Callable[[Any], None], options: Mapping[str, Any]) -> int:
+    """Size of a file before HDF5 cuts what it kept in reserve [bytes]."""
+    nowhere = {"driver": "core", "backing_store": False}
+    with h5py.File(FILE, "w", **nowhere, **options) as file:
+        fill(file)
+        file.flush()
+        return len(file.id.get_file_image())
 
 
 @contextmanager

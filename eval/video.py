@@ -1,6 +1,10 @@
 """Videos and film strips of an episode, from PyBullet's CPU renderer."""
 
+import os
+import signal
+import subprocess
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, NamedTuple, Protocol
 
@@ -13,7 +17,7 @@ from marl_mm.envs.drive import Tick
 from marl_mm.envs.rollout import EpisodePlan, run_episode
 from marl_mm.envs.task import Task
 from marl_mm.episode import Episode
-from marl_mm.errors import UsageError
+from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.goals import goal_set
 from marl_mm.files import new_file
 from marl_mm.policy import Policy
@@ -165,20 +169,50 @@ def write_video(path: Path, frames: Sequence[np.ndarray], fps: int) -> None:
 
     Raises:
         UsageError: If the ending is neither.
+        MarlMmError: If ffmpeg fails, as on a full disk.
     """
     check_format(path)
     height, width, _ = frames[0].shape
+    given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
+    made = ["-pix_fmt", "yuv420p", "-crf", "25"]
+    if path.suffix == ".gif":
+        made = ["-pix_fmt", "rgb8"]
+    if width % 2 or height % 2:  # H.264 halves the resolution of colors
+        made += ["-vf", f"scale={width + width % 2}:{height + height % 2}"]
+    program = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error"]
     with new_file(path) as temporary:
-        codec = {"codec": "gif", "pix_fmt_out": "rgb8"} if path.suffix == ".gif" else {}
-        writer = imageio_ffmpeg.write_frames(
-            str(temporary), (width, height), fps=fps, macro_block_size=2, **codec
+        words = [*program, *given, "-r", str(fps), "-i", "-", *made, str(temporary)]
+        if problem := _encoded(words, frames):
+            raise MarlMmError(f"cannot write {path}: {problem}")
+
+
+def _encoded(command: Sequence[str], frames: Sequence[np.ndarray]) -> str:
+    """Give frames to an ffmpeg; return why it failed, or nothing."""
+    with os.fdopen(os.memfd_create("errors"), "w+") as errors:
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=errors,
+            process_group=0,  # Ctrl-C is for us
         )
-        writer.send(None)
+        assert process.stdin is not None
         try:
-            for frame in frames:
-                writer.send(np.ascontiguousarray(frame))
+            with suppress(BrokenPipeError), process.stdin as pipe:
+                for frame in frames:
+                    pipe.write(np.ascontiguousarray(frame).data)
+        except BaseException:
+            process.kill()
+            raise
         finally:
-            writer.close()
+            code = process.wait()
+        if code < 0:
+            return f"ffmpeg was ended: {signal.strsignal(-code)}"
+        errors.seek(0)
+        lines = errors.read().splitlines() if code else []
+    if code:
+        return lines[-1].rpartition(": ")[-1] if lines else f"ffmpeg ended with {code}"
+    return ""
 
 
 def film_strip(path: Path, rows: Strips) -> None:

@@ -1,5 +1,6 @@
 """The command line: finds a command, runs it, and turns errors into one line."""
 
+import errno
 import importlib
 import os
 import signal
@@ -52,6 +53,9 @@ ABOUT_COMPLETION = (
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
 
+_UNWRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
+"""Errors of writing to an open file."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``marl-mm`` and return its exit code: 0, 1 failure, 2 usage, 130 Ctrl-C."""
@@ -68,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return 0
     except OSError as error:  # disk full, no permission
-        _complain(f"{error.strerror or error}: {error.filename or 'standard output'}")
+        _complain(_in_words(error))
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return MarlMmError.exit_code
     except KeyboardInterrupt as error:
@@ -147,6 +151,14 @@ def _usage() -> str:
 
 def _print(text: str) -> None:
     sys.stdout.write(text + "\n")
+
+
+def _in_words(error: OSError) -> str:
+    """What the operating system refused, and where: files that we write have names."""
+    where = error.filename
+    if where is None and error.errno in _UNWRITTEN:
+        where = "standard output"
+    return f"{error.strerror or error}" + (f": {where}" if where else "")
 
 
 def _complain(text: str) -> None:

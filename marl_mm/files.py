@@ -1,6 +1,7 @@
 """Files and folders that appear whole or not at all."""
 
 import ctypes
+import errno
 import fcntl
 import json
 import os
@@ -30,16 +31,48 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
 
 
 @contextmanager
+def named_errors(path: Path, temporary: Path | None = None) -> Iterator[None]:
+    """Let errors of the operating system in the block name the file that is written.
+
+    A write to an open file fails without a name, as on a full disk.
+
+    Args:
+        path: Name for errors that have none.
+        temporary: Other name of ``path`` in the block, which nobody knows.
+
+    Raises:
+        OSError: Those of the block.
+    """
+    try:
+        yield
+    except OSError as error:
+        name = error.filename
+        if error.errno is None:  # a library's own, in words
+            raise OSError(errno.EIO, str(error), str(path)) from error
+        if name is None:
+            error.filename = str(path)
+        elif temporary is not None and isinstance(name, str | Path):
+            if Path(name).is_relative_to(temporary):
+                error.filename = str(path / Path(name).relative_to(temporary))
+        raise
+
+
+@contextmanager
 def new_file(path: Path) -> Iterator[Path]:
-    """A temporary name beside ``path``, renamed to it when the block succeeds."""
+    """A temporary name beside ``path``, renamed to it when the block succeeds.
+
+    Raises:
+        OSError: If there is no room or no permission; it names ``path``.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     for killed in _left_by_killed(path.parent, f".{path.stem}.", path.suffix):
         killed.unlink(missing_ok=True)
     try:
-        yield temporary
-        _to_disk(temporary)
-        temporary.replace(path)
+        with named_errors(path, temporary):
+            yield temporary
+            _to_disk(temporary)
+            temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -50,21 +83,26 @@ def new_folder(path: Path) -> Iterator[Path]:
 
     The folder that it replaces is deleted after that. One of the two is always there,
     on file systems that can exchange two names.
+
+    Raises:
+        OSError: If there is no room or no permission; it names ``path`` or what is in
+            it.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     for killed in _left_by_killed(path.parent, f".{path.name}.", ".new"):
         shutil.rmtree(killed, ignore_errors=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.new")
-    temporary.mkdir()
     try:
-        yield temporary
-        for inner in (*temporary.rglob("*"), temporary):
-            _to_disk(inner)
-        if path.exists() or path.is_symlink():
-            _exchange(temporary, path)
-        else:
-            temporary.rename(path)
-        _to_disk(path.parent)
+        with named_errors(path, temporary):
+            temporary.mkdir()
+            yield temporary
+            for inner in (*temporary.rglob("*"), temporary):
+                _to_disk(inner)
+            if path.exists() or path.is_symlink():
+                _exchange(temporary, path)
+            else:
+                temporary.rename(path)
+            _to_disk(path.parent)
     finally:
         if temporary.is_symlink():  # it has taken the place of a link
             temporary.unlink()
@@ -145,6 +183,26 @@ def _is_open_at(descriptor: int, folder: Path) -> bool:
         return os.path.samestat(os.fstat(descriptor), folder.stat())
     except FileNotFoundError:
         return False
+
+
+def append(path: Path, data: bytes) -> None:
+    """Append bytes to a file, all or none.
+
+    Raises:
+        OSError: If there is no room or no permission; it names the file.
+    """
+    new = not path.exists()
+    with named_errors(path), path.open("ab", buffering=0) as file:
+        before = file.tell()
+        try:
+            written = file.write(data)
+            while written < len(data):  # a write that comes to a limit is cut there
+                written += file.write(data[written:])
+        except OSError:
+            file.truncate(before)
+            if new:
+                path.unlink()
+            raise
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -298,7 +298,10 @@ def _write(
         with deaf_to_interrupts(forget=not collection.complete):
             write_dataset(location, arrays, provenance, overwrite=True)
     except (OSError, MarlMmError) as error:  # no room
+        reason = str(error)
+        if isinstance(error, OSError):
+            reason = f"{error.strerror}: {error.filename}"
         raise MarlMmError(
-            f"{error}; finished episodes are kept: make room and go on with "
+            f"{reason}; finished episodes are kept: make room and go on with "
             "`resume=True`"
         ) from error

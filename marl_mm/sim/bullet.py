@@ -6,11 +6,13 @@ import weakref
 from collections.abc import Sequence
 from functools import cache
 from math import asin, atan2
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from marl_mm.errors import MarlMmError, NonFiniteStateError, UsageError
+from marl_mm.files import named_errors
 from marl_mm.robot.description import WHEEL_RADIUS, WHEEL_SEPARATION, RobotConfig
 from marl_mm.robot.description import urdf_xml as robot_urdf
 from marl_mm.robot.model import GRAVITY, RobotState
@@ -277,8 +279,9 @@ class BulletWorld:
         if not self._visual:
             flags |= pybullet.URDF_IGNORE_VISUAL_SHAPES
         with tempfile.NamedTemporaryFile("w", suffix=".urdf") as file:
-            file.write(_urdf(self._robot_config, solid))
-            file.flush()
+            with named_errors(Path(file.name)):
+                file.write(_urdf(self._robot_config, solid))
+                file.flush()
             # loadURDF places the link frame, unlike resetBasePositionAndOrientation.
             robot = pybullet.loadURDF(file.name, flags=flags, physicsClientId=client)
         self._robot = robot
