@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from marl_mm.contracts.claims import Claim, demand
 from marl_mm.contracts.files import fingerprint
 from marl_mm.contracts.mutations import mutate
 from marl_mm.errors import MarlMmError, WorkerDiedError
@@ -58,6 +59,25 @@ def trials(path: Path, count: int, seed: int, begin: int = 0) -> Iterator[Trial]
     for number in range(begin, begin + count):
         with TemporaryDirectory(prefix="marl_mm-") as folder:
             yield _trial(path, Path(folder), number, seed, good)
+
+
+def file_claims(mutations: int, seed: int) -> dict[str, Claim]:
+    """Claims about a file or folder.
+
+    Args:
+        mutations: Number of mutations; 0: no claim about them.
+        seed: Seed of the mutations.
+    """
+
+    def hostile(path: Path) -> None:
+        broken = [trial for trial in trials(path, mutations, seed) if trial.broken]
+        shown = "; ".join(f"{t.number}, {t.mutation}: {t.outcome}" for t in broken[:3])
+        demand(not broken, f"{len(broken)} of {mutations} mutations: {shown}")
+
+    claims: dict[str, Claim] = {"whole, plausible and of known form": fingerprint}
+    if mutations:
+        claims[f"{mutations} mutations are refused, or harmless"] = hostile
+    return claims
 
 
 def _trial(path: Path, folder: Path, number: int, seed: int, good: str) -> Trial:

@@ -70,7 +70,8 @@ def mutate(path: Path, rng: Rng) -> Mutation:
         return Mutation(f"{target.name}: {about}", True)
     bare = target.suffix in _WITHOUT_CHECKSUM and target.name != "metadata.json"
     change = _drawn(_CHANGES, rng)
-    return Mutation(f"{target.name}: {change(target, rng)}", bare)
+    about = f"{target.name}: {change(target, rng)}"
+    return Mutation(about, bare or change is _missing)
 
 
 _INFORMED_SHARE = 0.6
