@@ -52,7 +52,7 @@ def main(
     seed: int = 0,
     json: bool = False,
 ) -> None:
-    """Check whether plug-ins keep their promises, and whether files of others are whole.
+    """Check whether plug-ins keep their promises, and files of others are whole.
 
     Each task, algorithm, collector and metric of a plug-in is put through the package's
     own contract tests, in short: seeds, resuming, several seeds at once, shapes and
