@@ -6,11 +6,12 @@ from typing import Any
 from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.datasets.card import keep_card
 from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.datasets.journal import noted
 from marl_mm.datasets.location import locate
+from marl_mm.datasets.provenance import Provenance
 from marl_mm.envs.registry import DEFAULT, TASKS
 from marl_mm.progress import Bar, silent_bar
-from marl_mm.runs.collect_resume import begun_with
-from marl_mm.runs.collecting import Collecting, collect_dataset
+from marl_mm.runs.collecting import Collecting, collect_dataset, recorded
 from marl_mm.runs.settings import with_settings, with_values
 
 
@@ -31,8 +32,7 @@ def collect(
         dataset: Id below ``$MINARI_DATASETS_PATH``, or path; default
             ``marl_mm/TASK/COLLECTOR-v0``.
         config: Settings of the collector; default its own.
-        progress: Called with a label and the amount of work; returns a function that
-            is called with the work done and a note, see ``marl_mm.progress``.
+        progress: Factory of progress bars, as ``marl_mm.progress.Bar`` says.
         **settings: Fields of ``Collecting`` (``steps``, ``seed``, ``workers``,
             ``resume`` ...) and of the collector's config, by name.
 
@@ -94,7 +94,9 @@ def begun_settings(name: str, collector: str) -> dict[str, Any]:
         name: Id or path of the dataset.
         collector: Name of the collector that is to go on.
     """
-    begun = begun_with(locate(name))
+    location = locate(name)
+    about = noted(location.working)
+    begun = Provenance.from_json(about) if about else recorded(location)
     if begun is None or begun.collector != collector:
         return {}
     known = {"task": begun.task, "seed": begun.seed}

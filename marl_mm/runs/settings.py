@@ -1,7 +1,7 @@
 """Settings by name: checked, replaced, and taken from what was done before."""
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar, get_type_hints
 
@@ -23,8 +23,8 @@ def with_settings(owner: str, record: T, settings: Mapping[str, Any]) -> T:
     Raises:
         UsageError: If no field has a name, or a value is of another type.
     """
-    known = _names(record)
-    for name in settings:
+    known = dict(_kinds(record))
+    for name, value in settings.items():
         if name not in known:
             close = difflib.get_close_matches(name, known, 1)
             hint = f"; did you mean {close[0]}?" if close else ""
@@ -32,7 +32,11 @@ def with_settings(owner: str, record: T, settings: Mapping[str, Any]) -> T:
                 f"{owner} has no setting {name!r}, expected some of "
                 f"{', '.join(sorted(known))}{hint}"
             )
-    check_types(owner, record, settings)
+        try:
+            check_type(value, known[name])
+        except TypeCheckError as error:
+            why = " ".join(str(error).split())
+            raise UsageError(f"{owner}: {name} is {value!r:.80}, {why}") from None
     return with_values(record, settings)
 
 
@@ -49,33 +53,15 @@ def with_values(record: T, values: Mapping[str, Any]) -> T:
     return replace(record, **changes)  # type: ignore[type-var]
 
 
-def check_types(owner: str, record: Any, settings: Mapping[str, Any]) -> None:
-    """Raise for a setting whose value is not of its field's type.
-
-    Raises:
-        UsageError: Naming the setting and the type.
-    """
+def _kinds(record: Any) -> Iterator[tuple[str, Any]]:
+    """Names and types of the settings of a dataclass, and of those in its fields."""
     hints = get_type_hints(type(record))
     for field in fields(record):
         value = getattr(record, field.name)
         if _is_record(value):
-            check_types(owner, value, settings)
-        elif field.name in settings:
-            try:
-                check_type(settings[field.name], hints[field.name])
-            except TypeCheckError as error:
-                why = " ".join(str(error).split())
-                raise UsageError(
-                    f"{owner}: {field.name} is {settings[field.name]!r:.80}, {why}"
-                ) from None
-
-
-def _names(record: Any) -> set[str]:
-    names: set[str] = set()
-    for field in fields(record):
-        value = getattr(record, field.name)
-        names |= _names(value) if _is_record(value) else {field.name}
-    return names
+            yield from _kinds(value)
+        else:
+            yield field.name, hints[field.name]
 
 
 def _is_record(value: Any) -> bool:

@@ -38,8 +38,7 @@ def train(
         seeds: Seeds of the runs; default 0, or when resuming those that there are.
         preset: Preset of hyper-parameters; default tuned.
         config: Hyper-parameters in place of the preset's.
-        progress: Called with a label and the amount of work; returns a function that
-            is called with the work done and a note, see ``marl_mm.progress``.
+        progress: Factory of progress bars, as ``marl_mm.progress.Bar`` says.
         **settings: Fields of ``Offline`` or ``Online`` (``eval_episodes``, ``workers``,
             ``resume`` ...) and of the algorithm's hyper-parameters, by name.
 
@@ -79,8 +78,7 @@ def repeat(
     Args:
         config: Record of the run, as ``load_run(...).config``.
         out: Folder of the new run: seed s goes to ``out/s``.
-        progress: Called with a label and the amount of work; returns a function that
-            is called with the work done and a note, see ``marl_mm.progress``.
+        progress: Factory of progress bars, as ``marl_mm.progress.Bar`` says.
         **settings: Settings in place of the run's, by name.
 
     Raises:
