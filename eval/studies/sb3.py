@@ -112,16 +112,10 @@ _UNUSED = (
 
 
 def _settings(training: Online) -> dict[str, Any]:
-    config = asdict(training.config)
-    for name in _UNUSED:
-        del config[name]
-    return {
-        **training.overrides,
-        "curve_episodes": training.curve_episodes,
-        "eval_seed": training.eval_seed,
-        **asdict(training.schedule),
-        **config,
-    }
+    settings = {**training.recorded, **asdict(training.config)}
+    for name in ("eval_episodes", *_UNUSED):
+        del settings[name]
+    return settings
 
 
 def _run_config(training: Online, seed: int) -> RunConfig:
