@@ -38,7 +38,7 @@ def evaluate(
         max_steps: Steps per episode; default the task's.
         workers: Processes; the result does not depend on their number.
         config: Settings of a collector's policy; default the collector's.
-        progress: Factory of progress bars, as ``marl_mm.progress.Bar`` says.
+        progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
         **settings: Settings of a collector's policy, by name.
 
     Raises:

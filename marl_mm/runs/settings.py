@@ -69,22 +69,14 @@ def _is_record(value: Any) -> bool:
 
 
 def check_positive(**values: float) -> None:
-    """Raise for the first setting that is less than 1.
-
-    Raises:
-        UsageError: Naming it.
-    """
+    """Raise a UsageError that names the first setting that is less than 1."""
     for name, value in values.items():
         if value < 1:
             raise UsageError(f"`{name}` is {value}, expected >= 1")
 
 
 def check_seeds(seeds: Sequence[int]) -> None:
-    """Raise for seeds of runs that are none, negative or named twice.
-
-    Raises:
-        UsageError: Naming them.
-    """
+    """Raise a UsageError for seeds of runs that are none, negative or named twice."""
     if not seeds:
         raise UsageError("`seeds` names no seed, expected at least one")
     if len(set(seeds)) < len(seeds):
@@ -95,21 +87,13 @@ def check_seeds(seeds: Sequence[int]) -> None:
 
 
 def check_seed(seed: int) -> None:
-    """Raise for a seed that is negative.
-
-    Raises:
-        UsageError: Naming it.
-    """
+    """Raise a UsageError for a seed that is negative."""
     if seed < 0:
         raise UsageError(f"the seed is {seed}, expected >= 0")
 
 
 def refuse_both(resume: bool, overwrite: bool) -> None:
-    """Raise if both `resume` and `overwrite` are set.
-
-    Raises:
-        UsageError: If it is.
-    """
+    """Raise a UsageError if both `resume` and `overwrite` are set."""
     if resume and overwrite:
         raise UsageError(
             "`resume=True` and `overwrite=True` contradict each other: choose one"
