@@ -1,6 +1,5 @@
 """Checkpoints: one file that acts and resumes without anything else."""
 
-import zipfile
 from dataclasses import asdict
 from io import BytesIO
 from pathlib import Path
@@ -13,7 +12,7 @@ from marl_mm.algorithms.algorithm import OfflineAlgorithm, Resumable
 from marl_mm.errors import CheckpointError, LayoutError, UsageError
 from marl_mm.files import new_file
 from marl_mm.layout import Layout
-from marl_mm.received import check_kind, check_plain, check_regular
+from marl_mm.received import check_archive, check_kind, check_plain, check_regular
 from marl_mm.version1 import checkpoint_layout
 
 FILE = "checkpoint.pt"
@@ -108,7 +107,7 @@ def read_checkpoint(path: Path, algorithm: str | None = None) -> dict[str, Any]:
         )
     check_regular(file, CheckpointError)
     try:
-        _check_archive(file)
+        check_archive(file)
         checkpoint = torch.load(file, map_location="cpu", weights_only=True)
         _check_values(checkpoint)
     except Exception as error:  # torch raises whatever its unpickler met
@@ -149,23 +148,6 @@ def restored_agents(checkpoint: dict[str, Any], path: Path) -> dict[str, AgentAc
     except DAMAGE as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise CheckpointError(f"{path} is damaged ({reason:.80})") from error
-
-
-def _check_archive(file: Path) -> None:
-    """Raise for an archive that is not as torch writes it.
-
-    torch does not look at the checksums: a bit that flips would go unnoticed.
-    """
-    with zipfile.ZipFile(file) as archive:
-        parts = archive.infolist()
-        if len({part.filename for part in parts}) < len(parts):
-            raise ValueError("two parts of one name")
-        if any(part.compress_type != zipfile.ZIP_STORED for part in parts):
-            raise ValueError("compressed parts")
-        if sum(part.file_size for part in parts) > file.stat().st_size:
-            raise ValueError("parts larger than the file")
-        if (damaged := archive.testzip()) is not None:
-            raise ValueError(f"checksum of {damaged}")
 
 
 def _check_values(value: Any) -> None:

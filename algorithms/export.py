@@ -4,9 +4,11 @@ A file takes observations, float32, shape (n, d), and returns actions in the act
 space, shape (n, k); within it lie the names of their entries and the actions' bounds.
 """
 
+import hashlib
 import json
 import logging
 import warnings
+import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import deepcopy
@@ -22,9 +24,10 @@ from torch import nn
 
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.policy import LearnedPolicy
-from marl_mm.errors import ExportError, UsageError
+from marl_mm.errors import ExportError, LayoutError, UsageError
 from marl_mm.files import new_file
-from marl_mm.layout import in_order
+from marl_mm.layout import Layout, in_order
+from marl_mm.received import check_archive, check_regular, parse_json
 from marl_mm.registry import Registry
 
 Run = Callable[[np.ndarray], np.ndarray]
@@ -44,6 +47,9 @@ class PolicyFormat:
     write: Callable[[nn.Module, torch.Tensor, Path, dict[str, Any]], Run]
     """Writes a module, given some observations, a path and the metadata to go in, and
     returns what the file does."""
+
+    metadata: Callable[[Path], str]
+    """Reads the metadata in a file, as JSON, and runs nothing of it."""
 
     packages: tuple[str, ...] = ()
     """Modules that it needs, of the optional extra of its name."""
@@ -83,9 +89,7 @@ def export_policy(
         OSError: If there is no room for the file; it names the file.
     """
     chosen = POLICY_FORMATS.get(form)
-    if any(find_spec(name) is None for name in chosen.packages):
-        needed = ", ".join(chosen.packages)
-        raise UsageError(f"{needed} missing: pip install 'marl-mm[{form}]'")
+    _refuse_missing(form, chosen)
     module = _Exported(policy, agent).eval()
     metadata = module.metadata | {"policy": policy.name, "weights": policy.fingerprint}
     observations = module.some(_CHECKS)
@@ -100,6 +104,44 @@ def export_policy(
                 "written"
             )
     return metadata | {"largest_difference": float(difference.max())}
+
+
+def exported_metadata(path: Path) -> dict[str, Any]:
+    """The metadata of an exported policy: layout, entries, bounds. Nothing is run.
+
+    Raises:
+        UsageError: If its name ends in none of the formats' suffixes, or a library is
+            missing.
+        ExportError: If the file is damaged, or none of ours.
+    """
+    forms = [(name, f) for name, f in POLICY_FORMATS.items() if f.suffix == path.suffix]
+    if not forms:
+        known = ", ".join(form.suffix for _, form in POLICY_FORMATS.items())
+        raise UsageError(f"{path} ends in {path.suffix!r}, expected {known}")
+    ((name, form),) = forms
+    _refuse_missing(name, form)
+    check_regular(path, ExportError)
+    try:
+        text = form.metadata(path)
+    except Exception as error:  # whatever the library meets
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ExportError(f"{path} is damaged ({reason:.80})") from error
+    values = parse_json(text, str(path), ExportError)
+    try:
+        layout = Layout.from_json(values["layout"])
+        entries = {"observation": layout.state_names, "action": layout.action_names}
+        if not all({*values[key]} <= {*names} for key, names in entries.items()):
+            raise LayoutError("entries that its layout has not")
+    except (KeyError, TypeError, LayoutError) as error:
+        raise ExportError(f"{path} is no exported policy ({error!s:.120})") from error
+    metadata: dict[str, Any] = values
+    return metadata
+
+
+def _refuse_missing(name: str, form: PolicyFormat) -> None:
+    if any(find_spec(package) is None for package in form.packages):
+        needed = ", ".join(form.packages)
+        raise UsageError(f"{needed} missing: pip install 'marl-mm[{name}]'")
 
 
 class _Exported(nn.Module):
@@ -199,8 +241,11 @@ def _onnx(
         verbose=False,
     )
     assert program is not None
-    program.model.metadata_props[_METADATA] = json.dumps(metadata)
-    path.write_bytes(program.model_proto.SerializeToString())
+    proto = program.model_proto
+    metadata["content_sha256"] = _onnx_digest(proto)
+    entry = proto.metadata_props.add()
+    entry.key, entry.value = _METADATA, json.dumps(metadata)
+    path.write_bytes(proto.SerializeToString())
     session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
 
     def run(observations: np.ndarray) -> np.ndarray:
@@ -210,10 +255,44 @@ def _onnx(
     return run
 
 
+def _torchscript_metadata(path: Path) -> str:
+    check_archive(path)
+    with zipfile.ZipFile(path) as archive:
+        (name,) = (n for n in archive.namelist() if n.endswith(f"/extra/{_METADATA}"))
+        return archive.read(name).decode()
+
+
+def _onnx_metadata(path: Path) -> str:
+    import onnx
+
+    model = onnx.load_model(path, load_external_data=False)
+    stored = [*model.graph.initializer]
+    if any(tensor.data_location == onnx.TensorProto.EXTERNAL for tensor in stored):
+        raise ValueError("weights in other files")
+    onnx.checker.check_model(model)
+    (text,) = (p.value for p in model.metadata_props if p.key == _METADATA)
+    written = json.loads(text).get("content_sha256")  # version 1 has none
+    if written not in (None, _onnx_digest(model)):
+        raise ValueError("its content is not what was written")
+    return str(text)
+
+
+def _onnx_digest(model: Any) -> str:
+    """SHA-256 of a model's operations and weights, in hex digits."""
+    digest = hashlib.sha256()
+    graph = model.graph
+    for part in (*graph.node, *graph.initializer, *graph.input, *graph.output):
+        digest.update(part.SerializeToString(deterministic=True))
+    return digest.hexdigest()
+
+
 POLICY_FORMATS.add(
     "torchscript",
     PolicyFormat(
-        about="TorchScript, run by torch.jit.load.", suffix=".ts", write=_torchscript
+        about="TorchScript, run by torch.jit.load.",
+        suffix=".ts",
+        write=_torchscript,
+        metadata=_torchscript_metadata,
     ),
 )
 POLICY_FORMATS.add(
@@ -222,6 +301,7 @@ POLICY_FORMATS.add(
         about="ONNX, run by onnxruntime.",
         suffix=".onnx",
         write=_onnx,
+        metadata=_onnx_metadata,
         packages=("onnx", "onnxscript", "onnxruntime"),
     ),
 )

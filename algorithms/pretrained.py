@@ -20,13 +20,16 @@ from marl_mm.envs.registry import make_task
 from marl_mm.errors import CheckpointError
 from marl_mm.files import new_folder
 from marl_mm.layout import Layout
-from marl_mm.received import check_regular, read_json
+from marl_mm.received import file_digest, read_json
 
 NAME = "pretrained"
 FOLDER = Path(__file__).parent / "pretrained_agent"
 """Folder of the shipped agent."""
 
 WEIGHTS = "policy.safetensors"
+
+_SHIPPED = "ddec5644189035eb447e6ee475ae547924bc5d2142c3a82bc882f28d7e07d560"
+"""SHA-256 of the shipped agent's weights; its config, which is older, has none."""
 
 
 def ship(run: Path, folder: Path) -> None:
@@ -49,11 +52,13 @@ def ship(run: Path, folder: Path) -> None:
     with new_folder(folder) as new:
         save_file(tensors, new / WEIGHTS)
         (new / WEIGHTS).chmod(0o644)  # it is written for the owner alone
+        config["weights_sha256"] = file_digest(new / WEIGHTS, CheckpointError)
         (new / "config.json").write_text(json.dumps(config, indent=2) + "\n")
         shutil.copy(run / METRICS, new / METRICS)
         evaluation = json.loads((run / "eval_best.json").read_text())
         evaluation["policy_config"] = {}
-        (new / "eval.json").write_text(json.dumps(evaluation, indent=1) + "\n")
+        compact = json.dumps(evaluation, separators=(",", ":"))
+        (new / "eval.json").write_text(compact + "\n")
 
 
 def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
@@ -64,7 +69,10 @@ def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
     """
     try:
         config = read_json(folder / "config.json", CheckpointError)
-        check_regular(folder / WEIGHTS, CheckpointError)
+        expected = config.get("weights_sha256", _SHIPPED if folder == FOLDER else None)
+        digest = file_digest(folder / WEIGHTS, CheckpointError)
+        if expected not in (None, digest):
+            raise ValueError(f"the bytes of {WEIGHTS} are not those that were written")
         tensors = load_file(folder / WEIGHTS)
         states: dict[str, dict[str, Any]] = {}
         for name, value in tensors.items():

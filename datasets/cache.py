@@ -130,13 +130,13 @@ def keep(key: Key, arrays: EpisodeArrays) -> None:
     Raises:
         UsageError: If ``$MARL_MM_CACHE_GB`` is no number.
     """
-    most, size = most_bytes(), arrays.nbytes
-    if size > most:
+    most, size = most_bytes(), 0
+    if arrays.nbytes > most:
         return
     with suppress(OSError):
+        with new_file(cache_folder() / f"{key.name}.npz") as temporary:
+            save_arrays(temporary, arrays, compress=False)
         for entry in entries():
             size += entry.size
             if size > most:
                 entry.path.unlink(missing_ok=True)
-        with new_file(cache_folder() / f"{key.name}.npz") as temporary:
-            save_arrays(temporary, arrays, compress=False)

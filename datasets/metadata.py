@@ -83,12 +83,15 @@ def read_metadata(location: Location) -> dict[str, Any]:
         for name, expected in kinds.items():
             check_kind(values.get(name), expected, f"{path}: {name}", DatasetError)
     check_kind(ours.get("info", []), list[str], f"{path}: info", DatasetError)
-    if not ID.fullmatch(metadata["dataset_id"]) or not 1 <= ours["episodes"]:
+    episodes = ours["episodes"]
+    if not ID.fullmatch(metadata["dataset_id"]) or episodes < 1:
         raise DatasetError(
             f"{path}: dataset_id is {metadata['dataset_id']!r} and episodes "
-            f"{ours['episodes']}, expected an id such as {SHIPPED} and at least 1"
+            f"{episodes}, expected an id such as {SHIPPED} and at least 1"
         )
-    Provenance.from_json(ours)
+    attempts = Provenance.from_json(ours).attempts
+    if attempts is not None and not 0 <= attempts <= 1_000_000 + 1_000 * episodes:
+        raise DatasetError(f"{path}: attempts is {attempts} for {episodes} episodes")
     return metadata
 
 

@@ -126,11 +126,14 @@ class Provenance:
         """
         known = {item.name for item in fields(cls)} & values.keys()
         filled = {name: values[name] for name in known}
+        kind = dict[str, dict[str, Any]]
+        origins = values.get("origins", {})
+        check_kind(origins, kind, "metadata.json: origins", DatasetError)
         try:
             of_origin = {item.name for item in fields(Origin)}
             filled["origins"] = {
                 str(name): Origin(**{k: v for k, v in about.items() if k in of_origin})
-                for name, about in values.get("origins", {}).items()
+                for name, about in origins.items()
             }
             found = cls(**filled)
         except (TypeError, AttributeError) as error:

@@ -46,6 +46,11 @@ class Evaluation:
         """Share of goals reached."""
         return float(self.summary["all"]["success_rate"])
 
+    def __repr__(self) -> str:
+        reached = sum(row["success"] for row in self.rows)
+        goals = f"{reached} of {len(self.rows)} goals"
+        return f"<Evaluation: {self.policy} reached {goals} of {self.task}>"
+
     def _repr_html_(self) -> str:
         """The table with intervals, for notebooks."""
         from marl_mm.eval.tables import header, table_rows  # which needs evaluations

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import scipy  # its stats take half a second, and come when they are used
 
+from marl_mm.eval.grouping import grouped, mean_of
+
 CONFIDENCE = 0.95
 
 _RESAMPLES = 2_000
@@ -94,11 +96,7 @@ def _widened(
 
 def seed_rates(rows: Sequence[Mapping[str, Any]]) -> list[float]:
     """Each seed's success rate, in the order of seeds."""
-    seeds = sorted({row["seed"] for row in rows})
-    return [
-        float(np.mean([row["success"] for row in rows if row["seed"] == seed]))
-        for seed in seeds
-    ]
+    return [mean_of(own, "success") for _, own in sorted(grouped(rows, "seed").items())]
 
 
 def summarize_success(rows: Sequence[Mapping[str, Any]], name: str) -> dict[str, Any]:
@@ -124,24 +122,9 @@ def success_scores(rows: Sequence[Mapping[str, Any]]) -> np.ndarray:
 
     Where all goals are on one side, shape (seeds, 1).
     """
-    seeds = sorted({row["seed"] for row in rows})
-    directions = {row["direction"] for row in rows}
-    return np.array(
-        [
-            [
-                np.mean(
-                    [
-                        row["success"]
-                        for row in rows
-                        if (row["seed"], row["direction"]) == (seed, direction)
-                    ]
-                )
-                for direction in ("forward", "backward")
-                if direction in directions
-            ]
-            for seed in seeds
-        ]
-    )
+    groups = grouped(rows, "direction")
+    sides = [groups[side] for side in ("forward", "backward") if side in groups]
+    return np.array([seed_rates(side) for side in sides]).T
 
 
 def interquartile_mean(scores: np.ndarray) -> float:

@@ -8,6 +8,7 @@ import hashlib
 import json
 import stat
 import unicodedata
+import zipfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -179,7 +180,8 @@ def check_kind(value: Any, kind: Any, where: str, refusal: Refusal) -> None:
     try:
         check_type(value, kind, collection_check_strategy=every)
     except TypeCheckError as error:
-        raise refusal(f"{where}: {error!s:.200}") from None
+        reason = " ".join(str(error).split())
+        raise refusal(f"{where}: {reason:.200}") from None
 
 
 def printable(text: str) -> str:
@@ -206,6 +208,25 @@ def file_digest(path: Path, refusal: Refusal) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise refusal(f"cannot read {path}: {error.strerror}") from error
+
+
+def check_archive(file: Path) -> None:
+    """Raise for a zip archive of torch that is not as torch writes them.
+
+    torch does not look at the checksums: a bit that flips would go unnoticed.
+
+    Raises:
+        ValueError, zipfile.BadZipFile, ...: Naming what is wrong.
+    """
+    with zipfile.ZipFile(file) as archive:
+        parts = archive.infolist()
+        if len({part.filename for part in parts}) < len(parts):
+            raise ValueError("two parts of one name")
+        size = sum(part.file_size for part in parts)
+        if size > most_unpacked(file.stat().st_size):
+            raise ValueError(f"{size:,} bytes unpacked")
+        if (damaged := archive.testzip()) is not None:
+            raise ValueError(f"checksum of {damaged}")
 
 
 def most_unpacked(size: int) -> int:

@@ -15,6 +15,7 @@ from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.episode import Episode
 from marl_mm.eval.goals import goal_set
+from marl_mm.eval.grouping import by_goal, grouped, mean_of
 from marl_mm.eval.intervals import bootstrap_interval
 from marl_mm.eval.metrics import Row, alphas
 from marl_mm.eval.rows import read_rows, write_csv
@@ -126,42 +127,34 @@ def summarize_worth(rows: Sequence[Row]) -> list[Row]:
 
     The difference is paired, goal by goal; its interval is by bootstrap over goals.
     """
-    cells = dict.fromkeys((row["setting"], row["seed"]) for row in rows)
-    return [row for cell in cells for row in _summarize_agent(rows, *cell)]
-
-
-def _summarize_agent(rows: Sequence[Row], setting: str, seed: int) -> Iterator[Row]:
-    rows = [row for row in rows if (row["setting"], row["seed"]) == (setting, seed)]
-    learnt = _returns(rows, LEARNT)
-    alphas = dict.fromkeys(row["alpha"] for row in rows if row["alpha"] != LEARNT)
-    for alpha in alphas:
-        own = [row for row in rows if row["alpha"] == alpha]
-        difference = learnt - _returns(rows, alpha)
-        yield {
-            "setting": setting,
-            "task": own[0]["task"],
-            "seed": seed,
-            "alpha": alpha,
-            "goals": len(own),
-            "success": float(np.mean([row["success"] for row in own])),
-            "return": float(np.mean([row["return"] for row in own])),
-            "learnt_return": float(np.mean(learnt)),
-            "difference": float(np.mean(difference)),
-            "difference_interval": bootstrap_interval(difference),
-            "better_on": int((difference > 0).sum()),
-        }
-
-
-def _returns(rows: Sequence[Row], alpha: float | str) -> np.ndarray:
-    own = [row for row in rows if row["alpha"] == alpha]
-    return np.array([row["return"] for row in sorted(own, key=lambda r: r["goal"])])
+    summary = []
+    for (setting, seed), own in grouped(rows, "setting", "seed").items():
+        by_alpha = grouped(own, "alpha")
+        learnt = by_goal(by_alpha.pop(LEARNT), "return")
+        for alpha, held in by_alpha.items():
+            difference = learnt - by_goal(held, "return")
+            summary.append(
+                {
+                    "setting": setting,
+                    "task": held[0]["task"],
+                    "seed": seed,
+                    "alpha": alpha,
+                    "goals": len(held),
+                    "success": mean_of(held, "success"),
+                    "return": mean_of(held, "return"),
+                    "learnt_return": float(learnt.mean()),
+                    "difference": float(difference.mean()),
+                    "difference_interval": bootstrap_interval(difference),
+                    "better_on": int((difference > 0).sum()),
+                }
+            )
+    return summary
 
 
 def worth_table(summary: Sequence[Row]) -> str:
     """The learnt alpha against the best one held, an agent a row, as Markdown."""
     lines = []
-    for cell in dict.fromkeys((row["setting"], row["seed"]) for row in summary):
-        own = [row for row in summary if (row["setting"], row["seed"]) == cell]
+    for own in grouped(summary, "setting", "seed").values():
         best = max(own, key=lambda row: float(row["return"]))
         low, high = best["difference_interval"]
         lines.append(

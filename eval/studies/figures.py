@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from marl_mm.eval.figures import COLORS, save_small
+from marl_mm.eval.grouping import grouped
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.study import Cell, Curves, Online, Study, cell_name
@@ -36,9 +37,7 @@ def curves_figure(
             times, values = on_a_grid(rows, curves.value)
             mean = curves.scale * values.mean(axis=0)
             std = curves.scale * values.std(axis=0, ddof=min(1, len(values) - 1))
-            axis.plot(times, mean, "o-", ms=2, color=color, label=label)
-            low, high = mean - std, mean + std
-            axis.fill_between(times, low, high, color=color, alpha=0.2, linewidth=0)
+            _with_spread(axis, times, mean, std, color, label)
         axis.set(title=title, xlabel=clock, ylim=(curves.bottom, curves.top))
         axis.legend(frameon=False, fontsize=8)
     axes[0][0].set_ylabel(curves.label)
@@ -53,11 +52,10 @@ def on_a_grid(rows: Sequence[Row], key: str) -> tuple[np.ndarray, np.ndarray]:
     """
     clock = "episode" if "episode" in rows[0] else "step"
     times = np.unique([row[clock] for row in rows])
-    values = []
-    for seed in sorted({row["seed"] for row in rows}):
-        own = [row for row in rows if row["seed"] == seed]
-        known = [row[clock] for row in own], [row[key] for row in own]
-        values.append(np.interp(times, *known))
+    values = [
+        np.interp(times, [row[clock] for row in own], [row[key] for row in own])
+        for _, own in sorted(grouped(rows, "seed").items())
+    ]
     return times, np.stack(values)
 
 
@@ -85,39 +83,42 @@ def alpha_figure(
 
     A column per setting, a line per seed.
     """
-    settings = list(dict.fromkeys(row["setting"] for row in steps))
-    figure = Figure(figsize=(4.4 * len(settings), 6.0), layout="constrained")
-    axes: Any = figure.subplots(2, len(settings), squeeze=False)
-    for column, setting in enumerate(settings):
-        above, below = axes[0][column], axes[1][column]
-        mine = [row for row in steps if row["setting"] == setting]
-        for direction in ("forward", "backward"):
-            own = [row for row in mine if row["direction"] == direction]
-            for number, seed in enumerate(sorted({row["seed"] for row in own})):
-                line = [row for row in own if row["seed"] == seed]
+    of_settings, worths = grouped(steps, "setting"), grouped(worth, "setting")
+    figure = Figure(figsize=(4.4 * len(of_settings), 6.0), layout="constrained")
+    axes: Any = figure.subplots(2, len(of_settings), squeeze=False)
+    for (setting, mine), above, below in zip(of_settings.items(), *axes, strict=True):
+        for direction, own in grouped(mine, "direction").items():
+            for number, line in enumerate(grouped(own, "seed").values()):
                 time, mean, std = (
                     np.array([row[key] for row in line])
                     for key in ("step", "mean", "std")
                 )
                 color, label = COLORS[direction], None if number else direction
-                above.plot(time, mean, "o-", ms=3, color=color, label=label)
-                low, high = mean - std, mean + std
-                above.fill_between(
-                    time, low, high, color=color, alpha=0.15, linewidth=0
-                )
+                _with_spread(above, time, mean, std, color, label)
         title = f"{labels[setting]}, {mine[0]['task']}"
         above.set(title=title, xlabel="time [s]", ylim=(-0.05, 1.05))
-        own = [row for row in worth if row["setting"] == setting]
-        for number, seed in enumerate(sorted({row["seed"] for row in own})):
-            line = [row for row in own if row["seed"] == seed]
-            names = (None, None) if number else ("held", "learnt")
+        for number, line in enumerate(grouped(worths[setting], "seed").values()):
+            held, learnt = (None, None) if number else ("held", "learnt")
             alphas = [row["alpha"] for row in line]
             returns = [row["return"] for row in line]
-            below.plot(alphas, returns, "o-", ms=3, color="#333333", label=names[0])
-            learnt = line[0]["learnt_return"]
-            below.axhline(learnt, color="#2e7d4f", label=names[1])
+            below.plot(alphas, returns, "o-", ms=3, color="#333333", label=held)
+            below.axhline(line[0]["learnt_return"], color="#2e7d4f", label=learnt)
         below.set(xlabel="alpha, held", ylabel="return")
     axes[0][0].set_ylabel("learnt alpha (1 = stable base)")
     axes[0][0].legend(frameon=False)
     axes[1][0].legend(frameon=False)
     save_small(figure, path)
+
+
+def _with_spread(
+    axis: Any,
+    times: np.ndarray,
+    mean: np.ndarray,
+    std: np.ndarray,
+    color: str,
+    label: str | None,
+) -> None:
+    """Draw a mean over time in a band of one deviation to each side."""
+    axis.plot(times, mean, "o-", ms=2, color=color, label=label)
+    low, high = mean - std, mean + std
+    axis.fill_between(times, low, high, color=color, alpha=0.2, linewidth=0)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from marl_mm.eval.grouping import by_goal, grouped, mean_of
 from marl_mm.eval.intervals import (
     interval_of_mean,
     mean_interval,
@@ -40,11 +41,11 @@ def summarize(study: Study, store: RowStore, seeds: Sequence[int]) -> list[Row]:
     """The rows of a study's table; a UsageError if rows of its cells are missing."""
     summary: list[Row] = []
     for cell in study.cells:
-        rows = store.evaluations(cell, seeds, study.probes)
+        by_probe = grouped(store.evaluations(cell, seeds, study.probes), "probe")
         ends = store.diverged(cell)
         own = CellRows(
             cell,
-            {p.name: [r for r in rows if r["probe"] == p.name] for p in study.probes},
+            {probe.name: by_probe[probe.name] for probe in study.probes},
             store.curves(cell, seeds),
             ", ".join(f"{seed} after {ends[seed]}" for seed in seeds if seed in ends),
         )
@@ -87,7 +88,7 @@ def _of_probe(cell: Cell, probe: str, rows: Sequence[Row]) -> Row:
     known = len(means) > 1
     summary["return_interval"] = mean_interval(means) if known else (np.nan, np.nan)
     for key in ("return", "d_mm", "d_mp", "alpha"):
-        summary[key] = float(np.mean([row[key] for row in rows]))
+        summary[key] = mean_of(rows, key)
     failures = count_failures(rows)
     failed = {} if failures is None else {"failed": failures_in_words(failures)}
     return summary | failed
@@ -95,9 +96,7 @@ def _of_probe(cell: Cell, probe: str, rows: Sequence[Row]) -> Row:
 
 def returns_of(rows: Sequence[Row]) -> np.ndarray:
     """Returns of evaluated goals, shape (seeds, goals)."""
-    ordered = sorted(rows, key=lambda row: (row["seed"], row["goal"]))
-    seeds = len({row["seed"] for row in rows})
-    return np.array([row["return"] for row in ordered]).reshape(seeds, -1)
+    return by_goal(rows, "return").reshape(len(grouped(rows, "seed")), -1)
 
 
 def _at_the_end(curves: Sequence[Row], key: str) -> Row:
@@ -131,16 +130,15 @@ def worth_of_alpha(learnt: Sequence[Row], held: Mapping[float, Sequence[Row]]) -
 
 def row_of_setting(own: CellRows) -> Row:
     """Success at the end and at best, and the episodes that it took, of one cell."""
-    seeds = sorted({row["seed"] for row in own.curves})
-    by_seed = [[row for row in own.curves if row["seed"] == seed] for seed in seeds]
-    row: Row = {"setting": own.cell[1].name, "seeds": len(seeds)}
+    by_seed = grouped(own.curves, "seed")
+    row: Row = {"setting": own.cell[1].name, "seeds": len(by_seed)}
     for probe, goals in own.probes.items():
         row |= summarize_success(goals, f"success_{probe}")
-        row[f"return_{probe}"] = float(np.mean([goal["return"] for goal in goals]))
+        row[f"return_{probe}"] = mean_of(goals, "return")
     for level in LEVELS:
-        counts = [episodes_to(curve, level) for curve in by_seed]
+        counts = [episodes_to(by_seed[seed], level) for seed in sorted(by_seed)]
         row |= _counted(f"to_{round(100 * level)}", counts)
-    row["episodes"] = max(curve[-1]["episode"] for curve in by_seed)
+    row["episodes"] = max(point["episode"] for point in own.curves)
     return row
 
 

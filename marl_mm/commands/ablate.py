@@ -133,7 +133,7 @@ def _parsed(arguments: Sequence[str]) -> tuple[str, Ablate, dict[str, Study]]:
         "all": "Every table and figure.",
     }
     if _OF_FILE in word:
-        abouts = {word: "A study of your own."}
+        abouts[word] = "A study of your own."
     target, options = parse_subcommand(
         {name: Subcommand(Ablate(), about) for name, about in abouts.items()},
         "marl-mm ablate",

@@ -1,10 +1,11 @@
-"""marl-mm check: the package's own contract tests, on plug-ins."""
+"""marl-mm check: contract tests on plug-ins, and files of others."""
 
 import sys
 from collections.abc import Iterator
 from contextlib import redirect_stdout
 from dataclasses import asdict
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import tyro
@@ -17,12 +18,16 @@ from marl_mm.commands.parser import command
 from marl_mm.contracts import algorithms, collectors, learners, metrics, tasks
 from marl_mm.contracts.claims import Claim, Finding, examine
 from marl_mm.contracts.episodes import short
+from marl_mm.contracts.files import kind_of
+from marl_mm.contracts.fuzz import file_claims
+from marl_mm.datasets.dataset import existing
 from marl_mm.envs.registry import DEFAULT, TASKS
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.metrics import METRICS
 from marl_mm.plugins import load
 from marl_mm.progress import progress_bar
 from marl_mm.registry import Registry
+from marl_mm.runs.settings import check_seed
 
 
 class Subject(NamedTuple):
@@ -43,23 +48,37 @@ def main(
     what: tyro.conf.Positional[tuple[str, ...]],
     *,
     task: Annotated[str, task_help("Task of collectors and metrics: {}.")] = DEFAULT,
+    mutations: int = 0,
+    seed: int = 0,
     json: bool = False,
 ) -> None:
-    """Check whether plug-ins keep to what the package promises of its own.
+    """Check whether plug-ins keep their promises, and files of others are whole.
 
-    Each of their tasks, algorithms, collectors and metrics is put through the package's
+    Each task, algorithm, collector and metric of a plug-in is put through the package's
     own contract tests, in short: seeds, resuming, several seeds at once, shapes and
     ranges, exports, PettingZoo's and Gymnasium's tests, replays, hindsight, workers,
-    NaN. Exit code 1 if a claim does not hold.
+    NaN. Files are datasets, runs, checkpoints, exported policies, journals of
+    collections, records and rows of results; nothing in them is run. Exit code 1 if a
+    claim does not hold.
 
     Args:
-        what: Plug-ins, FILE.py or module, or names of what is registered.
+        what: Plug-ins, FILE.py or module; names of what is registered; files, folders
+            or ids of datasets.
         task: Task of collectors and metrics.
+        mutations: Number of times that a copy of each file is damaged at random, partly
+            with its checksums computed anew, and has to be refused, or read without
+            harm, within 10 s.
+        seed: Seed of the mutations.
         json: Print the findings as JSON.
     """
     if not what:
-        raise UsageError("name a plug-in, FILE.py or a module, or what is registered")
-    subjects = [subject for word in what for subject in _subjects(word, task)]
+        raise UsageError("name a plug-in, FILE.py or a module, a file, or a dataset")
+    check_seed(seed)
+    if mutations < 0:
+        raise UsageError(f"`mutations` is {mutations}, expected >= 0")
+    subjects = [
+        subject for word in what for subject in _subjects(word, task, mutations, seed)
+    ]
     findings = []
     total = sum(len(subject.claims) for subject in subjects)
     with progress_bar("check", total) as advance:
@@ -70,14 +89,14 @@ def main(
                 if not json:
                     print(_line(finding), flush=True)
     if json:
-        show([asdict(finding) for finding in findings], None, json)
+        show([asdict(finding) for finding in findings])
     broken = [finding for finding in findings if finding.broken]
     if broken:
         raise MarlMmError(f"{len(broken)} of {len(findings)} claims do not hold")
 
 
-def _subjects(what: str, task: str) -> Iterator[Subject]:
-    """Registered objects of a plug-in, or of a name."""
+def _subjects(what: str, task: str, mutations: int, seed: int) -> Iterator[Subject]:
+    """Registered objects of a plug-in or of a name, or a file of others."""
     collector, metric = (
         partial(module.candidate, task=task) for module in (collectors, metrics)
     )
@@ -88,6 +107,10 @@ def _subjects(what: str, task: str) -> Iterator[Subject]:
         (METRICS, metric, metrics.metric_claims),
     )
     chosen = [(*kind, what) for kind in kinds if what in kind[0]]
+    if not chosen and (path := _file(what)) is not None:
+        claims = file_claims(mutations, seed)
+        yield Subject(f"{kind_of(path).name} {what}", path, claims)
+        return
     if not chosen:
         origin = load(what).name
         chosen = [
@@ -101,6 +124,17 @@ def _subjects(what: str, task: str) -> Iterator[Subject]:
     for registry, make, claims, name in chosen:
         about = make(name)
         yield Subject(f"{registry.kind} {name}", about, claims(about))
+
+
+def _file(what: str) -> Path | None:
+    """The file, folder or dataset of a name; None if it can only be a plug-in."""
+    path = Path(what)
+    if path.suffix == ".py" or (path / "__init__.py").exists():
+        return None
+    if path.exists():
+        return path
+    folder = existing(what).folder
+    return folder if folder.exists() else None
 
 
 def _examined(subject: Subject) -> Iterator[Finding]:

@@ -76,6 +76,6 @@ def main(
     if out is not None:
         save_evaluations(evaluations, out, overwrite)
     if json:
-        show(evaluations_json(evaluations), None, as_json=True)
+        show(evaluations_json(evaluations))
     else:
         print_evaluations(evaluations)

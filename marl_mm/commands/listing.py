@@ -1,6 +1,7 @@
 """marl-mm algorithms, tasks, collectors and so on: lists of what is registered."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from importlib import import_module
 from typing import Any
 
 from marl_mm.commands.output import print_rows
@@ -10,6 +11,19 @@ from marl_mm.envs.registry import config_dict
 from marl_mm.registry import Registry
 
 Row = dict[str, Any]
+
+_REGISTRIES = {
+    "algorithms": {"": "algorithms.registry:ALGORITHMS"},
+    "tasks": {"": "envs.registry:TASKS"},
+    "collectors": {"": "collectors.registry:COLLECTORS"},
+    "formats": {
+        "policies": "algorithms.export:POLICY_FORMATS",
+        "datasets, written": "datasets.export:DATASET_FORMS",
+        "datasets, read": "datasets.importing:IMPORTS",
+    },
+    "metrics": {"": "eval.metrics:METRICS"},
+}
+"""Registries by kind and sort, imported when they are listed."""
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -22,86 +36,39 @@ def main(arguments: Sequence[str]) -> None:
         Args:
             json: Print JSON.
         """
-        print_rows(list(_ROWS[kind]()), json)
+        print_rows([*_rows(kind)], json)
 
     run(listing, f"marl-mm {kind}", rest)
 
 
-def _about(item: Any) -> Row:
+def _rows(kind: str) -> Iterator[Row]:
+    for sort, place in _REGISTRIES[kind].items():
+        module, _, attribute = place.partition(":")
+        registry: Registry[Any] = getattr(import_module(f"marl_mm.{module}"), attribute)
+        for name, item in registry.items():
+            row = ({"of": sort} if sort else {}) | _describe(kind, item)
+            yield {"name": name, **row, "from": registry.origin(name)}
+
+
+def _describe(kind: str, item: Any) -> Row:
+    """What a list tells of a registered object, beside its name and origin."""
+    if kind == "algorithms":
+        return {
+            "learns": "online" if item.online else "from a dataset",
+            "about": item.about,
+            "source": item.source,
+            "presets": list(item.presets),
+        }
+    if kind == "tasks":
+        return {
+            "about": item.about,
+            "numbers": _changed(item),
+            "agents": [agent.name for agent in item.layout.team],
+            "state": len(item.layout.state),
+            "action": len(item.layout.action),
+            "max_steps": item.max_steps,
+        }
     return {"about": item.about}
-
-
-def _rows(
-    registry: Registry[Any], describe: Callable[[Any], Row] = _about
-) -> Iterator[Row]:
-    for name, item in registry.items():
-        yield {"name": name, **describe(item), "from": registry.origin(name)}
-
-
-def _algorithms() -> Iterator[Row]:
-    from marl_mm.algorithms.registry import ALGORITHMS
-
-    def describe(algorithm: Any) -> Row:
-        return {
-            "learns": "online" if algorithm.online else "from a dataset",
-            "about": algorithm.about,
-            "source": algorithm.source,
-            "presets": list(algorithm.presets),
-        }
-
-    return _rows(ALGORITHMS, describe)
-
-
-def _tasks() -> Iterator[Row]:
-    from marl_mm.envs.registry import TASKS
-
-    def describe(task: Any) -> Row:
-        return {
-            "about": task.about,
-            "numbers": _changed(task),
-            "agents": [agent.name for agent in task.layout.team],
-            "state": len(task.layout.state),
-            "action": len(task.layout.action),
-            "max_steps": task.max_steps,
-        }
-
-    return _rows(TASKS, describe)
-
-
-def _collectors() -> Iterator[Row]:
-    from marl_mm.collectors.registry import COLLECTORS
-
-    return _rows(COLLECTORS)
-
-
-def _formats() -> Iterator[Row]:
-    from marl_mm.algorithms.export import POLICY_FORMATS
-    from marl_mm.datasets.export import DATASET_FORMS
-    from marl_mm.datasets.importing import IMPORTS
-
-    registries: Mapping[str, Registry[Any]] = {
-        "policies": POLICY_FORMATS,
-        "datasets, written": DATASET_FORMS,
-        "datasets, read": IMPORTS,
-    }
-    for of, registry in registries.items():
-        for row in _rows(registry):
-            yield {"name": row["name"], "of": of, **row}
-
-
-def _metrics() -> Iterator[Row]:
-    from marl_mm.eval.metrics import METRICS
-
-    return _rows(METRICS)
-
-
-_ROWS = {
-    "algorithms": _algorithms,
-    "tasks": _tasks,
-    "collectors": _collectors,
-    "formats": _formats,
-    "metrics": _metrics,
-}
 
 
 def _changed(task: Any) -> Row:

@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -14,10 +15,10 @@ from marl_mm.eval.metrics import episode_row
 from marl_mm.eval.video import check_format, write_video
 from marl_mm.files import refuse_existing
 from marl_mm.progress import progress_bars
-from marl_mm.runs.play import Direction, check_strip, play, play_demo
+from marl_mm.runs.play import Direction, Motion, check_strip, play, play_demo
 from marl_mm.sim.config import Camera
 
-_CAMERA = Camera()
+_CAMERA, _MOTION = Camera(), Motion()
 
 
 @command
@@ -35,9 +36,7 @@ def main(
     overwrite: bool = False,
     json: bool = False,
     camera: Camera = _CAMERA,
-    target: tuple[float, float, float] = (0.8, 0.3, 0.8),
-    angle: float = 90.0,
-    seconds: float = 4.0,
+    motion: Annotated[Motion, tyro.conf.arg(name="")] = _MOTION,
     settings: CollectorsSettings,
 ) -> None:
     """Film an episode, or watch it in a window.
@@ -60,10 +59,7 @@ def main(
         overwrite: Replace what exists.
         json: Print the episode's row as JSON.
         camera: Place of the camera.
-        target: Place that the hand reaches in "arm-reach", world x, y, z [m]; it starts
-            at 0.65, 0.10, 0.58.
-        angle: Angle by which the base turns in "base-turn", -180 to 180 [deg].
-        seconds: Duration of "arm-reach" and "base-turn" [s].
+        motion: Motion of the robot alone.
         settings: Settings of collectors' policies.
     """
     if gui or (video is None and strip is not None):
@@ -82,14 +78,7 @@ def main(
     if policy in DEMOS:
         with progress_bars() as bar:
             drift, frames = play_demo(
-                policy,
-                target=target,
-                angle=angle,
-                seconds=seconds,
-                fps=fps,
-                gui=gui,
-                camera=camera,
-                progress=bar,
+                policy, motion, fps=fps, gui=gui, camera=camera, progress=bar
             )
         if video is not None:
             write_video(video, frames, fps)

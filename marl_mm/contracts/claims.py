@@ -13,7 +13,7 @@ class BrokenClaimError(MarlMmError):
     """A claim does not hold."""
 
 
-Claim = Callable[[Any], None]
+Claim = Callable[[Any], object]
 """Raises a ``BrokenClaimError`` if it does not hold of a subject."""
 
 

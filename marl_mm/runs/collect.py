@@ -6,11 +6,12 @@ from typing import Any
 from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.datasets.card import keep_card
 from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.datasets.journal import noted
 from marl_mm.datasets.location import locate
+from marl_mm.datasets.provenance import Provenance
 from marl_mm.envs.registry import DEFAULT, TASKS
 from marl_mm.progress import Bar, silent_bar
-from marl_mm.runs.collect_resume import begun_with
-from marl_mm.runs.collecting import Collecting, collect_dataset
+from marl_mm.runs.collecting import Collecting, collect_dataset, recorded
 from marl_mm.runs.settings import with_settings, with_values
 
 
@@ -31,8 +32,7 @@ def collect(
         dataset: Id below ``$MINARI_DATASETS_PATH``, or path; default
             ``marl_mm/TASK/COLLECTOR-v0``.
         config: Settings of the collector; default its own.
-        progress: Called with a label and the amount of work; returns a function that
-            is called with the work done and a note, see ``marl_mm.progress``.
+        progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
         **settings: Fields of ``Collecting`` (``steps``, ``seed``, ``workers``,
             ``resume`` ...) and of the collector's config, by name.
 
@@ -68,14 +68,7 @@ def collect(
 def collect_into(
     name: str, collector: str, config: Any, collecting: Collecting, bar: Bar
 ) -> tuple[Dataset, bool]:
-    """Collect a dataset and keep its card.
-
-    Args:
-        name: Id or path of the dataset.
-        collector: Name of a registered collector.
-        config: Settings of the collector.
-        collecting: Settings of the collection.
-        bar: Factory of progress bars.
+    """Collect a dataset and keep its card; see ``collect``.
 
     Returns:
         The dataset, and whether it is complete: Ctrl-C may have come before.
@@ -88,13 +81,10 @@ def collect_into(
 
 
 def begun_settings(name: str, collector: str) -> dict[str, Any]:
-    """Settings, by name, that a collection was begun with; nothing without one.
-
-    Args:
-        name: Id or path of the dataset.
-        collector: Name of the collector that is to go on.
-    """
-    begun = begun_with(locate(name))
+    """Settings, by name, that a collector began a dataset with; none without one."""
+    location = locate(name)
+    about = noted(location.working)
+    begun = Provenance.from_json(about) if about else recorded(location)
     if begun is None or begun.collector != collector:
         return {}
     known = {"task": begun.task, "seed": begun.seed}

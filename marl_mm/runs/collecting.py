@@ -1,13 +1,15 @@
 """Collecting into a dataset that survives whatever stops it."""
 
-from collections.abc import Callable
+import shutil
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from marl_mm.collectors.collect import Collection, collect
 from marl_mm.collectors.registry import COLLECTORS
+from marl_mm.config_diff import refuse_other_config
 from marl_mm.datasets.arrays import arrays_of
+from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import FILE as JOURNAL
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import Location
@@ -16,32 +18,26 @@ from marl_mm.datasets.provenance import Origin, Provenance
 from marl_mm.datasets.storage import refuse_foreign, write_dataset
 from marl_mm.envs.registry import DEFAULT, TASKS, config_dict, make_task
 from marl_mm.envs.rollout import Rollouts
-from marl_mm.envs.task import Task
 from marl_mm.episode import Episode
 from marl_mm.errors import (
     HopelessError,
     MarlMmError,
+    OtherConfigError,
     OutputExistsError,
     UsageError,
     WorkerDiedError,
 )
 from marl_mm.files import only_here, refuse_existing
 from marl_mm.interrupts import deaf_to_interrupts
-from marl_mm.layout import Layout
 from marl_mm.plugins import record
-from marl_mm.policy import Policy
 from marl_mm.progress import Bar, silent_bar
-from marl_mm.runs.collect_resume import (
-    clear,
-    is_complete,
-    known_attempts,
-    refuse_other,
-    remove_if_empty,
-)
 from marl_mm.runs.settings import check_positive, check_seed, refuse_both
 from marl_mm.workers import Executor
 
 _STEPS = 10_000
+
+Attempts = dict[int, Episode | None]
+"""Attempts by number; None for those that were not kept."""
 
 
 @dataclass(frozen=True)
@@ -100,208 +96,228 @@ def collect_dataset(
         OtherConfigError: If what is to be resumed is of another policy, task or seed.
         KeyboardInterrupt: If Ctrl-C came before the first episode was kept.
     """
-    check_positive(workers=options.workers)
-    if options.steps is not None:
-        check_positive(steps=options.steps)
-    check_seed(options.seed)
-    refuse_both(options.resume, options.overwrite)
-    task, about = _about(collector, config, options)
-    _refuse_existing(location, options)
-    nothing = not location.folder.exists() and not location.working.exists()
-    if options.resume and nothing:
-        raise UsageError(
-            f"nothing was begun at {location.folder}: leave out `resume` to start"
-        )
-    policy = COLLECTORS.get(collector).policy(config, task)
-    keeps = COLLECTORS.get(collector).keeps
-    about = replace(about, weights=policy.describe().get("weights"))
-    with only_here(location.working), ExitStack() as cleaning:
-        cleaning.callback(remove_if_empty, location)
-        if options.overwrite:
-            (location.working / JOURNAL).unlink(missing_ok=True)
-        with Journal(location.working) as journal:
-            begun = journal.about()
-            replacing = options.overwrite or bool((begun or {}).get("replaces"))
-            mine = location if options.resume and not replacing else None
-            steps = _steps(options, begun, mine)
-            known: dict[int, Episode | None] = {}
-            for source in filter(None, (first, mine)):
-                known |= known_attempts(source, about)
-            if mine is not None and is_complete(mine, steps):
-                cleaning.callback(clear, location)
-                return Collection(_kept(known), len(known), complete=True)
-            known |= _begun(journal, about, location, options, steps, task.layout)
-            try:
-                collection = _run(
-                    policy, keeps, task, options, steps, known, journal, bar
-                )
-            except HopelessError:
-                if not any(map(keeps, journal.episodes(task.layout).values())):
-                    journal.begin(about.to_json())  # empty, it is removed
-                raise
-        _refuse_loss(location, collection, replacing)
-        _write(location, collection, about, steps)
-        if collection.complete:
-            clear(location)
-    return collection
+    return _Collector(location, collector, config, options).collect(first, bar)
 
 
-def _refuse_existing(location: Location, options: Collecting) -> None:
-    refuse_foreign(location)
-    if location.folder.exists() and not (options.overwrite or options.resume):
-        raise OutputExistsError(
-            f"{location.name} exists already: add `resume=True` to go on with it, "
-            "`overwrite=True` to replace it, or choose another `dataset`"
-        )
-    refuse_existing(location.folder, overwrite=True)
-
-
-def _about(collector: str, config: Any, options: Collecting) -> tuple[Task, Origin]:
-    """The task, and what the episodes depend on."""
-    max_steps = options.max_steps
-    if max_steps is None:
-        usual = COLLECTORS.get(collector).max_steps
-        max_steps = usual or make_task(options.task).max_steps
-    check_positive(max_steps=max_steps)
-    overrides = {"max_steps": max_steps}
-    task = make_task(options.task, overrides)
-    return task, Origin(
-        task=options.task,
-        overrides=overrides,
-        config=config_dict(task),
-        collector=collector,
-        collector_config=asdict(config),
-        seed=options.seed,
-        plugins=record(COLLECTORS.origin(collector), TASKS.origin(options.task)),
-    )
-
-
-def _kept(known: dict[int, Episode | None]) -> list[Episode]:
-    return [episode for episode in known.values() if episode is not None]
-
-
-def _steps(
-    options: Collecting, begun: dict[str, Any] | None, mine: Location | None
-) -> int:
-    """Number of steps to collect.
+def recorded(location: Location) -> Provenance | None:
+    """The record of the dataset at a location; None where there is none.
 
     Raises:
-        UsageError: If more were asked for before.
+        DatasetError: If its metadata are damaged.
     """
-    before = (begun or {}).get("steps_asked", 0) if options.resume else 0
-    if mine is not None and mine.folder.exists():
-        asked = read_metadata(mine)["marl_mm"].get("steps_asked", 0)
-        before = max(before, asked)
-    if options.steps is None:
-        return before or _STEPS
-    if options.steps < before:
-        raise UsageError(
-            f"`steps` is {options.steps}, {before} were asked for before: choose "
-            "another `dataset`, or draw as many of these with marl-mm datasets mix"
-        )
-    return options.steps
-
-
-def _refuse_loss(location: Location, collection: Collection, replacing: bool) -> None:
-    """Raise instead of writing less than there is.
-
-    Raises:
-        KeyboardInterrupt: Saying what is kept.
-    """
-    if collection.complete:
-        return
-    if not collection.episodes:
-        raise KeyboardInterrupt("stopped before an episode was kept")
     if not location.folder.exists():
-        return
-    before = read_metadata(location)["marl_mm"]["episodes"]
-    if replacing or before > len(collection.episodes):
-        raise KeyboardInterrupt(
-            f"stopped; {location.folder} is as it was, new episodes are kept beside "
-            "it: go on with `resume=True`"
+        return None
+    return Provenance.from_json(read_metadata(location)["marl_mm"])
+
+
+class _Collector:
+    """A policy that collects into one dataset; the arguments are as above."""
+
+    def __init__(
+        self, location: Location, name: str, config: Any, options: Collecting
+    ) -> None:
+        check_positive(workers=options.workers)
+        if options.steps is not None:
+            check_positive(steps=options.steps)
+        check_seed(options.seed)
+        refuse_both(options.resume, options.overwrite)
+        collector, max_steps = COLLECTORS.get(name), options.max_steps
+        if max_steps is None:
+            max_steps = collector.max_steps or make_task(options.task).max_steps
+        check_positive(max_steps=max_steps)
+        overrides = {"max_steps": max_steps}
+        self.location, self.options, self.keeps = location, options, collector.keeps
+        self.task = make_task(options.task, overrides)
+        self._refuse_existing()
+        self.policy = collector.policy(config, self.task)
+        self.about = Origin(
+            task=options.task,
+            overrides=overrides,
+            config=config_dict(self.task),
+            collector=name,
+            collector_config=asdict(config),
+            seed=options.seed,
+            plugins=record(COLLECTORS.origin(name), TASKS.origin(options.task)),
+            weights=self.policy.describe().get("weights"),
         )
 
+    def _refuse_existing(self) -> None:
+        location, resume = self.location, self.options.resume
+        refuse_foreign(location)
+        if location.folder.exists() and not (self.options.overwrite or resume):
+            raise OutputExistsError(
+                f"{location.name} exists already: add `resume=True` to go on with it, "
+                "`overwrite=True` to replace it, or choose another `dataset`"
+            )
+        refuse_existing(location.folder, overwrite=True)
+        if resume and not (location.folder.exists() or location.working.exists()):
+            raise UsageError(
+                f"nothing was begun at {location.folder}: leave out `resume` to start"
+            )
 
-def _begun(
-    journal: Journal,
-    about: Origin,
-    location: Location,
-    options: Collecting,
-    steps: int,
-    layout: Layout,
-) -> dict[int, Episode | None]:
-    """Attempts in a journal; a new one, or one to overwrite, begins."""
-    before = journal.about()
-    if before is not None and not (options.resume or options.overwrite):
-        raise OutputExistsError(
-            f"{location.name} was begun already; go on with `resume=True`, choose "
-            "another `dataset` or add `overwrite=True`"
+    def collect(self, first: Location | None, bar: Bar) -> Collection:
+        """Collect what is missing, and write the dataset."""
+        location, options = self.location, self.options
+        with only_here(location.working), ExitStack() as cleaning:
+            cleaning.callback(_remove_if_empty, location)
+            if options.overwrite:
+                (location.working / JOURNAL).unlink(missing_ok=True)
+            with Journal(location.working) as journal:
+                begun = journal.about() or {}
+                replaces = options.overwrite or bool(begun.get("replaces"))
+                ours = recorded(location) if options.resume and not replaces else None
+                steps = self._steps(begun, ours)
+                known: Attempts = {}
+                for source in (first, location if ours else None):
+                    known |= self._attempts(source)
+                if ours and ours.complete and ours.steps_asked == steps:
+                    cleaning.callback(clear, location)
+                    kept = [e for e in known.values() if e is not None]
+                    return Collection(kept, len(known), complete=True)
+                known |= self._begun(journal, steps)
+                try:
+                    collection = self._run(journal, steps, known, bar)
+                except HopelessError:
+                    if not any(map(self.keeps, self._episodes(journal).values())):
+                        journal.begin(self.about.to_json())  # empty, it is removed
+                    raise
+            self._refuse_loss(collection, replaces)
+            self._write(collection, steps)
+            if collection.complete:
+                clear(location)
+        return collection
+
+    def _steps(self, begun: dict[str, Any], ours: Provenance | None) -> int:
+        """Number of steps to collect.
+
+        Raises:
+            UsageError: If more were asked for before.
+        """
+        before = begun.get("steps_asked", 0) if self.options.resume else 0
+        before = max(before, (ours and ours.steps_asked) or 0)
+        asked = self.options.steps or before or _STEPS
+        if asked < before:
+            raise UsageError(
+                f"`steps` is {asked}, {before} were asked for before: choose another "
+                "`dataset`, or draw as many of these with marl-mm datasets mix"
+            )
+        return asked
+
+    def _attempts(self, source: Location | None) -> Attempts:
+        """The attempts behind a dataset, if it is there."""
+        if source is None or not source.folder.exists():
+            return {}
+        dataset = load_dataset(source)
+        self._refuse_other(source, dataset.metadata["marl_mm"])
+        known: Attempts = dict.fromkeys(range(dataset.provenance.attempts or 0))
+        return known | {episode.index: episode for episode in dataset.episodes}
+
+    def _begun(self, journal: Journal, steps: int) -> Attempts:
+        """Attempts in a journal; an empty one begins."""
+        location, options, before = self.location, self.options, journal.about()
+        if before is None:
+            replaces = options.overwrite and location.folder.exists()
+            more = {"steps_asked": steps, "replaces": replaces}
+            journal.begin(self.about.to_json() | more)
+            return {}
+        if not options.resume:
+            raise OutputExistsError(
+                f"{location.name} was begun already; go on with `resume=True`, choose "
+                "another `dataset` or add `overwrite=True`"
+            )
+        self._refuse_other(location, before)
+        journal.note({**before, "steps_asked": steps})
+        return {**self._episodes(journal)}
+
+    def _episodes(self, journal: Journal) -> dict[int, Episode]:
+        return journal.episodes(self.task.layout)
+
+    def _refuse_other(self, location: Location, theirs: dict[str, Any]) -> None:
+        """Raise an OtherConfigError that says what else was collected there."""
+        who, mine = theirs.get("collector"), self.about.collector
+        if who not in (None, mine):
+            raise OtherConfigError(
+                f"{location.name} was collected by {who}, now asked for {mine}",
+                "choose another `dataset` or add `overwrite=True`",
+            )
+        refuse_other_config(location.folder, theirs, self.about.to_json())
+
+    def _run(
+        self, journal: Journal, steps: int, known: Attempts, bar: Bar
+    ) -> Collection:
+        complete = False
+        rollouts = Rollouts(self.task, self.options.workers, self.options.executor)
+        try:
+            collection = collect(
+                self.policy,
+                self.keeps,
+                rollouts.completed,
+                steps,
+                self.options.seed,
+                bar(f"collect {self.policy.name}", steps),
+                known,
+                journal.add,
+            )
+            complete = collection.complete
+        except WorkerDiedError as error:
+            raise WorkerDiedError(
+                f"{error}; finished episodes are kept: go on with `resume=True`"
+            ) from error
+        finally:
+            # A second Ctrl-C must not cost what the first one left.
+            with deaf_to_interrupts(forget=not complete):
+                rollouts.close()
+        return collection
+
+    def _refuse_loss(self, collection: Collection, replaces: bool) -> None:
+        """Raise a KeyboardInterrupt instead of writing less than there is."""
+        folder = self.location.folder
+        if collection.complete:
+            return
+        if not collection.episodes:
+            raise KeyboardInterrupt("stopped before an episode was kept")
+        if not folder.exists():
+            return
+        before = read_metadata(self.location)["marl_mm"]["episodes"]
+        if replaces or before > len(collection.episodes):
+            raise KeyboardInterrupt(
+                f"stopped; {folder} is as it was, new episodes are kept beside it: go "
+                "on with `resume=True`"
+            )
+
+    def _write(self, collection: Collection, steps: int) -> None:
+        provenance = Provenance.collected(
+            self.about,
+            steps_asked=steps,
+            attempts=collection.attempts,
+            complete=collection.complete,
         )
-    if before is None or options.overwrite:
-        replaces = options.overwrite and location.folder.exists()
-        journal.begin({**about.to_json(), "steps_asked": steps, "replaces": replaces})
-        return {}
-    refuse_other(location, before, about)
-    journal.note({**before, "steps_asked": steps})
-    return dict(journal.episodes(layout))
+        arrays = arrays_of(collection.episodes, self.location.id)
+        try:
+            with deaf_to_interrupts(forget=not collection.complete):
+                write_dataset(self.location, arrays, provenance, overwrite=True)
+        except (OSError, MarlMmError) as error:  # no room
+            reason = str(error)
+            if isinstance(error, OSError):
+                reason = f"{error.strerror}: {error.filename}"
+            raise MarlMmError(
+                f"{reason}; finished episodes are kept: make room and go on with "
+                "`resume=True`"
+            ) from error
 
 
-def _run(
-    policy: Policy,
-    keeps: Callable[[Episode], bool],
-    task: Task,
-    options: Collecting,
-    steps: int,
-    known: dict[int, Episode | None],
-    journal: Journal,
-    bar: Bar,
-) -> Collection:
-    complete = False
-    rollouts = Rollouts(task, options.workers, options.executor)
-    try:
-        collection = collect(
-            policy,
-            keeps,
-            rollouts.completed,
-            steps,
-            options.seed,
-            bar(f"collect {policy.name}", steps),
-            known,
-            journal.add,
-        )
-        complete = collection.complete
-    except WorkerDiedError as error:
-        raise WorkerDiedError(
-            f"{error}; finished episodes are kept: go on with `resume=True`"
-        ) from error
-    finally:
-        # A second Ctrl-C must not cost what the first one left.
-        with deaf_to_interrupts(forget=not complete):
-            rollouts.close()
-    return collection
+def clear(location: Location) -> None:
+    """Forget the journal of a dataset that is complete."""
+    shutil.rmtree(location.working)
 
 
-def _write(
-    location: Location,
-    collection: Collection,
-    about: Origin,
-    steps: int,
-) -> None:
-    provenance = Provenance.collected(
-        about,
-        steps_asked=steps,
-        attempts=collection.attempts,
-        complete=collection.complete,
-    )
-    arrays = arrays_of(collection.episodes, location.id)
-    try:
-        with deaf_to_interrupts(forget=not collection.complete):
-            write_dataset(location, arrays, provenance, overwrite=True)
-    except (OSError, MarlMmError) as error:  # no room
-        reason = str(error)
-        if isinstance(error, OSError):
-            reason = f"{error.strerror}: {error.filename}"
-        raise MarlMmError(
-            f"{reason}; finished episodes are kept: make room and go on with "
-            "`resume=True`"
-        ) from error
+def _remove_if_empty(location: Location) -> None:
+    """No trace of a collection that kept nothing."""
+    journal = location.working / JOURNAL
+    if journal.exists():
+        with Journal(location.working) as known:
+            if len(known):
+                return
+        journal.unlink()
+    if location.working.exists() and not any(location.working.iterdir()):
+        location.working.rmdir()

@@ -38,8 +38,7 @@ def evaluate(
         max_steps: Steps per episode; default the task's.
         workers: Processes; the result does not depend on their number.
         config: Settings of a collector's policy; default the collector's.
-        progress: Called with a label and the amount of work; returns a function that
-            is called with the work done and a note, see ``marl_mm.progress``.
+        progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
         **settings: Settings of a collector's policy, by name.
 
     Raises:

@@ -118,8 +118,7 @@ def play(
         gui: Open PyBullet's window and take no pictures; needs a screen.
         camera: Place of the camera; default the task's.
         config: Settings of a collector's policy; default the collector's.
-        progress: Called with a label and the amount of work; returns a function that
-            is called with the work done and a note, see ``marl_mm.progress``.
+        progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
         **settings: Settings of a collector's policy, by name.
 
     Raises:
@@ -146,29 +145,48 @@ def play(
     return Film(episode, frames, fps, name, actor.name)
 
 
+@dataclass(frozen=True)
+class Motion:
+    """Motion of one half of the robot while the other rests; see ``envs.demos``."""
+
+    target: tuple[float, float, float] = (0.8, 0.3, 0.8)
+    """Place that the hand reaches in "arm-reach", world x, y, z [m]; it starts at
+    0.65, 0.10, 0.58."""
+
+    angle: float = 90.0
+    """Angle by which the base turns in "base-turn", -180 to 180 [deg]."""
+
+    seconds: float = 4.0
+    """Duration of "arm-reach" and "base-turn", 0.1 to 60 [s]."""
+
+    def __post_init__(self) -> None:
+        """Refuse a motion that makes no sense."""
+        if not 0.1 <= self.seconds <= 60:
+            raise UsageError(f"`seconds` is {self.seconds}, expected 0.1 to 60")
+        if not -180 <= self.angle <= 180:
+            raise UsageError(f"`angle` is {self.angle}, expected -180 to 180 degrees")
+        if not all(map(math.isfinite, self.target)):
+            raise UsageError(f"`target` is {self.target}, expected finite numbers [m]")
+
+
 def play_demo(
     name: str,
+    motion: Motion,
     *,
-    target: tuple[float, float, float] = (0.8, 0.3, 0.8),
-    angle: float = 90.0,
-    seconds: float = 4.0,
     fps: int = 10,
     gui: bool = False,
     camera: Camera | None = None,
     progress: Bar = silent_bar,
 ) -> tuple[Drift, list[np.ndarray]]:
-    """Film one half of the robot at work while the other rests; see ``envs.demos``.
+    """Film one half of the robot at work while the other rests.
 
     Args:
         name: ``arm-reach`` or ``base-turn``.
-        target: Place that the hand reaches, world x, y, z [m].
-        angle: Angle by which the base turns, -180 to 180 [deg].
-        seconds: Duration, 0.1 to 60 [s].
+        motion: Motion of the demo.
         fps: Pictures per second of film and of simulated time.
         gui: Open PyBullet's window and take no pictures.
         camera: Place of the camera.
-        progress: Called with a label and the amount of work; returns a function that
-            is called with the work done and a note, see ``marl_mm.progress``.
+        progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
 
     Returns:
         How far the resting half drifted, and the pictures.
@@ -176,16 +194,10 @@ def play_demo(
     Raises:
         UsageError: If a setting makes no sense.
     """
-    if not 0.1 <= seconds <= 60:
-        raise UsageError(f"`seconds` is {seconds}, expected 0.1 to 60")
-    if not -180 <= angle <= 180:
-        raise UsageError(f"`angle` is {angle}, expected -180 to 180 degrees")
-    if not all(map(math.isfinite, target)):
-        raise UsageError(f"`target` is {target}, expected finite numbers [m]")
     check_positive(fps=fps)
     drive = demo_drive(visual=True, gui=gui)
     film = Recorder(drive.world, camera or Camera(), 0 if gui else fps)
-    advance = progress(f"play {name}", round(seconds * RATE))
+    advance = progress(f"play {name}", round(motion.seconds * RATE))
 
     def watch(tick: Tick) -> None:
         film(tick)
@@ -193,9 +205,9 @@ def play_demo(
 
     try:
         if name == "arm-reach":
-            drift = arm_reach(drive, np.array(target), seconds, watch)
+            drift = arm_reach(drive, np.array(motion.target), motion.seconds, watch)
         else:
-            drift = base_turn(drive, math.radians(angle), seconds, watch)
+            drift = base_turn(drive, math.radians(motion.angle), motion.seconds, watch)
         film.add()
     finally:
         drive.close()
@@ -203,10 +215,6 @@ def play_demo(
 
 
 def check_strip(path: Path) -> None:
-    """Raise if a film strip's name has another ending than .png.
-
-    Raises:
-        UsageError: If it has.
-    """
+    """Raise a UsageError if a film strip's name has another ending than .png."""
     if path.suffix != ".png":
         raise UsageError(f"film strip {path} ends in {path.suffix!r}, expected .png")

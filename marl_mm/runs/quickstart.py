@@ -25,9 +25,9 @@ from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.collect import collect
 from marl_mm.runs.evaluate import evaluate
 from marl_mm.runs.run import Run
-from marl_mm.runs.seeds import train_seeds
-from marl_mm.runs.settings import check_positive, check_seed, with_values
-from marl_mm.runs.training import Offline, training_of
+from marl_mm.runs.settings import check_positive, check_seed
+from marl_mm.runs.train import train
+from marl_mm.runs.training import Offline
 
 EXPERT = PdConfig(alpha_rule="room")
 """PD agent whose episodes are collected: alpha falls as the hand runs out of room,
@@ -68,8 +68,7 @@ def run_quickstart(
 
     Args:
         options: Size and place.
-        progress: Called with a label and the amount of work; returns a function that
-            is called with the work done and a note, see ``marl_mm.progress``.
+        progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
 
     Returns:
         Wall times [s], the dataset's card and the evaluations, JSON-serialisable; and
@@ -83,8 +82,10 @@ def run_quickstart(
     check_seed(options.seed)
     refuse_existing(options.out, options.overwrite)
     size = SMALL if options.small else FULL
-    out, stages = options.out, dict[str, float]()
+    out, goals = options.out, size["episodes"]
+    stages: dict[str, float] = {}
     common: dict[str, Any] = {"workers": options.workers, "progress": progress}
+    anew = common | {"overwrite": options.overwrite}
     try:
         with _timed(stages, "collect (pd)"):
             data = collect(
@@ -93,31 +94,28 @@ def run_quickstart(
                 config=EXPERT,
                 steps=size["steps"],
                 seed=options.seed,
-                overwrite=options.overwrite,
-                **common,
+                **anew,
             )
         with _timed(stages, "train and evaluate (mabc)"):
-            training = training_of(
+            (run,) = train(
                 "mabc",
-                eval_episodes=size["episodes"],
+                data,
+                out=out / "mabc",
+                seeds=(options.seed,),
+                updates=size["updates"],
+                eval_episodes=goals,
                 eval_seed=options.seed,
-                workers=options.workers,
-                overwrite=options.overwrite,
+                **anew,
             )
-            training = with_values(training, {"updates": size["updates"]})
-            runs = {options.seed: out / "mabc"}
-            (run,) = map(Run, train_seeds(training, data, runs, progress))
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"stopped; start again with `overwrite=True`, or use what is in {out}"
         ) from None
+    evaluations = [run.evaluated]
     with _timed(stages, "evaluate (pd, random)"):
-        goals: dict[str, Any] = {"episodes": size["episodes"], "seed": options.seed}
-        scripted = [
-            evaluate(policy, **goals, **common)
-            for policy in (PdPolicy(EXPERT), "random")
-        ]
-    evaluations = [run.evaluated, *scripted]
+        for policy in (PdPolicy(EXPERT), "random"):
+            again = evaluate(policy, episodes=goals, seed=options.seed, **common)
+            evaluations.append(again)
     with _timed(stages, "figures and film"):
         _picture(run, options, progress)
     values = {
@@ -140,33 +138,30 @@ def _timed(stages: dict[str, float], name: str) -> Iterator[None]:
 
 def _picture(run: Run, options: Quickstart, progress: Bar) -> None:
     """Alpha over time of learner and expert, a film and a film strip of the learner."""
-    out, task = options.out, make_task()
-    learned, expert = run.policy, PdPolicy(EXPERT)
-    plans = goal_set(task, 2, options.seed)
-    alpha_over_time(
-        {
-            policy.name: list(run_episodes(task, policy, plans))
-            for policy in (learned, expert)
-        },
-        out / "alpha.png",
-    )
+    out, task, expert = options.out, make_task(), PdPolicy(EXPERT)
     advance = progress("film mabc", 2 * task.max_steps)
-    both = film_both_ways(task, learned, options.seed, FPS, advance)
+    both = film_both_ways(task, run.policy, options.seed, FPS, advance)
     write_video(out / "mabc.mp4", both.frames, FPS)
     film_strip(out / "mabc.png", both.strips)
+    beside = [*run_episodes(task, expert, goal_set(task, 2, options.seed))]
+    alpha_over_time(
+        {run.policy.name: both.episodes, expert.name: beside}, out / "alpha.png"
+    )
 
 
 def _report(
     options: Quickstart, values: dict[str, Any], evaluations: Sequence[Evaluation]
 ) -> str:
     dataset = values["dataset"]
+    run = f"mabc/{options.seed}"
     stages = [(name, f"{seconds:.1f}") for name, seconds in values["stages_s"].items()]
     return f"""# Quickstart
 
 Made by `marl-mm quickstart --seed {options.seed}{" --small" * options.small}`.
 A PD agent collected {dataset["episodes"]} successful episodes, {dataset["steps"]} steps
-(`dataset/`, Minari HDF5). MABC trained two decentralised actors on that file (`mabc/`).
-All policies were then evaluated on the same goals, half ahead and half behind.
+(`dataset/`, Minari HDF5). MABC trained two decentralised actors on that file
+(`{run}/`). All policies were then evaluated on the same goals, half ahead and half
+behind.
 
 {evaluation_markdown(evaluations)}
 Success: end-effector within 5 cm of the goal in at most 25 steps of 1 s, with Wilson's
@@ -182,7 +177,7 @@ Film: [mabc.mp4](mabc.mp4)
 
 ## Learning curve
 
-![learning curve](mabc/learning_curve.png)
+![learning curve]({run}/learning_curve.png)
 
 Each point: {Offline.curve_episodes} goals of their own, so coarser than the table.
 

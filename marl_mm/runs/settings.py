@@ -1,7 +1,7 @@
 """Settings by name: checked, replaced, and taken from what was done before."""
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar, get_type_hints
 
@@ -32,8 +32,8 @@ def with_settings(owner: str, record: T, settings: Mapping[str, Any]) -> T:
     Raises:
         UsageError: If no field has a name, or a value is of another type.
     """
-    known = _names(record)
-    for name in settings:
+    known = dict(_kinds(record))
+    for name, value in settings.items():
         if name not in known:
             close = difflib.get_close_matches(name, known, 1)
             hint = f"; did you mean {close[0]}?" if close else ""
@@ -41,7 +41,11 @@ def with_settings(owner: str, record: T, settings: Mapping[str, Any]) -> T:
                 f"{owner} has no setting {name!r}, expected some of "
                 f"{', '.join(sorted(known))}{hint}"
             )
-    check_types(owner, record, settings)
+        try:
+            check_type(value, known[name])
+        except TypeCheckError as error:
+            why = " ".join(str(error).split())
+            raise UsageError(f"{owner}: {name} is {value!r:.80}, {why}") from None
     return with_values(record, settings)
 
 
@@ -58,33 +62,15 @@ def with_values(record: T, values: Mapping[str, Any]) -> T:
     return replace(record, **changes)  # type: ignore[type-var]
 
 
-def check_types(owner: str, record: Any, settings: Mapping[str, Any]) -> None:
-    """Raise for a setting whose value is not of its field's type.
-
-    Raises:
-        UsageError: Naming the setting and the type.
-    """
+def _kinds(record: Any) -> Iterator[tuple[str, Any]]:
+    """Names and types of the settings of a dataclass, and of those in its fields."""
     hints = get_type_hints(type(record))
     for field in fields(record):
         value = getattr(record, field.name)
         if _is_record(value):
-            check_types(owner, value, settings)
-        elif field.name in settings:
-            try:
-                check_type(settings[field.name], hints[field.name])
-            except TypeCheckError as error:
-                why = " ".join(str(error).split())
-                raise UsageError(
-                    f"{owner}: {field.name} is {settings[field.name]!r:.80}, {why}"
-                ) from None
-
-
-def _names(record: Any) -> set[str]:
-    names: set[str] = set()
-    for field in fields(record):
-        value = getattr(record, field.name)
-        names |= _names(value) if _is_record(value) else {field.name}
-    return names
+            yield from _kinds(value)
+        else:
+            yield field.name, hints[field.name]
 
 
 def _is_record(value: Any) -> bool:
@@ -92,11 +78,7 @@ def _is_record(value: Any) -> bool:
 
 
 def check_positive(**values: float) -> None:
-    """Raise for the first setting that is less than 1, or so large that it has no end.
-
-    Raises:
-        UsageError: Naming it.
-    """
+    """Raise a UsageError for the first setting below 1, or too large to have an end."""
     for name, value in values.items():
         if value < 1:
             raise UsageError(f"`{name}` is {value}, expected >= 1")
@@ -106,11 +88,7 @@ def check_positive(**values: float) -> None:
 
 
 def check_seeds(seeds: Sequence[int]) -> None:
-    """Raise for seeds of runs that are none, negative or named twice.
-
-    Raises:
-        UsageError: Naming them.
-    """
+    """Raise a UsageError for seeds of runs that are none, negative or named twice."""
     if not seeds:
         raise UsageError("`seeds` names no seed, expected at least one")
     if len(set(seeds)) < len(seeds):
@@ -121,11 +99,7 @@ def check_seeds(seeds: Sequence[int]) -> None:
 
 
 def check_seed(seed: int) -> None:
-    """Raise for a seed that is negative, or too large for a file of a dataset.
-
-    Raises:
-        UsageError: Naming it.
-    """
+    """Raise a UsageError for a seed that is negative, or more than files can hold."""
     if seed < 0:
         raise UsageError(f"the seed is {seed}, expected >= 0")
     if seed >= SEEDS:
@@ -133,11 +107,7 @@ def check_seed(seed: int) -> None:
 
 
 def refuse_both(resume: bool, overwrite: bool) -> None:
-    """Raise if both `resume` and `overwrite` are set.
-
-    Raises:
-        UsageError: If it is.
-    """
+    """Raise a UsageError if both `resume` and `overwrite` are set."""
     if resume and overwrite:
         raise UsageError(
             "`resume=True` and `overwrite=True` contradict each other: choose one"

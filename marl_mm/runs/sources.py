@@ -10,14 +10,13 @@ from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.config_diff import as_json
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import SHIPPED, Location, locate
-from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.recipe import Part, mix, write_mix
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.errors import DatasetError, UnknownDatasetError, UsageError
 from marl_mm.files import only_here
 from marl_mm.progress import Bar, silent_bar
-from marl_mm.runs.collecting import Collecting, collect_dataset
+from marl_mm.runs.collecting import Collecting, collect_dataset, recorded
 from marl_mm.runs.settings import check_positive, with_settings
 from marl_mm.workers import Executor
 
@@ -191,14 +190,14 @@ class Datasets:
             resume=begun,
         )
         first = next(map(self._location, self._made_of(source)), None)
-        of, beside = (location, source.collector, source.config), (first, self.bar)
+        what = location, source.collector, source.config
         try:
-            collection = collect_dataset(*of, collecting, *beside)
+            collection = collect_dataset(*what, collecting, first, self.bar)
         except (UsageError, DatasetError):
             if not (begun and self.overwrite):
                 raise
             anew = replace(collecting, resume=False, overwrite=True)
-            collection = collect_dataset(*of, anew, *beside)
+            collection = collect_dataset(*what, anew, first, self.bar)
         if not collection.complete:
             raise KeyboardInterrupt(f"stopped in {source.name}; the same call goes on")
 
@@ -208,12 +207,11 @@ class Datasets:
 
     def _gives_way(self, data: Mix, location: Location) -> bool:
         """Whether a mix that is there may be replaced: it is of no more steps."""
-        if self.overwrite or not location.folder.exists():
+        known = None if self.overwrite else recorded(location)
+        if known is None:
             return True
-        known = Provenance.from_json(read_metadata(location)["marl_mm"])
-        drawn = sum((known.recipe or {}).get("steps", {}).values())
-        asked = sum(self._steps(steps) for _, steps in data.parts)
-        return known.seed == data.seed and 0 < drawn <= asked
+        fewer = 0 < sum(_drawn(known)) <= sum(self._drawn_by(data))
+        return known.seed == data.seed and fewer
 
     def _made_of(self, data: Source | Mix) -> list[Source]:
         """Sources that it begins with, or is drawn from."""
@@ -223,29 +221,26 @@ class Datasets:
 
     def _whole(self, data: Source | Mix, location: Location) -> bool:
         """Whether the dataset is there, as it is declared, with all its steps."""
-        if not location.folder.exists():
-            return False
         try:
-            known = Provenance.from_json(read_metadata(location)["marl_mm"])
+            known = recorded(location)
         except DatasetError:
             if self.overwrite:
                 return False
             raise
+        if known is None or known.seed != data.seed:
+            return False
         if isinstance(data, Mix):
-            steps = [self._steps(steps) for _, steps in data.parts]
-            drawn = (known.recipe or {}).get("steps", {})
-            return known.seed == data.seed and [*drawn.values()] == steps
+            return _drawn(known) == self._drawn_by(data)
+        config = as_json(asdict(data.config))
+        mine = data.task, data.collector, config, self._steps(data.steps)
         config = as_json(dict(known.collector_config or {}))
-        theirs = known.task, known.collector, config, known.seed, known.steps_asked
-        config, steps_asked = as_json(asdict(data.config)), self._steps(data.steps)
-        mine = data.task, data.collector, config, data.seed, steps_asked
+        theirs = known.task, known.collector, config, known.steps_asked
         return known.complete and theirs == mine
 
     def _deed(self, data: Source | Mix) -> str:
         if isinstance(data, Mix):
-            return (
-                f"it is mixed of {', '.join(source.name for source, _ in data.parts)}"
-            )
+            names = ", ".join(source.name for source, _ in data.parts)
+            return f"it is mixed of {names}"
         steps = self._steps(data.steps)
         return f"{steps} steps of {data.collector} in {data.task} are collected"
 
@@ -257,6 +252,15 @@ class Datasets:
     def _steps(self, steps: int) -> int:
         return min(steps, FEW) if self.small else max(1, round(self.scale * steps))
 
+    def _drawn_by(self, data: Mix) -> list[int]:
+        """Steps that are drawn from each source."""
+        return [self._steps(steps) for _, steps in data.parts]
+
     def _declared(self, data: Data) -> Data:
         """The source that a word is short for, if it is a declared one's."""
         return self.known.get(data, data) if isinstance(data, str) else data
+
+
+def _drawn(known: Provenance) -> list[int]:
+    """Steps that were drawn from each source of a dataset."""
+    return [*(known.recipe or {}).get("steps", {}).values()]

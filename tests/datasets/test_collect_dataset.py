@@ -26,7 +26,7 @@ from marl_mm.episode import Episode
 from marl_mm.errors import OtherConfigError, UsageError
 from marl_mm.files import only_here
 from marl_mm.policy import Policy
-from marl_mm.runs.collecting import Collecting, _about, collect_dataset
+from marl_mm.runs.collecting import Collecting, _Collector, collect_dataset
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 MakeEpisode = Callable[..., Episode]
@@ -295,8 +295,8 @@ def test_another_agent_does_not_go_on(
     location = locate("x")
     options = Collecting(steps=5, workers=1, resume=True)
     with Journal(location.working) as journal:
-        _, about = _about("pretrained", PretrainedConfig(), options)
-        journal.begin(about.to_json() | {"weights": "others"})
+        work = _Collector(location, "pretrained", PretrainedConfig(), options)
+        journal.begin(work.about.to_json() | {"weights": "others"})
         journal.add(make_episode(0))
     with pytest.raises(OtherConfigError, match="weights = others"):
         collect_dataset(location, "pretrained", PretrainedConfig(), options)
@@ -398,7 +398,7 @@ def test_an_unwritable_folder_is_named() -> None:
     code = """
 import os, sys
 from marl_mm.collectors.random import RandomConfig
-from marl_mm.runs.collecting import Collecting, _about, collect_dataset
+from marl_mm.runs.collecting import Collecting, collect_dataset
 from marl_mm.datasets.location import locate
 from marl_mm.errors import UsageError
 if os.geteuid() == 0:  # root may write anywhere

@@ -22,7 +22,10 @@ SMALL = {
 """How long things take in place of what a page says."""
 
 FEW = {
-    "train": "--updates 60 --curve-episodes 1 --eval-episodes 2 --workers 1",
+    "collect": "--workers 1",
+    "train": "--updates 60 --curve-episodes 1 --eval-episodes 2 --max-steps 4 "
+    "--workers 1",
+    "eval": "--max-steps 4 --workers 1",
     "play": "--max-steps 2 --fps 2",
     "ablate": "--workers 1",
 }
@@ -35,11 +38,12 @@ def small_code(code: str) -> str:
         code = re.sub(rf"\b{name}=[\d_]+", f"{name}={value}", code)
     code = re.sub(
         r"(marl_mm\.train\(.*?)\)$",
-        r"\1, eval_episodes=2, curve_episodes=1, workers=1)",
+        r"\1, eval_episodes=2, curve_episodes=1, max_steps=4, workers=1)",
         re.sub(r"  #.*", "", code),
         flags=re.M,
     )
-    return re.sub(r"(marl_mm\.play\([^)]*)\)", r"\1, max_steps=2)", code)
+    code = re.sub(r"(marl_mm\.evaluate\([^)]*)\)", r"\1, max_steps=4)", code)
+    return re.sub(r"(marl_mm\.play\([^)]*)\)", r"\1, max_steps=2, fps=2)", code)
 
 
 def small_command(line: str) -> list[str]:

@@ -39,6 +39,7 @@ def row(alpha: float, direction: str, goal: int = 0, **values: float) -> Row:
         "form": "blend",
         "rule": "constant",
         "alpha": alpha,
+        "seed": 0,
         "goal": goal,
         "direction": direction,
         "success": 1,

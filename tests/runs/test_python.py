@@ -234,6 +234,7 @@ def test_a_run_and_its_film_are_read_back(
     assert evaluation is not None
     again = marl_mm.evaluate(made, episodes=2, max_steps=2)
     assert again.rows == evaluation.rows
+    assert " reached 0 of 2 goals of Reach-v0>" in repr(again)
     page = run._repr_html_()
     assert page.count("data:image/png;base64,") == 2
     film = marl_mm.play(run, max_steps=2, fps=2)

@@ -1,0 +1,33 @@
+"""Rows in groups, and their columns as arrays."""
+
+from collections.abc import Mapping, Sequence
+from operator import itemgetter
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+R = TypeVar("R", bound=Mapping[str, Any])
+
+
+def grouped(rows: Sequence[R], *keys: str) -> dict[Any, list[R]]:
+    """Rows by the value of a key, or by the tuple of values of several.
+
+    Groups are in the order in which they first occur.
+    """
+    groups: dict[Any, list[R]] = {}
+    value = itemgetter(*keys)
+    for row in rows:
+        groups.setdefault(value(row), []).append(row)
+    return groups
+
+
+def by_goal(rows: Sequence[Mapping[str, Any]], name: str) -> NDArray[np.float64]:
+    """A column in the order of seeds and goals, to be paired with other rows'."""
+    ordered = sorted(rows, key=itemgetter("seed", "goal"))
+    return np.array([row[name] for row in ordered], dtype=float)
+
+
+def mean_of(rows: Sequence[Mapping[str, Any]], name: str) -> float:
+    """Mean of a column."""
+    return float(np.mean([row[name] for row in rows]))

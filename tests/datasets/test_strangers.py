@@ -1,0 +1,375 @@
+"""Files from strangers: nothing in them is believed before it is checked.
+
+Each test is an attack that once worked.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from marl_mm.cli import main
+from marl_mm.datasets import cache
+from marl_mm.datasets.arrays import arrays_of, save_arrays
+from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.hdf5 import FILE
+from marl_mm.datasets.location import locate
+from marl_mm.datasets.metadata import sign_metadata
+from marl_mm.datasets.provenance import Origin, Provenance
+from marl_mm.datasets.storage import write_dataset
+from marl_mm.datasets.verify import verify
+from marl_mm.episode import Episode
+from marl_mm.errors import DatasetError
+from marl_mm.received import file_digest
+
+Output = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def gift(tmp_path: Path, episodes: list[Episode]) -> Path:
+    """A dataset that somebody sent, which was never read here."""
+    location = locate(str(tmp_path / "gift"))
+    provenance = Provenance(
+        task="Reach-v0", collector="pd", seed=0, origins={location.id: Origin()}
+    )
+    write_dataset(location, arrays_of(episodes, location.id), provenance)
+    cache.clear()
+    return location.folder
+
+
+def sign(gift: Path) -> None:
+    """Compute both hashes anew, as anybody can."""
+    path = gift / "data" / "metadata.json"
+    metadata = json.loads(path.read_text())
+    digest = file_digest(gift / "data" / FILE, DatasetError)
+    metadata["marl_mm"]["data_sha256"] = digest
+    path.write_text(json.dumps(metadata))
+    sign_metadata(path)
+
+
+def tamper(gift: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    path = gift / "data" / "metadata.json"
+    metadata = json.loads(path.read_text())
+    change(metadata)
+    path.write_text(json.dumps(metadata))
+    sign(gift)
+
+
+def refused(gift: Path, match: str, capsys: Output) -> None:
+    """``show`` and ``verify`` refuse it in one line, and write nothing."""
+    before = sorted(gift.rglob("*"))
+    for command in ("show", "verify"):
+        capsys.readouterr()
+        assert main(["datasets", command, str(gift)]) == 1
+        output = capsys.readouterr()
+        assert match in output.err + output.out
+        assert output.err.count("\n") == 1 and "Traceback" not in output.err
+    assert sorted(gift.rglob("*")) == before
+
+
+# --- The cache ---------------------------------------------------------------
+
+
+def test_a_forged_cache_in_a_datasets_folder_is_ignored(
+    gift: Path, episodes: list[Episode], capsys: Output
+) -> None:
+    arrays = arrays_of(episodes, "x")
+    arrays.rewards[:] = 10_000.0
+    arrays.lengths[0] = -1
+    (gift / "cache").mkdir()
+    digest = json.loads((gift / "data/metadata.json").read_text())["marl_mm"]
+    for name in (digest["data_sha256"][:16], "any"):
+        save_arrays(gift / "cache" / f"{name}.npz", arrays, compress=False)
+    np.testing.assert_array_equal(
+        load_dataset(str(gift)).arrays.rewards, arrays_of(episodes, "x").rewards
+    )
+    assert main(["datasets", "show", str(gift)]) == 0
+
+
+def test_a_cache_that_is_a_link_costs_nobody_a_file(
+    gift: Path, tmp_path: Path, capsys: Output
+) -> None:
+    victim = tmp_path / "victim"
+    victim.mkdir()
+    (victim / "mine.npz").write_text("precious")
+    (gift / "cache").symlink_to(victim)
+    refused(gift, "is a link out of its folder", capsys)
+    assert [path.name for path in victim.iterdir()] == ["mine.npz"]
+
+
+def test_the_cache_stays_below_its_bound(
+    gift: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Output
+) -> None:
+    monkeypatch.setenv(cache.FOLDER_VARIABLE, str(tmp_path / "own"))
+    size = load_dataset(str(gift)).arrays.nbytes
+    (entry,) = cache.entries()
+    for number in range(4):
+        old = entry.path.with_name(f"old-{number}.npz")
+        shutil.copy(entry.path, old)
+        os.utime(old, (number, number))
+    monkeypatch.setenv(cache.SIZE_VARIABLE, str(3.9 * entry.size / 1e9))
+    entry.path.unlink()
+    load_dataset(str(gift))
+    names = {each.path.name for each in cache.entries()}
+    assert names == {entry.path.name, "old-3.npz", "old-2.npz"}
+    assert sum(each.size for each in cache.entries()) <= 3.9 * entry.size
+    assert main(["cache", "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["entries"] == 3 and shown["folder"] == str(tmp_path / "own/datasets")
+    assert main(["cache", "--clear"]) == 0 and cache.entries() == []
+    monkeypatch.setenv(cache.SIZE_VARIABLE, str(size / 2e9))
+    load_dataset(str(gift))
+    assert cache.entries() == []
+    monkeypatch.setenv(cache.SIZE_VARIABLE, "much")
+    assert main(["cache"]) == 2
+    assert "expected a size in GB" in capsys.readouterr().err
+
+
+# --- Links and files that are none -------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["data", f"data/{FILE}", "data/metadata.json"])
+def test_links_that_leave_the_folder_are_refused(
+    gift: Path, tmp_path: Path, capsys: Output, name: str
+) -> None:
+    (gift / name).rename(tmp_path / "elsewhere")
+    (gift / name).symlink_to(tmp_path / "elsewhere")
+    refused(gift, "is a link out of its folder", capsys)
+
+
+def test_a_linked_dataset_is_read_and_only_the_link_deleted(
+    gift: Path, tmp_path: Path, capsys: Output
+) -> None:
+    link = tmp_path / "link"
+    link.symlink_to(gift)
+    assert main(["datasets", "verify", str(link)]) == 0
+    assert main(["datasets", "delete", str(link), "--yes"]) == 0
+    assert f"deleted the link {link}; {gift}, where it led" in capsys.readouterr().out
+    assert not link.is_symlink() and verify(locate(str(gift))) == []
+
+
+def test_an_id_that_is_a_link_is_deleted_likewise(
+    gift: Path, datasets_home: Path, capsys: Output
+) -> None:
+    link = datasets_home / "marl_mm/reach/linked-v0"
+    link.parent.mkdir(parents=True)
+    link.symlink_to(gift)
+    assert main(["datasets", "delete", "linked", "--yes"]) == 0
+    assert not link.is_symlink() and verify(locate(str(gift))) == []
+
+
+@pytest.mark.parametrize("name", [f"data/{FILE}", "data/metadata.json"])
+@pytest.mark.parametrize("kind", ["pipe", "folder"])
+def test_what_is_no_regular_file_is_refused_at_once(
+    gift: Path, capsys: Output, name: str, kind: str
+) -> None:
+    (gift / name).unlink()
+    {"pipe": os.mkfifo, "folder": os.mkdir}[kind](gift / name)
+    refused(gift, f"is a {kind}, expected a regular file", capsys)
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_checkpoints_that_are_no_regular_files_are_refused_at_once(
+    tmp_path: Path, capsys: Output, kind: str
+) -> None:
+    path = tmp_path / "checkpoint.pt"
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+    for words in (["eval", str(path)], ["check", str(path)]):
+        capsys.readouterr()
+        assert main(words) == 1
+        output = capsys.readouterr()
+        assert "expected a regular file" in output.err + output.out
+
+
+# --- HDF5 --------------------------------------------------------------------
+
+
+def external_link(group: Any, secret: Path) -> None:
+    with h5py.File(secret.with_suffix(".hdf5"), "w") as other:
+        other["x"] = group["rewards"][()]
+    del group["rewards"]
+    group["rewards"] = h5py.ExternalLink(str(secret.with_suffix(".hdf5")), "/x")
+
+
+def soft_link(group: Any, secret: Path) -> None:
+    group["copy"] = group["rewards"][()]
+    del group["rewards"]
+    group["rewards"] = h5py.SoftLink(f"{group.name}/copy")
+
+
+def external_storage(group: Any, secret: Path) -> None:
+    shape = group["rewards"].shape
+    secret.write_bytes(bytes(8 * shape[0]))
+    del group["rewards"]
+    group.create_dataset("rewards", shape, "f8", external=[(secret, 0, 8 * shape[0])])
+
+
+def virtual(group: Any, secret: Path) -> None:
+    shape = group["rewards"].shape
+    del group["rewards"]
+    layout = h5py.VirtualLayout(shape, "f8")
+    layout[...] = h5py.VirtualSource(secret, "x", shape)
+    group.create_virtual_dataset("rewards", layout)
+
+
+def linked_group(group: Any, secret: Path) -> None:
+    group.move("observations", "elsewhere")
+    group["observations"] = h5py.SoftLink(f"{group.name}/elsewhere")
+
+
+ATTACKS = [external_link, soft_link, external_storage, virtual, linked_group]
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_data_that_lie_elsewhere_are_refused(
+    gift: Path, tmp_path: Path, capsys: Output, attack: Callable[[Any, Path], None]
+) -> None:
+    path = gift / "data" / FILE
+    with h5py.File(path, "r+") as file:
+        attack(file["episode_0"], tmp_path / "secret.bin")
+    sign(gift)
+    words = "stored in other files" if "st" in attack.__name__[:12] else ""
+    refused(gift, words or "", capsys)
+    out = str(tmp_path / "imported")
+    capsys.readouterr()
+    assert main(["datasets", "import", str(path), "--out", out]) == 1
+    error = capsys.readouterr().err
+    assert "another place" in error or "stored in other files" in error
+    assert not Path(out).exists()
+
+
+# --- Bombs -------------------------------------------------------------------
+
+_LIMITED = """
+import resource, sys, time
+from marl_mm.cli import main
+begin = time.monotonic()
+code = main(sys.argv[1:])
+own, children = (
+    resource.getrusage(who).ru_maxrss / 1024
+    for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+)
+print(f"|{code} {time.monotonic() - begin:.1f} {max(own, children):.0f}")
+"""
+
+
+def cheap(*words: str) -> tuple[int, float, str]:
+    """Exit code, memory [MB] and complaint of a command in a process of its own."""
+    ended = subprocess.run(
+        [sys.executable, "-c", _LIMITED, *words],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    code, _, memory = ended.stdout.rpartition("|")[2].split()
+    assert "Traceback" not in ended.stderr
+    return int(code), float(memory), ended.stderr
+
+
+def declared_rows(file: Any) -> None:
+    del file["episode_0/rewards"]
+    chunks = {"chunks": (100_000,), "compression": "gzip"}
+    file.create_dataset("episode_0/rewards", (10**11,), "f8", **chunks)
+
+
+def packed_zeros(file: Any) -> None:
+    del file["episode_0/infos/d_mm"]
+    values = np.zeros(20_000_000)
+    file.create_dataset("episode_0/infos/d_mm", data=values, compression="gzip")
+
+
+def many_episodes(file: Any) -> None:
+    for number in range(10, 100_010):
+        file[f"episode_{number}"] = file["episode_0"]
+
+
+@pytest.mark.parametrize("bomb", [declared_rows, packed_zeros, many_episodes])
+def test_bombs_in_data_are_refused_cheaply(
+    gift: Path, tmp_path: Path, bomb: Callable[[Any], None]
+) -> None:
+    with h5py.File(gift / "data" / FILE, "r+") as file:
+        bomb(file)
+    if bomb is many_episodes:
+        tamper(gift, lambda metadata: metadata["marl_mm"].update(episodes=1_000_000))
+    sign(gift)
+    out = str(tmp_path / "imported")
+    for words in (["show", str(gift)], ["import", str(gift), "--out", out]):
+        code, memory, error = cheap("datasets", *words)
+        assert code == 1 and error.count("\n") == 1, error
+        assert memory < 500
+    assert not Path(out).exists()
+
+
+def test_metadata_of_a_gigabyte_are_not_read(gift: Path, capsys: Output) -> None:
+    os.truncate(gift / "data" / "metadata.json", 10**9)
+    refused(gift, "1,000,000,000 bytes, expected at most", capsys)
+
+
+def test_deep_nesting_is_refused(gift: Path, capsys: Output) -> None:
+    (gift / "data" / "metadata.json").write_text("[" * 200_000 + "]" * 200_000)
+    refused(gift, "recursion", capsys)
+
+
+# --- Metadata ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        (lambda m: m["marl_mm"].update(collector="\x1b]0;title\x07"), "control"),
+        (lambda m: m["marl_mm"].update(collector="a\rb"), "control"),
+        (lambda m: m.update(dataset_id="../../x"), "expected an id"),
+        (lambda m: m["marl_mm"].update(task=None), "task"),
+        (lambda m: m["marl_mm"].update(overrides=[1]), "overrides"),
+        (lambda m: m["marl_mm"].update(origins=3), "origins"),
+        (lambda m: m["marl_mm"].update(attempts="x"), "attempts"),
+        (lambda m: m["marl_mm"].update(attempts=10**12), "attempts"),
+        (lambda m: m["marl_mm"].update(episodes=-1), "at least 1"),
+        *(
+            (lambda m, key=key: m["marl_mm"].pop(key), key)
+            for key in ("data_sha256", "episodes", "steps", "statistics", "task")
+        ),
+    ],
+)
+def test_metadata_that_cannot_be_ours_are_refused(
+    gift: Path, capsys: Output, change: Callable[[dict[str, Any]], Any], match: str
+) -> None:
+    path = gift / "data" / "metadata.json"
+    metadata = json.loads(path.read_text())
+    change(metadata)
+    path.write_text(json.dumps(metadata))
+    sign_metadata(path)
+    refused(gift, match, capsys)
+
+
+def test_a_card_of_other_data_is_named(gift: Path) -> None:
+    assert main(["datasets", "show", str(gift)]) == 0
+    path = gift / "card.json"
+    values = json.loads(path.read_text())
+    path.write_text(json.dumps(values | {"steps": 1_000_000}))
+    assert ["is of other data" in line for line in verify(locate(str(gift)))] == [True]
+    assert main(["datasets", "show", str(gift)]) == 0
+    assert verify(locate(str(gift))) == []
+
+
+def test_names_are_shown_as_text(gift: Path, capsys: Output) -> None:
+    """In Markdown no cell, picture or HTML begins, in a terminal no style."""
+    name = "![t](http://127.0.0.1/x) <b>|[red]`"
+    tamper(gift, lambda metadata: metadata["marl_mm"].update(collector=name))
+    assert main(["datasets", "show", str(gift), "--markdown"]) == 0
+    shown = capsys.readouterr().out
+    assert r"!\[t\](http://127.0.0.1/x) &lt;b>\|\[red\]\`" in shown
+    assert main(["datasets", "show", str(gift)]) == 0
+    assert name in capsys.readouterr().out
