@@ -1,6 +1,7 @@
 """Online learning: the paper's Figs. 4 and 5, demonstrations, and what helps."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from marl_mm.algorithms.registry import TUNED
@@ -23,18 +24,16 @@ _PD = Source(settings={"alpha_rule": "room"}, steps=2_000, name="demonstrations"
 _SCRIPT = Source("scripted", "Grasp-v0", 2_000, name="demonstrations-Grasp")
 
 
-def _ddpg(name: str, about: str, preset: str = TUNED, **changes: Any) -> Setting:
-    return Setting(f"ddpg{name}", f"DDPG{about}", "ddpg", preset, changes)
+def _setting(
+    algorithm: str, name: str, about: str, preset: str = TUNED, **changes: Any
+) -> Setting:
+    about = f"{algorithm.upper().replace('-', ' + ')}{about}"
+    return Setting(f"{algorithm}{name}", about, algorithm, preset, changes)
 
 
-def _her(name: str, about: str, preset: str = TUNED, **changes: Any) -> Setting:
-    about = f"DDPG + HER{about}"
-    return Setting(f"ddpg-her{name}", about, "ddpg-her", preset, changes)
-
-
-def _maddpg(name: str, about: str, **changes: Any) -> Setting:
-    about = f"MADDPG + HER{about}"
-    return Setting(f"maddpg-her{name}", about, "maddpg-her", changes=changes)
+_ddpg = partial(_setting, "ddpg")
+_her = partial(_setting, "ddpg-her")
+_maddpg = partial(_setting, "maddpg-her")
 
 
 def _departure(name: str, about: str, **changes: Any) -> Setting:

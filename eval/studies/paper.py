@@ -78,11 +78,16 @@ def beside_the_paper(
 # --- Tables and figures ------------------------------------------------------
 
 
+def label(algorithm: str) -> str:
+    """Name of an algorithm in tables, such as TD3+BC."""
+    return algorithm.upper().replace("-", "+")
+
+
 def _long(algorithm: str, preset: str, batch: int = 256, **more: Any) -> Setting:
     """A setting with as many updates as in Table 4, and learning curves."""
     changes: dict[str, Any] = {"updates": LONG}
     name = f"{algorithm}-{preset}-180k"
-    about = f"{algorithm.upper().replace('-', '+')}, {preset}"
+    about = f"{label(algorithm)}, {preset}"
     if batch != 256:
         changes["batch_size"] = batch
         name, about = f"{name}-batch-{batch}", f"{about}, batch {batch}"
