@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from itertools import product
 from typing import Any
 
 from marl_mm.algorithms.registry import TUNED
@@ -46,37 +47,33 @@ _OF_GRASP = 1_000
 
 _SB3 = Setting(SB3, "Stable-Baselines3, DDPG + HER", "ddpg-her", library="sb3")
 
-_LEARNT: Sequence[tuple[Online, Sequence[Setting]]] = (
+_SHOWN = Online("Reach-v0", _PD)
+_GRASP, _SHOWN_GRASP = Online("Grasp-v0"), Online("Grasp-v0", _SCRIPT)
+_SMOOTH = Online("SmoothReach-v0")
+
+_LEARNT: Sequence[tuple[Online, Setting]] = (
+    (_REACH, _ddpg("", "")),
+    (_REACH, _her("", "")),
+    (_REACH, _maddpg("", "")),
+    (_REACH, _ddpg("-paper", ", Table 2", "paper")),
+    (_REACH, _her("-paper", ", Table 2", "paper")),
+    (_REACH, _SB3),
+    (_SHOWN, _ddpg("-demonstrations", ", demonstrations")),
+    (_SHOWN, _her("-demonstrations", ", demonstrations")),
+    (_SMOOTH, _her("-smooth", "")),
+    (_SMOOTH, _maddpg("-smooth", "")),
+    (_GRASP, _her("-grasp", "", episodes=_OF_GRASP)),
     (
-        _REACH,
-        (
-            _ddpg("", ""),
-            _her("", ""),
-            _maddpg("", ""),
-            _ddpg("-paper", ", Table 2", "paper"),
-            _her("-paper", ", Table 2", "paper"),
-            _SB3,
-        ),
-    ),
-    (
-        Online("Reach-v0", _PD),
-        (
-            _ddpg("-demonstrations", ", demonstrations"),
-            _her("-demonstrations", ", demonstrations"),
-        ),
-    ),
-    (Online("SmoothReach-v0"), (_her("-smooth", ""), _maddpg("-smooth", ""))),
-    (Online("Grasp-v0"), (_her("-grasp", "", episodes=_OF_GRASP),)),
-    (
-        Online("Grasp-v0", _SCRIPT),
-        (_her("-grasp-demonstrations", ", demonstrations", episodes=_OF_GRASP),),
+        _SHOWN_GRASP,
+        _her("-grasp-demonstrations", ", demonstrations", episodes=_OF_GRASP),
     ),
     (
         _REACH,
+        _maddpg("-others", ", others' replayed actions", others="replay", episodes=300),
+    ),
+    *product(
+        (_REACH,),
         (
-            _maddpg(
-                "-others", ", others' replayed actions", others="replay", episodes=300
-            ),
             _departure("no-layer-norm", "no layer norm", layer_norm=False),
             _departure("no-clip", "targets not cut off", clip_targets=False),
             _departure("no-penalty", "no action penalty", action_penalty=0.0),
@@ -88,11 +85,7 @@ _LEARNT: Sequence[tuple[Online, Sequence[Setting]]] = (
     ),
 )
 
-CELLS: Mapping[str, tuple[Online, Setting]] = {
-    setting.name: (source, setting)
-    for source, settings in _LEARNT
-    for setting in settings
-}
+CELLS: Mapping[str, tuple[Online, Setting]] = {cell[1].name: cell for cell in _LEARNT}
 """Cells by the name of their setting."""
 
 _PLAIN = Reported("Sec. 5.4.1", words="under 40")
