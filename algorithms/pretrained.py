@@ -57,7 +57,8 @@ def ship(run: Path, folder: Path) -> None:
         shutil.copy(run / METRICS, new / METRICS)
         evaluation = json.loads((run / "eval_best.json").read_text())
         evaluation["policy_config"] = {}
-        (new / "eval.json").write_text(json.dumps(evaluation, indent=1) + "\n")
+        compact = json.dumps(evaluation, separators=(",", ":"))
+        (new / "eval.json").write_text(compact + "\n")
 
 
 def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:

@@ -130,7 +130,7 @@ def main(arguments: Sequence[str]) -> None:
     with progress_bars() as bar:
         result = options.measure(bar) | {"options": values}
     if options.json:
-        show(result | {"versions": versions()}, None, options.json)
+        show(result | {"versions": versions()})
     else:
         print_rows([*_rows(result)], options.json)
 

@@ -89,7 +89,7 @@ def main(
                 if not json:
                     print(_line(finding), flush=True)
     if json:
-        show([asdict(finding) for finding in findings], None, json)
+        show([asdict(finding) for finding in findings])
     broken = [finding for finding in findings if finding.broken]
     if broken:
         raise MarlMmError(f"{len(broken)} of {len(findings)} claims do not hold")

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import tyro
 
 from marl_mm.collectors.registry import COLLECTORS
-from marl_mm.commands.options import task_help
+from marl_mm.commands.options import CORES, task_help
 from marl_mm.commands.output import show
 from marl_mm.commands.parser import Subcommand, parse_subcommand, value_of
 from marl_mm.datasets.card import card, card_text, keep_card
@@ -38,36 +38,6 @@ class Collect(Collecting):
     policy: Annotated[Any, tyro.conf.arg(name="")] = field(kw_only=True)
 
 
-@dataclass(frozen=True)
-class Paper:
-    """Make what is missing of the paper's datasets, marl_mm/reach/NAME-v0.
-
-    good-30k, good-60k, pd-30k, random-10k, medium-5k and the mixes of Table 4. The same
-    command goes on after an interruption. good-60k begins with good-30k.
-    """
-
-    scale: float = 1.0
-    """Share of the paper's steps, to see that everything works."""
-
-    seed: int = 0
-    """Seed of all datasets."""
-
-    workers: int = field(default_factory=available_cores)
-    """Processes; the datasets do not depend on their number."""
-
-    executor: Executor = "local"
-    """Processes of this machine, or of a Ray cluster."""
-
-    resume: bool = False
-    """Go on after an interruption: it does so anyway."""
-
-    overwrite: bool = False
-    """Replace those that are damaged, of another seed or of a larger scale."""
-
-    json: bool = False
-    """Print the cards as JSON."""
-
-
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm collect``."""
     begun = _begun(arguments) if "--resume" in arguments else {}
@@ -76,13 +46,13 @@ def main(arguments: Sequence[str]) -> None:
         for name, collector in COLLECTORS.items()
     }
     kind, command = parse_subcommand(
-        commands | {"paper": Paper},
+        commands | {"paper": _paper},
         "marl-mm collect",
         "Collect a dataset with a scripted or a learnt policy.",
         arguments,
     )
-    if isinstance(command, Paper):
-        _paper(command)
+    if kind == "paper":
+        command()
         return
     name = command.dataset
     if name is None:
@@ -116,26 +86,44 @@ def _begun(arguments: Sequence[str]) -> Mapping[str, Any]:
     return begun_settings(dataset, name)
 
 
-def _paper(command: Paper) -> None:
-    check_seed(command.seed)
-    check_positive(workers=command.workers)
-    if not 0.0 < command.scale <= 100.0:
-        raise UsageError(f"--scale is {command.scale}, expected a share such as 0.01")
+def _paper(
+    *,
+    scale: float = 1.0,
+    seed: int = 0,
+    workers: int = CORES,
+    executor: Executor = "local",
+    resume: bool = False,
+    overwrite: bool = False,
+    json: bool = False,
+) -> None:
+    """Make what is missing of the paper's datasets, marl_mm/reach/NAME-v0.
+
+    good-30k, good-60k, pd-30k, random-10k, medium-5k and the mixes of Table 4. The same
+    command goes on after an interruption. good-60k begins with good-30k.
+
+    Args:
+        scale: Share of the paper's steps, to see that everything works.
+        seed: Seed of all datasets.
+        workers: Processes; the datasets do not depend on their number.
+        executor: Processes of this machine, or of a Ray cluster.
+        resume: Go on after an interruption: it does so anyway.
+        overwrite: Replace those that are damaged, of another seed or of a larger scale.
+        json: Print the cards as JSON.
+    """
+    check_seed(seed)
+    check_positive(workers=workers)
+    if not 0.0 < scale <= 100.0:
+        raise UsageError(f"--scale is {scale}, expected a share such as 0.01")
+    pool: dict[str, Any] = {"workers": workers, "executor": executor}
     cards = []
     with progress_bars() as bar:
-        datasets = Datasets(
-            workers=command.workers,
-            executor=command.executor,
-            bar=bar,
-            scale=command.scale,
-            overwrite=command.overwrite,
-        )
+        datasets = Datasets(bar=bar, scale=scale, overwrite=overwrite, **pool)
         for data in PAPER:
-            cards.append(keep_card(datasets.make(seeded(data, command.seed))))
-            if not command.json:
+            cards.append(keep_card(datasets.make(seeded(data, seed))))
+            if not json:
                 print(card_text(cards[-1]), end="\n\n", flush=True)
-    if command.json:
-        show(cards, None, command.json)
+    if json:
+        show(cards)
 
 
 def _successes(summary: dict[str, Any]) -> str:

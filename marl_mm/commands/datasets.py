@@ -1,6 +1,7 @@
 """marl-mm datasets: lists, cards and checks of datasets, and new ones made of them."""
 
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -14,7 +15,7 @@ from marl_mm.commands.datasets_make import (
 )
 from marl_mm.commands.options import CORES
 from marl_mm.commands.output import print_rows, read_dataset, show, warn_if_stopped
-from marl_mm.commands.parser import subcommands
+from marl_mm.commands.parser import parse_subcommand
 from marl_mm.commands.wording import as_options
 from marl_mm.datasets.card import card, card_markdown, card_text, keep_card
 from marl_mm.datasets.catalogue import catalogue, check_deletable, delete
@@ -91,7 +92,7 @@ def _verify(
         if not json:
             print(f"{name}: {'; '.join(problems) or 'all is well'}", flush=True)
     if json:
-        show(problems_of, None, json)
+        show(problems_of)
     if any(problems_of.values()):
         broken = [name for name, problems in problems_of.items() if problems]
         raise DatasetError(f"not as they should be: {', '.join(broken)}")
@@ -166,10 +167,9 @@ def _delete(
     show({"deleted": str(location.folder)}, f"deleted {what}{kept}", json)
 
 
-main = subcommands(
-    "marl-mm datasets",
-    "List, show, check datasets; make new ones of them.",
-    {
+def main(arguments: Sequence[str]) -> None:
+    """Run the command line of ``marl-mm datasets``."""
+    functions: dict[str, Callable[..., None]] = {
         "list": _list,
         "show": _show,
         "mix": make_mix,
@@ -179,5 +179,7 @@ main = subcommands(
         "export": _export,
         "import": make_imported,
         "delete": _delete,
-    },
-)
+    }
+    about = "List, show, check datasets; make new ones of them."
+    _, call = parse_subcommand(functions, "marl-mm datasets", about, arguments)
+    call()

@@ -12,12 +12,9 @@ if TYPE_CHECKING:  # a help takes neither data nor the simulator
     from marl_mm.eval.evaluate import Evaluation
 
 
-def show(values: Any, text: str | None, as_json: bool) -> None:
+def show(values: Any, text: str = "", as_json: bool = True) -> None:
     """Print values as JSON, or a text about them."""
-    if as_json:
-        print(json.dumps(values, indent=2))
-    elif text is not None:
-        print(text)
+    print(json.dumps(values, indent=2) if as_json else text)
 
 
 def print_rows(
@@ -32,7 +29,7 @@ def print_rows(
     from rich.table import Column, Table
 
     if as_json:
-        show(rows, None, as_json)
+        show(rows)
         return
     names = [name for name in rows[0] if any(row[name] is not None for row in rows)]
     table = Table(*(Column(name, overflow="fold") for name in names), title=title)

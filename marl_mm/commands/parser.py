@@ -47,25 +47,6 @@ def run(function: Callable[..., None], prog: str, arguments: Sequence[str]) -> N
     _parse(_to_call(function), prog, prog, about, arguments)()
 
 
-def subcommands(
-    prog: str, about: str, functions: Mapping[str, Callable[..., None]]
-) -> Main:
-    """A command with subcommands, whose options are parameters of functions.
-
-    Args:
-        prog: Name of the command.
-        about: Description of all subcommands together.
-        functions: Functions by the subcommands' names.
-    """
-
-    def main(arguments: Sequence[str]) -> None:
-        kinds = {name: _to_call(function) for name, function in functions.items()}
-        _, call = parse_subcommand(kinds, prog, about, arguments)
-        call()
-
-    return main
-
-
 def _to_call(function: Callable[..., None]) -> Callable[..., Callable[[], None]]:
     """A function of the same parameters that returns the call instead of making it."""
 
@@ -103,7 +84,8 @@ def parse_subcommand(
     """The subcommand that the arguments name, and its options.
 
     Args:
-        commands: Dataclasses of options by name, or functions that return them.
+        commands: Dataclasses of options by name, or functions of them: of a function
+            the call that is to be made is returned.
         prog: Name of the command.
         description: Description of all subcommands together.
         arguments: Command line after ``prog``.
@@ -139,6 +121,7 @@ def value_of(arguments: Sequence[str], option: str, default: str) -> str:
 
 def _kind(name: str, kind: Callable[..., Any] | Subcommand) -> Any:
     if not isinstance(kind, Subcommand):
+        kind = _to_call(kind) if inspect.isfunction(kind) else kind
         return Annotated[Any, tyro.conf.subcommand(name, constructor=kind)]
     _refuse_clashes(kind.default)
     about = tyro.conf.subcommand(
@@ -148,11 +131,7 @@ def _kind(name: str, kind: Callable[..., Any] | Subcommand) -> Any:
 
 
 def _refuse_clashes(options: Any) -> None:
-    """Raise if settings that stand among a command's options have one's name.
-
-    Raises:
-        UsageError: Naming the setting.
-    """
+    """Raise a UsageError that names a setting that has the name of another option."""
     taken: list[str] = []
     for option in fields(options):
         value = getattr(options, option.name)

@@ -30,7 +30,7 @@ def main(
     with progress_bars() as bar:
         values, evaluations = run_quickstart(options, bar)
     if json:
-        show(values, None, json)
+        show(values)
         return
     print_evaluations(evaluations)
     seconds = sum(values["stages_s"].values())

@@ -133,7 +133,7 @@ def _train(name: str, options: Offline | Online) -> None:
     finally:  # if some seeds diverge, others do not
         if options.json and results:  # in the order of the seeds
             results.sort(key=lambda r: options.seeds.index(int(Path(r["run"]).name)))
-            show(results, None, options.json)
+            show(results)
 
 
 def _without_config(
@@ -149,10 +149,9 @@ def _without_config(
         )
     from marl_mm.runs.folder import read_config
 
-    file = value_of(arguments, "--config", "")
+    file, first = value_of(arguments, "--config", ""), places[0]
     if not Path(file).exists():
         raise UsageError(f"there is no {file!r}, expected a run or its config.json")
     config = read_config(Path(file))
-    (first, *_), rest = places, list(arguments)
-    del rest[first : first + (1 if "=" in arguments[first] else 2)]
-    return config, (config.algorithm, *rest)
+    behind = first + (1 if "=" in arguments[first] else 2)
+    return config, (config.algorithm, *arguments[:first], *arguments[behind:])

@@ -32,7 +32,7 @@ def collect(
         dataset: Id below ``$MINARI_DATASETS_PATH``, or path; default
             ``marl_mm/TASK/COLLECTOR-v0``.
         config: Settings of the collector; default its own.
-        progress: Factory of progress bars, as ``marl_mm.progress.Bar`` says.
+        progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
         **settings: Fields of ``Collecting`` (``steps``, ``seed``, ``workers``,
             ``resume`` ...) and of the collector's config, by name.
 
@@ -68,14 +68,7 @@ def collect(
 def collect_into(
     name: str, collector: str, config: Any, collecting: Collecting, bar: Bar
 ) -> tuple[Dataset, bool]:
-    """Collect a dataset and keep its card.
-
-    Args:
-        name: Id or path of the dataset.
-        collector: Name of a registered collector.
-        config: Settings of the collector.
-        collecting: Settings of the collection.
-        bar: Factory of progress bars.
+    """Collect a dataset and keep its card; see ``collect``.
 
     Returns:
         The dataset, and whether it is complete: Ctrl-C may have come before.
@@ -88,12 +81,7 @@ def collect_into(
 
 
 def begun_settings(name: str, collector: str) -> dict[str, Any]:
-    """Settings, by name, that a collection was begun with; nothing without one.
-
-    Args:
-        name: Id or path of the dataset.
-        collector: Name of the collector that is to go on.
-    """
+    """Settings, by name, that a collector began a dataset with; none without one."""
     location = locate(name)
     about = noted(location.working)
     begun = Provenance.from_json(about) if about else recorded(location)

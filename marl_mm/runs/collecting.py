@@ -233,11 +233,7 @@ class _Collector:
         return journal.episodes(self.task.layout)
 
     def _refuse_other(self, location: Location, theirs: dict[str, Any]) -> None:
-        """Raise if something else was collected there.
-
-        Raises:
-            OtherConfigError: Saying what differs.
-        """
+        """Raise an OtherConfigError that says what else was collected there."""
         who, mine = theirs.get("collector"), self.about.collector
         if who not in (None, mine):
             raise OtherConfigError(
@@ -274,11 +270,7 @@ class _Collector:
         return collection
 
     def _refuse_loss(self, collection: Collection, replaces: bool) -> None:
-        """Raise instead of writing less than there is.
-
-        Raises:
-            KeyboardInterrupt: Saying what is kept.
-        """
+        """Raise a KeyboardInterrupt instead of writing less than there is."""
         folder = self.location.folder
         if collection.complete:
             return

@@ -26,7 +26,7 @@ from marl_mm.files import refuse_existing, write_json
 from marl_mm.plugins import record
 from marl_mm.received import check_kind, read_json
 from marl_mm.runs.settings import check_seeds
-from marl_mm.runs.training import Training
+from marl_mm.runs.training import Offline, Online, Training
 from marl_mm.versions import versions
 
 CONFIG = "config.json"
@@ -40,16 +40,7 @@ _MADE = ("eval*.json", *(f"*{form.suffix}" for _, form in POLICY_FORMATS.items()
 
 
 def check_runs(training: Training, out: Path, seeds: Sequence[int]) -> None:
-    """Raise for settings that make no sense, whatever the algorithm.
-
-    Args:
-        training: Settings of the runs.
-        out: Folder of the runs, one for each seed.
-        seeds: Seeds of the runs.
-
-    Raises:
-        UsageError: Naming the setting.
-    """
+    """Raise a UsageError that names the first setting that makes no sense."""
     training.check()
     check_seeds(seeds)
     if training.resume and (out / CONFIG).exists():
@@ -91,11 +82,7 @@ def check_run(
 
 
 def _refuse_other_plugins(run: Path, config: RunConfig, allowed: bool) -> None:
-    """Raise if a plug-in is not the one that the run was made with, by whatever name.
-
-    Raises:
-        OtherConfigError: Naming it.
-    """
+    """Raise an OtherConfigError for a plug-in that is not the run's, by any name."""
     before, now = read_config(run).plugins, config.plugins
     if allowed or {*before.values()} == {*now.values()}:
         return
@@ -124,18 +111,17 @@ def refuse_other(run: Path, config: RunConfig, ignored: Sequence[str] = ()) -> N
     refuse_other_config(run, theirs, mine)
 
 
-def run_config(
-    training: Training, seed: int, task: str, dataset: Dataset | None
-) -> RunConfig:
-    """The record of a run.
+def task_of(training: Training, dataset: Dataset | None) -> str:
+    """Name of the task that is evaluated in."""
+    if isinstance(training, Online):
+        return training.task
+    assert isinstance(training, Offline) and dataset is not None
+    return training.task or dataset.provenance.task
 
-    Args:
-        training: Settings of the run.
-        seed: Seed of the run.
-        task: Task that is evaluated in.
-        dataset: Dataset that is learnt from, if any.
-    """
-    origins = ALGORITHMS.origin(training.algorithm), TASKS.origin(task)
+
+def run_config(training: Training, dataset: Dataset | None, seed: int) -> RunConfig:
+    """The record of a run."""
+    task = task_of(training, dataset)
     return RunConfig(
         algorithm=training.algorithm,
         preset=training.preset,
@@ -143,7 +129,7 @@ def run_config(
         task=task,
         dataset=dataset.identity() if dataset else None,
         packages=versions(),
-        plugins=record(*origins),
+        plugins=record(ALGORITHMS.origin(training.algorithm), TASKS.origin(task)),
         settings=training.recorded | asdict(training.config),
     )
 

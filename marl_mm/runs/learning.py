@@ -1,6 +1,6 @@
 """Runs that learn, from a dataset or online: what stops them, and their training."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -34,6 +34,7 @@ from marl_mm.runs.folder import (
     read_config,
     read_evaluation,
     run_config,
+    task_of,
 )
 from marl_mm.runs.settings import check_positive
 from marl_mm.runs.training import Offline, Online, Training
@@ -69,9 +70,8 @@ def check_training(
         _check_offline(training, dataset, fresh)
     else:
         _check_online(training, dataset)
-    task = task_of(training, dataset)
     for seed, run in runs.items():
-        check_run(run, run_config(training, seed, task, dataset), training, further)
+        check_run(run, run_config(training, dataset, seed), training, further)
         if goes_on(run, training):
             _check_end(training, run)
     if isinstance(training, Offline):  # refuses what it cannot learn from
@@ -140,14 +140,6 @@ def _check_end(training: Training, run: Path) -> None:
 # --- Training ----------------------------------------------------------------
 
 
-def task_of(training: Training, dataset: Dataset | None) -> str:
-    """Name of the task that is evaluated in."""
-    if isinstance(training, Online):
-        return training.task
-    assert isinstance(training, Offline) and dataset is not None
-    return training.task or dataset.provenance.task
-
-
 def with_exact_precision(training: T) -> T:
     """Settings that say what ``precision="auto"`` means on this machine.
 
@@ -177,9 +169,8 @@ def begin_runs(
     training: Training, dataset: Dataset | None, runs: Mapping[int, Path]
 ) -> None:
     """Make the folders of runs, or note in them what they go on with."""
-    task = task_of(training, dataset)
     for seed, run in runs.items():
-        begin_run(run, run_config(training, seed, task, dataset), training)
+        begin_run(run, run_config(training, dataset, seed), training)
 
 
 def train_run(
@@ -200,11 +191,7 @@ def train_runs(
 ) -> list[Path]:
     """Train runs that have begun, side by side, then evaluate one after the other.
 
-    Args:
-        training: Settings of the runs.
-        dataset: Dataset to learn from, or to replay online, if any.
-        runs: Folders by seed; online a single one.
-        bar: Factory of progress bars.
+    Online there is a single run. Arguments are those of ``train_seeds``.
     """
     prepare_for_small_networks()
     algorithm, folders = algorithm_of(training, dataset, [*runs]), [*runs.values()]
@@ -217,7 +204,12 @@ def train_runs(
     total = getattr(training.config, training.clock)
     advance = bar(f"{algorithm.name} {' '.join(map(str, runs))}", total)
     with Rollouts(make_task(name, training.overrides), training.workers) as rollouts:
-        point = _curve(rollouts, training, name)
+
+        def point(policy: LearnedPolicy) -> CurvePoint:
+            goals = training.curve_episodes, training.eval_seed + 1  # of their own
+            overrides = training.overrides
+            return curve_point(evaluate_with(rollouts, policy, *goals, name, overrides))
+
         if isinstance(training, Offline):
             train(
                 algorithm,
@@ -244,27 +236,11 @@ def train_runs(
 
 
 def _episodes(rollouts: Rollouts, seed: int) -> RunEpisodes:
-    """Runs the training episodes of a seed."""
-
     def run_episodes(policy: Explorer, numbers: Iterable[int]) -> Iterator[Episode]:
         plans = [EpisodePlan(i, episode_seed(seed, i, "train")) for i in numbers]
         return rollouts.run(policy, plans)
 
     return run_episodes
-
-
-def _curve(
-    rollouts: Rollouts, training: Training, task: str
-) -> Callable[[LearnedPolicy], CurvePoint]:
-    """Measures the points of a run's learning curve, on goals of their own."""
-
-    def point(policy: LearnedPolicy) -> CurvePoint:
-        count, goals = training.curve_episodes, training.eval_seed + 1
-        return curve_point(
-            evaluate_with(rollouts, policy, count, goals, task, training.overrides)
-        )
-
-    return point
 
 
 def curve_point(evaluation: Evaluation) -> CurvePoint:

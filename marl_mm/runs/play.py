@@ -118,7 +118,7 @@ def play(
         gui: Open PyBullet's window and take no pictures; needs a screen.
         camera: Place of the camera; default the task's.
         config: Settings of a collector's policy; default the collector's.
-        progress: Factory of progress bars, as ``marl_mm.progress.Bar`` says.
+        progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
         **settings: Settings of a collector's policy, by name.
 
     Raises:
@@ -127,7 +127,7 @@ def play(
     """
     check_positive(fps=fps)
     check_seed(seed)
-    name = task or own_task([policy])
+    name = own_task([policy]) if task is None else task
     own = make_task(name, task_overrides(max_steps))
     actor = load_policy(policy, own, config, **settings)
     ahead, behind = goal_set(own, 2, seed)
@@ -186,7 +186,7 @@ def play_demo(
         fps: Pictures per second of film and of simulated time.
         gui: Open PyBullet's window and take no pictures.
         camera: Place of the camera.
-        progress: Factory of progress bars, as ``marl_mm.progress.Bar`` says.
+        progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
 
     Returns:
         How far the resting half drifted, and the pictures.
@@ -215,10 +215,6 @@ def play_demo(
 
 
 def check_strip(path: Path) -> None:
-    """Raise if a film strip's name has another ending than .png.
-
-    Raises:
-        UsageError: If it has.
-    """
+    """Raise a UsageError if a film strip's name has another ending than .png."""
     if path.suffix != ".png":
         raise UsageError(f"film strip {path} ends in {path.suffix!r}, expected .png")

@@ -68,7 +68,7 @@ def run_quickstart(
 
     Args:
         options: Size and place.
-        progress: Factory of progress bars, as ``marl_mm.progress.Bar`` says.
+        progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
 
     Returns:
         Wall times [s], the dataset's card and the evaluations, JSON-serialisable; and

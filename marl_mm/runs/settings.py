@@ -7,9 +7,18 @@ from typing import Any, TypeVar, get_type_hints
 
 from typeguard import TypeCheckError, check_type
 
+from marl_mm.algorithms.config_checks import LARGEST
 from marl_mm.errors import UsageError
 
 T = TypeVar("T")
+
+MOST_GOALS = 1_000_000
+"""Largest number of goals of an evaluation, which are drawn before it begins."""
+
+_GOALS = ("episodes", "eval_episodes", "curve_episodes", "goals")
+
+SEEDS = 2**63 - 1
+"""Number of seeds: whole numbers of 64 bits, and the next of each."""
 
 
 def with_settings(owner: str, record: T, settings: Mapping[str, Any]) -> T:
@@ -69,22 +78,17 @@ def _is_record(value: Any) -> bool:
 
 
 def check_positive(**values: float) -> None:
-    """Raise for the first setting that is less than 1.
-
-    Raises:
-        UsageError: Naming it.
-    """
+    """Raise a UsageError for the first setting below 1, or too large to have an end."""
     for name, value in values.items():
         if value < 1:
             raise UsageError(f"`{name}` is {value}, expected >= 1")
+        most = MOST_GOALS if name in _GOALS else LARGEST
+        if value > most:
+            raise UsageError(f"`{name}` is {value}, expected at most {most:,}")
 
 
 def check_seeds(seeds: Sequence[int]) -> None:
-    """Raise for seeds of runs that are none, negative or named twice.
-
-    Raises:
-        UsageError: Naming them.
-    """
+    """Raise a UsageError for seeds of runs that are none, negative or named twice."""
     if not seeds:
         raise UsageError("`seeds` names no seed, expected at least one")
     if len(set(seeds)) < len(seeds):
@@ -95,21 +99,15 @@ def check_seeds(seeds: Sequence[int]) -> None:
 
 
 def check_seed(seed: int) -> None:
-    """Raise for a seed that is negative.
-
-    Raises:
-        UsageError: Naming it.
-    """
+    """Raise a UsageError for a seed that is negative, or more than files can hold."""
     if seed < 0:
         raise UsageError(f"the seed is {seed}, expected >= 0")
+    if seed >= SEEDS:
+        raise UsageError(f"the seed is {seed}, expected below {SEEDS:,}")
 
 
 def refuse_both(resume: bool, overwrite: bool) -> None:
-    """Raise if both `resume` and `overwrite` are set.
-
-    Raises:
-        UsageError: If it is.
-    """
+    """Raise a UsageError if both `resume` and `overwrite` are set."""
     if resume and overwrite:
         raise UsageError(
             "`resume=True` and `overwrite=True` contradict each other: choose one"

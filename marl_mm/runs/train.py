@@ -38,7 +38,7 @@ def train(
         seeds: Seeds of the runs; default 0, or when resuming those that there are.
         preset: Preset of hyper-parameters; default tuned.
         config: Hyper-parameters in place of the preset's.
-        progress: Factory of progress bars, as ``marl_mm.progress.Bar`` says.
+        progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
         **settings: Fields of ``Offline`` or ``Online`` (``eval_episodes``, ``workers``,
             ``resume`` ...) and of the algorithm's hyper-parameters, by name.
 
@@ -50,6 +50,8 @@ def train(
         KeyboardInterrupt: After Ctrl-C; ``resume=True`` goes on.
     """
     training = training_of(algorithm, preset or TUNED)
+    if out == "":
+        raise UsageError("`out` is empty, expected a folder")
     folder = Path(out) if out is not None else Path("runs") / algorithm
     known: dict[str, Any] = {}
     if settings.get("resume"):
@@ -78,7 +80,7 @@ def repeat(
     Args:
         config: Record of the run, as ``load_run(...).config``.
         out: Folder of the new run: seed s goes to ``out/s``.
-        progress: Factory of progress bars, as ``marl_mm.progress.Bar`` says.
+        progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
         **settings: Settings in place of the run's, by name.
 
     Raises:
@@ -115,15 +117,7 @@ def trained(
     seeds: Sequence[int],
     bar: Bar,
 ) -> Iterator[Run]:
-    """Runs of the seeds, as they are finished; see ``train``.
-
-    Args:
-        training: Settings of the runs.
-        dataset: Dataset to learn from; None where the algorithm learns online.
-        out: Folder of the runs.
-        seeds: Seeds of the runs.
-        bar: Factory of progress bars.
-    """
+    """Runs of the seeds, as they are finished; see ``train``."""
     check_runs(training, out, seeds)
     runs = {seed: out / str(seed) for seed in seeds}
     if isinstance(training, Online):
@@ -139,11 +133,7 @@ def trained(
 
 
 def refuse_dataset(algorithm: str, dataset: object) -> None:
-    """Raise if an algorithm that learns online is given a dataset.
-
-    Raises:
-        UsageError: Naming those that learn from one.
-    """
+    """Raise a UsageError if an algorithm that learns online is given a dataset."""
     if dataset is not None:
         raise UsageError(
             f"{algorithm} learns from episodes of its own and takes no `dataset`: use "

@@ -9,8 +9,6 @@ from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
 from marl_mm.algorithms.schedule import Schedule
 from marl_mm.runs.settings import check_positive, check_seed, refuse_both
 
-_GOALS = ("curve_episodes", "eval_episodes", "eval_seed")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
@@ -73,11 +71,7 @@ class Training:
         return {} if self.max_steps is None else {"max_steps": self.max_steps}
 
     def check(self) -> None:
-        """Raise for settings that make no sense, whatever the algorithm.
-
-        Raises:
-            UsageError: Naming the setting.
-        """
+        """Raise a UsageError that names the first setting that makes no sense."""
         check_positive(eval_episodes=self.eval_episodes, workers=self.workers)
         check_seed(self.eval_seed)
         refuse_both(self.resume, self.overwrite)
@@ -86,7 +80,8 @@ class Training:
     @property
     def recorded(self) -> dict[str, Any]:
         """Settings that a run's record holds beside the hyper-parameters."""
-        raise NotImplementedError
+        names = ("curve_episodes", "eval_episodes", "eval_seed")
+        return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,8 +112,8 @@ class Offline(Training):
     @property
     def recorded(self) -> dict[str, Any]:
         """Settings that a run's record holds beside the hyper-parameters."""
-        names = ("device", "max_steps", "curve_every", *_GOALS)
-        return {name: getattr(self, name) for name in names}
+        names = ("device", "max_steps", "curve_every")
+        return {name: getattr(self, name) for name in names} | super().recorded
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,8 +138,7 @@ class Online(Training):
     @property
     def recorded(self) -> dict[str, Any]:
         """Settings that a run's record holds beside the hyper-parameters."""
-        goals = {name: getattr(self, name) for name in _GOALS}
-        return {**self.overrides, **goals, **asdict(self.schedule)}
+        return {**self.overrides, **super().recorded, **asdict(self.schedule)}
 
 
 def training_of(algorithm: str, name: str = TUNED, **settings: Any) -> Offline | Online:
