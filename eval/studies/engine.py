@@ -11,13 +11,13 @@ from marl_mm.eval.studies import ours
 from marl_mm.eval.studies.jobs import Job, do_jobs
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.plan import (
-    Wanted,
+    by_cell,
     estimated,
     hours,
-    missing_cells,
+    missing_jobs,
     plan_table,
 )
-from marl_mm.eval.studies.study import Curves, Study
+from marl_mm.eval.studies.study import Curves, Study, cell_name
 from marl_mm.eval.studies.summary import summarize
 from marl_mm.eval.studies.table import Table
 from marl_mm.files import refuse_existing
@@ -84,10 +84,10 @@ class Engine:
         Raises:
             OtherConfigError: If rows there were made with something else.
         """
-        wanted = self._missing(studies, plan=True)
+        jobs = self._missing(studies, plan=True)
         if not self.options.small:
-            wanted = estimated(wanted, self.bar)
-        return plan_table(wanted, self.options.workers, not self.options.small)
+            jobs = estimated(jobs, self.bar)
+        return plan_table(jobs, self.options.workers, not self.options.small)
 
     def draw(self, name: str, study: Study, folder: Path) -> Table:
         """Write a study's table, and its figure if it has one, from its rows.
@@ -120,50 +120,44 @@ class Engine:
             KeyboardInterrupt: After Ctrl-C, saying how to go on.
         """
         options = self.options
-        wanted = self._missing(studies)
-        cell_of = {job.run: item for item in wanted for job in item.jobs}
+        jobs = self._missing(studies)
+        of_cells = {cell_name(own[0].cell): own for own in by_cell(jobs)}
 
-        def keep_if_done(item: Wanted) -> None:
-            if all(job.done for job in item.jobs):
-                runs = {job.seed: job.run for job in item.jobs}
-                options.store.keep(item.cell, runs, item.probes)
+        def keep_if_done(job: Job) -> None:
+            own = of_cells[cell_name(job.cell)]
+            if all(other.done for other in own):
+                runs = {other.seed: other.run for other in own}
+                options.store.keep(job.cell, runs, job.probes)
 
-        def done(job: Job) -> None:
-            keep_if_done(cell_of[job.run])
-
-        for item in wanted:
-            keep_if_done(item)
-        if all(job.done for item in wanted for job in item.jobs):
+        for first, *_ in of_cells.values():
+            keep_if_done(first)
+        left = [job for job in jobs if not job.done]
+        if not left:
             return
+        text = f"{len(left)} of {len(jobs)} runs are missing in {options.runs_folder}"
         if not options.small:
-            wanted = estimated(wanted, self.bar)
-        left = [job for item in wanted for job in item.jobs if not job.done]
-        text = (
-            f"{len(left)} of {len(cell_of)} runs are missing in {options.runs_folder}"
-        )
-        time = (
-            "" if options.small else f", about {hours(left, options.workers):.1f} hours"
-        )
-        self.notify(f"{text}{time}; after Ctrl-C, go on with `resume=True`")
+            left = estimated(left, self.bar)
+            text = f"{text}, about {hours(left, options.workers):.1f} hours"
+        self.notify(f"{text}; after Ctrl-C, go on with `resume=True`")
         pool = options.workers, options.executor
         try:
-            failed = do_jobs(left, *pool, done, self.notify, self.bar)
+            failed = do_jobs(left, *pool, keep_if_done, self.notify, self.bar)
         except KeyboardInterrupt:
             text = f"stopped in {options.runs_folder}: go on with `resume=True`"
             raise KeyboardInterrupt(text) from None
         if failed:
             reasons = "; ".join(f"{run}: {why}" for run, why in failed.items())
             raise FailedRunsError(
-                f"{len(failed)} of {len(cell_of)} runs failed, the same with "
+                f"{len(failed)} of {len(jobs)} runs failed, the same with "
                 f"`resume=True` tries them again: {reasons}"
             )
 
-    def _missing(self, studies: Studies, plan: bool = False) -> list[Wanted]:
+    def _missing(self, studies: Studies, plan: bool = False) -> list[Job]:
         options = self.options
         small = options.runs_folder / "datasets" if options.small else None
         pool = options.workers, options.executor
         datasets = Datasets(small, *pool, self.notify, self.bar, _KNOWN, plan=plan)
-        return missing_cells(options, studies.values(), datasets)
+        return missing_jobs(options, studies.values(), datasets)
 
 
 def compare(results: Path, draw: Callable[[Path], object]) -> dict[Path, str]:

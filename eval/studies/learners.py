@@ -171,14 +171,9 @@ def made_of(setting: Setting, training: Training) -> dict[str, Any]:
     if setting.library == "sb3":
         assert isinstance(training, OnlineTraining)
         return sb3.made_of(training)
-    own = ["eval_episodes", "eval_seed", "curve_episodes"]
-    more: dict[str, Any] = {}
+    made = {"algorithm": training.algorithm} | asdict(training.config)
+    made |= training.recorded
     if isinstance(training, OnlineTraining):
-        more = {**training.overrides, **asdict(training.schedule)}
-        own.append("task")
-    else:
-        own += ["curve_every", "max_steps"]
-    config = asdict(training.config)
-    config.pop("precision", None)  # is what was best where they were made
-    of_runs = {name: getattr(training, name) for name in own}
-    return {"algorithm": training.algorithm, **config, **more, **of_runs}
+        made["task"] = training.task
+    # Rows are of the device and the precision that were best where they were made.
+    return {key: made[key] for key in made if key not in ("device", "precision")}

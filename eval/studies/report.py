@@ -91,9 +91,9 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
             f"{results} has no results, expected a folder such as eval/results that "
             "marl-mm ablate --out FOLDER/studies has filled"
         )
-    made = Section(
-        "versions", "Versions that drew this page", text=_table(versions("matplotlib"))
-    )
+    packages = list(versions("matplotlib").items())
+    text = _html(markdown_table(("package", "version"), packages))
+    made = Section("versions", "Versions that drew this page", text=text)
     environment = Environment(autoescape=True, trim_blocks=True)
     page = environment.from_string(_TEMPLATE.read_text())
     return page.render(
@@ -181,7 +181,3 @@ def _html(text: str) -> Markup:
     """Markdown with tables; HTML in it is shown as text."""
     page = markdown_html(text).replace("<table>", '<div class="table"><table>')
     return Markup(page.replace("</table>", "</table></div>"))
-
-
-def _table(values: dict[str, str]) -> Markup:
-    return _html(markdown_table(("package", "version"), list(values.items())))
