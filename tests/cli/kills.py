@@ -17,6 +17,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -34,7 +35,12 @@ from marl_mm.files import write_json
 
 torch.set_num_threads(1)
 
-SMALL = {"hidden": (16, 16), "eval_episodes": 2, "curve_episodes": 2, "max_steps": 5}
+SMALL: dict[str, Any] = {
+    "hidden": (16, 16),
+    "eval_episodes": 2,
+    "curve_episodes": 2,
+    "max_steps": 5,
+}
 DATA, OTHER = "../data", "../other"
 
 
@@ -46,13 +52,13 @@ def collect() -> None:
 
 def offline() -> None:
     begun = Path("run/0/config.json").exists()
-    updates = {"updates": 400, "curve_every": 200}
+    updates: dict[str, Any] = {"updates": 400, "curve_every": 200}
     marl_mm.train("mabc", DATA, out="run", resume=begun, **updates, **SMALL)
 
 
 def online() -> None:
     begun = Path("run/0/config.json").exists()
-    learn = {"episodes": 24, "warm_up": 20, "updates_per_episode": 10}
+    learn: dict[str, Any] = {"episodes": 24, "warm_up": 20, "updates_per_episode": 10}
     marl_mm.train("maddpg-her", out="run", resume=begun, **learn, **SMALL)
 
 
@@ -119,6 +125,11 @@ def contents(folder: Path) -> dict[str, str]:
     }
 
 
+def tell(values: dict[str, Any]) -> None:
+    sys.stdout.write(json.dumps(values) + "\n")
+    sys.stdout.flush()
+
+
 def run(kind: str, points: int, folder: Path, seed: int) -> dict[str, int]:
     """Kill the work at some random points, and count what became of it."""
     os.environ["MINARI_DATASETS_PATH"] = str(folder / "datasets")
@@ -150,7 +161,7 @@ def run(kind: str, points: int, folder: Path, seed: int) -> dict[str, int]:
             differ = sorted(
                 name for name in {*whole, *now} if whole.get(name) != now.get(name)
             )
-            print(json.dumps({"point": number, outcome: differ}), flush=True)
+            tell({"point": number, outcome: differ})
             place.rename(folder / f"point-{number}")
         else:
             shutil.rmtree(place)
@@ -161,4 +172,4 @@ if __name__ == "__main__":
     kind, points, folder = sys.argv[1], int(sys.argv[2]), Path(sys.argv[3]).absolute()
     folder.mkdir(parents=True, exist_ok=True)
     seed = int(sys.argv[4]) if len(sys.argv) > 4 else 0
-    print(json.dumps({"kind": kind, **run(kind, points, folder, seed)}), flush=True)
+    tell({"kind": kind, **run(kind, points, folder, seed)})
