@@ -68,7 +68,7 @@ WIDTHS = Study("TD3+BC by width.", CELLS, PROBES, True)
 FAILS = Study(
     "One of two.",
     [
-        ("good-5k", Setting("huge", "huge", changes={"batch_size": 10**12})),
+        ("good-5k", Setting("huge", "huge", changes={"batch_size": 4321})),
         ("good-5k", settings[0]),
     ],
 )
@@ -341,8 +341,19 @@ def test_a_study_of_ones_own_is_made_once_and_checked(
 
 @pytest.mark.slow
 def test_a_run_that_fails_does_not_stop_the_others(
-    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    own: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    train = Learner.train
+
+    def short_of_memory(learner: Learner, *arguments: Any) -> None:
+        if learner.training.config.batch_size == 4321:
+            raise MemoryError
+        train(learner, *arguments)
+
+    monkeypatch.setattr(Learner, "train", short_of_memory)
     asked = words(own, tmp_path / "runs")
     asked[1] = f"{own}:FAILS"
     assert main(asked) == 1
