@@ -15,6 +15,7 @@ import warnings
 import zipfile
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -210,10 +211,10 @@ def _changed_record(value: Any, rng: Rng) -> str:
         return f"{where} renamed"
     if way == 2 and len(places) > 1:
         other, place, name = _drawn(places, rng)
-        container[key] = other[place]
+        container[key] = deepcopy(other[place])
         return f"{where} replaced by {name}"
     new = _drawn(_VALUES, rng)
-    container[key] = new
+    container[key] = deepcopy(new)
     return f"{where} = {new!a:.40}"
 
 
