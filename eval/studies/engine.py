@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from marl_mm.errors import FailedRunsError
+from marl_mm.errors import FailedRunsError, MarlMmError
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies import ours
 from marl_mm.eval.studies.jobs import Job, do_jobs
@@ -22,6 +22,7 @@ from marl_mm.eval.studies.summary import summarize
 from marl_mm.eval.studies.table import Table
 from marl_mm.files import refuse_existing
 from marl_mm.progress import Bar, silent_bar
+from marl_mm.received import damage_named
 from marl_mm.runs.paper import PAPER
 from marl_mm.runs.sources import Datasets, Notify, silence
 
@@ -101,7 +102,8 @@ class Engine:
             UsageError: If rows are missing.
         """
         store, seeds = self.options.store, self.options.seeds_of(study)
-        rows = summarize(study, store, seeds)
+        with damage_named(f"{store.folder}, rows of {name}", MarlMmError):
+            rows = summarize(study, store, seeds)
         write_csv(folder / f"{name}.csv", rows)
         if not study.figure:
             return Table(study, rows)
@@ -173,7 +175,8 @@ def compare(results: Path, draw: Callable[[Path], object]) -> dict[Path, str]:
         UsageError: If rows are missing.
     """
     with TemporaryDirectory() as folder:
-        draw(Path(folder))
+        with damage_named(f"{results}, rows", MarlMmError):
+            draw(Path(folder))
         states = {}
         for drawn in sorted(Path(folder).glob("*.csv")):
             known = results / drawn.name

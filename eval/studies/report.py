@@ -9,7 +9,7 @@ from pathlib import Path
 from jinja2 import Environment
 from markupsafe import Markup
 
-from marl_mm.errors import UsageError
+from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.bench.tables import (
     abuse_table,
     bench_table,
@@ -22,7 +22,7 @@ from marl_mm.eval.studies.paper import NOTE
 from marl_mm.eval.studies.table import Table
 from marl_mm.eval.studies.targets import STUDIES
 from marl_mm.eval.tables import markdown_html, markdown_table, rows_table
-from marl_mm.received import read_json, read_text
+from marl_mm.received import check_regular, damage_named, read_json, read_text
 from marl_mm.versions import versions
 
 _TEMPLATE = Path(__file__).with_name("report.html")
@@ -80,12 +80,13 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
     studies = results / "studies"
     if (studies / "results").is_dir():  # of a folder of runs
         studies = studies / "results"
-    sections = [
-        *_studies(studies),
-        *_sweep(results / "alpha"),
-        *_benchmarks(results),
-        *_videos(videos),
-    ]
+    with damage_named(str(results), MarlMmError):
+        sections = [
+            *_studies(studies),
+            *_sweep(results / "alpha"),
+            *_benchmarks(results),
+            *_videos(videos),
+        ]
     if not sections:
         raise UsageError(
             f"{results} has no results, expected a folder such as eval/results that "
@@ -170,10 +171,8 @@ def _media(path: Path) -> Media:
     kind, _ = guess_type(path)
     if kind is None or not kind.startswith(("image", "video")):
         raise UsageError(f"{path} is neither a picture nor a video by its name")
-    try:
-        data = b64encode(path.read_bytes()).decode()
-    except FileNotFoundError:
-        raise UsageError(f"there is no {path}") from None
+    check_regular(path, UsageError)
+    data = b64encode(path.read_bytes()).decode()
     return Media(path.name, kind, f"data:{kind};base64,{data}")
 
 

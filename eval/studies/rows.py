@@ -9,7 +9,6 @@ Three files for each cell::
 Older rows, whose names end in ``.csv.gz``, are read too.
 """
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import as_read, has_rows, read_rows, write_csv
 from marl_mm.eval.studies.study import BEST, LAST, Cell, Probe, cell_name
 from marl_mm.files import only_here, write_json
+from marl_mm.received import check_kind, damage_named, read_json
 
 _ADVICE = "name another folder with `out`"
 """Advice if rows are of runs with another config."""
@@ -57,13 +57,14 @@ def is_probed(
     path = probe.file(run)
     if not path.exists():
         return False
-    known = json.loads(path.read_text())
+    known = read_json(path, MarlMmError)
     usual = BEST if path == BEST.file(run) else LAST  # a training's own evaluations
-    return (
-        len(known["episodes"]) == goals
-        and known["overrides"] == as_json({**overrides, **probe.overrides})
-        and known.get("probe", usual.way) == as_json(probe.way)
-    )
+    with damage_named(str(path), MarlMmError):
+        return bool(
+            len(known["episodes"]) == goals
+            and known["overrides"] == as_json({**overrides, **probe.overrides})
+            and known.get("probe", usual.way) == as_json(probe.way)
+        )
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,7 @@ class RowStore:
         curve.sort(key=lambda row: (row["seed"], row.get("step", row.get("episode"))))
         ways = self._record(cell).get("probes", {})
         ways |= {probe.name: probe.way for probe in probes}
-        config = json.loads((next(iter(runs.values())) / "config.json").read_text())
+        config = read_json(next(iter(runs.values())) / "config.json", MarlMmError)
         for key in ("seed", "preset", "device"):
             config.pop(key, None)
         if config["dataset"]:
@@ -201,7 +202,11 @@ class RowStore:
 
     def _record(self, cell: Cell) -> dict[str, Any]:
         path = self._path(cell, ".json")
-        return json.loads(path.read_text()) if path.exists() else {}
+        record = read_json(path, MarlMmError) if path.exists() else {}
+        check_kind(record, dict[str, Any], str(path), MarlMmError)
+        kind = dict[str, dict[str, Any]]
+        check_kind(record.get("probes", {}), kind, str(path), MarlMmError)
+        return dict(record)
 
     def _path(self, cell: Cell, end: str) -> Path:
         source, setting = cell_name(cell)
@@ -220,7 +225,7 @@ def _clock(run: Path) -> str:
 
 def _goals(run: Path, seed: int, probe: Probe) -> Iterator[Row]:
     measured = _MEASURED[_clock(run)]
-    for row in json.loads(probe.file(run).read_text())["episodes"]:
+    for row in read_json(probe.file(run), MarlMmError)["episodes"]:
         yield {
             "seed": seed,
             "probe": probe.name,

@@ -28,6 +28,8 @@ from marl_mm.contracts.mutations import mutate
 from marl_mm.datasets.journal import Journal
 from marl_mm.errors import CheckpointError
 from marl_mm.eval.rows import write_csv
+from marl_mm.eval.studies.study import cell_name
+from marl_mm.eval.studies.targets import STUDIES
 from marl_mm.received import is_printable
 from marl_mm.workers import apart
 
@@ -48,6 +50,8 @@ USUAL, ALL = 320, 5_000
 
 CHUNK = 40
 """Number of mutations in a test."""
+
+RESULTS = Path(__file__).resolve().parents[2] / "eval/results/studies"
 
 Output = pytest.CaptureFixture[str]
 
@@ -104,6 +108,14 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for n in range(50)
     ]
     write_csv(folder / "rows.csv.xz", rows)
+    results = folder / "studies"
+    study = STUDIES["table4"]
+    for source, setting in map(cell_name, study.cells):
+        place = Path("rows", source.replace("/", "-"))
+        (results / place).mkdir(parents=True, exist_ok=True)
+        for file in (RESULTS / place).glob(f"{setting}.*"):
+            shutil.copy(file, results / place)
+    shutil.copy(RESULTS / "table4.csv", results)
     return folder
 
 
@@ -131,6 +143,7 @@ def commands(arguments: tuple[Path, Path]) -> list[str]:
             ["runs", str(path.parent)],
             ["export", str(path), "--out", str(scratch / "policy.ts")],
         ],
+        "studies": [["ablate", "table4", "--check", "--out", str(path)]],
     }[path.name]
     faults = []
     for number, command in enumerate(words):
@@ -150,7 +163,7 @@ def commands(arguments: tuple[Path, Path]) -> list[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["dataset", "offline/0"])
+@pytest.mark.parametrize("name", ["dataset", "offline/0", "studies"])
 def test_commands_meet_mutations_with_a_line(
     good: Path, tmp_path: Path, name: str
 ) -> None:

@@ -199,7 +199,7 @@ def test_names_are_text_and_not_html(tmp_path: Path) -> None:
     ("words", "complaint"),
     [
         (["--results", "nothing"], "nothing has no results"),
-        (["--videos", "none.mp4"], "there is no none.mp4"),
+        (["--videos", "none.mp4"], "cannot read none.mp4: No such file"),
         (["--videos", "film.txt"], "neither a picture nor a video"),
     ],
 )
