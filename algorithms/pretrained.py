@@ -57,8 +57,7 @@ def ship(run: Path, folder: Path) -> None:
         shutil.copy(run / METRICS, new / METRICS)
         evaluation = json.loads((run / "eval_best.json").read_text())
         evaluation["policy_config"] = {}
-        compact = json.dumps(evaluation, separators=(",", ":"))
-        (new / "eval.json").write_text(compact + "\n")
+        (new / "eval.json").write_text(json.dumps(evaluation, indent=1) + "\n")
 
 
 def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
