@@ -323,7 +323,8 @@ def _other_shape(file: Any, name: str, rng: Rng) -> str:
 
 def _other_value(file: Any, name: str, rng: Rng) -> str:
     node = file[name]
-    if not isinstance(node, h5py.Dataset) or node.size == 0:
+    numbers = isinstance(node, h5py.Dataset) and node.dtype.kind in "fiub"
+    if not numbers or node.size == 0:
         return _other_shape(file, name, rng)
     value = _drawn((np.nan, np.inf, -1e30, 7.0, 0.0), rng)
     values = node[()]
