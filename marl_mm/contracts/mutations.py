@@ -328,8 +328,8 @@ def _other_value(file: Any, name: str, rng: Rng) -> str:
         return _other_shape(file, name, rng)
     value = _drawn((np.nan, np.inf, -1e30, 7.0, 0.0), rng)
     values = node[()]
-    if values.dtype.kind != "f" and not np.isfinite(value):
-        value = 1.0
+    if values.dtype.kind != "f":
+        value = 7
     values.flat[rng.integers(values.size)] = value
     node[()] = values
     return f"{value} somewhere"
