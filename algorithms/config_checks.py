@@ -2,12 +2,23 @@
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, Literal
 
 from marl_mm.errors import UsageError
 
 Precision = Literal["auto", "highest", "medium"]
 """Precision of products of float32 matrices; see ``speed.matrix_products``."""
+
+LARGEST = 1_000_000_000
+"""Largest whole number that a setting can be: beyond it there is no end."""
+
+LARGEST_BATCH = 1_000_000
+"""Largest number of transitions in a batch."""
+
+MOST_WEIGHTS = 100_000_000
+"""Largest number of weights between hidden layers: 400 MB for each network, and twice
+that for its optimiser."""
 
 
 def check_ranges(
@@ -18,6 +29,9 @@ def check_ranges(
 ) -> None:
     """Raise for the first field outside of its range, or hidden layers of no width.
 
+    Whole numbers are at most ``LARGEST``, and batches and hidden layers of a size that
+    memory can hold.
+
     Args:
         config: A dataclass with these fields and ``hidden``.
         positive: Fields above 0, and finite.
@@ -27,6 +41,11 @@ def check_ranges(
     Raises:
         UsageError: Naming the field, its value and its range.
     """
+    for name in (*positive, *not_negative):
+        most = LARGEST_BATCH if name == "batch_size" else LARGEST
+        value = getattr(config, name)
+        if isinstance(value, int) and value > most:
+            raise UsageError(f"{name} is {value}, expected at most {most:,}")
     for name in positive:
         if not 0 < getattr(config, name) < math.inf:
             raise UsageError(f"{name} is {getattr(config, name)}, expected > 0")
@@ -38,3 +57,9 @@ def check_ranges(
             raise UsageError(f"{name} is {getattr(config, name)}, expected 0 to 1")
     if not config.hidden or min(config.hidden) < 1:
         raise UsageError(f"hidden is {config.hidden}, expected positive widths")
+    weights = sum(before * after for before, after in pairwise((1, *config.hidden, 1)))
+    if weights > MOST_WEIGHTS:
+        raise UsageError(
+            f"hidden is {config.hidden}, expected at most {MOST_WEIGHTS:,} weights "
+            "between layers"
+        )

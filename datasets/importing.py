@@ -21,7 +21,7 @@ from marl_mm.datasets.hdf5 import (
     optional,
     states_of,
 )
-from marl_mm.datasets.verify import problems_of
+from marl_mm.datasets.plausible import problems_of
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.episode import IMPORTED, Episode
 from marl_mm.errors import DatasetError, UsageError, WorkerDiedError

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from marl_mm.errors import UsageError
+from marl_mm.words import refuse_control_characters
 
 SHIPPED = "marl_mm/reach/good-5k-v0"
 """Id of the dataset that ships; its first use writes it below the root."""
@@ -58,10 +59,12 @@ def locate(text: str) -> Location:
     """Location of an id, a short name or a path, whether it exists or not.
 
     Raises:
-        UsageError: If the text is empty, or an id of ours without a version.
+        UsageError: If the text is empty, has a line break or another control
+            character, or is an id of ours without a version.
     """
     if not text:
         raise UsageError("the dataset's name is empty, expected an id or a path")
+    refuse_control_characters("the dataset's name", text)
     if _WORD.fullmatch(text):
         text = f"marl_mm/reach/{_versioned(text)}"
     if ID.fullmatch(text):

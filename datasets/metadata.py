@@ -44,6 +44,9 @@ _OURS: dict[str, Any] = {
 }
 """Types of Minari's fields and ours that are read, beside layout and provenance."""
 
+SUCCESS = "is_success"
+"""Step number that every dataset has."""
+
 SCHEMA = 3
 """Version of our metadata; version 2 had no layout, and is read, too."""
 
@@ -82,7 +85,10 @@ def read_metadata(location: Location) -> dict[str, Any]:
     for values, kinds in ((metadata, _MINARI), (ours, _OURS)):
         for name, expected in kinds.items():
             check_kind(values.get(name), expected, f"{path}: {name}", DatasetError)
-    check_kind(ours.get("info", []), list[str], f"{path}: info", DatasetError)
+    info = ours.get("info", [SUCCESS])
+    check_kind(info, list[str], f"{path}: info", DatasetError)
+    if SUCCESS not in info:
+        raise DatasetError(f"{path}: info lacks {SUCCESS}, which every step has")
     episodes = ours["episodes"]
     if not ID.fullmatch(metadata["dataset_id"]) or episodes < 1:
         raise DatasetError(

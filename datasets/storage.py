@@ -23,6 +23,7 @@ from marl_mm.datasets.metadata import (
     new_metadata,
     sign_metadata,
 )
+from marl_mm.datasets.plausible import problems_of
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.envs.registry import TASKS
 from marl_mm.episode import INFO
@@ -166,6 +167,8 @@ def read_arrays(
     arrays = cache.cached(key) if cached else None
     if arrays is None:
         arrays = read_apart(path, key.episodes, key.layout, key.info)
+        if problems := problems_of(arrays):
+            raise DatasetError(f"{path}: {'; '.join(problems)}")
         cache.keep(key, arrays)
     return arrays
 

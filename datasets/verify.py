@@ -32,15 +32,9 @@ def verify(location: Location) -> list[str]:
         return [str(error)]
     return [
         *_counts(arrays, metadata),
-        *problems_of(arrays),
         *_infos(arrays),
         *_card(Dataset(location, metadata, arrays)),
     ]
-
-
-def problems_of(arrays: EpisodeArrays) -> list[str]:
-    """Problems of episodes from any source: ranges, goals, ends."""
-    return [*_values(arrays), *_ends(arrays)]
 
 
 def _counts(arrays: EpisodeArrays, metadata: dict[str, Any]) -> list[str]:
@@ -60,21 +54,6 @@ def _counts(arrays: EpisodeArrays, metadata: dict[str, Any]) -> list[str]:
     return problems
 
 
-def _values(arrays: EpisodeArrays) -> list[str]:
-    layout = arrays.layout
-    low, high = np.array(layout.low), np.array(layout.high)
-    outside = (arrays.actions < low) | (arrays.actions > high)
-    least, most = np.array([(entry.low, entry.high) for entry in layout.state]).T
-    beyond = ((arrays.states < least) | (arrays.states > most)).any(axis=1)
-    moved = np.diff(arrays.states[:, layout.goal], axis=0)[~arrays.is_last_state()[:-1]]
-    checks = {
-        "actions outside of the action space": outside.any(axis=1).sum(),
-        "states outside of their entries' bounds": beyond.sum(),
-        "goals that move within an episode": moved.any(axis=1).sum(),
-    }
-    return [f"{count} {text}" for text, count in checks.items() if count]
-
-
 def _infos(arrays: EpisodeArrays) -> list[str]:
     """Problems of step numbers: only episodes from files of others may have NaN."""
     ours = np.repeat(arrays.sources != IMPORTED, arrays.lengths)
@@ -84,22 +63,6 @@ def _infos(arrays: EpisodeArrays) -> list[str]:
         if values.dtype.kind == "f"
     }
     return [f"{n} values of infos/{key} are NaN" for key, n in counts.items() if n]
-
-
-def _ends(arrays: EpisodeArrays) -> list[str]:
-    last = np.zeros(arrays.steps, bool)
-    last[np.cumsum(arrays.lengths) - 1] = True
-    ended = arrays.terminated | arrays.truncated
-    checks = {
-        "steps that end an episode before its last one": (ended & ~last).sum(),
-        "episodes that neither reached the goal nor ran out of steps": (
-            (~ended & last).sum()
-        ),
-        "steps that are both terminated and truncated": (
-            (arrays.terminated & arrays.truncated).sum()
-        ),
-    }
-    return [f"{count} {text}" for text, count in checks.items() if count]
 
 
 def _card(dataset: Dataset) -> list[str]:

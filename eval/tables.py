@@ -81,14 +81,6 @@ def _text(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def without(
-    header: Sequence[str], rows: Sequence[Sequence[str]], names: Sequence[str]
-) -> tuple[list[str], list[list[str]]]:
-    """Header and rows without the columns of some names."""
-    kept = [i for i, name in enumerate(header) if name not in names]
-    return [header[i] for i in kept], [[row[i] for i in kept] for row in rows]
-
-
 def percent_with_interval(value: float, interval: tuple[float, float]) -> str:
     """A share [%], with its interval if it is known."""
     low, high = (100 * bound for bound in interval)

@@ -11,6 +11,7 @@ from marl_mm.commands.wording import as_options
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.interrupts import end_on_signals
 from marl_mm.received import printable
+from marl_mm.words import check_words
 
 COMMANDS = {
     "quickstart": "collect, train and evaluate in a few minutes, with a report",
@@ -71,6 +72,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader has gone; keep silent, also at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return 0
+    except (MemoryError, RuntimeError) as error:
+        if not _is_memory(error):
+            raise
+        _complain("there is not enough memory for that: ask for less at a time")
+        return MarlMmError.exit_code
     except OSError as error:  # disk full, no permission
         _complain(_in_words(error))
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
@@ -83,6 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
+    check_words(words)
     if not words or words[0] in ("-h", "--help"):
         _print(_usage())
         return 0 if words else 2
@@ -151,6 +158,13 @@ def _usage() -> str:
 
 def _print(text: str) -> None:
     sys.stdout.write(text + "\n")
+
+
+def _is_memory(error: Exception) -> bool:
+    """Whether memory was short; torch says so in words."""
+    return isinstance(error, MemoryError) or any(
+        words in str(error) for words in ("allocate memory", "out of memory")
+    )
 
 
 def _in_words(error: OSError) -> str:

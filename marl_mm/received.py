@@ -9,7 +9,8 @@ import json
 import stat
 import unicodedata
 import zipfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -187,6 +188,30 @@ def check_kind(value: Any, kind: Any, where: str, refusal: Refusal) -> None:
 def printable(text: str) -> str:
     """A text with its control characters spelled out, for terminals."""
     return "".join(c if is_printable(c) else ascii(c)[1:-1] for c in text)
+
+
+_ODD = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
+"""Exceptions at values of the wrong kind."""
+
+
+@contextmanager
+def damage_named(where: str, refusal: Refusal) -> Iterator[None]:
+    """Turn the errors of a block that meets odd values into one of the package's.
+
+    Args:
+        where: Name of the values' source, for messages.
+        refusal: Class of the error.
+
+    Raises:
+        MarlMmError: If the block raises an error at values of the wrong kind.
+    """
+    try:
+        yield
+    except MarlMmError:
+        raise
+    except _ODD as error:
+        reason = " ".join(f"{error!r}".split())
+        raise refusal(f"{where} is damaged ({reason:.100})") from error
 
 
 def is_printable(text: str) -> bool:

@@ -1,9 +1,9 @@
 """Reference pages, made of the registries and the committed results."""
 
 import ast
-import gzip
 import inspect
 import json
+import lzma
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, is_dataclass
 from functools import partial
@@ -208,9 +208,9 @@ def _task_of(row: Row) -> str:
 
 def _task_results(name: str) -> str:
     rows = []
-    path = RESULTS / f"script/{name}.json.gz"
+    path = RESULTS / f"script/{name}.json.xz"
     if path.exists():
-        (evaluation,) = json.loads(gzip.decompress(path.read_bytes()))
+        (evaluation,) = json.loads(lzma.decompress(path.read_bytes()))
         summary = evaluation["summary"]["all"]
         low, high = (100 * bound for bound in evaluation["interval"])
         reached = f"{100 * evaluation['success_rate']:.1f} [{low:.1f}, {high:.1f}]"

@@ -1,7 +1,7 @@
 """Tables of README and pages, made of the committed results."""
 
-import gzip
 import json
+import lzma
 import re
 from collections.abc import Callable
 from functools import partial
@@ -128,8 +128,8 @@ def _script() -> str:
     """The script on the goals that those who learn from it are evaluated on."""
     lines = []
     for task in (source.task for source in BLOCKS):
-        packed = (RESULTS / f"script/{task}.json.gz").read_bytes()
-        (evaluation,) = json.loads(gzip.decompress(packed))
+        packed = (RESULTS / f"script/{task}.json.xz").read_bytes()
+        (evaluation,) = json.loads(lzma.decompress(packed))
         every = evaluation["summary"]["all"]
         row = {
             "success": evaluation["success_rate"],

@@ -10,7 +10,6 @@ from pathlib import Path
 from marl_mm.algorithms.pretrained import FOLDER, ship
 from marl_mm.eval.studies.online import CELLS
 from marl_mm.eval.studies.options import StudyOptions
-from marl_mm.eval.studies.plan import run_folder
 
 
 def main(runs: Path) -> None:
@@ -18,7 +17,7 @@ def main(runs: Path) -> None:
     options, cell = StudyOptions(runs=runs), CELLS["ddpg-her"]
     curves = options.store.curves(cell, (0, 1, 2))
     best = max(curves, key=lambda row: (row["success_all"], row["return_all"]))
-    run = run_folder(options, cell, best["seed"])
+    run = options.run_folder(cell, best["seed"])
     ship(run, FOLDER)
     print(f"{FOLDER}: the best policy of {run}")
 

@@ -22,7 +22,6 @@ from marl_mm.eval.rows import read_rows, write_csv
 from marl_mm.eval.studies.held import FixedAlpha
 from marl_mm.eval.studies.online import STUDIES
 from marl_mm.eval.studies.options import StudyOptions
-from marl_mm.eval.studies.plan import run_folder
 from marl_mm.eval.tables import markdown_table
 from marl_mm.policy import Policy
 from marl_mm.progress import Bar
@@ -58,7 +57,7 @@ def make_worth(options: StudyOptions, bar: Bar) -> list[Row]:
     steps: list[Row] = []
     for cell in CHOOSING.cells:
         for seed in options.seeds_of(CHOOSING):
-            run = run_folder(options, cell, seed)
+            run = options.run_folder(cell, seed)
             made_of = read_config(run).to_json()
             changed = {k: made_of[k] for k in ("max_steps",) if k in made_of}
             task = make_task(made_of["task"], changed)

@@ -5,23 +5,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from marl_mm.errors import FailedRunsError
+from marl_mm.errors import FailedRunsError, MarlMmError
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies import ours
 from marl_mm.eval.studies.jobs import Job, do_jobs
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.plan import (
-    Wanted,
+    by_cell,
     estimated,
     hours,
-    missing_cells,
+    missing_jobs,
     plan_table,
 )
-from marl_mm.eval.studies.study import Curves, Study
+from marl_mm.eval.studies.study import Curves, Study, cell_name
 from marl_mm.eval.studies.summary import summarize
 from marl_mm.eval.studies.table import Table
 from marl_mm.files import refuse_existing
 from marl_mm.progress import Bar, silent_bar
+from marl_mm.received import damage_named
 from marl_mm.runs.paper import PAPER
 from marl_mm.runs.sources import Datasets, Notify, silence
 
@@ -84,10 +85,10 @@ class Engine:
         Raises:
             OtherConfigError: If rows there were made with something else.
         """
-        wanted = self._missing(studies, plan=True)
+        jobs = self._missing(studies, plan=True)
         if not self.options.small:
-            wanted = estimated(wanted, self.bar)
-        return plan_table(wanted, self.options.workers, not self.options.small)
+            jobs = estimated(jobs, self.bar)
+        return plan_table(jobs, self.options.workers, not self.options.small)
 
     def draw(self, name: str, study: Study, folder: Path) -> Table:
         """Write a study's table, and its figure if it has one, from its rows.
@@ -101,7 +102,8 @@ class Engine:
             UsageError: If rows are missing.
         """
         store, seeds = self.options.store, self.options.seeds_of(study)
-        rows = summarize(study, store, seeds)
+        with damage_named(f"{store.folder}, rows of {name}", MarlMmError):
+            rows = summarize(study, store, seeds)
         write_csv(folder / f"{name}.csv", rows)
         if not study.figure:
             return Table(study, rows)
@@ -120,50 +122,44 @@ class Engine:
             KeyboardInterrupt: After Ctrl-C, saying how to go on.
         """
         options = self.options
-        wanted = self._missing(studies)
-        cell_of = {job.run: item for item in wanted for job in item.jobs}
+        jobs = self._missing(studies)
+        of_cells = {cell_name(own[0].cell): own for own in by_cell(jobs)}
 
-        def keep_if_done(item: Wanted) -> None:
-            if all(job.done for job in item.jobs):
-                runs = {job.seed: job.run for job in item.jobs}
-                options.store.keep(item.cell, runs, item.probes)
+        def keep_if_done(job: Job) -> None:
+            own = of_cells[cell_name(job.cell)]
+            if all(other.done for other in own):
+                runs = {other.seed: other.run for other in own}
+                options.store.keep(job.cell, runs, job.probes)
 
-        def done(job: Job) -> None:
-            keep_if_done(cell_of[job.run])
-
-        for item in wanted:
-            keep_if_done(item)
-        if all(job.done for item in wanted for job in item.jobs):
+        for first, *_ in of_cells.values():
+            keep_if_done(first)
+        left = [job for job in jobs if not job.done]
+        if not left:
             return
+        text = f"{len(left)} of {len(jobs)} runs are missing in {options.runs_folder}"
         if not options.small:
-            wanted = estimated(wanted, self.bar)
-        left = [job for item in wanted for job in item.jobs if not job.done]
-        text = (
-            f"{len(left)} of {len(cell_of)} runs are missing in {options.runs_folder}"
-        )
-        time = (
-            "" if options.small else f", about {hours(left, options.workers):.1f} hours"
-        )
-        self.notify(f"{text}{time}; after Ctrl-C, go on with `resume=True`")
+            left = estimated(left, self.bar)
+            text = f"{text}, about {hours(left, options.workers):.1f} hours"
+        self.notify(f"{text}; after Ctrl-C, go on with `resume=True`")
         pool = options.workers, options.executor
         try:
-            failed = do_jobs(left, *pool, done, self.notify, self.bar)
+            failed = do_jobs(left, *pool, keep_if_done, self.notify, self.bar)
         except KeyboardInterrupt:
             text = f"stopped in {options.runs_folder}: go on with `resume=True`"
             raise KeyboardInterrupt(text) from None
         if failed:
             reasons = "; ".join(f"{run}: {why}" for run, why in failed.items())
             raise FailedRunsError(
-                f"{len(failed)} of {len(cell_of)} runs failed, the same with "
+                f"{len(failed)} of {len(jobs)} runs failed, the same with "
                 f"`resume=True` tries them again: {reasons}"
             )
 
-    def _missing(self, studies: Studies, plan: bool = False) -> list[Wanted]:
+    def _missing(self, studies: Studies, plan: bool = False) -> list[Job]:
         options = self.options
         small = options.runs_folder / "datasets" if options.small else None
         pool = options.workers, options.executor
         datasets = Datasets(small, *pool, self.notify, self.bar, _KNOWN, plan=plan)
-        return missing_cells(options, studies.values(), datasets)
+        return missing_jobs(options, studies.values(), datasets)
 
 
 def compare(results: Path, draw: Callable[[Path], object]) -> dict[Path, str]:
@@ -179,7 +175,8 @@ def compare(results: Path, draw: Callable[[Path], object]) -> dict[Path, str]:
         UsageError: If rows are missing.
     """
     with TemporaryDirectory() as folder:
-        draw(Path(folder))
+        with damage_named(f"{results}, rows", MarlMmError):
+            draw(Path(folder))
         states = {}
         for drawn in sorted(Path(folder).glob("*.csv")):
             known = results / drawn.name

@@ -15,7 +15,7 @@ from marl_mm.eval.evaluate import evaluate
 from marl_mm.eval.studies.held import FixedAlpha
 from marl_mm.eval.studies.learners import Learner
 from marl_mm.eval.studies.rows import is_probed
-from marl_mm.eval.studies.study import Probe
+from marl_mm.eval.studies.study import Cell, Probe, cell_name
 from marl_mm.files import write_json
 from marl_mm.progress import Advance, Bar, distant_bars, show_distant_bars, silent_bar
 from marl_mm.runs.sources import Notify
@@ -33,8 +33,8 @@ _ALL = "all runs"
 class Job:
     """A run to train, from its last checkpoint, and to evaluate."""
 
-    label: str
-    """Label of the run's progress bar."""
+    cell: Cell
+    """Source and setting."""
 
     seed: int
     """Seed of the run."""
@@ -50,6 +50,13 @@ class Job:
 
     seconds: float = 1.0
     """Estimated remaining time [s]."""
+
+    @property
+    def label(self) -> str:
+        """Label of the run's progress bar."""
+        source, setting = cell_name(self.cell)
+        short = "-".join(source.removeprefix("marl_mm/").split("-")[:2])
+        return f"{setting} {self.seed} {short}"
 
     @property
     def done(self) -> bool:

@@ -171,9 +171,9 @@ def made_of(setting: Setting, training: Training) -> dict[str, Any]:
     if setting.library == "sb3":
         assert isinstance(training, OnlineTraining)
         return sb3.made_of(training)
-    config = {**training.recorded, **asdict(training.config)}
-    for name in ("precision", "device"):  # are what was best where they were made
-        config.pop(name, None)
+    made = {"algorithm": training.algorithm} | asdict(training.config)
+    made |= training.recorded
     if isinstance(training, OnlineTraining):
-        config["task"] = training.task
-    return {"algorithm": training.algorithm, **config}
+        made["task"] = training.task
+    # Rows are of the device and the precision that were best where they were made.
+    return {key: made[key] for key in made if key not in ("device", "precision")}

@@ -1,6 +1,8 @@
 """Online learning: the paper's Figs. 4 and 5, demonstrations, and what helps."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
+from itertools import product
 from typing import Any
 
 from marl_mm.algorithms.registry import TUNED
@@ -23,18 +25,16 @@ _PD = Source(settings={"alpha_rule": "room"}, steps=2_000, name="demonstrations"
 _SCRIPT = Source("scripted", "Grasp-v0", 2_000, name="demonstrations-Grasp")
 
 
-def _ddpg(name: str, about: str, preset: str = TUNED, **changes: Any) -> Setting:
-    return Setting(f"ddpg{name}", f"DDPG{about}", "ddpg", preset, changes)
+def _setting(
+    algorithm: str, name: str, about: str, preset: str = TUNED, **changes: Any
+) -> Setting:
+    about = f"{algorithm.upper().replace('-', ' + ')}{about}"
+    return Setting(f"{algorithm}{name}", about, algorithm, preset, changes)
 
 
-def _her(name: str, about: str, preset: str = TUNED, **changes: Any) -> Setting:
-    about = f"DDPG + HER{about}"
-    return Setting(f"ddpg-her{name}", about, "ddpg-her", preset, changes)
-
-
-def _maddpg(name: str, about: str, **changes: Any) -> Setting:
-    about = f"MADDPG + HER{about}"
-    return Setting(f"maddpg-her{name}", about, "maddpg-her", changes=changes)
+_ddpg = partial(_setting, "ddpg")
+_her = partial(_setting, "ddpg-her")
+_maddpg = partial(_setting, "maddpg-her")
 
 
 def _departure(name: str, about: str, **changes: Any) -> Setting:
@@ -47,37 +47,33 @@ _OF_GRASP = 1_000
 
 _SB3 = Setting(SB3, "Stable-Baselines3, DDPG + HER", "ddpg-her", library="sb3")
 
-_LEARNT: Sequence[tuple[Online, Sequence[Setting]]] = (
+_SHOWN = Online("Reach-v0", _PD)
+_GRASP, _SHOWN_GRASP = Online("Grasp-v0"), Online("Grasp-v0", _SCRIPT)
+_SMOOTH = Online("SmoothReach-v0")
+
+_LEARNT: Sequence[tuple[Online, Setting]] = (
+    (_REACH, _ddpg("", "")),
+    (_REACH, _her("", "")),
+    (_REACH, _maddpg("", "")),
+    (_REACH, _ddpg("-paper", ", Table 2", "paper")),
+    (_REACH, _her("-paper", ", Table 2", "paper")),
+    (_REACH, _SB3),
+    (_SHOWN, _ddpg("-demonstrations", ", demonstrations")),
+    (_SHOWN, _her("-demonstrations", ", demonstrations")),
+    (_SMOOTH, _her("-smooth", "")),
+    (_SMOOTH, _maddpg("-smooth", "")),
+    (_GRASP, _her("-grasp", "", episodes=_OF_GRASP)),
     (
-        _REACH,
-        (
-            _ddpg("", ""),
-            _her("", ""),
-            _maddpg("", ""),
-            _ddpg("-paper", ", Table 2", "paper"),
-            _her("-paper", ", Table 2", "paper"),
-            _SB3,
-        ),
-    ),
-    (
-        Online("Reach-v0", _PD),
-        (
-            _ddpg("-demonstrations", ", demonstrations"),
-            _her("-demonstrations", ", demonstrations"),
-        ),
-    ),
-    (Online("SmoothReach-v0"), (_her("-smooth", ""), _maddpg("-smooth", ""))),
-    (Online("Grasp-v0"), (_her("-grasp", "", episodes=_OF_GRASP),)),
-    (
-        Online("Grasp-v0", _SCRIPT),
-        (_her("-grasp-demonstrations", ", demonstrations", episodes=_OF_GRASP),),
+        _SHOWN_GRASP,
+        _her("-grasp-demonstrations", ", demonstrations", episodes=_OF_GRASP),
     ),
     (
         _REACH,
+        _maddpg("-others", ", others' replayed actions", others="replay", episodes=300),
+    ),
+    *product(
+        (_REACH,),
         (
-            _maddpg(
-                "-others", ", others' replayed actions", others="replay", episodes=300
-            ),
             _departure("no-layer-norm", "no layer norm", layer_norm=False),
             _departure("no-clip", "targets not cut off", clip_targets=False),
             _departure("no-penalty", "no action penalty", action_penalty=0.0),
@@ -89,11 +85,7 @@ _LEARNT: Sequence[tuple[Online, Sequence[Setting]]] = (
     ),
 )
 
-CELLS: Mapping[str, tuple[Online, Setting]] = {
-    setting.name: (source, setting)
-    for source, settings in _LEARNT
-    for setting in settings
-}
+CELLS: Mapping[str, tuple[Online, Setting]] = {cell[1].name: cell for cell in _LEARNT}
 """Cells by the name of their setting."""
 
 _PLAIN = Reported("Sec. 5.4.1", words="under 40")

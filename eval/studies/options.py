@@ -6,7 +6,7 @@ from typing import Literal
 
 from marl_mm.algorithms.config_checks import Precision
 from marl_mm.eval.studies.rows import RowStore
-from marl_mm.eval.studies.study import Study
+from marl_mm.eval.studies.study import Cell, Study, cell_name
 from marl_mm.runs.settings import check_positive, check_seeds
 from marl_mm.workers import Executor
 
@@ -76,6 +76,12 @@ class StudyOptions:
     def results(self) -> Path:
         """``out`` or its default."""
         return self.out or self.runs_folder / RESULTS
+
+    def run_folder(self, cell: Cell, seed: int) -> Path:
+        """Folder of a cell's run."""
+        source, setting = cell_name(cell)
+        folder = self.runs_folder / source.replace("/", "-") / setting / str(seed)
+        return folder.absolute() if self.executor == "ray" else folder  # is elsewhere
 
     @property
     def store(self) -> RowStore:

@@ -1,9 +1,11 @@
 """Our tables of offline learning: other datasets and tasks, and why learning fails."""
 
+from functools import partial
 from itertools import product
 from typing import Any
 
-from marl_mm.eval.studies.paper import GOOD, beside_the_paper
+from marl_mm.algorithms.registry import TUNED
+from marl_mm.eval.studies.paper import GOOD, beside_the_paper, label
 from marl_mm.eval.studies.study import LAST, Probe, Setting
 from marl_mm.runs.paper import GOOD_30K, MIXES, PD_30K
 from marl_mm.runs.sources import Source
@@ -36,27 +38,21 @@ _UPDATES = {"updates": _TD3_BC.config.updates}
 """Updates of the tuned preset, used for the literal ones too; Table 3 has 100,000."""
 
 
-def _cure(name: str, about: str, **changes: Any) -> Setting:
-    """TD3+BC's tuned preset with one change."""
-    return Setting(f"td3-bc-{name}", f"TD3+BC, {about}", changes=changes, goals=_FEWER)
+def _changed(algorithm: str, name: str, about: str, **changes: Any) -> Setting:
+    """The tuned preset with one change."""
+    about = f"{label(algorithm)}, {about}"
+    return Setting(f"{algorithm}-{name}", about, algorithm, TUNED, changes, _FEWER)
 
 
-def _multi(name: str, about: str, **changes: Any) -> Setting:
-    """MATD3+BC's tuned preset with one change."""
-    about = f"MATD3+BC, {about}"
-    return Setting(f"matd3-bc-{name}", about, "matd3-bc", changes=changes, goals=_FEWER)
+_cure, _multi = partial(_changed, "td3-bc"), partial(_changed, "matd3-bc")
 
 
 def _literal(algorithm: str, name: str, about: str, **changes: Any) -> Setting:
     """The paper's preset with as many updates as the tuned one."""
-    return Setting(
-        f"{algorithm}-literal{name}",
-        f"{algorithm.upper().replace('-', '+')} as in the paper, {about}",
-        algorithm,
-        "paper",
-        {**_UPDATES, **changes},
-        _FEWER,
-    )
+    about = f"{label(algorithm)} as in the paper, {about}"
+    changes = _UPDATES | changes
+    name = f"{algorithm}-literal{name}"
+    return Setting(name, about, algorithm, "paper", changes, _FEWER)
 
 
 _ONE_CURE = (

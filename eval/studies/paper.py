@@ -1,6 +1,7 @@
 """The paper's tables and figures of offline learning."""
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -78,11 +79,16 @@ def beside_the_paper(
 # --- Tables and figures ------------------------------------------------------
 
 
+def label(algorithm: str) -> str:
+    """Name of an algorithm in tables, such as TD3+BC."""
+    return algorithm.upper().replace("-", "+")
+
+
 def _long(algorithm: str, preset: str, batch: int = 256, **more: Any) -> Setting:
     """A setting with as many updates as in Table 4, and learning curves."""
     changes: dict[str, Any] = {"updates": LONG}
     name = f"{algorithm}-{preset}-180k"
-    about = f"{algorithm.upper().replace('-', '+')}, {preset}"
+    about = f"{label(algorithm)}, {preset}"
     if batch != 256:
         changes["batch_size"] = batch
         name, about = f"{name}-batch-{batch}", f"{about}, batch {batch}"
@@ -104,49 +110,40 @@ _MABC = Setting(
     changes={"updates": LONG},
     curve_every=15_000,
 )
-_ENDS = (LAST, BEST)
+_table = partial(beside_the_paper, probes=(LAST, BEST))
+_figure = partial(_table, figure=True)
 
 STUDIES = {
-    "table4": beside_the_paper(
+    "table4": _table(
         "Table 4: TD3+BC by dataset, 180,000 updates.",
         tuple(product((*GOOD, *MIXES), _TD3_BC)),
-        _ENDS,
     ),
-    "table5": beside_the_paper(
+    "table5": _table(
         "Table 5 and Sec. 5.4.2: two agents on good data, 180,000 updates.",
         (*product(GOOD, (_MABC,)), *product((GOOD_30K,), _both("matd3-bc"))),
-        _ENDS,
     ),
-    "fig7": beside_the_paper(
+    "fig7": _figure(
         "Fig. 7: TD3+BC on 30,000 and on 60,000 steps of good data.",
         tuple(product(GOOD, _TD3_BC)),
-        _ENDS,
-        figure=True,
     ),
-    "fig8": beside_the_paper(
+    "fig8": _figure(
         "Fig. 8: TD3+BC on a PD agent's data, evaluated with 50 steps, and on good.",
         (
             *product((PD_30K,), _both("td3-bc", max_steps=50)),
             *product((GOOD_30K,), _TD3_BC),
         ),
-        _ENDS,
-        figure=True,
     ),
-    "fig9": beside_the_paper(
+    "fig9": _figure(
         "Fig. 9: TD3+BC on good data and on mixes.",
         tuple(product((GOOD_30K, *MIXES), _TD3_BC)),
-        _ENDS,
-        figure=True,
     ),
-    "fig10": beside_the_paper(
+    "fig10": _figure(
         "Fig. 10: TD3+BC on good data, by batch size.",
         tuple(
             (GOOD_30K, setting)
             for batch in (256, 512, 1024)
             for setting in _both("td3-bc", batch=batch)
         ),
-        _ENDS,
-        figure=True,
     ),
 }
 """Studies by the name of the target of ``marl-mm ablate``."""

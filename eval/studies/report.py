@@ -9,7 +9,7 @@ from pathlib import Path
 from jinja2 import Environment
 from markupsafe import Markup
 
-from marl_mm.errors import UsageError
+from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.bench.tables import (
     abuse_table,
     bench_table,
@@ -22,7 +22,7 @@ from marl_mm.eval.studies.paper import NOTE
 from marl_mm.eval.studies.table import Table
 from marl_mm.eval.studies.targets import STUDIES
 from marl_mm.eval.tables import markdown_html, markdown_table, rows_table
-from marl_mm.received import read_json, read_text
+from marl_mm.received import check_regular, damage_named, read_json, read_text
 from marl_mm.versions import versions
 
 _TEMPLATE = Path(__file__).with_name("report.html")
@@ -80,20 +80,21 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
     studies = results / "studies"
     if (studies / "results").is_dir():  # of a folder of runs
         studies = studies / "results"
-    sections = [
-        *_studies(studies),
-        *_sweep(results / "alpha"),
-        *_benchmarks(results),
-        *_videos(videos),
-    ]
+    with damage_named(str(results), MarlMmError):
+        sections = [
+            *_studies(studies),
+            *_sweep(results / "alpha"),
+            *_benchmarks(results),
+            *_videos(videos),
+        ]
     if not sections:
         raise UsageError(
             f"{results} has no results, expected a folder such as eval/results that "
             "marl-mm ablate --out FOLDER/studies has filled"
         )
-    made = Section(
-        "versions", "Versions that drew this page", text=_table(versions("matplotlib"))
-    )
+    packages = list(versions("matplotlib").items())
+    text = _html(markdown_table(("package", "version"), packages))
+    made = Section("versions", "Versions that drew this page", text=text)
     environment = Environment(autoescape=True, trim_blocks=True)
     page = environment.from_string(_TEMPLATE.read_text())
     return page.render(
@@ -170,10 +171,8 @@ def _media(path: Path) -> Media:
     kind, _ = guess_type(path)
     if kind is None or not kind.startswith(("image", "video")):
         raise UsageError(f"{path} is neither a picture nor a video by its name")
-    try:
-        data = b64encode(path.read_bytes()).decode()
-    except FileNotFoundError:
-        raise UsageError(f"there is no {path}") from None
+    check_regular(path, UsageError)
+    data = b64encode(path.read_bytes()).decode()
     return Media(path.name, kind, f"data:{kind};base64,{data}")
 
 
@@ -181,7 +180,3 @@ def _html(text: str) -> Markup:
     """Markdown with tables; HTML in it is shown as text."""
     page = markdown_html(text).replace("<table>", '<div class="table"><table>')
     return Markup(page.replace("</table>", "</table></div>"))
-
-
-def _table(values: dict[str, str]) -> Markup:
-    return _html(markdown_table(("package", "version"), list(values.items())))

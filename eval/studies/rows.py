@@ -9,21 +9,23 @@ Three files for each cell::
 Older rows, whose names end in ``.csv.gz``, are read too.
 """
 
-import json
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from itertools import product
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.config_diff import as_json, refuse_other_config
 from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.eval.grouping import grouped
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import as_read, has_rows, read_rows, write_csv
 from marl_mm.eval.studies.study import BEST, LAST, Cell, Probe, cell_name
 from marl_mm.files import only_here, write_json
+from marl_mm.received import check_kind, damage_named, read_json
 
 _ADVICE = "name another folder with `out`"
 """Advice if rows are of runs with another config."""
@@ -55,13 +57,14 @@ def is_probed(
     path = probe.file(run)
     if not path.exists():
         return False
-    known = json.loads(path.read_text())
+    known = read_json(path, MarlMmError)
     usual = BEST if path == BEST.file(run) else LAST  # a training's own evaluations
-    return (
-        len(known["episodes"]) == goals
-        and known["overrides"] == as_json({**overrides, **probe.overrides})
-        and known.get("probe", usual.way) == as_json(probe.way)
-    )
+    with damage_named(str(path), MarlMmError):
+        return bool(
+            len(known["episodes"]) == goals
+            and known["overrides"] == as_json({**overrides, **probe.overrides})
+            and known.get("probe", usual.way) == as_json(probe.way)
+        )
 
 
 @dataclass(frozen=True)
@@ -117,21 +120,20 @@ class RowStore:
     def _keep(
         self, cell: Cell, runs: Mapping[int, Path], probes: Sequence[Probe]
     ) -> None:
-        own = product(runs.items(), probes)
-        rows = [row for (seed, run), probe in own for row in _goals(run, seed, probe)]
-        ways = self._record(cell).get("probes", {})
-        ways |= {probe.name: probe.way for probe in probes}
-        new = {(row["seed"], row["probe"]) for row in rows}
-        kept = [r for r in self._rows(cell) if (r["seed"], r["probe"]) not in new]
-        rows += kept
-        rows.sort(key=lambda r: (r["seed"], r["probe"], r["goal"]))
+        pairs = product(runs.items(), probes)
+        new = [row for (seed, run), probe in pairs for row in _goals(run, seed, probe)]
+        made = set(product(runs, [probe.name for probe in probes]))
+        kept = [r for r in self._rows(cell) if (r["seed"], r["probe"]) not in made]
+        rows = sorted(new + kept, key=itemgetter("seed", "probe", "goal"))
         curve = [row for seed, run in runs.items() for row in _curve(run, seed)]
         curves = self._rows(cell, _CURVES)
         again = {row["seed"] for row in kept} & set(runs)
         self._check_same_training(cell, again, as_read(curve), curves)
         curve += [row for row in curves if row["seed"] not in runs]
         curve.sort(key=lambda row: (row["seed"], row.get("step", row.get("episode"))))
-        config = json.loads((next(iter(runs.values())) / "config.json").read_text())
+        ways = self._record(cell).get("probes", {})
+        ways |= {probe.name: probe.way for probe in probes}
+        config = read_json(next(iter(runs.values())) / "config.json", MarlMmError)
         for key in ("seed", "preset", "device"):
             config.pop(key, None)
         if config["dataset"]:
@@ -153,12 +155,12 @@ class RowStore:
         write_csv(self._path(cell, ".csv.xz"), rows)  # last: without, it is missing
 
     def _check_same_training(
-        self, cell: Cell, seeds: Collection[int], new: list[Row], known: list[Row]
+        self, cell: Cell, seeds: Set[int], new: list[Row], known: list[Row]
     ) -> None:
         """Raise if rows that stay are of a training with another learning curve."""
-        for seed in seeds:
-            curves = [[r for r in rows if r["seed"] == seed] for rows in (new, known)]
-            if curves[1] and repr(curves[0]) != repr(curves[1]):  # nan is not nan
+        of_new, of_known = grouped(new, "seed"), grouped(known, "seed")
+        for seed in seeds & of_known.keys():
+            if repr(of_new.get(seed)) != repr(of_known[seed]):  # nan is not nan
                 raise MarlMmError(
                     f"{self._path(cell, '.csv.xz')} has other evaluations of seed "
                     f"{seed}, of a training with another learning curve: name another "
@@ -200,7 +202,11 @@ class RowStore:
 
     def _record(self, cell: Cell) -> dict[str, Any]:
         path = self._path(cell, ".json")
-        return json.loads(path.read_text()) if path.exists() else {}
+        record = read_json(path, MarlMmError) if path.exists() else {}
+        check_kind(record, dict[str, Any], str(path), MarlMmError)
+        kind = dict[str, dict[str, Any]]
+        check_kind(record.get("probes", {}), kind, str(path), MarlMmError)
+        return dict(record)
 
     def _path(self, cell: Cell, end: str) -> Path:
         source, setting = cell_name(cell)
@@ -219,7 +225,7 @@ def _clock(run: Path) -> str:
 
 def _goals(run: Path, seed: int, probe: Probe) -> Iterator[Row]:
     measured = _MEASURED[_clock(run)]
-    for row in json.loads(probe.file(run).read_text())["episodes"]:
+    for row in read_json(probe.file(run), MarlMmError)["episodes"]:
         yield {
             "seed": seed,
             "probe": probe.name,

@@ -104,18 +104,18 @@ _UNUSED = (
     "demonstration_share",
     "demonstration_successes",
     "episodes_per_cycle",
+    "eval_episodes",
     "layer_norm",
     "random_share",
     "std_floor",
 )
-"""Hyper-parameters of ours that Stable-Baselines3 does not have."""
+"""Hyper-parameters of ours that Stable-Baselines3 does not have, and what its records
+never had."""
 
 
 def _settings(training: Online) -> dict[str, Any]:
-    settings = {**training.recorded, **asdict(training.config)}
-    for name in ("eval_episodes", *_UNUSED):
-        del settings[name]
-    return settings
+    settings = training.recorded | asdict(training.config)
+    return {name: settings[name] for name in settings if name not in _UNUSED}
 
 
 def _run_config(training: Online, seed: int) -> RunConfig:

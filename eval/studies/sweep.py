@@ -3,9 +3,9 @@
 import json
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
+from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from marl_mm.collectors.pd import PdConfig
 from marl_mm.control.config import FORMS, Form
 from marl_mm.envs.registry import config_dict, make_task
 from marl_mm.errors import UsageError
+from marl_mm.eval.grouping import grouped
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import as_read, has_rows, read_rows, write_csv
 from marl_mm.eval.studies.sweep_cells import (
@@ -156,8 +157,7 @@ def run_sweep(
         if loads:
             write_csv(folder / LOAD_EPISODES, [r for cell in loads for r in rows[cell]])
         result = draw_sweep(folder, folder)
-        swept = {f.name: getattr(sweep, f.name) for f in fields(Sweep)}
-        swept["out"] = sweep.out.name
+        swept = asdict(sweep) | {"out": sweep.out.name}
         write_json(folder / "config.json", {"options": swept, "versions": versions()})
     shutil.rmtree(hidden, ignore_errors=True)
     return result
@@ -171,14 +171,11 @@ def draw_sweep(results: Path, folder: Path) -> dict[str, list[Row]]:
     """
     from marl_mm.eval.figures import alpha_pareto, alpha_response, load_response
 
-    rows, carried = read_rows(results / EPISODES), results / LOAD_EPISODES
-    long, short = (
-        [row for row in rows if row["max_steps"] == steps]
-        for steps in (LONG_EPISODE, SHORT_EPISODE)
-    )
-    alphas = summarize_cells(long)
+    rows = grouped(read_rows(results / EPISODES), "max_steps")
+    carried = results / LOAD_EPISODES
+    alphas = summarize_cells(rows[LONG_EPISODE])
     loads = summarize_loads(read_rows(carried)) if has_rows(carried) else []
-    worth = worth_of_a_rule(short, SMOOTH) if short else []
+    worth = worth_of_a_rule(rows.get(SHORT_EPISODE, []), SMOOTH)
     tables = {"alpha": alphas, "worth": worth, "loads": loads}
     for name, table in tables.items():
         if table:
@@ -194,8 +191,9 @@ def _run(
     cells: Sequence[SweepCell], folder: Path, workers: int, bar: Bar
 ) -> dict[SweepCell, list[Row]]:
     """Rows of cells; those that are finished are kept in a folder."""
-    found = {cell: _read(folder, cell) for cell in cells}
-    rows = {cell: known for cell, known in found.items() if known is not None}
+    files = {cell: folder / f"{_fingerprint(cell)}.json" for cell in cells}
+    kept = {cell: _read(file) for cell, file in files.items()}
+    rows = {cell: own for cell, own in kept.items() if own is not None}
     missing = [cell for cell in cells if cell not in rows]
     advance = bar("sweep-alpha", len(cells))
     advance(len(rows), "")
@@ -203,7 +201,7 @@ def _run(
         results = ordered_map(run_cell, missing, workers, ahead=1)
         for cell, own in zip(missing, results, strict=True):
             rows[cell] = as_read(own)
-            write_json(folder / _name(cell), {"cell": _key(cell), "rows": own})
+            write_json(files[cell], own)
             advance(1, f"{cell.task} {cell.form} alpha {cell.pd.alpha:g}")
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
@@ -213,26 +211,16 @@ def _run(
     return rows
 
 
-def _name(cell: SweepCell) -> str:
-    pd = cell.pd
-    parts = [cell.task, cell.form, pd.alpha_rule, f"{pd.alpha:g}", str(cell.seed)]
-    parts += [] if cell.mass is None else [f"{cell.mass:g}-kg"]
-    return "-".join(parts) + ".json"
-
-
-def _key(cell: SweepCell) -> dict[str, Any]:
-    """All that the rows depend on: settings, config, sources of the controller."""
+def _fingerprint(cell: SweepCell) -> str:
+    """SHA-256 of all that a cell's rows depend on: settings, config, sources."""
     config = config_dict(make_task(cell.task, cell.overrides))
-    sources = source_fingerprint()
-    return {**asdict(cell), "config": config, "sources": sources, **versions()}
+    made_of = asdict(cell), config, source_fingerprint(), versions()
+    return sha256(json.dumps(made_of).encode()).hexdigest()
 
 
-def _read(folder: Path, cell: SweepCell) -> list[Row] | None:
-    """A finished cell's rows, if they are there and of this very cell."""
+def _read(file: Path) -> list[Row] | None:
+    """A finished cell's rows, if they are there."""
     try:
-        value = json.loads((folder / _name(cell)).read_text())
+        return as_read(json.loads(file.read_text()))
     except (OSError, ValueError):
         return None
-    if value.get("cell") != json.loads(json.dumps(_key(cell))):
-        return None
-    return as_read(value["rows"])

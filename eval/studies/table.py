@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from marl_mm.eval.grouping import grouped
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.studies.study import Cell, Online, Probe, Reported, Study, cell_name
 from marl_mm.eval.studies.summary import LEVELS
@@ -15,7 +16,6 @@ from marl_mm.eval.tables import (
     percent_with_interval,
     rate_with_deviation,
     rate_with_interval,
-    without,
 )
 
 RETURN = "return [95 %]"
@@ -83,15 +83,17 @@ class Table:
 
     def markdown(self, leave_out: Sequence[str] = ()) -> str:
         """A line per cell, without the columns of some headings."""
-        columns = _columns(self.study, self.rows)
+        by_setting = self.study.table == "episodes"
+        every = _OF_EPISODES if by_setting else _of_probes(self.study, self.rows)
+        columns = [column for column in every if column.head not in leave_out]
         lines = [[column.text(line) for column in columns] for line in self._lines()]
-        heads = [column.head for column in columns]
-        return markdown_table(*without(heads, lines, leave_out))
+        return markdown_table([column.head for column in columns], lines)
 
     def _lines(self) -> Iterator[Line]:
+        by_setting = grouped(self.rows, "setting")
         for cell in self.study.cells:
             source, setting = cell_name(cell)
-            own = [r for r in self.rows if r["setting"] == setting]
+            own = by_setting[setting]
             if self.study.table == "episodes":
                 rows = {"": own[0]}
             else:
@@ -109,10 +111,6 @@ class Table:
             return text
         data = b64encode(self.figure.read_bytes()).decode()
         return f'{text}\n<img alt="learning curves" src="data:image/png;base64,{data}">'
-
-
-def _columns(study: Study, rows: Sequence[Row]) -> list[Column]:
-    return _OF_EPISODES if study.table == "episodes" else _of_probes(study, rows)
 
 
 # --- A row per probe ---------------------------------------------------------

@@ -55,7 +55,7 @@ def main(
         )
     if out is not None:
         refuse_existing(out, overwrite)
-    task = task or own_task(policies)
+    task = own_task(policies) if task is None else task
     own = make_task(task, task_overrides(max_steps))
     for name in policies:  # before any work is done
         load_policy(name, own, config_of(name, settings))

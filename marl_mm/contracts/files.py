@@ -88,9 +88,9 @@ def _update(digest: Any, value: Any) -> None:
 
 def _read_dataset(path: Path) -> Any:
     location = locate(str(path))
-    dataset = load_dataset(location)
     if problems := verify(location):
         raise DatasetError("; ".join(problems))
+    dataset = load_dataset(location)
     with suppress(UsageError):  # of a plug-in that is not there
         make_task(dataset.provenance.task, dataset.provenance.overrides)
     values = dataset.card()

@@ -15,6 +15,7 @@ import warnings
 import zipfile
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -210,10 +211,10 @@ def _changed_record(value: Any, rng: Rng) -> str:
         return f"{where} renamed"
     if way == 2 and len(places) > 1:
         other, place, name = _drawn(places, rng)
-        container[key] = other[place]
+        container[key] = deepcopy(other[place])
         return f"{where} replaced by {name}"
     new = _drawn(_VALUES, rng)
-    container[key] = new
+    container[key] = deepcopy(new)
     return f"{where} = {new!a:.40}"
 
 
@@ -322,12 +323,13 @@ def _other_shape(file: Any, name: str, rng: Rng) -> str:
 
 def _other_value(file: Any, name: str, rng: Rng) -> str:
     node = file[name]
-    if not isinstance(node, h5py.Dataset) or node.size == 0:
+    numbers = isinstance(node, h5py.Dataset) and node.dtype.kind in "fiub"
+    if not numbers or node.size == 0:
         return _other_shape(file, name, rng)
     value = _drawn((np.nan, np.inf, -1e30, 7.0, 0.0), rng)
     values = node[()]
-    if values.dtype.kind != "f" and not np.isfinite(value):
-        value = 1.0
+    if values.dtype.kind != "f":
+        value = 7
     values.flat[rng.integers(values.size)] = value
     node[()] = values
     return f"{value} somewhere"

@@ -48,7 +48,7 @@ def evaluate(
     check_positive(episodes=episodes, workers=workers)
     check_seed(seed)
     overrides = task_overrides(max_steps)
-    name = task or own_task([policy])
+    name = own_task([policy]) if task is None else task
     actor = load_policy(policy, make_task(name, overrides), config, **settings)
     called = actor.name if policy is actor else str(getattr(policy, "folder", policy))
     advance = progress(f"eval {Path(called).name}", episodes)

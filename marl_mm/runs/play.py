@@ -127,7 +127,7 @@ def play(
     """
     check_positive(fps=fps)
     check_seed(seed)
-    name = task or own_task([policy])
+    name = own_task([policy]) if task is None else task
     own = make_task(name, task_overrides(max_steps))
     actor = load_policy(policy, own, config, **settings)
     ahead, behind = goal_set(own, 2, seed)

@@ -7,9 +7,18 @@ from typing import Any, TypeVar, get_type_hints
 
 from typeguard import TypeCheckError, check_type
 
+from marl_mm.algorithms.config_checks import LARGEST
 from marl_mm.errors import UsageError
 
 T = TypeVar("T")
+
+MOST_GOALS = 1_000_000
+"""Largest number of goals of an evaluation, which are drawn before it begins."""
+
+_GOALS = ("episodes", "eval_episodes", "curve_episodes", "goals")
+
+SEEDS = 2**63 - 1
+"""Number of seeds: whole numbers of 64 bits, and the next of each."""
 
 
 def with_settings(owner: str, record: T, settings: Mapping[str, Any]) -> T:
@@ -69,10 +78,13 @@ def _is_record(value: Any) -> bool:
 
 
 def check_positive(**values: float) -> None:
-    """Raise a UsageError that names the first setting that is less than 1."""
+    """Raise a UsageError for the first setting below 1, or too large to have an end."""
     for name, value in values.items():
         if value < 1:
             raise UsageError(f"`{name}` is {value}, expected >= 1")
+        most = MOST_GOALS if name in _GOALS else LARGEST
+        if value > most:
+            raise UsageError(f"`{name}` is {value}, expected at most {most:,}")
 
 
 def check_seeds(seeds: Sequence[int]) -> None:
@@ -87,9 +99,11 @@ def check_seeds(seeds: Sequence[int]) -> None:
 
 
 def check_seed(seed: int) -> None:
-    """Raise a UsageError for a seed that is negative."""
+    """Raise a UsageError for a seed that is negative, or more than files can hold."""
     if seed < 0:
         raise UsageError(f"the seed is {seed}, expected >= 0")
+    if seed >= SEEDS:
+        raise UsageError(f"the seed is {seed}, expected below {SEEDS:,}")
 
 
 def refuse_both(resume: bool, overwrite: bool) -> None:

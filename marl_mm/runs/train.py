@@ -50,6 +50,8 @@ def train(
         KeyboardInterrupt: After Ctrl-C; ``resume=True`` goes on.
     """
     training = training_of(algorithm, preset or TUNED)
+    if out == "":
+        raise UsageError("`out` is empty, expected a folder")
     folder = Path(out) if out is not None else Path("runs") / algorithm
     known: dict[str, Any] = {}
     if settings.get("resume"):

@@ -1,9 +1,9 @@
 """The robot in PyBullet: read its state, command wheels and arm, step, render."""
 
 import os
-import tempfile
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from math import asin, atan2
 from pathlib import Path
@@ -35,6 +35,21 @@ def _urdf(robot: RobotConfig, solid: bool) -> str:
     """URDF with absolute names of the meshes, which lie in pybullet_data."""
     meshes = f"{pybullet_data.getDataPath()}/franka_panda"
     return robot_urdf(robot, solid).replace('"franka_panda', f'"{meshes}')
+
+
+@contextmanager
+def _urdf_file(robot: RobotConfig, solid: bool) -> Iterator[str]:
+    """Name of a file in memory with the URDF.
+
+    For each client, PyBullet keeps for good what it has read from a name, and does not
+    read it again. So there are few names, and they differ where the contents do.
+    """
+    with os.fdopen(os.memfd_create("robot.urdf"), "w") as file:
+        with named_errors(Path("robot.urdf, in memory")):
+            file.write(_urdf(robot, solid))
+            file.flush()
+        process = os.getpid() if solid else "self"
+        yield f"/proc/{process}/fd/{file.fileno()}"
 
 
 class BulletWorld:
@@ -278,12 +293,9 @@ class BulletWorld:
             flags |= pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
         if not self._visual:
             flags |= pybullet.URDF_IGNORE_VISUAL_SHAPES
-        with tempfile.NamedTemporaryFile("w", suffix=".urdf") as file:
-            with named_errors(Path(file.name)):
-                file.write(_urdf(self._robot_config, solid))
-                file.flush()
+        with _urdf_file(self._robot_config, solid) as name:
             # loadURDF places the link frame, unlike resetBasePositionAndOrientation.
-            robot = pybullet.loadURDF(file.name, flags=flags, physicsClientId=client)
+            robot = pybullet.loadURDF(name, flags=flags, physicsClientId=client)
         self._robot = robot
         count = pybullet.getNumJoints(robot, physicsClientId=client)
         infos = [

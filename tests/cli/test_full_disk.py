@@ -35,6 +35,7 @@ from marl_mm.episode import Episode
 from marl_mm.errors import MarlMmError
 from marl_mm.eval.video import film_strip, write_video
 from marl_mm.files import append, new_file, new_folder, write_json
+from marl_mm.processes import process_context
 
 ID = "marl_mm/reach/test-v0"
 
@@ -46,6 +47,7 @@ Output = pytest.CaptureFixture[str]
 @contextmanager
 def room_for(size: int) -> Iterator[None]:
     """No file of this process and its children grows beyond this size [bytes]."""
+    process_context("marl_mm.workers")  # the server of later tests is not bound to it
     assert signal.getsignal(signal.SIGXFSZ) == signal.SIG_IGN  # as Python has it
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))

@@ -249,6 +249,26 @@ def test_data_that_lie_elsewhere_are_refused(
     assert not Path(out).exists()
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "match"),
+    [
+        ("actions", 7.0, "outside of the action space"),
+        ("terminations", True, "end an episode before its last"),
+        ("truncations", True, "end an episode before its last"),
+        ("observations/desired_goal", 0.3, "goals that move"),
+    ],
+)
+def test_implausible_episodes_are_refused_though_signed(
+    gift: Path, capsys: Output, key: str, value: float, match: str
+) -> None:
+    with h5py.File(gift / "data" / FILE, "r+") as file:
+        file[f"episode_0/{key}"][0] = value
+    sign(gift)
+    refused(gift, match, capsys)
+    words = ["train", "mabc", "--dataset", str(gift), "--out", str(gift / "../runs")]
+    assert main(words) == 1 and match in capsys.readouterr().err
+
+
 # --- Bombs -------------------------------------------------------------------
 
 _LIMITED = """

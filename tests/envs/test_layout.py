@@ -18,9 +18,9 @@ from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.hdf5 import FILE, read_hdf5
 from marl_mm.datasets.location import locate
+from marl_mm.datasets.plausible import problems_of
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
-from marl_mm.datasets.verify import problems_of
 from marl_mm.envs.goal_env import goal_observation
 from marl_mm.envs.parallel import join_actions, split_action, split_state
 from marl_mm.envs.tasks.reach import LAYOUT as REACH

@@ -1,7 +1,7 @@
 """Committed results: what learning and the script were asked to do, they do."""
 
-import gzip
 import json
+import lzma
 from pathlib import Path
 
 from marl_mm.eval.rows import read_rows
@@ -13,8 +13,8 @@ RESULTS = Path(__file__).resolve().parents[2] / "eval/results"
 def test_the_script_does_what_others_are_to_learn_from_it() -> None:
     """On every task with a block, and on as many goals as these are evaluated on."""
     for task in (source.task for source in BLOCKS):
-        packed = (RESULTS / f"script/{task}.json.gz").read_bytes()
-        (found,) = json.loads(gzip.decompress(packed))
+        packed = (RESULTS / f"script/{task}.json.xz").read_bytes()
+        (found,) = json.loads(lzma.decompress(packed))
         assert found["task"] == task and found["overrides"] == {}
         assert len({row["index"] for row in found["episodes"]}) == 200
         assert sum(row["success"] for row in found["episodes"]) >= 190

@@ -1,10 +1,12 @@
 """The report: one page that a real browser shows without complaint."""
 
 import base64
+import json
 import os
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,15 @@ import numpy as np
 import pytest
 
 from marl_mm.cli import main
+from marl_mm.datasets.arrays import arrays_of
+from marl_mm.datasets.card import card_markdown
+from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.location import locate
+from marl_mm.datasets.provenance import Provenance
+from marl_mm.datasets.storage import write_dataset
+from marl_mm.episode import Episode
 from marl_mm.eval.studies.report import report_page
+from marl_mm.eval.tables import markdown_html
 from marl_mm.eval.video import write_video
 
 RESULTS = Path(__file__).resolve().parents[2] / "eval/results"
@@ -77,6 +87,57 @@ def test_a_browser_shows_it_without_complaint(
     context.close()
 
 
+HOSTILE = (
+    "![t](http://127.0.0.1:9/picture)",
+    "<img src=http://127.0.0.1:9/x onerror=document.title='run'>",
+    "<script>document.title='run'</script>",
+    "[l](javascript:document.title='run')",
+    "<iframe src=http://127.0.0.1:9/frame></iframe>",
+    "<style>@import 'http://127.0.0.1:9/style';</style>",
+)
+"""Names that a stranger may have chosen."""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    BROWSER is None and "CI" not in os.environ,
+    reason="chromium is not installed; CI installs it and fails without",
+)
+def test_a_browser_asks_nobody_and_runs_nothing_for_hostile_names(
+    tmp_path: Path, browser: Any, episodes: list[Episode]
+) -> None:
+    """In the report, and in what a notebook shows of a dataset."""
+    rows = tmp_path / "studies" / "rows" / "x"
+    rows.mkdir(parents=True)
+    names = [*HOSTILE, *(name.replace("[", "a | [") for name in HOSTILE)]
+    table = "".join(f'"{name}"\n' for name in names)
+    (tmp_path / "studies" / "<img src=x onerror=y>.csv").write_text("setting\n" + table)
+    (rows / "a.json").write_text(json.dumps({"name": HOSTILE}))
+    location = locate(str(tmp_path / "gift"))
+    for number, episode in enumerate(episodes):
+        episodes[number] = replace(episode, source=HOSTILE[number % len(HOSTILE)])
+    provenance = Provenance(task="Reach-v0", collector=HOSTILE[0])
+    write_dataset(location, arrays_of(episodes, location.id), provenance)
+    pages = {
+        "report.html": report_page(tmp_path),
+        "notebook.html": load_dataset(location)._repr_html_(),
+        "card.html": markdown_html(card_markdown(load_dataset(location).card())),
+    }
+    page = browser.new_page()
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    for name, text in pages.items():
+        (tmp_path / name).write_text(text)
+        page.goto((tmp_path / name).as_uri())
+        page.wait_for_load_state("networkidle")
+        assert page.title() != "run"
+        assert page.locator("iframe, script").count() == 0
+        assert "onerror=document.title" in page.inner_text("body")
+    outside = [url for url in asked if not url.startswith(("file:", "data:"))]
+    assert outside == []
+    page.close()
+
+
 def test_it_needs_nothing_else(page_file: Path) -> None:
     page = page_file.read_text()
     addresses = re.findall(r'(?:src|href)="([^"]{0,40})', page)
@@ -138,7 +199,7 @@ def test_names_are_text_and_not_html(tmp_path: Path) -> None:
     ("words", "complaint"),
     [
         (["--results", "nothing"], "nothing has no results"),
-        (["--videos", "none.mp4"], "there is no none.mp4"),
+        (["--videos", "none.mp4"], "cannot read none.mp4: No such file"),
         (["--videos", "film.txt"], "neither a picture nor a video"),
     ],
 )

@@ -68,7 +68,7 @@ WIDTHS = Study("TD3+BC by width.", CELLS, PROBES, True)
 FAILS = Study(
     "One of two.",
     [
-        ("good-5k", Setting("huge", "huge", changes={"batch_size": 10**12})),
+        ("good-5k", Setting("huge", "huge", changes={"batch_size": 4321})),
         ("good-5k", settings[0]),
     ],
 )
@@ -341,8 +341,19 @@ def test_a_study_of_ones_own_is_made_once_and_checked(
 
 @pytest.mark.slow
 def test_a_run_that_fails_does_not_stop_the_others(
-    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    own: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    train = Learner.train
+
+    def short_of_memory(learner: Learner, *arguments: Any) -> None:
+        if learner.training.config.batch_size == 4321:
+            raise MemoryError
+        train(learner, *arguments)
+
+    monkeypatch.setattr(Learner, "train", short_of_memory)
     asked = words(own, tmp_path / "runs")
     asked[1] = f"{own}:FAILS"
     assert main(asked) == 1
@@ -456,9 +467,9 @@ class Deadly(Job):
         os._exit(1)
 
 
-def job_of(kind: type[Job], number: int, run: Path) -> Job:
+def job_of(kind: type[Job], run: Path) -> Job:
     learner = Learner(default_training("mabc"), load_dataset("good-5k").location)
-    return kind(str(number), 0, run, learner, (LAST,))
+    return kind(("good-5k", OURS), 0, run, learner, (LAST,))
 
 
 @pytest.mark.slow
@@ -467,7 +478,7 @@ def test_a_run_that_kills_its_process_takes_no_other_along(
 ) -> None:
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2]))  # for the processes
     jobs = [
-        job_of(kind, number, tmp_path / str(number))
+        job_of(kind, tmp_path / str(number))
         for number, kind in enumerate((Done, Deadly, Done, Done))
     ]
     done: list[Job] = []
@@ -476,7 +487,7 @@ def test_a_run_that_kills_its_process_takes_no_other_along(
     assert failed.keys() == {tmp_path / "1"}
     assert "a worker process died" in failed[tmp_path / "1"]
     assert "going on with" in messages[0]
-    assert sorted(job.label for job in done) == ["0", "2", "3"]
+    assert sorted(job.run.name for job in done) == ["0", "2", "3"]
 
 
 def test_a_run_whose_rows_cannot_be_kept_counts_as_failed(tmp_path: Path) -> None:
@@ -484,7 +495,7 @@ def test_a_run_whose_rows_cannot_be_kept_counts_as_failed(tmp_path: Path) -> Non
         raise MarlMmError("other rows")
 
     failed = do_jobs(
-        [job_of(Done, 0, tmp_path)], 1, "local", refuse, lambda text: None, silent_bar
+        [job_of(Done, tmp_path)], 1, "local", refuse, lambda text: None, silent_bar
     )
     assert failed == {tmp_path: "other rows"}
 
