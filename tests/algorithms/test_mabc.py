@@ -292,7 +292,7 @@ def test_damaged_and_missing_checkpoints_are_named(
         ({"layout": fewer}, "expected each of delta_x"),
         ({"layout": narrow}, "goal_z, which the state lacks"),
         ({"layout": {**whole["layout"], "agents": seen}}, "damaged"),
-        ({"layout": 5}, "no layout"),
+        ({"layout": 5}, "layout: int is not a dict"),
         ({"state": {}}, "damaged"),
     ):
         torch.save({**whole, **broken}, tmp_path / FILE)

@@ -276,11 +276,12 @@ import resource, sys, time
 from marl_mm.cli import main
 begin = time.monotonic()
 code = main(sys.argv[1:])
-own, children = (
-    resource.getrusage(who).ru_maxrss / 1024
-    for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+(own,) = (  # not ru_maxrss, which counts the process that started this one
+    int(line.split()[1]) for line in open("/proc/self/status") if "VmHWM" in line
 )
-print(f"|{code} {time.monotonic() - begin:.1f} {max(own, children):.0f}")
+children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+memory = max(own, children) / 1024
+print(f"|{code} {time.monotonic() - begin:.1f} {memory:.0f}", file=sys.stdout)
 """
 
 
