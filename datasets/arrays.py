@@ -266,6 +266,8 @@ def load_arrays(file: Path | IO[bytes], layout: Layout) -> EpisodeArrays:
         _refuse_bomb(file)
         with np.load(file, allow_pickle=False) as values:
             keys = [key for key in values if key.startswith("info/")]
+            if unknown := {*values} - {*keys} - {*_ARRAYS}:
+                raise ValueError(f"unknown arrays {', '.join(sorted(unknown))}")
             info = {key.removeprefix("info/"): values[key] for key in keys}
             arrays = {name: values[name] for name in _ARRAYS}
     except _DAMAGE as error:

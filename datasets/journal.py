@@ -5,10 +5,11 @@ journal holds all episodes that were finished before. It is deleted when the dat
 complete.
 """
 
+import hashlib
 import io
 import json
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,9 @@ from marl_mm.layout import Layout
 from marl_mm.received import check_kind, check_regular, parse_json
 
 FILE = "episodes.sqlite"
+
+_DIGEST = "record_sha256"
+"""Key of the record's checksum."""
 
 
 def begun() -> dict[str, int | None]:
@@ -51,7 +55,14 @@ def _record(text: Any, path: Path) -> dict[str, Any]:
     value = parse_json(text, str(path), DatasetError)
     check_kind(value, dict[str, Any], str(path), DatasetError)
     record: dict[str, Any] = value
+    if record.pop(_DIGEST, None) not in (None, _digest(record)):  # version 1 has none
+        raise DatasetError(f"{path} is damaged: its record is not as it was written")
     return record
+
+
+def _digest(record: Mapping[str, Any]) -> str:
+    text = json.dumps(record, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _asked(folder: Path, question: str) -> Any:
@@ -119,7 +130,10 @@ class Journal:
         """Store the record of the collection, and keep the episodes."""
         with self._errors(), self._file:
             self._file.execute("delete from about")
-            self._file.execute("insert into about values (?)", [json.dumps(about)])
+            text = json.dumps(
+                {**about, _DIGEST: _digest(json.loads(json.dumps(about)))}
+            )
+            self._file.execute("insert into about values (?)", [text])
 
     def add(self, episode: Episode) -> None:
         """Store an episode; when this returns, it is on the disk."""
@@ -145,10 +159,10 @@ class Journal:
         with self._errors():
             rows = self._file.execute("select number, npz from episodes").fetchall()
         try:
-            return {
-                int(number): load_arrays(io.BytesIO(blob), layout).episode(0)
-                for number, blob in rows
-            }
+            episodes = [load_arrays(io.BytesIO(blob), layout) for _, blob in rows]
+            if [int(e.indices[0]) for e in episodes] != [number for number, _ in rows]:
+                raise ValueError("an episode of another number")
+            return {int(arrays.indices[0]): arrays.episode(0) for arrays in episodes}
         except (DatasetError, TypeError, ValueError) as error:
             raise DatasetError(
                 f"an episode in {self._path} is damaged: start anew with "
