@@ -31,7 +31,6 @@ from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.study import cell_name
 from marl_mm.eval.studies.targets import STUDIES
 from marl_mm.received import is_printable
-from marl_mm.workers import apart
 
 SHARES = {
     "dataset": 0.25,
@@ -130,9 +129,8 @@ def test_mutations_are_refused_or_harmless(
     assert any(trial.outcome == "refused" for trial in tried)
 
 
-def commands(arguments: tuple[Path, Path]) -> list[str]:
-    """What commands say of a file, and what is wrong with that."""
-    path, scratch = arguments
+def commands(path: Path, scratch: Path) -> list[str]:
+    """Faults in what commands say of a file."""
     words = {
         "dataset": [
             ["datasets", "show", str(path)],
@@ -173,7 +171,7 @@ def test_commands_meet_mutations_with_a_line(
         about = mutate(copy, np.random.default_rng([7, number])).about
         scratch = tmp_path / f"out-{number}"
         scratch.mkdir()
-        assert apart(commands, (copy, scratch), 30.0) == [], about
+        assert commands(copy, scratch) == [], about
 
 
 # --- Checkpoints -------------------------------------------------------------
