@@ -1,6 +1,7 @@
 """A function over many items, in this process or in several."""
 
 import os
+import pickle
 import threading
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -163,9 +164,12 @@ class Workers:
         self, function: Callable[[T], R], items: Iterable[T]
     ) -> list[Future[R]]:
         assert self._pool is not None
+        # Pickled here: the pool's own thread meets an item that cannot be pickled, and
+        # a pool that is closed meanwhile waits for that item forever.
+        packed = [pickle.dumps((function, item)) for item in items]
         # Workers start here, and inherit the signal mask.
         with deaf_to_interrupts(), _dead_servers_named():
-            return [self._pool.submit(function, item) for item in items]
+            return [self._pool.submit(_call, each) for each in packed]
 
 
 def apart(function: Callable[[T], R], item: T, seconds: float) -> R:
@@ -253,6 +257,11 @@ def _begin(
     _live_in(environment)
     if initializer is not None:
         initializer(*arguments)
+
+
+def _call(packed: bytes) -> Any:
+    function, item = pickle.loads(packed)
+    return function(item)
 
 
 def _live_in(environment: dict[str, str]) -> None:

@@ -64,6 +64,7 @@ def test_all_commands_are_offered_and_all_have_options(script: Path) -> None:
         assert "--help" in completed(script, f"marl-mm {command} --"), command
 
 
+@pytest.mark.usefixtures("registries")
 def test_what_a_plugin_adds_is_completed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

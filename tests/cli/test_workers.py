@@ -126,3 +126,17 @@ def test_results_come_in_order_or_as_they_are_ready() -> None:
             list(pool.completed(partial(divmod, 1), [1, 0]))
         with pytest.raises(WorkerDiedError, match="fewer `workers`"):
             list(pool.completed(os._exit, [1]))
+
+
+class Unsendable:
+    """It takes a while to see that it cannot go to another process."""
+
+    def __reduce__(self) -> str:
+        time.sleep(0.1)
+        raise TypeError("stays here")
+
+
+def test_a_pool_ends_when_its_items_cannot_be_sent() -> None:
+    """Closing it while later items are looked at would wait for them forever."""
+    with Workers(2) as pool, pytest.raises(TypeError, match="stays here"):
+        list(pool.map(id, [Unsendable() for _ in range(8)]))
