@@ -1,6 +1,7 @@
 """Settings of simulation and camera; independent of the engine."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -10,9 +11,21 @@ RATE = 240
 """Simulation steps and controller ticks per second (paper, Sec. 4.1)."""
 
 
+Engine = Literal["bullet", "mujoco"]
+
+ENGINES: dict[Engine, tuple[str, str]] = {
+    "bullet": ("pybullet", "pybullet"),
+    "mujoco": ("mujoco-core", "mujoco"),
+}
+"""Package, and module in it, of each engine."""
+
+
 @dataclass(frozen=True)
 class SimulationConfig:
-    """Settings of solver, motors and contacts."""
+    """Engine, and settings of its solver, motors and contacts."""
+
+    engine: Engine = "bullet"
+    """Engine of the simulation: "bullet" or "mujoco"; the paper has PyBullet."""
 
     solver_iterations: int = 20
     """Iterations of the contact solver; 10, 20 and 50 agree to 0.1 mm."""
@@ -39,6 +52,12 @@ class SimulationConfig:
 
     spinning_friction: float = 0.002
     """Spinning friction of pads and blocks about the normal [m]: pads are patches."""
+
+    def __post_init__(self) -> None:
+        if self.engine not in ENGINES:
+            raise UsageError(
+                f"simulation.engine is {self.engine!r}, expected {' or '.join(ENGINES)}"
+            )
 
 
 @dataclass(frozen=True)
