@@ -100,8 +100,8 @@ def _run(words: list[str]) -> int:
         return 0
     words, sources = _without_plugins(words)
     if words[:1] and words[0] not in (*COMMANDS, *LISTS, COMPLETION):
-        known = ", ".join((*COMMANDS, *LISTS))
-        raise UsageError(f"unknown command {words[0]!r}, expected one of {known}")
+        choices = ", ".join((*COMMANDS, *LISTS))
+        raise UsageError(f"unknown command {words[0]!r}, expected one of {choices}")
     if sources:
         from marl_mm.plugins import load_all
 

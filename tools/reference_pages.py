@@ -197,8 +197,8 @@ def _online_rows() -> list[Row]:
     for row in read_rows(RESULTS / "studies/online.csv"):
         source, setting = CELLS[row["setting"]]
         if setting.library == "marl_mm":
-            own = {"algorithm": setting.algorithm, "about": setting.about}
-            rows.append({**row, **own, "task": source.task})
+            columns = {"algorithm": setting.algorithm, "about": setting.about}
+            rows.append({**row, **columns, "task": source.task})
     return rows
 
 

@@ -36,7 +36,7 @@ from marl_mm.eval.bench.tables import (
 )
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies.alpha import worth_table as alpha_worth_table
-from marl_mm.eval.studies.ours import BLOCKS
+from marl_mm.eval.studies.offline import BLOCKS
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.table import CRITICS, IQM, RETURN, Table
 from marl_mm.eval.studies.targets import STUDIES

@@ -156,8 +156,8 @@ def _benchmarks(results: Path) -> Iterator[Section]:
             key = name.replace("/", "-")
             yield Section(key, title, f"marl-mm bench {target}", text)
     abuse = sorted(results.glob("controller/abuse-*.json"))
-    if found := {p.stem[len("abuse-") :]: read_json(p, UsageError) for p in abuse}:
-        text = _html(abuse_table(found))
+    if reports := {p.stem[len("abuse-") :]: read_json(p, UsageError) for p in abuse}:
+        text = _html(abuse_table(reports))
         command = "marl-mm bench abuse --ticks 1000000"
         yield Section("abuse", "Limits under abuse", command, text)
 

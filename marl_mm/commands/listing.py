@@ -77,9 +77,9 @@ def _changed(task: Any) -> Row:
     return dict(_changed_fields(usual, config_dict(task)))
 
 
-def _changed_fields(usual: Any, own: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in own.items():
+def _changed_fields(base: Any, task: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in task.items():
         if isinstance(value, dict):
-            yield from _changed_fields(usual[name], value, f"{path}{name}.")
-        elif value != usual[name]:
+            yield from _changed_fields(base[name], value, f"{path}{name}.")
+        elif value != base[name]:
             yield f"{path}{name}", value
