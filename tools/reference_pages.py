@@ -246,7 +246,7 @@ def _tasks_index() -> str:
         (f"[{name}]({name}.md)", WHAT[name], str(task.max_steps), _sizes(task))
         for name, task in TASKS.items()
     ]
-    header = ("task", "what there is to do", "steps", "state, action")
+    header = ("task", "aim", "steps", "state, action")
     return (
         "# Tasks\n\nSix tasks of one robot, each a Gymnasium goal environment "
         "`marl_mm/TASK` and a PettingZoo parallel one, `parallel_env(TASK)`. "

@@ -205,10 +205,10 @@ _NOT_CURED = ("dataset", _PAPER, _DIFFERENCE, "d_mm [m]", "d_mp [m]", "alpha")
 
 
 def _commands() -> str:
-    """The commands, and those that list what there is."""
+    """The commands, and those that list what is registered."""
     lines = [(f"`marl-mm {name}`", about) for name, about in COMMANDS.items()]
     lists = ", ".join(f"`{name}`" for name in LISTS)
-    lines.append((lists, "what there is of a kind, and where it comes from"))
+    lines.append((lists, "list what is registered, and where it comes from"))
     return markdown_table(("command", "what it does"), lines)
 
 

@@ -29,8 +29,8 @@ def missing_jobs(
     """Jobs of the cells of some studies without rows, each cell once; some may be done.
 
     Raises:
-        UsageError: If two settings share a name, or a dataset is not there and nobody
-            knows how to make it.
+        UsageError: If two settings share a name, or a dataset is missing and
+            has no source to make it from.
         OtherConfigError: If there are rows or runs that were made with something else.
     """
     jobs: list[Job] = []

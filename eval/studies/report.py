@@ -69,7 +69,7 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
     """The page.
 
     Args:
-        results: Folder with what there is of ``studies``, ``alpha``, ``controller``,
+        results: Folder with any of ``studies``, ``alpha``, ``controller``,
             ``data``, ``offline`` and ``online``; or of runs, with results in
             ``studies``.
         videos: Files of films to show.

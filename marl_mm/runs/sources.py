@@ -158,7 +158,7 @@ class Datasets:
         """A dataset; what is missing of it is made.
 
         Raises:
-            UnknownDatasetError: If there is none, and nobody knows how to make it.
+            UnknownDatasetError: If there is none, and no source to make it from.
             OtherConfigError: If another collection has its name.
             KeyboardInterrupt: After Ctrl-C; the same call goes on.
         """

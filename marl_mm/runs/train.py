@@ -35,7 +35,7 @@ def train(
         dataset: Dataset to learn from, its id or its path; none for an algorithm that
             learns from episodes of its own, which takes ``demonstrations``.
         out: Folder of the runs: seed s goes to ``out/s``; default ``runs/ALGORITHM``.
-        seeds: Seeds of the runs; default 0, or when resuming those that there are.
+        seeds: Seeds of the runs; default 0, or when resuming those that exist.
         preset: Preset of hyper-parameters; default tuned.
         config: Hyper-parameters in place of the preset's.
         progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
