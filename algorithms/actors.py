@@ -39,7 +39,7 @@ class AgentActor:
         """Pickle by value: torch would share weights that go on learning."""
         return _revived, (self.layout, pickle.dumps(self.actor))
 
-    def own(self, state: torch.Tensor) -> torch.Tensor:
+    def observed(self, state: torch.Tensor) -> torch.Tensor:
         """Agent's observations of joint states, shapes (..., n) to (..., d)."""
         if self._sees_all and len(self._entries) == state.shape[-1]:
             return state
@@ -87,7 +87,7 @@ def actors_from(states: Mapping[str, Any], layout: Layout) -> dict[str, AgentAct
 
 def joint_action(agents: Mapping[str, AgentActor], state: torch.Tensor) -> torch.Tensor:
     """All actors' actions at joint states, shapes (m, n) to (m, k), in [-1, 1]."""
-    parts = [agent.actor(agent.own(state)) for agent in agents.values()]
+    parts = [agent.actor(agent.observed(state)) for agent in agents.values()]
     joined = torch.cat(parts, dim=-1)
     order = in_order(agent.layout for agent in agents.values())
     return joined if order is None else joined[..., order]

@@ -99,7 +99,7 @@ def read_checkpoint(path: Path, algorithm: str | None = None) -> dict[str, Any]:
     """
     file = path / FILE if path.is_dir() else path
     if not file.exists():
-        runs = sorted(found.parent for found in path.glob(f"*/{FILE}"))
+        runs = sorted(other.parent for other in path.glob(f"*/{FILE}"))
         meant = f"; did you mean {runs[0]}?" if runs else ""
         raise UsageError(
             f"no checkpoint at {file}, expected a run folder made by marl-mm train"

@@ -62,7 +62,7 @@ class DdpgConfig:
 
     layer_norm: bool = True
     """Whether the critic's hidden layers are normalised, so that values of actions
-    nobody has tried stay in bounds (Ball 2023)."""
+    that were never tried stay in bounds (Ball 2023)."""
 
     action_penalty: float = 0.5
     """Weight of the mean square action in the actor's loss; it draws alpha to 0.5,

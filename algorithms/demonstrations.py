@@ -29,11 +29,11 @@ class Demonstrations:
         kinds = (True, successes), (False, 1 - successes)
         self._parts: list[tuple[Replay, float]] = []
         for success, share in kinds:
-            own = [episode for episode in episodes if episode.success == success]
-            if own:
-                size = sum(map(len, own))
-                replay = Replay(size, hindsight, judge, own[0].layout)
-                for episode in own:
+            subset = [episode for episode in episodes if episode.success == success]
+            if subset:
+                size = sum(map(len, subset))
+                replay = Replay(size, hindsight, judge, subset[0].layout)
+                for episode in subset:
                     replay.add(episode)
                 self._parts.append((replay, share))
         if len(self._parts) == 1:  # one kind only

@@ -116,8 +116,8 @@ def exported_metadata(path: Path) -> dict[str, Any]:
     """
     forms = [(name, f) for name, f in POLICY_FORMATS.items() if f.suffix == path.suffix]
     if not forms:
-        known = ", ".join(form.suffix for _, form in POLICY_FORMATS.items())
-        raise UsageError(f"{path} ends in {path.suffix!r}, expected {known}")
+        suffixes = ", ".join(form.suffix for _, form in POLICY_FORMATS.items())
+        raise UsageError(f"{path} ends in {path.suffix!r}, expected {suffixes}")
     ((name, form),) = forms
     _refuse_missing(name, form)
     check_regular(path, ExportError)
@@ -161,13 +161,13 @@ class _Exported(nn.Module):
         self._actors = nn.ModuleList(agent.actor for agent in self._agents)
         self.requires_grad_(False)
         layout = self._layout = policy.layout
-        own_layouts = [agent.layout for agent in self._agents]
-        entries = [i for layout in own_layouts for i in layout.action]
-        self._order = None if self._alone else in_order(own_layouts)
+        layouts = [agent.layout for agent in self._agents]
+        entries = [i for layout in layouts for i in layout.action]
+        self._order = None if self._alone else in_order(layouts)
         if self._order is not None:
             entries = [entries[i] for i in self._order]
-        own = self._agents[0].layout.observation
-        seen = own if self._alone else range(len(layout.state))
+        observation = self._agents[0].layout.observation
+        seen = observation if self._alone else range(len(layout.state))
         self.metadata: dict[str, Any] = {
             "layout": layout.to_json(),
             "observation": [layout.state_names[i] for i in seen],
@@ -178,14 +178,14 @@ class _Exported(nn.Module):
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         parts = [
-            agent.scale.denormalize(agent.actor(self._own(agent, observation)))
+            agent.scale.denormalize(agent.actor(self._observed(agent, observation)))
             for agent in self._agents
         ]
         joined = torch.cat(parts, dim=-1)
         return joined if self._order is None else joined[..., self._order]
 
-    def _own(self, agent: AgentActor, observation: torch.Tensor) -> torch.Tensor:
-        return observation if self._alone else agent.own(observation)
+    def _observed(self, agent: AgentActor, observation: torch.Tensor) -> torch.Tensor:
+        return observation if self._alone else agent.observed(observation)
 
     def some(self, count: int) -> torch.Tensor:
         """Observations around those that the actors were trained on."""
@@ -198,14 +198,14 @@ class _Exported(nn.Module):
             std[entries] = agent.actor.normalizer.std
         draws = torch.from_numpy(rng.standard_normal((count, width), np.float32))
         states = mean + 2 * std * draws
-        return self._agents[0].own(states) if self._alone else states
+        return self._agents[0].observed(states) if self._alone else states
 
     def expected(self, observations: torch.Tensor) -> np.ndarray:
         """Actions, one observation at a time, as in an episode."""
         rows = []
         for row in observations:
-            own = [a.act(self._own(a, row).numpy()) for a in self._agents]
-            joined = np.concatenate(own)
+            actions = [a.act(self._observed(a, row).numpy()) for a in self._agents]
+            joined = np.concatenate(actions)
             rows.append(joined if self._order is None else joined[self._order])
         return np.array(rows)
 

@@ -156,7 +156,7 @@ class WandbLogger:
         wandb.setup(settings=settings)
         before = [*run.glob("wandb/*/run-*.wandb")] if rows else []
         # Given none, it would take that of the process's last run.
-        own = before[0].stem.removeprefix("run-") if before else token_hex(4)
+        run_id = before[0].stem.removeprefix("run-") if before else token_hex(4)
         config = run / "config.json"
         self._clock = clock
         try:
@@ -165,7 +165,7 @@ class WandbLogger:
                 dir=run,
                 group=run.parent.name or None,
                 name=f"{run.parent.name}/{run.name}",
-                id=own,
+                id=run_id,
                 resume="allow" if before else None,
                 config=json.loads(config.read_text()) if config.exists() else None,
                 reinit="create_new",  # several seeds of a process side by side

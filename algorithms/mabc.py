@@ -32,8 +32,8 @@ class Mabc(OfflineLearner):
         state = self.normalizer(batch.observation)
         losses = {}
         for agent in self.layouts:
-            own = self.actors.own(agent.name, state)
-            error = (own - batch.action[..., columns(agent.action)]).square()
+            action = self.actors.action(agent.name, state)
+            error = (action - batch.action[..., columns(agent.action)]).square()
             loss = error.mean(dim=(1, 2))
             self.actors.descend(agent.name, loss)
             losses[f"loss/{agent.name}"] = loss.detach()

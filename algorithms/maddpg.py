@@ -37,11 +37,11 @@ class Maddpg(Ddpg):
     def _agent_loss(self, name: str, batch: Batch) -> torch.Tensor:
         """Loss of one agent while the others act as they did."""
         agent = self.agents[name]
-        own: torch.Tensor = agent.actor(agent.own(batch.observation))
+        output: torch.Tensor = agent.actor(agent.observed(batch.observation))
         action = batch.action.clone()
-        action[:, list(agent.layout.action)] = own
+        action[:, list(agent.layout.action)] = output
         value = self.critic(batch.observation, action)
         loss: torch.Tensor = -value.mean()
         # Together as much as of all at once.
-        share = own.shape[-1] / len(self.layout.action)
-        return loss + self.config.action_penalty * share * own.square().mean()
+        share = output.shape[-1] / len(self.layout.action)
+        return loss + self.config.action_penalty * share * output.square().mean()

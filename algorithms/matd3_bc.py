@@ -41,9 +41,9 @@ class Matd3Bc(Td3Bc):
         for number, agent in enumerate(self.layouts):
             entries = columns(agent.action)
             pair = number if self.config.critics == "own" else 0
-            own = self.actors.own(agent.name, state)
+            output = self.actors.action(agent.name, state)
             action = (now if self.config.others == "policy" else batch.action).clone()
-            action[..., entries] = own
+            action[..., entries] = output
             value = self.critics.first(state, action, pair)
             error = self._imitation.error(action, state, batch, value, entries, pair)
             loss = error - self._lambda(value) * value.mean(dim=1)

@@ -93,8 +93,8 @@ class OfflineBatches:
         self._end = np.repeat(np.cumsum(arrays.lengths), arrays.lengths)
         """Row after the last step of each step's episode."""
 
-        known = all(np.isfinite(values).all() for values in self._terms.values())
-        if any(shares) and not known:
+        finite = all(np.isfinite(values).all() for values in self._terms.values())
+        if any(shares) and not finite:
             raise UsageError(
                 f"the dataset lacks {', '.join(judge.needs)} of some steps, which "
                 "rewards for other goals depend on: set `future` to 0, and `elsewhere` "

@@ -62,8 +62,8 @@ class OfflineLearner:
 
     def state(self, number: int) -> dict[str, Any]:
         """State of one seed, with which it acts and resumes bit-equally."""
-        own = parts_state(self._parts, number)
-        return {"step": self.step, **own, "batches": self._batches.state(number)}
+        parts = parts_state(self._parts, number)
+        return {"step": self.step, **parts, "batches": self._batches.state(number)}
 
     def load_states(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Continue all seeds from their ``state``."""

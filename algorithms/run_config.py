@@ -54,11 +54,11 @@ class RunConfig:
         Raises:
             CheckpointError: If a field is missing, or of another type.
         """
-        known = {field.name for field in fields(cls)} - {"settings"}
-        rest = {name: value for name, value in values.items() if name not in known}
-        own = {name: value for name, value in values.items() if name in known}
+        names = {field.name for field in fields(cls)} - {"settings"}
+        rest = {name: value for name, value in values.items() if name not in names}
+        arguments = {name: value for name, value in values.items() if name in names}
         try:
-            record = cls(settings=rest, **own)
+            record = cls(settings=rest, **arguments)
         except TypeError as error:
             raise CheckpointError(f"config.json: {error}") from error
         for name, kind in get_type_hints(cls).items():

@@ -57,14 +57,14 @@ class SeededActors:
         self.networks = {name: Ensemble(m, device) for name, m in members.items()}
         self._learners = {n: Learner(net, rate) for n, net in self.networks.items()}
 
-    def own(self, name: str, state: torch.Tensor) -> torch.Tensor:
+    def action(self, name: str, state: torch.Tensor) -> torch.Tensor:
         """One agent's actions in [-1, 1], shape (S, B, k)."""
         entries = columns(self._layouts[name].observation)
         return torch.tanh(self.networks[name](state[..., entries]))
 
     def joint(self, state: torch.Tensor) -> torch.Tensor:
         """All agents' actions, shape (S, B, k)."""
-        joined = torch.cat([self.own(n, state) for n in self._layouts], dim=-1)
+        joined = torch.cat([self.action(n, state) for n in self._layouts], dim=-1)
         return joined if self._order is None else joined[..., self._order]
 
     def descend(self, name: str, loss: torch.Tensor) -> None:
@@ -90,15 +90,15 @@ class SeededActors:
 
     def agents(self, number: int) -> dict[str, AgentActor]:
         """Actors of one seed on the CPU, with their input statistics."""
-        found = {}
+        actors = {}
         for name, layout in self._layouts.items():
             entries = list(layout.observation)
             mean, std = self._normalizer.mean.cpu(), self._normalizer.std.cpu()
             normalizer = Normalizer(mean[entries], std[entries])
             actor = Actor(normalizer, len(layout.action), self._hidden)
             actor.layers.load_state_dict(self.networks[name].member(number))
-            found[name] = AgentActor(layout, actor)
-        return found
+            actors[name] = AgentActor(layout, actor)
+        return actors
 
     def state(self, number: int) -> dict[str, Any]:
         """State of one seed's actors, with their input statistics."""
@@ -203,8 +203,8 @@ class SeededCritics:
 
     def load_state(self, number: int, state: Sequence[Any]) -> None:
         """Load one seed's critics from a ``state``."""
-        for i, own in zip(self._members(number), state, strict=True):
-            self.networks.load_member(i, own)
+        for i, values in zip(self._members(number), state, strict=True):
+            self.networks.load_member(i, values)
 
     def learner_state(self, number: int) -> list[Any]:
         """State of the learner for one seed's critics."""
@@ -212,8 +212,8 @@ class SeededCritics:
 
     def load_learner_state(self, number: int, state: Sequence[Any]) -> None:
         """Load the learner for one seed's critics from a ``learner_state``."""
-        for i, own in zip(self._members(number), state, strict=True):
-            self._learner.load_member(i, own)
+        for i, values in zip(self._members(number), state, strict=True):
+            self._learner.load_member(i, values)
 
     def _members(self, number: int) -> range:
         return range(number * self._each, (number + 1) * self._each)

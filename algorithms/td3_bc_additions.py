@@ -44,9 +44,9 @@ class Imitation:
         device: str,
     ) -> None:
         self._imitate, self._critics = config.imitate, critics
-        own = dict(zip(WEIGHTED, config.imitation_weights, strict=True))
+        by_name = dict(zip(WEIGHTED, config.imitation_weights, strict=True))
         names = arrays.layout.action_names
-        weights = torch.tensor([own.get(name, 1.0) for name in names])
+        weights = torch.tensor([by_name.get(name, 1.0) for name in names])
         weights = weights / weights.mean()
         if config.imitation_scaled:
             actions = torch.from_numpy(
@@ -62,7 +62,7 @@ class Imitation:
         state: torch.Tensor,
         batch: OfflineBatch,
         value: torch.Tensor,
-        own: slice | list[int] = slice(None),
+        entries: slice | list[int] = slice(None),
         pair: int = 0,
     ) -> torch.Tensor:
         """Weighted mean square over the actions that are imitated, shape (S,).
@@ -75,7 +75,7 @@ class Imitation:
             state: Normalised joint states, shape (S, B, d).
             batch: Transitions to imitate.
             value: First critic's value of ``action``, shape (S, B).
-            own: Entries that the agent sets.
+            entries: Entries that the agent sets.
             pair: Number of the agent's pair of critics.
         """
         imitated = batch.imitated
@@ -84,9 +84,9 @@ class Imitation:
         elif self._imitate == "better":
             with torch.no_grad():
                 other = action.clone()
-                other[..., own] = batch.action[..., own]
+                other[..., entries] = batch.action[..., entries]
                 taken = self._critics.first(state, other, pair)
             imitated = imitated * (taken > value.detach())
-        squares = (action[..., own] - batch.action[..., own]).square()
-        errors = (squares * self.weights[own]).mean(dim=2) * imitated
+        squares = (action[..., entries] - batch.action[..., entries]).square()
+        errors = (squares * self.weights[entries]).mean(dim=2) * imitated
         return errors.sum(dim=1) / imitated.sum(dim=1).clamp_min(1)

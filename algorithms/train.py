@@ -246,9 +246,9 @@ def _state(
     algorithm: Resumable | OfflineAlgorithm, run: Path, ignored: Sequence[str]
 ) -> dict[str, Any]:
     checkpoint = read_checkpoint(run, algorithm.name)
-    mine = asdict(algorithm.config)
+    current = asdict(algorithm.config)
     for name in ignored:
-        del mine[name]
-    refuse_other_config(run, checkpoint["config"], mine)
+        del current[name]
+    refuse_other_config(run, checkpoint["config"], current)
     state: dict[str, Any] = checkpoint["state"]
     return state

@@ -44,7 +44,7 @@ def collect(
     steps: int,
     seed: int,
     advance: Advance = silent,
-    known: Mapping[int, Episode | None] | None = None,
+    earlier_attempts: Mapping[int, Episode | None] | None = None,
     keep_safe: Callable[[Episode], None] = lambda episode: None,
 ) -> Collection:
     """Collect whole episodes until they have ``steps`` steps, or until Ctrl-C.
@@ -56,7 +56,7 @@ def collect(
         steps: Least number of steps of the kept episodes.
         seed: Seed of the collection.
         advance: Function that is called with the kept steps.
-        known: Attempts that were made before, by number; None for rejected attempts.
+        earlier_attempts: Attempts made before, by number; None for a rejected one.
         keep_safe: Function that is called with each new attempt when it is finished.
 
     Raises:
@@ -67,17 +67,17 @@ def collect(
         raise UsageError(f"steps is {steps}, expected >= 1")
     if seed < 0:
         raise UsageError(f"seed is {seed}, expected >= 0")
-    known = known or {}
+    earlier_attempts = earlier_attempts or {}
     plans = (
         EpisodePlan(i, episode_seed(seed, i, "collect"))
         for i in count()
-        if i not in known
+        if i not in earlier_attempts
     )
     attempts = run(policy, plans)
     kept: list[Episode] = []
     done = rejected = tried = 0
     try:
-        for episode in _in_order(attempts, known, keep_safe):
+        for episode in _in_order(attempts, earlier_attempts, keep_safe):
             tried += 1
             if episode is not None and keeps(episode):
                 kept.append(episode)
@@ -102,14 +102,14 @@ def collect(
 
 def _in_order(
     attempts: Iterator[Episode],
-    known: Mapping[int, Episode | None],
+    earlier_attempts: Mapping[int, Episode | None],
     keep_safe: Callable[[Episode], None],
 ) -> Iterator[Episode | None]:
     """Attempts 0, 1, ... in order; new ones may finish in any order."""
     waiting: dict[int, Episode] = {}
     for number in count():
-        if number in known:
-            yield known[number]
+        if number in earlier_attempts:
+            yield earlier_attempts[number]
             continue
         while number not in waiting:
             episode = next(attempts)

@@ -118,9 +118,9 @@ def problems(
     Raises:
         DatasetError: If the dataset does not say where its episodes come from.
     """
-    found = []
+    lines = []
     for number, difference in enumerate(replay(dataset, workers)):
         advance(1, "")
         if difference is not None:
-            found.append(f"episode {number}: {difference}")
-    return found
+            lines.append(f"episode {number}: {difference}")
+    return lines

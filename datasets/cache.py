@@ -48,8 +48,8 @@ class Entry:
 
 def cache_folder() -> Path:
     """Folder of the cache, whether it exists or not."""
-    if own := os.environ.get(FOLDER_VARIABLE):
-        return Path(own) / "datasets"
+    if folder := os.environ.get(FOLDER_VARIABLE):
+        return Path(folder) / "datasets"
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "marl_mm" / "datasets"
 

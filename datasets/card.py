@@ -36,19 +36,19 @@ def card(dataset: "Dataset") -> dict[str, Any]:
     equal width from ``low`` to ``high``.
     """
     arrays = dataset.arrays
-    ours = dataset.metadata["marl_mm"]
+    record = dataset.metadata["marl_mm"]
     ahead, successes = arrays.ahead(), arrays.successes()
     ways = {"all": slice(None)} if ahead is None else _ways(ahead)
     return {
         "id": dataset.metadata["dataset_id"],
         "path": str(dataset.location.folder),
-        "task": ours["task"],
-        "collector": ours.get("collector"),
-        "seed": ours.get("seed"),
-        "complete": ours.get("complete"),
-        "recipe": ours.get("recipe"),
-        "attempts": ours.get("attempts"),
-        "rejected": _rejected(ours),
+        "task": record["task"],
+        "collector": record.get("collector"),
+        "seed": record.get("seed"),
+        "complete": record.get("complete"),
+        "recipe": record.get("recipe"),
+        "attempts": record.get("attempts"),
+        "rejected": _rejected(record),
         "steps": arrays.steps,
         "episodes": len(arrays),
         "success": {name: _share(successes[chosen]) for name, chosen in ways.items()},
@@ -95,13 +95,13 @@ def keep_card(dataset: "Dataset") -> dict[str, Any]:
     values = card(dataset)
     kept = _without_path(values)
     folder = dataset.location.folder
-    known = folder / "card.json"
+    path = folder / "card.json"
     if all((folder / f"card.{kind}").exists() for kind in ("json", "md", "png")):
         with suppress(DatasetError):
-            if read_json(known, DatasetError) == kept:
+            if read_json(path, DatasetError) == kept:
                 return values
     try:
-        write_json(known, kept)
+        write_json(path, kept)
         write_card(dataset, values, folder / "card")
     except OSError:  # somebody else's folder, or a full disk
         pass
@@ -204,10 +204,10 @@ def bars(counts: list[int]) -> str:
     return "".join(" ▁▂▃▄▅▆▇█"[-(-8 * count // top)] for count in counts)
 
 
-def _rejected(ours: dict[str, Any]) -> int | None:
+def _rejected(record: dict[str, Any]) -> int | None:
     """Number of episodes that were run and not kept; None of mixes."""
-    attempts = ours.get("attempts")
-    return None if attempts is None else attempts - int(ours["episodes"])
+    attempts = record.get("attempts")
+    return None if attempts is None else attempts - int(record["episodes"])
 
 
 def _share(successes: np.ndarray) -> dict[str, Any]:

@@ -42,14 +42,14 @@ def catalogue() -> list[dict[str, Any]]:
 
 def _row(name: str) -> dict[str, Any]:
     try:
-        ours = read_metadata(Location(name, datasets_root() / name))["marl_mm"]
+        record = read_metadata(Location(name, datasets_root() / name))["marl_mm"]
     except MarlMmError as error:
         return {"id": name, "steps": None, "episodes": None, "note": str(error)}
     return {
         "id": name,
-        "steps": ours["steps"],
-        "episodes": ours["episodes"],
-        "note": "" if ours.get("complete") else "of a collection that was stopped",
+        "steps": record["steps"],
+        "episodes": record["episodes"],
+        "note": "" if record.get("complete") else "of a collection that was stopped",
     }
 
 

@@ -163,10 +163,10 @@ def _read(arguments: tuple[Path, str, str]) -> EpisodeArrays:
     task = make_task(name)
     with open_hdf5(path) as file:
         forms = [form for _, form in reversed(IMPORTS.items()) if form.fits(file)]
-        theirs = _layout(_metadata(path, file))
-        if theirs is not None:
+        layout = _layout(_metadata(path, file))
+        if layout is not None:
             agents = forms[0].by_agent
-            refuse_other_layout("its data", theirs, name, task.layout, agents)
+            refuse_other_layout("its data", layout, name, task.layout, agents)
         episodes = forms[0].episodes(path, file, task.layout, list(task.info))
     return arrays_of(episodes, dataset_id)
 
@@ -177,8 +177,8 @@ def _metadata(path: Path, file: Any) -> Mapping[str, Any]:
         return dict(file.attrs)
     beside = path.parent / "metadata.json"
     metadata = read_json(beside, DatasetError) if beside.exists() else None
-    ours = metadata.get("marl_mm") if isinstance(metadata, dict) else None
-    return ours if isinstance(ours, dict) else {}
+    record = metadata.get("marl_mm") if isinstance(metadata, dict) else None
+    return record if isinstance(record, dict) else {}
 
 
 def _layout(metadata: Mapping[str, Any]) -> Layout | None:
@@ -287,13 +287,13 @@ def _built(
     """An episode in our types; step numbers that the file lacks are NaN."""
     states = states.astype(np.float64)
     way = states[1:, layout.achieved] - states[1:, layout.goal]
-    known = {
+    derived = {
         "distance": np.linalg.norm(way, axis=1),
         "is_success": terminated,
     }
     unknown = np.full(len(rewards), np.nan)
     measured = {
-        key: known.get(key, unknown)
+        key: derived.get(key, unknown)
         if value is None or value.shape != rewards.shape
         else value
         for key, value in info.items()

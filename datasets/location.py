@@ -94,8 +94,8 @@ def find(text: str) -> Location:
 def known_ids() -> list[str]:
     """Ids of all datasets below the datasets' root, sorted."""
     root = datasets_root()
-    found = root.glob("**/data/metadata.json") if root.exists() else []
-    folders = (path.parent.parent.relative_to(root) for path in found)
+    files = root.glob("**/data/metadata.json") if root.exists() else []
+    folders = (path.parent.parent.relative_to(root) for path in files)
     return sorted(f.as_posix() for f in folders if not f.name.startswith("."))
 
 

@@ -32,8 +32,8 @@ def main() -> None:
     metadata = read_metadata(location)
     with new_file(ARRAYS) as temporary:
         save_arrays(temporary, read_arrays(location, metadata), compress=True)
-    ours = metadata["marl_mm"].items()
-    write_json(DESCRIPTION, {k: v for k, v in ours if k not in _DERIVED})
+    record = metadata["marl_mm"].items()
+    write_json(DESCRIPTION, {k: v for k, v in record if k not in _DERIVED})
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ OWN_FILES = (
 of version 1 and ignored."""
 
 _MINARI: dict[str, Any] = {"dataset_id": str, "total_episodes": int, "total_steps": int}
-_OURS: dict[str, Any] = {
+_MARL_MM: dict[str, Any] = {
     "data_sha256": str,
     "episodes": int,
     "steps": int,
@@ -70,32 +70,32 @@ def read_metadata(location: Location) -> dict[str, Any]:
     refuse_links_out(location.folder, OWN_FILES, DatasetError)
     path = location.data / "metadata.json"
     metadata: dict[str, Any] = read_json(path, DatasetError)
-    ours = metadata.get("marl_mm") if isinstance(metadata, dict) else None
-    schema = ours.get("schema") if isinstance(ours, dict) else None
-    if not isinstance(ours, dict) or schema not in (2, SCHEMA):
+    record = metadata.get("marl_mm") if isinstance(metadata, dict) else None
+    schema = record.get("schema") if isinstance(record, dict) else None
+    if not isinstance(record, dict) or schema not in (2, SCHEMA):
         raise DatasetError(
             f"{path} is of no marl_mm dataset of schema 2 or {SCHEMA}: its schema is "
             f"{schema!r}; marl-mm datasets import takes other HDF5 files"
         )
-    if ours.get("metadata_sha256") != _metadata_digest(metadata):
+    if record.get("metadata_sha256") != _metadata_digest(metadata):
         raise DatasetError(
             f"{path} is damaged: it is not as it was written; marl-mm datasets import "
             "takes files that were changed on purpose"
         )
-    for values, kinds in ((metadata, _MINARI), (ours, _OURS)):
+    for values, kinds in ((metadata, _MINARI), (record, _MARL_MM)):
         for name, expected in kinds.items():
             check_kind(values.get(name), expected, f"{path}: {name}", DatasetError)
-    info = ours.get("info", [SUCCESS])
+    info = record.get("info", [SUCCESS])
     check_kind(info, list[str], f"{path}: info", DatasetError)
     if SUCCESS not in info:
         raise DatasetError(f"{path}: info lacks {SUCCESS}, which every step has")
-    episodes = ours["episodes"]
+    episodes = record["episodes"]
     if not ID.fullmatch(metadata["dataset_id"]) or episodes < 1:
         raise DatasetError(
             f"{path}: dataset_id is {metadata['dataset_id']!r} and episodes "
             f"{episodes}, expected an id such as {SHIPPED} and at least 1"
         )
-    attempts = Provenance.from_json(ours).attempts
+    attempts = Provenance.from_json(record).attempts
     if attempts is not None and not 0 <= attempts <= 1_000_000 + 1_000 * episodes:
         raise DatasetError(f"{path}: attempts is {attempts} for {episodes} episodes")
     return metadata
@@ -107,11 +107,11 @@ def layout_in(metadata: dict[str, Any]) -> Layout:
     Raises:
         DatasetError: If the metadata have no layout, or one that makes no sense.
     """
-    ours = metadata["marl_mm"]
+    record = metadata["marl_mm"]
     try:
-        if ours["schema"] == SCHEMA:
-            return Layout.from_json(ours.get("layout", {}))
-        return dataset_layout(ours)
+        if record["schema"] == SCHEMA:
+            return Layout.from_json(record.get("layout", {}))
+        return dataset_layout(record)
     except LayoutError as error:
         raise DatasetError(f"metadata.json: {error}") from error
 
@@ -123,9 +123,9 @@ def _why_unknown(location: Location) -> str:
             f"the collection into {name} was begun and not finished: go on with "
             "`marl_mm.collect(..., resume=True)`"
         )
-    ids = {known: Path(known).name for known in (SHIPPED, *known_ids())}
+    ids = {candidate: Path(candidate).name for candidate in (SHIPPED, *known_ids())}
     close = difflib.get_close_matches(location.folder.name, set(ids.values()), 3, 0.7)
-    similar = [known for known, last in ids.items() if last in close]
+    similar = [candidate for candidate, last in ids.items() if last in close]
     hint = f"did you mean {' or '.join(similar)}?" if similar else "make it first;"
     where = f" below {datasets_root()}" if name == location.id else ""
     return f"no dataset {name}{where}: {hint} marl-mm datasets list shows all"
@@ -143,7 +143,7 @@ def new_metadata(
         digest: SHA-256 of the data file.
     """
     sources = ", ".join(np.unique(arrays.sources).tolist())
-    ours = {
+    record = {
         "schema": SCHEMA,
         "layout": arrays.layout.to_json(),
         "info": list(arrays.info),
@@ -161,7 +161,7 @@ def new_metadata(
         "description": f"Episodes of {sources} on marl_mm.",
         "minari_version": versions()["minari"],
         **reference_scores(provenance.task),
-        "marl_mm": ours,
+        "marl_mm": record,
     }
 
 
@@ -173,8 +173,8 @@ def sign_metadata(path: Path) -> None:
 
 
 def _metadata_digest(metadata: dict[str, Any]) -> str:
-    ours = metadata["marl_mm"].items()
-    rest = {key: value for key, value in ours if key != "metadata_sha256"}
+    record = metadata["marl_mm"].items()
+    rest = {key: value for key, value in record if key != "metadata_sha256"}
     text = json.dumps({**metadata, "marl_mm": rest}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 

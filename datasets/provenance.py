@@ -124,8 +124,8 @@ class Provenance:
         Raises:
             DatasetError: If a required field is missing, or of another type.
         """
-        known = {item.name for item in fields(cls)} & values.keys()
-        filled = {name: values[name] for name in known}
+        names = {item.name for item in fields(cls)} & values.keys()
+        filled = {name: values[name] for name in names}
         kind = dict[str, dict[str, Any]]
         origins = values.get("origins", {})
         check_kind(origins, kind, "metadata.json: origins", DatasetError)
@@ -135,14 +135,14 @@ class Provenance:
                 str(name): Origin(**{k: v for k, v in about.items() if k in of_origin})
                 for name, about in origins.items()
             }
-            found = cls(**filled)
+            provenance = cls(**filled)
         except (TypeError, AttributeError) as error:
             raise DatasetError(f"metadata.json: {error}") from error
-        for record in (found, *found.origins.values()):
+        for record in (provenance, *provenance.origins.values()):
             for name, kind in get_type_hints(type(record)).items():
                 where = f"metadata.json: {name}"
                 check_kind(getattr(record, name), kind, where, DatasetError)
-        return found
+        return provenance
 
 
 _SHARED = {item.name for item in fields(Provenance)} & {

@@ -125,14 +125,13 @@ def refuse_foreign(location: Location) -> None:
     if not folder.exists():
         return
     inner = [path.relative_to(folder) for path in folder.rglob("*")]
-    ours = all(map(_is_ours, inner))
-    if not folder.is_dir() or not ours:
+    if not folder.is_dir() or not all(map(_is_part, inner)):
         raise UsageError(
             f"{folder} is no dataset, or holds other files too: it is left alone"
         )
 
 
-def _is_ours(path: Path) -> bool:
+def _is_part(path: Path) -> bool:
     """Whether a dataset's folder may hold this path, also after a writer was killed."""
     return (
         str(path) in OWN_FILES
@@ -154,16 +153,16 @@ def read_arrays(
     Raises:
         DatasetError: If the data are not as they were written.
     """
-    path, ours = location.data / FILE, metadata["marl_mm"]
+    path, record = location.data / FILE, metadata["marl_mm"]
     digest = file_digest(path, DatasetError)
-    if digest != ours["data_sha256"]:
+    if digest != record["data_sha256"]:
         raise DatasetError(
             f"{path} is damaged: its {path.stat().st_size} bytes are not those that "
             f"were written; delete it with marl-mm datasets delete {location.name} and "
             "make it again"
         )
-    names = tuple(ours.get("info", INFO))
-    key = cache.Key(digest, ours["episodes"], names, layout_in(metadata))
+    names = tuple(record.get("info", INFO))
+    key = cache.Key(digest, record["episodes"], names, layout_in(metadata))
     arrays = cache.cached(key) if cached else None
     if arrays is None:
         arrays = read_apart(path, key.episodes, key.layout, key.info)

@@ -38,27 +38,27 @@ def verify(location: Location) -> list[str]:
 
 
 def _counts(arrays: EpisodeArrays, metadata: dict[str, Any]) -> list[str]:
-    ours = metadata["marl_mm"]
+    record = metadata["marl_mm"]
     pairs = {
         "total_episodes": (metadata.get("total_episodes"), len(arrays)),
         "total_steps": (metadata.get("total_steps"), arrays.steps),
-        "steps": (ours["steps"], arrays.steps),
+        "steps": (record["steps"], arrays.steps),
     }
     problems = [
         f"metadata.json: {name} is {recorded}, the file has {counted}"
         for name, (recorded, counted) in pairs.items()
         if recorded != counted
     ]
-    if json.loads(json.dumps(statistics(arrays))) != ours["statistics"]:
+    if json.loads(json.dumps(statistics(arrays))) != record["statistics"]:
         problems.append("metadata.json: the statistics are not those of the data")
     return problems
 
 
 def _infos(arrays: EpisodeArrays) -> list[str]:
     """Problems of step numbers: only episodes from files of others may have NaN."""
-    ours = np.repeat(arrays.sources != IMPORTED, arrays.lengths)
+    collected = np.repeat(arrays.sources != IMPORTED, arrays.lengths)
     counts = {
-        key: int((~np.isfinite(values[ours])).sum())
+        key: int((~np.isfinite(values[collected])).sum())
         for key, values in arrays.info.items()
         if values.dtype.kind == "f"
     }

@@ -47,12 +47,12 @@ def mean_interval(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
 
 
 def difference_interval(
-    ours: Sequence[float], theirs: Sequence[float]
+    values: Sequence[float], others: Sequence[float]
 ) -> tuple[float, float]:
     """Welch's 95 % interval of the difference of two means of few values."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of one that does not vary
-        test = scipy.stats.ttest_ind(ours, theirs, equal_var=False)
+        test = scipy.stats.ttest_ind(values, others, equal_var=False)
     interval = test.confidence_interval(CONFIDENCE)
     return float(interval.low), float(interval.high)
 
@@ -96,7 +96,8 @@ def _widened(
 
 def seed_rates(rows: Sequence[Mapping[str, Any]]) -> list[float]:
     """Each seed's success rate, in the order of seeds."""
-    return [mean_of(own, "success") for _, own in sorted(grouped(rows, "seed").items())]
+    by_seed = sorted(grouped(rows, "seed").items())
+    return [mean_of(goals, "success") for _, goals in by_seed]
 
 
 def summarize_success(rows: Sequence[Mapping[str, Any]], name: str) -> dict[str, Any]:

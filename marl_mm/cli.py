@@ -32,7 +32,7 @@ COMMANDS = {
 """Each command is a module of ``marl_mm.commands``, imported when it is called."""
 
 LISTS = ("algorithms", "tasks", "collectors", "formats", "metrics")
-"""Commands that list what there is of a kind, and where it comes from."""
+"""Commands that list the registered objects of a kind, and their origins."""
 
 PLUGIN = "--plugin"
 """Option of every command; its values are Python files or modules."""
@@ -100,8 +100,8 @@ def _run(words: list[str]) -> int:
         return 0
     words, sources = _without_plugins(words)
     if words[:1] and words[0] not in (*COMMANDS, *LISTS, COMPLETION):
-        known = ", ".join((*COMMANDS, *LISTS))
-        raise UsageError(f"unknown command {words[0]!r}, expected one of {known}")
+        choices = ", ".join((*COMMANDS, *LISTS))
+        raise UsageError(f"unknown command {words[0]!r}, expected one of {choices}")
     if sources:
         from marl_mm.plugins import load_all
 
@@ -143,7 +143,7 @@ def _without_plugins(words: list[str]) -> tuple[list[str], list[str]]:
 
 
 def _usage() -> str:
-    lists = f"list what there is: {', '.join(LISTS[1:])} likewise"
+    lists = f"list what is registered: {', '.join(LISTS[1:])} likewise"
     commands = COMMANDS | {LISTS[0]: lists}
     width = max(map(len, commands))
     lines = [f"  {name:<{width}}  {text}" for name, text in commands.items()]
@@ -151,7 +151,7 @@ def _usage() -> str:
         "usage: marl-mm COMMAND [OPTIONS]\n\n"
         "Multi-agent reinforcement learning on a mobile manipulator.\n\n"
         + "\n".join(lines)
-        + "\n\nmarl-mm COMMAND --help tells a command's options, units and defaults."
+        + "\n\nmarl-mm COMMAND --help shows a command's options, units and defaults."
         + f"\n\n{ABOUT_PLUGINS}\n\n{ABOUT_COMPLETION}"
     )
 

@@ -18,20 +18,20 @@ _ADVICE = (
 
 
 def refuse_other_config(
-    folder: Path, theirs: dict[str, Any], mine: dict[str, Any], advice: str = _ADVICE
+    folder: Path, begun: dict[str, Any], current: dict[str, Any], advice: str = _ADVICE
 ) -> None:
     """Raise if a folder was begun with other values than those that continue it.
 
     Args:
         folder: The folder.
-        theirs: The config it was begun with, JSON-serialisable.
-        mine: The config of now; keys that only ``theirs`` has are ignored.
+        begun: The config it was begun with, JSON-serialisable.
+        current: The config of now; keys that only ``begun`` has are ignored.
         advice: Advice that the error ends with.
 
     Raises:
         OtherConfigError: Listing the values that differ.
     """
-    changes = list(_changes(as_json(theirs), as_json(mine)))
+    changes = list(_changes(as_json(begun), as_json(current)))
     if len(changes) > _LISTED:
         changes[_LISTED:] = [f"{len(changes) - _LISTED} more"]
     if changes:
@@ -39,10 +39,10 @@ def refuse_other_config(
 
 
 def _changes(
-    theirs: dict[str, Any], mine: dict[str, Any], path: str = ""
+    begun: dict[str, Any], current: dict[str, Any], path: str = ""
 ) -> Iterator[str]:
-    for key, value in mine.items():
-        before = theirs.get(key)
+    for key, value in current.items():
+        before = begun.get(key)
         if isinstance(value, dict) and isinstance(before, dict):
             yield from _changes(before, value, f"{path}{key}.")
         elif before != value:

@@ -40,12 +40,12 @@ def check_settings(
         UsageError: Naming the field that is missing, or whose name is taken.
     """
     kind = type(settings)
-    known = defaults(kind)
+    values = defaults(kind)
     if missing := [name for name in needed if not hasattr(settings, name)]:
         raise UsageError(
             f"{kind.__name__} has no {', '.join(missing)}, which is needed"
         )
-    refuse_taken(kind, known, taken)
+    refuse_taken(kind, values, taken)
 
 
 def refuse_taken(kind: type, names: Iterable[str], taken: Iterable[str]) -> None:

@@ -74,18 +74,18 @@ def reward_terms(
     Raises:
         UsageError: If a name is neither a step number's nor a state entry's.
     """
-    found = {FAILED: failed}
+    terms = {FAILED: failed}
     for name in needs:
         if name in info:
-            found[name] = info[name]
+            terms[name] = info[name]
         elif name in layout.state_names:
-            found[name] = after[:, layout.state_names.index(name)]
+            terms[name] = after[:, layout.state_names.index(name)]
         else:
             raise UsageError(
                 f"rewards depend on {name!r}, which the episodes lack: they "
                 f"have {', '.join((*info, *layout.state_names))}"
             )
-    return found
+    return terms
 
 
 def directions(states: np.ndarray, layout: Layout) -> np.ndarray | None:

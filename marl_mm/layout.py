@@ -134,7 +134,7 @@ class Layout:
                 )
             if not agent.sees or not agent.sets:
                 raise LayoutError(f"agent {agent.name!r} sees or sets no entry")
-            _check_known("state", agent.sees, self.state_names, f"{agent.name!r} sees")
+            _check_among("state", agent.sees, self.state_names, f"{agent.name!r} sees")
         if len(self.team) > MAX_AGENTS:
             raise LayoutError(f"{len(self.team)} agents, expected at most {MAX_AGENTS}")
         sets = [name for agent in self.team for name in agent.sets]
@@ -151,7 +151,7 @@ class Layout:
                 raise LayoutError(f"state entry {entry}: expected low < high")
         for part, names in (("compared", self.compared), ("desired", self.desired)):
             _check_names(part, names)
-            _check_known("state", names, self.state_names, f"{part} has")
+            _check_among("state", names, self.state_names, f"{part} has")
         if len(self.compared) != len(self.desired):
             raise LayoutError(
                 f"{', '.join(self.compared)} cannot be compared with "
@@ -218,7 +218,7 @@ class Layout:
         Raises:
             LayoutError: Naming the entries that the state lacks.
         """
-        _check_known("state", names, self.state_names, "it is asked for")
+        _check_among("state", names, self.state_names, "it is asked for")
         return columns(places(self.state_names, names))
 
     def settings(self, *names: str) -> Columns:
@@ -227,7 +227,7 @@ class Layout:
         Raises:
             LayoutError: Naming the entries that the action lacks.
         """
-        _check_known("action", names, self.action_names, "it is asked for")
+        _check_among("action", names, self.action_names, "it is asked for")
         return columns(places(self.action_names, names))
 
     def state_of(self, observation: np.ndarray, goal: np.ndarray) -> np.ndarray:
@@ -330,14 +330,14 @@ def _check_names(part: str, names: Sequence[str]) -> None:
             raise LayoutError(f"{part} has {name!r} twice, expected it once")
 
 
-def _check_known(
-    part: str, names: Iterable[str], known: Sequence[str], who: str
+def _check_among(
+    part: str, names: Iterable[str], expected: Sequence[str], who: str
 ) -> None:
-    unknown = [name for name in names if name not in known]
+    unknown = [name for name in names if name not in expected]
     if unknown:
         raise LayoutError(
             f"{who} {', '.join(unknown)}, which the {part} lacks: expected some of "
-            f"{', '.join(known)}"
+            f"{', '.join(expected)}"
         )
 
 

@@ -116,13 +116,13 @@ def record(*origins: str) -> dict[str, str]:
     Args:
         origins: Names of plug-ins and modules; see ``Registry.origin``.
     """
-    found = {}
+    digests = {}
     for origin in origins:
         if origin in _loaded:
-            found[origin] = _loaded[origin].sha256
+            digests[origin] = _loaded[origin].sha256
         elif origin != BUILT_IN and origin in sys.modules:
-            found[origin] = _digest(sys.modules[origin])
-    return found
+            digests[origin] = _digest(sys.modules[origin])
+    return digests
 
 
 class Carried:
@@ -150,8 +150,8 @@ def _run(name: str, source: str, is_file: bool) -> ModuleType:
         raise PluginError(f"plug-in {name} fails: {error}") from error
     except (Exception, SystemExit) as error:
         frames = traceback.extract_tb(error.__traceback__)
-        own = [frame for frame in frames if is_file and frame.filename == source]
-        line = (own or frames)[-1].lineno
+        inner = [frame for frame in frames if is_file and frame.filename == source]
+        line = (inner or frames)[-1].lineno
         line = error.lineno if isinstance(error, SyntaxError) else line
         text = error.msg if isinstance(error, SyntaxError) else error
         reason = " ".join(f"{type(error).__name__}: {text}".split())

@@ -34,8 +34,8 @@ class RayWorkers:
     ) -> None:
         if workers < 1:
             raise UsageError(f"workers is {workers}, expected >= 1")
-        self._ours = not ray.is_initialized()
-        if self._ours:
+        self._started = not ray.is_initialized()
+        if self._started:
             try:
                 ray.init(log_to_driver=False, logging_level="ERROR")
             except (ConnectionError, RuntimeError, ValueError) as error:
@@ -61,7 +61,7 @@ class RayWorkers:
         """End the actors, and Ray if it was started here."""
         for actor in self._actors:
             ray.kill(actor)
-        if self._ours:
+        if self._started:
             ray.shutdown()
 
     def map(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:

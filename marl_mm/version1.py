@@ -32,11 +32,11 @@ def checkpoint_layout(record: Mapping[str, Any]) -> Layout:
     """
     for layout in _LAYOUTS:
         agents = layout.agents
-        known = {
+        expected = {
             "agents": [[a.name, list(a.observation), list(a.action)] for a in agents],
             "action_low": list(layout.low),
             "action_high": list(layout.high),
         }
-        if known == record:
+        if expected == record:
             return layout
     raise LayoutError(f"no layout of version 1 is {record!s:.200}")

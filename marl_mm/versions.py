@@ -21,10 +21,10 @@ def versions(*others: str) -> dict[str, str]:
     """Versions of Python, of this package, of ``PACKAGES`` and of others, by name."""
     from marl_mm import __version__  # of this code, whatever is installed
 
-    found = {"python": platform.python_version(), "marl-mm": __version__}
+    numbers = {"python": platform.python_version(), "marl-mm": __version__}
     for name in (*PACKAGES, *others):
         try:
-            found[name] = version(name)
+            numbers[name] = version(name)
         except PackageNotFoundError:  # a copied folder, not an installed package
-            found[name] = "unknown"
-    return found
+            numbers[name] = "unknown"
+    return numbers

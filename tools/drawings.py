@@ -205,9 +205,9 @@ def tradeoff() -> str:
 
 def _means(curves: dict[int, list[Point]]) -> list[Point]:
     """Mean over the seeds at every place that all of them have."""
-    known = [dict(points) for points in curves.values()]
-    places = sorted(set.intersection(*(set(curve) for curve in known)))
-    return [(x, sum(curve[x] for curve in known) / len(known)) for x in places]
+    values = [dict(points) for points in curves.values()]
+    places = sorted(set.intersection(*(set(curve) for curve in values)))
+    return [(x, sum(curve[x] for curve in values) / len(values)) for x in places]
 
 
 def _learning(

@@ -21,8 +21,8 @@ def filled(text: str) -> str:
     """The text with every table between its marks."""
     for name, make in TABLES.items():
         begin, end = f"<!-- {name} -->\n", f"<!-- /{name} -->"
-        before, found, rest = text.partition(begin)
-        if found:
+        before, mark, rest = text.partition(begin)
+        if mark:
             text = before + begin + make() + end + rest.partition(end)[2]
     return text
 

@@ -197,8 +197,8 @@ def _online_rows() -> list[Row]:
     for row in read_rows(RESULTS / "studies/online.csv"):
         source, setting = CELLS[row["setting"]]
         if setting.library == "marl_mm":
-            own = {"algorithm": setting.algorithm, "about": setting.about}
-            rows.append({**row, **own, "task": source.task})
+            columns = {"algorithm": setting.algorithm, "about": setting.about}
+            rows.append({**row, **columns, "task": source.task})
     return rows
 
 
@@ -246,7 +246,7 @@ def _tasks_index() -> str:
         (f"[{name}]({name}.md)", WHAT[name], str(task.max_steps), _sizes(task))
         for name, task in TASKS.items()
     ]
-    header = ("task", "what there is to do", "steps", "state, action")
+    header = ("task", "aim", "steps", "state, action")
     return (
         "# Tasks\n\nSix tasks of one robot, each a Gymnasium goal environment "
         "`marl_mm/TASK` and a PettingZoo parallel one, `parallel_env(TASK)`. "

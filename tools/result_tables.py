@@ -36,7 +36,7 @@ from marl_mm.eval.bench.tables import (
 )
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies.alpha import worth_table as alpha_worth_table
-from marl_mm.eval.studies.ours import BLOCKS
+from marl_mm.eval.studies.offline import BLOCKS
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.table import CRITICS, IQM, RETURN, Table
 from marl_mm.eval.studies.targets import STUDIES
@@ -205,10 +205,10 @@ _NOT_CURED = ("dataset", _PAPER, _DIFFERENCE, "d_mm [m]", "d_mp [m]", "alpha")
 
 
 def _commands() -> str:
-    """The commands, and those that list what there is."""
+    """The commands, and those that list what is registered."""
     lines = [(f"`marl-mm {name}`", about) for name, about in COMMANDS.items()]
     lists = ", ".join(f"`{name}`" for name in LISTS)
-    lines.append((lists, "what there is of a kind, and where it comes from"))
+    lines.append((lists, "list what is registered, and where it comes from"))
     return markdown_table(("command", "what it does"), lines)
 
 

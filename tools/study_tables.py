@@ -42,15 +42,15 @@ def gains(study: Study, store: RowStore, baseline: str) -> dict[tuple[str, str],
         rows = store.evaluations(cell, range(study.seeds), study.probes[:1])
         of_returns = returns_of(rows).mean(axis=1).tolist()
         means[cell_name(cell)] = {"success": seed_rates(rows), "return": of_returns}
-    found = {}
-    for (source, setting), ours in means.items():
+    result = {}
+    for (source, setting), values in means.items():
         if setting != baseline:
             row: Row = {}
-            for key, theirs in means[source, baseline].items():
-                row[key] = float(np.mean(ours[key]) - np.mean(theirs))
-                row[f"{key}_interval"] = difference_interval(ours[key], theirs)
-            found[source, setting] = row
-    return found
+            for key, others in means[source, baseline].items():
+                row[key] = float(np.mean(values[key]) - np.mean(others))
+                row[f"{key}_interval"] = difference_interval(values[key], others)
+            result[source, setting] = row
+    return result
 
 
 def differences_table(study: Study, store: RowStore, baseline: str) -> str:
@@ -150,12 +150,12 @@ def updates_table(result: Mapping[str, Any]) -> str:
 def hindsight_in_words(summary: Sequence[Row]) -> str:
     """How many of plain DDPG's episodes to 70 % it takes with hindsight, in words."""
     rows = {row["setting"]: row for row in summary}
-    ours, plain = (rows[name] for name in ("ddpg-her", "ddpg"))
-    for row, words in ((ours, "With hindsight"), (plain, "Without hindsight")):
+    her, plain = (rows[name] for name in ("ddpg-her", "ddpg"))
+    for row, words in ((her, "With hindsight"), (plain, "Without hindsight")):
         if math.isnan(row["to_70"]):
             return f"{words} not every seed comes to 70 %: {row['to_70_seeds']}.\n"
-    disjoint = ours["to_70_interval"][1] < plain["to_70_interval"][0]
+    disjoint = her["to_70_interval"][1] < plain["to_70_interval"][0]
     return (
-        f"With hindsight DDPG comes to 70 % in {ours['to_70'] / plain['to_70']:.2f} of "
+        f"With hindsight DDPG comes to 70 % in {her['to_70'] / plain['to_70']:.2f} of "
         f"the episodes; the intervals {'are disjoint' if disjoint else 'overlap'}.\n"
     )

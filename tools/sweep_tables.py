@@ -22,17 +22,14 @@ ALPHA_HEADER = (
 
 def alpha_table(summaries: Sequence[Row], task: str, form: str) -> str:
     """One row per fixed alpha, as Markdown; pairs are backward, forward."""
-    own = [
-        row
+    by_alpha = {
+        (row["alpha"], row["direction"]): row
         for row in summaries
         if (row["task"], row["form"], row["rule"]) == (task, form, "constant")
-    ]
+    }
     lines = []
-    for alpha in sorted({row["alpha"] for row in own}):
-        pair = [
-            next(row for row in own if (row["alpha"], row["direction"]) == (alpha, way))
-            for way in ("backward", "forward")
-        ]
+    for alpha in sorted({alpha for alpha, _ in by_alpha}):
+        pair = [by_alpha[alpha, way] for way in ("backward", "forward")]
         goals = sum(row["goals"] for row in pair)
         total = sum(row["goals"] * row["return"] for row in pair)
         lines.append(
@@ -64,15 +61,15 @@ def responses(summaries: Sequence[Row]) -> list[Row]:
     forward d_mm at its worst alpha, beyond the larger of both ends' [m].
     """
     fixed = [row for row in summaries if row["rule"] == "constant"]
-    found = []
+    summary = []
     for task, form in sorted({(row["task"], row["form"]) for row in fixed}):
-        own = [row for row in fixed if (row["task"], row["form"]) == (task, form)]
-        own.sort(key=lambda row: float(row["alpha"]))
-        back = [row for row in own if row["direction"] == "backward"]
+        group = [row for row in fixed if (row["task"], row["form"]) == (task, form)]
+        group.sort(key=lambda row: float(row["alpha"]))
+        back = [row for row in group if row["direction"] == "backward"]
         steps = np.array([row["steps"] for row in back])
         shares = np.diff(steps) / max(steps[-1] - steps[0], 1e-9)
-        hand = [row["d_mm"] for row in own if row["direction"] == "forward"]
-        found.append(
+        hand = [row["d_mm"] for row in group if row["direction"] == "forward"]
+        summary.append(
             {
                 "task": task,
                 "form": form,
@@ -83,7 +80,7 @@ def responses(summaries: Sequence[Row]) -> list[Row]:
                 "hump": float(max(hand) - max(hand[0], hand[-1])),
             }
         )
-    return found
+    return summary
 
 
 def response_table(responses: Sequence[Row]) -> str:
@@ -120,8 +117,8 @@ def worth_table(worth: Sequence[Row]) -> str:
     )
     lines = []
     for rule in sorted({row["rule"] for row in worth}):
-        own = [row for row in worth if row["rule"] == rule]
-        best = max(own, key=lambda row: float(row["return_fixed"]))
+        group = [row for row in worth if row["rule"] == rule]
+        best = max(group, key=lambda row: float(row["return_fixed"]))
         low, high = best["interval"]
         lines.append(
             (
@@ -133,7 +130,7 @@ def worth_table(worth: Sequence[Row]) -> str:
                 f"{best['return_fixed']:.2f}",
                 f"{best['difference']:.2f} [{low:.2f}, {high:.2f}]",
                 f"{best['better_on']}/{best['goals']}",
-                f"{min(row['interval'][0] for row in own):.2f}",
+                f"{min(row['interval'][0] for row in group):.2f}",
             )
         )
     return markdown_table(header, lines)
@@ -155,8 +152,8 @@ def load_table(summary: Sequence[Row]) -> str:
     )
     lines = []
     for mass in sorted({row["mass"] for row in summary}):
-        own = [row for row in summary if row["mass"] == mass]
-        ends = own[0], own[-1]
+        group = [row for row in summary if row["mass"] == mass]
+        ends = group[0], group[-1]
         line = [
             f"{mass:g}",
             str(ends[0]["goals"]),

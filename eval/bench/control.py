@@ -213,21 +213,21 @@ def _per_repeat(function: Callable[..., Any], *arguments: Any) -> tuple[float, A
 def _references(core: EpisodeCore, samples: list[Sample]) -> dict[str, np.ndarray]:
     """Other ways to solve the same states; what is not installed is left out."""
     config = core.task.controller
-    found = {
+    times = {
         "compiled": _solve_times(core, replace(config, solver="active-set"), samples),
         "numpy_proxqp": _solve_times(core, replace(config, solver="proxqp"), samples),
     }
     if find_spec("daqp"):
         daqp = replace(config, solver="daqp")
-        found["numpy_daqp"] = _solve_times(core, daqp, samples)
+        times["numpy_daqp"] = _solve_times(core, daqp, samples)
     if find_spec("pink") and find_spec("qpsolvers"):
         from marl_mm.eval.bench.pink_reference import PinkReference
 
         reference = PinkReference(core.drive.model.pinocchio)
-        found["pink_weighted_qp"] = _times(
+        times["pink_weighted_qp"] = _times(
             lambda s: reference.solve(s.state, s.reference), samples
         )
-    return found
+    return times
 
 
 def _infeasible(core: EpisodeCore, samples: list[Sample]) -> dict[str, np.ndarray]:

@@ -213,10 +213,10 @@ def bench_storage(
     result["minari_over_cached"] = result["minari_read_s"] / result["load_cached_s"]
     advance(1, "Minari's writer")
     size = (location.data / FILE).stat().st_size / 1e6
-    theirs = _minari_size(arrays.select(range(min(300, len(arrays)))), folder)
+    per_episode = _minari_size(arrays.select(range(min(300, len(arrays)))), folder)
     result["size_mb"] = size
     result["cache_mb"] = cache.stat().st_size / 1e6
-    result["minari_size_mb"] = theirs * len(arrays)
+    result["minari_size_mb"] = per_episode * len(arrays)
     result["minari_size_over_ours"] = result["minari_size_mb"] / size
     advance(1, "")
     return result

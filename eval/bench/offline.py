@@ -72,11 +72,11 @@ def bench_offline(
             if turn >= 0:  # the first one warms caches
                 rates[name].append(rate)
                 advance(_TURN, name)
-    theirs = np.array(rates[AUTHORS])
+    authors = np.array(rates[AUTHORS])
     return {
         "updates_per_second": {name: float(np.median(r)) for name, r in rates.items()},
         "over_authors": {
-            name: float(np.median(np.array(rates[name]) / theirs))
+            name: float(np.median(np.array(rates[name]) / authors))
             for name in rates
             if name != AUTHORS
         },

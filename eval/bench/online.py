@@ -67,11 +67,11 @@ def bench_online(
                 advance(_TURN, name)
     medians = {name: float(np.median(values)) for name, values in rates.items()}
     result: dict[str, Any] = {"updates_per_second": medians}
-    ours = [name for name in rates if name != SB3]
+    names = [name for name in rates if name != SB3]
     if not sb3:
         result["sb3"] = "not installed: pip install 'marl-mm[bench]'"
         return result
-    for name in ours:
+    for name in names:
         ratios = np.array(rates[name]) / np.array(rates[SB3])
         result[f"{name}_over_sb3"] = float(np.median(ratios))
     return result
@@ -84,7 +84,7 @@ def _learners(
     config = make_task(TASK)
     layout = config.layout
     plain = replace(preset("ddpg-her"), layer_norm=False)
-    ours = {
+    algorithms = {
         "ddpg-her": Ddpg(preset("ddpg-her"), config, seed, (), layout),
         "ddpg-her-no-layer-norm": Ddpg(plain, config, seed, (), layout),
         "maddpg-her": _maddpg(config, seed),
@@ -96,10 +96,10 @@ def _learners(
     advance(0, "random episodes")
     with Rollouts(config) as rollouts:
         for episode in rollouts.run(explorer.behaviour(), plans):
-            for algorithm in ours.values():
+            for algorithm in algorithms.values():
                 algorithm.observe(episode)
     learners: dict[str, Callable[[int], object]] = {
-        name: algorithm.learn for name, algorithm in ours.items()
+        name: algorithm.learn for name, algorithm in algorithms.items()
     }
     return learners | ({SB3: _sb3(seed, episodes)} if sb3 else {})
 
@@ -132,8 +132,8 @@ def bench_success(
             everything = evaluate_with(rollouts, policy, goals, seed, TASK).summary
             return {key: everything["all"][key] for key in ("success_rate", "interval")}
 
-        ours = _taught(rollouts, hyper, env_steps, seed, advance)
-        success[ours.name] = measure(LearnedPolicy(ours.name, ours.agents, ours.layout))
+        ddpg = _taught(rollouts, hyper, env_steps, seed, advance)
+        success[ddpg.name] = measure(LearnedPolicy(ddpg.name, ddpg.agents, ddpg.layout))
         if sb3:
             success[SB3] = measure(_sb3_taught(hyper, env_steps, seed, advance))
     return success
@@ -149,11 +149,11 @@ def _taught(
         return rollouts.run(policy, plans)
 
     task = make_task(TASK)
-    ours = Ddpg(hyper, task, seed, (), task.layout)
-    while ours.env_steps < env_steps:
-        episodes, _ = run_cycle(ours, run_episodes, hyper.episodes)
-        advance(sum(map(len, episodes)), ours.name)
-    return ours
+    learner = Ddpg(hyper, task, seed, (), task.layout)
+    while learner.env_steps < env_steps:
+        episodes, _ = run_cycle(learner, run_episodes, hyper.episodes)
+        advance(sum(map(len, episodes)), learner.name)
+    return learner
 
 
 def _sb3_taught(

@@ -95,7 +95,7 @@ def offline_speed_table(result: Mapping[str, Any]) -> str:
     ratio = f"{seeds['throughput_over_one']:.2f} times one seed's"
     single, several = (round(seeds[f"{n}_memory_mib"]) for n in ("one", "several"))
     lines.append((label, ratio, f"{several} MiB of memory, one seed {single}"))
-    return markdown_table(("one thread", "updates per second", "over theirs"), lines)
+    return markdown_table(("one thread", "updates per second", "over authors'"), lines)
 
 
 def data_table(result: Mapping[str, Any]) -> str:

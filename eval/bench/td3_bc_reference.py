@@ -142,6 +142,6 @@ class PlainTd3Bc:
             (self.actor, self.actor_target),
         ):
             pairs = zip(network.parameters(), copy.parameters(), strict=True)
-            for own, follower in pairs:
+            for leader, follower in pairs:
                 tau = config.target_rate
-                follower.data.copy_(tau * own.data + (1 - tau) * follower.data)
+                follower.data.copy_(tau * leader.data + (1 - tau) * follower.data)

@@ -95,9 +95,9 @@ def _goal(alpha: float | str, episode: Episode) -> Row:
 def _steps(episodes: Sequence[Episode]) -> Iterator[Row]:
     """Alpha at each step of the episodes that come to it, by direction."""
     for direction in ("forward", "backward"):
-        own = [alphas(e) for e in episodes if e.direction == direction]
-        for step in range(max(map(len, own), default=0)):
-            values = [line[step] for line in own if len(line) > step]
+        lines = [alphas(e) for e in episodes if e.direction == direction]
+        for step in range(max(map(len, lines), default=0)):
+            values = [line[step] for line in lines if len(line) > step]
             yield {
                 "direction": direction,
                 "step": step + 1,
@@ -127,8 +127,8 @@ def summarize_worth(rows: Sequence[Row]) -> list[Row]:
     The difference is paired, goal by goal; its interval is by bootstrap over goals.
     """
     summary = []
-    for (setting, seed), own in grouped(rows, "setting", "seed").items():
-        by_alpha = grouped(own, "alpha")
+    for (setting, seed), group in grouped(rows, "setting", "seed").items():
+        by_alpha = grouped(group, "alpha")
         learnt = by_goal(by_alpha.pop(LEARNT), "return")
         for alpha, held in by_alpha.items():
             difference = learnt - by_goal(held, "return")
@@ -153,8 +153,8 @@ def summarize_worth(rows: Sequence[Row]) -> list[Row]:
 def worth_table(summary: Sequence[Row]) -> str:
     """The learnt alpha against the best one held, an agent a row, as Markdown."""
     lines = []
-    for own in grouped(summary, "setting", "seed").values():
-        best = max(own, key=lambda row: float(row["return"]))
+    for group in grouped(summary, "setting", "seed").values():
+        best = max(group, key=lambda row: float(row["return"]))
         low, high = best["difference_interval"]
         lines.append(
             (

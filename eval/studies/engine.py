@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 
 from marl_mm.errors import FailedRunsError, MarlMmError
 from marl_mm.eval.rows import write_csv
-from marl_mm.eval.studies import ours
+from marl_mm.eval.studies import offline
 from marl_mm.eval.studies.jobs import Job, do_jobs
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.plan import (
@@ -30,7 +30,7 @@ Studies = Mapping[str, Study]
 """Studies by the name of their files."""
 
 
-_KNOWN = {source.name: source for source in (*PAPER, *ours.OTHER_TASKS)}
+_DECLARED = {source.name: source for source in (*PAPER, *offline.OTHER_TASKS)}
 """Declared sources by their short names."""
 
 
@@ -123,12 +123,12 @@ class Engine:
         """
         options = self.options
         jobs = self._missing(studies)
-        of_cells = {cell_name(own[0].cell): own for own in by_cell(jobs)}
+        of_cells = {cell_name(group[0].cell): group for group in by_cell(jobs)}
 
         def keep_if_done(job: Job) -> None:
-            own = of_cells[cell_name(job.cell)]
-            if all(other.done for other in own):
-                runs = {other.seed: other.run for other in own}
+            group = of_cells[cell_name(job.cell)]
+            if all(other.done for other in group):
+                runs = {other.seed: other.run for other in group}
                 options.store.keep(job.cell, runs, job.probes)
 
         for first, *_ in of_cells.values():
@@ -158,7 +158,7 @@ class Engine:
         options = self.options
         small = options.runs_folder / "datasets" if options.small else None
         pool = options.workers, options.executor
-        datasets = Datasets(small, *pool, self.notify, self.bar, _KNOWN, plan=plan)
+        datasets = Datasets(small, *pool, self.notify, self.bar, _DECLARED, plan=plan)
         return missing_jobs(options, studies.values(), datasets)
 
 
@@ -179,9 +179,9 @@ def compare(results: Path, draw: Callable[[Path], object]) -> dict[Path, str]:
             draw(Path(folder))
         states = {}
         for drawn in sorted(Path(folder).glob("*.csv")):
-            known = results / drawn.name
-            states[known] = "missing"
-            if known.exists():
-                same = known.read_bytes() == drawn.read_bytes()
-                states[known] = "the same" if same else "another"
+            table = results / drawn.name
+            states[table] = "missing"
+            if table.exists():
+                same = table.read_bytes() == drawn.read_bytes()
+                states[table] = "the same" if same else "another"
     return states

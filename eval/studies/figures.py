@@ -26,12 +26,12 @@ def curves_figure(
         panels.setdefault(_panel(cell, curves), []).append(cell)
     figure = Figure(figsize=(1.2 + 4.6 * len(panels), 3.9), layout="constrained")
     axes: Any = figure.subplots(1, len(panels), sharey=True, squeeze=False)
-    known: dict[str, str] = {}  # what has a name has one color in all panels
+    colors: dict[str, str] = {}  # what has a name has one color in all panels
     for axis, (title, cells) in zip(axes[0], panels.items(), strict=True):
         clock = "updates"
         for number, cell in enumerate(cells):
             label = _label(cell, cells)
-            color = known.setdefault(label, PAPER_COLORS[number % len(PAPER_COLORS)])
+            color = colors.setdefault(label, PAPER_COLORS[number % len(PAPER_COLORS)])
             rows = store.curves(cell, seeds)
             clock = "training episodes" if "episode" in rows[0] else clock
             times, values = on_a_grid(rows, curves.value)
@@ -53,8 +53,8 @@ def on_a_grid(rows: Sequence[Row], key: str) -> tuple[np.ndarray, np.ndarray]:
     clock = "episode" if "episode" in rows[0] else "step"
     times = np.unique([row[clock] for row in rows])
     values = [
-        np.interp(times, [row[clock] for row in own], [row[key] for row in own])
-        for _, own in sorted(grouped(rows, "seed").items())
+        np.interp(times, [row[clock] for row in curve], [row[key] for row in curve])
+        for _, curve in sorted(grouped(rows, "seed").items())
     ]
     return times, np.stack(values)
 
@@ -86,16 +86,16 @@ def alpha_figure(
     of_settings, worths = grouped(steps, "setting"), grouped(worth, "setting")
     figure = Figure(figsize=(4.4 * len(of_settings), 6.0), layout="constrained")
     axes: Any = figure.subplots(2, len(of_settings), squeeze=False)
-    for (setting, mine), above, below in zip(of_settings.items(), *axes, strict=True):
-        for direction, own in grouped(mine, "direction").items():
-            for number, line in enumerate(grouped(own, "seed").values()):
+    for (setting, group), above, below in zip(of_settings.items(), *axes, strict=True):
+        for direction, part in grouped(group, "direction").items():
+            for number, line in enumerate(grouped(part, "seed").values()):
                 time, mean, std = (
                     np.array([row[key] for row in line])
                     for key in ("step", "mean", "std")
                 )
                 color, label = COLORS[direction], None if number else direction
                 _with_spread(above, time, mean, std, color, label)
-        title = f"{labels[setting]}, {mine[0]['task']}"
+        title = f"{labels[setting]}, {group[0]['task']}"
         above.set(title=title, xlabel="time [s]", ylim=(-0.05, 1.05))
         for number, line in enumerate(grouped(worths[setting], "seed").values()):
             held, learnt = (None, None) if number else ("held", "learnt")

@@ -157,13 +157,13 @@ def training_of(
             stop_diverging=False,  # a table's runs have all their updates
         )
         changes = {"precision": resolved(precision), **changes}
-    own: dict[str, Any] = {"eval_episodes": setting.goals}
-    own["max_steps"] = setting.max_steps
+    run_settings: dict[str, Any] = {"eval_episodes": setting.goals}
+    run_settings["max_steps"] = setting.max_steps
     if small:
         changes |= {k: v for k, v in _SMALL.items() if hasattr(training.config, k)}
-        own = {"eval_episodes": 2, "curve_episodes": 2, "max_steps": 4}
+        run_settings = {"eval_episodes": 2, "curve_episodes": 2, "max_steps": 4}
     config = replace(training.config, **changes)
-    return replace(training, config=config, workers=1, resume=True, **own)
+    return replace(training, config=config, workers=1, resume=True, **run_settings)
 
 
 def made_of(setting: Setting, training: Training) -> dict[str, Any]:

@@ -103,8 +103,8 @@ LOWEST_RETURN = -30.0
 
 def _study(about: str, names: Sequence[str], figure: bool | Curves = False) -> Study:
     cells = [CELLS[name] for name in names]
-    theirs = {cell_name(CELLS[n]): _PAPER[n] for n in names if n in _PAPER}
-    return Study(about, cells, (LAST, BEST), figure, theirs, table="episodes")
+    reported = {cell_name(CELLS[n]): _PAPER[n] for n in names if n in _PAPER}
+    return Study(about, cells, (LAST, BEST), figure, reported, table="episodes")
 
 
 _COMPARED = ("ddpg", "ddpg-her", "maddpg-her", "ddpg-paper", "ddpg-her-paper")

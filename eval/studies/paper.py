@@ -71,9 +71,9 @@ def beside_the_paper(
     about: str, cells: Sequence[Cell], probes: Sequence[Probe] = (LAST,), **more: Any
 ) -> Study:
     """A study whose table has the paper's results where there are some."""
-    found = {cell_name(cell): reported(cell) for cell in cells}
-    theirs = {name: result for name, result in found.items() if result is not None}
-    return Study(about, cells, probes, reported=theirs, **more)
+    results = {cell_name(cell): reported(cell) for cell in cells}
+    published = {name: result for name, result in results.items() if result is not None}
+    return Study(about, cells, probes, reported=published, **more)
 
 
 # --- Tables and figures ------------------------------------------------------

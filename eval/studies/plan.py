@@ -29,12 +29,12 @@ def missing_jobs(
     """Jobs of the cells of some studies without rows, each cell once; some may be done.
 
     Raises:
-        UsageError: If two settings share a name, or a dataset is not there and nobody
-            knows how to make it.
+        UsageError: If two settings share a name, or a dataset is missing and
+            has no source to make it from.
         OtherConfigError: If there are rows or runs that were made with something else.
     """
     jobs: list[Job] = []
-    known: dict[str, Dataset] = {}
+    loaded: dict[str, Dataset] = {}
     for cell, probes, asked in _cells(options, studies):
         source, setting = cell
         training = training_of(source, setting, options.small, options.precision)
@@ -46,10 +46,10 @@ def missing_jobs(
         data = source.demonstrations if isinstance(source, Online) else source
         if data is not None:
             name = name_of(data)
-            known[name] = known.get(name) or datasets.get(data)
-            location = known[name].location
+            loaded[name] = loaded.get(name) or datasets.get(data)
+            location = loaded[name].location
             if not datasets.plan:
-                options.store.check_dataset(cell, known[name].identity())
+                options.store.check_dataset(cell, loaded[name].identity())
         learner = Learner(training, location, setting.library == "sb3")
         runs = {seed: options.run_folder(cell, seed) for seed in seeds}
         try:
@@ -64,7 +64,7 @@ def missing_jobs(
 
 def by_cell(jobs: Iterable[Job]) -> list[list[Job]]:
     """Jobs that follow each other, a list per cell."""
-    return [[*own] for _, own in groupby(jobs, key=lambda job: cell_name(job.cell))]
+    return [[*group] for _, group in groupby(jobs, key=lambda job: cell_name(job.cell))]
 
 
 def _cells(
@@ -78,9 +78,9 @@ def _cells(
             _, setting = cell
             if settings.setdefault(setting.name, setting) != setting:
                 raise UsageError(f"two settings are called {setting.name!r}")
-            _, before, known = asked.get(cell_name(cell), (cell, (), ()))
+            _, before, earlier = asked.get(cell_name(cell), (cell, (), ()))
             probes = {probe.name: probe for probe in (*before, *study.probes)}
-            seeds = dict.fromkeys((*known, *options.seeds_of(study)))
+            seeds = dict.fromkeys((*earlier, *options.seeds_of(study)))
             asked[cell_name(cell)] = cell, tuple(probes.values()), tuple(seeds)
     return list(asked.values())
 
@@ -120,9 +120,9 @@ def plan_table(jobs: Sequence[Job], workers: int, measured: bool) -> str:
         return [source, about, f"{len(left)} of {len(jobs)}", *time]
 
     lines = []
-    for own in by_cell(jobs):
-        source, setting = own[0].cell
-        lines.append(line(name_of(source), setting.about, own))
+    for group in by_cell(jobs):
+        source, setting = group[0].cell
+        lines.append(line(name_of(source), setting.about, group))
     lines.append(line("all", "", jobs))
     header = ["dataset", "setting", "runs missing"]
     header += [f"hours, {workers} at once"] if measured else []

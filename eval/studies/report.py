@@ -69,7 +69,7 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
     """The page.
 
     Args:
-        results: Folder with what there is of ``studies``, ``alpha``, ``controller``,
+        results: Folder with any of ``studies``, ``alpha``, ``controller``,
             ``data``, ``offline`` and ``online``; or of runs, with results in
             ``studies``.
         videos: Files of films to show.
@@ -156,8 +156,8 @@ def _benchmarks(results: Path) -> Iterator[Section]:
             key = name.replace("/", "-")
             yield Section(key, title, f"marl-mm bench {target}", text)
     abuse = sorted(results.glob("controller/abuse-*.json"))
-    if found := {p.stem[len("abuse-") :]: read_json(p, UsageError) for p in abuse}:
-        text = _html(abuse_table(found))
+    if reports := {p.stem[len("abuse-") :]: read_json(p, UsageError) for p in abuse}:
+        text = _html(abuse_table(reports))
         command = "marl-mm bench abuse --ticks 1000000"
         yield Section("abuse", "Limits under abuse", command, text)
 

@@ -57,13 +57,13 @@ def is_probed(
     path = probe.file(run)
     if not path.exists():
         return False
-    known = read_json(path, MarlMmError)
+    evaluation = read_json(path, MarlMmError)
     usual = BEST if path == BEST.file(run) else LAST  # a training's own evaluations
     with damage_named(str(path), MarlMmError):
         return bool(
-            len(known["episodes"]) == goals
-            and known["overrides"] == as_json({**overrides, **probe.overrides})
-            and known.get("probe", usual.way) == as_json(probe.way)
+            len(evaluation["episodes"]) == goals
+            and evaluation["overrides"] == as_json({**overrides, **probe.overrides})
+            and evaluation.get("probe", usual.way) == as_json(probe.way)
         )
 
 
@@ -86,13 +86,13 @@ class RowStore:
         Raises:
             OtherConfigError: If there are rows of runs that were not made of this.
         """
-        path, known = self._path(cell, ".json"), self._record(cell)
-        if not known:
+        path, record = self._path(cell, ".json"), self._record(cell)
+        if not record:
             return list(seeds)
         ways = {probe.name: probe.way for probe in probes}
-        there = {name: ways[name] for name in ways if name in known["probes"]}
-        recorded = made_of if "algorithm" in known else {}  # of some it is not known
-        refuse_other_config(path, known, {**recorded, "probes": there}, _ADVICE)
+        there = {name: ways[name] for name in ways if name in record["probes"]}
+        recorded = made_of if "algorithm" in record else {}  # of some it is not known
+        refuse_other_config(path, record, {**recorded, "probes": there}, _ADVICE)
         pairs = {(row["seed"], row["probe"]) for row in self._rows(cell)}
         return [seed for seed in seeds if not pairs >= set(product([seed], ways))]
 
@@ -102,9 +102,9 @@ class RowStore:
         Raises:
             OtherConfigError: Naming what differs.
         """
-        if (known := self._record(cell)).get("dataset"):
-            mine = {"dataset": _bytes_of(identity)}
-            refuse_other_config(self._path(cell, ".json"), known, mine, _ADVICE)
+        if (record := self._record(cell)).get("dataset"):
+            current = {"dataset": _bytes_of(identity)}
+            refuse_other_config(self._path(cell, ".json"), record, current, _ADVICE)
 
     def keep(
         self, cell: Cell, runs: Mapping[int, Path], probes: Sequence[Probe]
@@ -155,12 +155,12 @@ class RowStore:
         write_csv(self._path(cell, ".csv.xz"), rows)  # last: without, it is missing
 
     def _check_same_training(
-        self, cell: Cell, seeds: Set[int], new: list[Row], known: list[Row]
+        self, cell: Cell, seeds: Set[int], new: list[Row], kept: list[Row]
     ) -> None:
         """Raise if rows that stay are of a training with another learning curve."""
-        of_new, of_known = grouped(new, "seed"), grouped(known, "seed")
-        for seed in seeds & of_known.keys():
-            if repr(of_new.get(seed)) != repr(of_known[seed]):  # nan is not nan
+        of_new, of_kept = grouped(new, "seed"), grouped(kept, "seed")
+        for seed in seeds & of_kept.keys():
+            if repr(of_new.get(seed)) != repr(of_kept[seed]):  # nan is not nan
                 raise MarlMmError(
                     f"{self._path(cell, '.csv.xz')} has other evaluations of seed "
                     f"{seed}, of a training with another learning curve: name another "
@@ -193,8 +193,8 @@ class RowStore:
 
     def diverged(self, cell: Cell) -> dict[int, int]:
         """Updates after which runs diverged, by seed; what they had learnt counts."""
-        known = self._record(cell).get("diverged", {})
-        return {int(seed): step for seed, step in known.items()}
+        steps = self._record(cell).get("diverged", {})
+        return {int(seed): step for seed, step in steps.items()}
 
     def _rows(self, cell: Cell, end: str = ".csv.xz") -> list[Row]:
         path = self._path(cell, end)
@@ -241,5 +241,5 @@ def _curve(run: Path, seed: int) -> Iterator[Row]:
     clock = _clock(run)
     for row in read_metrics(run):
         if "success/all" in row:
-            own = {k.replace("/", "_"): row.get(k, math.nan) for k in _CURVE[clock]}
-            yield {"seed": seed, clock: row[clock], **own}
+            values = {k.replace("/", "_"): row.get(k, math.nan) for k in _CURVE[clock]}
+            yield {"seed": seed, clock: row[clock], **values}

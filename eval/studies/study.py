@@ -148,8 +148,8 @@ class Probe:
     @property
     def way(self) -> dict[str, Any]:
         """The evaluation's settings without its name."""
-        known = asdict(self)
-        return {key: known[key] for key in ("checkpoint", "overrides", "alpha")}
+        values = asdict(self)
+        return {key: values[key] for key in ("checkpoint", "overrides", "alpha")}
 
     def file(self, run: Path) -> Path:
         """File of the evaluation in a run folder."""
@@ -256,22 +256,22 @@ class Study:
             _check_cell(cell)
         if self.seeds < 1:
             raise UsageError(f"{self.about!r} has {self.seeds} seeds, expected >= 1")
-        known = [cell_name(cell) for cell in self.cells]
+        names = [cell_name(cell) for cell in self.cells]
         for name in self.reported:
-            if name not in known:
+            if name not in names:
                 raise UsageError(f"{name!r} is reported, but no cell has these names")
         by_setting = self.table == "episodes"
-        _check_once([s if by_setting else f"{d}, {s}" for d, s in known])
+        _check_once([s if by_setting else f"{d}, {s}" for d, s in names])
         _check_once([probe.name for probe in self.probes])
 
     def part(
         self, datasets: Sequence[str] | None, settings: Sequence[str] | None
     ) -> "Study":
         """The study with the cells of some sources and settings only; None: all."""
-        known = [cell_name(cell) for cell in self.cells]
-        sources = _chosen("datasets", datasets, [name for name, _ in known])
-        ways = _chosen("settings", settings, [name for _, name in known])
-        pairs = zip(self.cells, known, strict=True)
+        names = [cell_name(cell) for cell in self.cells]
+        sources = _chosen("datasets", datasets, [name for name, _ in names])
+        ways = _chosen("settings", settings, [name for _, name in names])
+        pairs = zip(self.cells, names, strict=True)
         cells = tuple(c for c, (d, s) in pairs if d in sources and s in ways)
         if not cells:
             raise UsageError(
@@ -340,9 +340,9 @@ def _check_once(names: Sequence[str]) -> None:
 
 
 def _chosen(
-    option: str, asked: Sequence[str] | None, known: Sequence[str]
+    option: str, asked: Sequence[str] | None, names: Sequence[str]
 ) -> Sequence[str]:
-    choices = list(dict.fromkeys(known))
+    choices = list(dict.fromkeys(names))
     unknown = [name for name in asked or () if name not in choices]
     if unknown or (asked is not None and not asked):
         missing = f"has no {unknown[0]!r}" if unknown else "is empty"

@@ -43,32 +43,32 @@ def summarize(study: Study, store: RowStore, seeds: Sequence[int]) -> list[Row]:
     for cell in study.cells:
         by_probe = grouped(store.evaluations(cell, seeds, study.probes), "probe")
         ends = store.diverged(cell)
-        own = CellRows(
+        cell_rows = CellRows(
             cell,
             {probe.name: by_probe[probe.name] for probe in study.probes},
             store.curves(cell, seeds),
             ", ".join(f"{seed} after {ends[seed]}" for seed in seeds if seed in ends),
         )
         if study.table == "episodes":
-            summary.append(row_of_setting(own))
+            summary.append(row_of_setting(cell_rows))
         else:
-            summary += _by_probe(study, own)
+            summary += _by_probe(study, cell_rows)
     return summary
 
 
 # --- A row per probe ---------------------------------------------------------
 
 
-def _by_probe(study: Study, own: CellRows) -> list[Row]:
-    of_runs: Row = {"diverged": own.diverged}
+def _by_probe(study: Study, cell_rows: CellRows) -> list[Row]:
+    of_runs: Row = {"diverged": cell_rows.diverged}
     for key in ("q_policy", "q_slope"):
-        of_runs |= _at_the_end(own.curves, key)
+        of_runs |= _at_the_end(cell_rows.curves, key)
     first, *others = study.probes
-    held = {p.alpha: own.probes[p.name] for p in others if p.alpha is not None}
-    worth = worth_of_alpha(own.probes[first.name], held) if held else {}
+    held = {p.alpha: cell_rows.probes[p.name] for p in others if p.alpha is not None}
+    worth = worth_of_alpha(cell_rows.probes[first.name], held) if held else {}
     return [
-        {**_of_probe(own.cell, name, rows), **of_runs, **worth}
-        for name, rows in own.probes.items()
+        {**_of_probe(cell_rows.cell, name, rows), **of_runs, **worth}
+        for name, rows in cell_rows.probes.items()
     ]
 
 
@@ -85,8 +85,8 @@ def _of_probe(cell: Cell, probe: str, rows: Sequence[Row]) -> Row:
         "success_seeds": " ".join(f"{100 * rate:.1f}" for rate in rates),
     }
     means = returns_of(rows).mean(axis=1)
-    known = len(means) > 1
-    summary["return_interval"] = mean_interval(means) if known else (np.nan, np.nan)
+    several = len(means) > 1
+    summary["return_interval"] = mean_interval(means) if several else (np.nan, np.nan)
     for key in ("return", "d_mm", "d_mp", "alpha"):
         summary[key] = mean_of(rows, key)
     failures = count_failures(rows)
@@ -102,9 +102,9 @@ def returns_of(rows: Sequence[Row]) -> np.ndarray:
 def _at_the_end(curves: Sequence[Row], key: str) -> Row:
     """A critic's last value: mean over seeds where it is finite, and every seed's."""
     last = {row["seed"]: float(row.get(key, np.nan)) for row in curves}
-    known = [value for value in last.values() if np.isfinite(value)]
+    finite = [value for value in last.values() if np.isfinite(value)]
     every = "" if np.isnan(list(last.values())).all() else _listed(last.values())
-    return {key: float(np.mean(known)) if known else np.nan, f"{key}_seeds": every}
+    return {key: float(np.mean(finite)) if finite else np.nan, f"{key}_seeds": every}
 
 
 def _listed(values: Iterable[float]) -> str:
@@ -128,17 +128,17 @@ def worth_of_alpha(learnt: Sequence[Row], held: Mapping[float, Sequence[Row]]) -
 # --- A row per setting -------------------------------------------------------
 
 
-def row_of_setting(own: CellRows) -> Row:
+def row_of_setting(cell_rows: CellRows) -> Row:
     """Success at the end and at best, and the episodes that it took, of one cell."""
-    by_seed = grouped(own.curves, "seed")
-    row: Row = {"setting": own.cell[1].name, "seeds": len(by_seed)}
-    for probe, goals in own.probes.items():
+    by_seed = grouped(cell_rows.curves, "seed")
+    row: Row = {"setting": cell_rows.cell[1].name, "seeds": len(by_seed)}
+    for probe, goals in cell_rows.probes.items():
         row |= summarize_success(goals, f"success_{probe}")
         row[f"return_{probe}"] = mean_of(goals, "return")
     for level in LEVELS:
         counts = [episodes_to(by_seed[seed], level) for seed in sorted(by_seed)]
         row |= _counted(f"to_{round(100 * level)}", counts)
-    row["episodes"] = max(point["episode"] for point in own.curves)
+    row["episodes"] = max(point["episode"] for point in cell_rows.curves)
     return row
 
 
@@ -162,14 +162,14 @@ def _counted(name: str, counts: Sequence[tuple[int, int] | None]) -> Row:
     As a count is known to lie between two evaluations only, the interval reaches from
     the lower end of the earlier ones' to the upper end of the later ones'.
     """
-    known = [count for count in counts if count is not None]
-    complete = len(known) == len(counts)
+    reached = [count for count in counts if count is not None]
+    complete = len(reached) == len(counts)
     shown = [str(count[1]) if count else "-" for count in counts]
     row: Row = {f"{name}_seeds": " ".join(shown)}
-    row[name] = float(np.mean([at for _, at in known])) if complete else np.nan
+    row[name] = float(np.mean([at for _, at in reached])) if complete else np.nan
     row[f"{name}_interval"] = (np.nan, np.nan)
-    if complete and len(known) > 1:
-        low, _ = mean_interval([before for before, _ in known])
-        _, high = mean_interval([at for _, at in known])
+    if complete and len(reached) > 1:
+        low, _ = mean_interval([before for before, _ in reached])
+        _, high = mean_interval([at for _, at in reached])
         row[f"{name}_interval"] = max(0.0, low), high
     return row

@@ -94,8 +94,8 @@ class Sweep:
                 )
         if self.alphas < 2:
             raise UsageError(f"`alphas` is {self.alphas}, expected >= 2")
-        known: dict[str, Sequence[str]] = {"tasks": _TASKS, "forms": FORMS}
-        for name, choices in known.items():
+        allowed: dict[str, Sequence[str]] = {"tasks": _TASKS, "forms": FORMS}
+        for name, choices in allowed.items():
             given = getattr(self, name)
             if not given or not {*given} <= {*choices}:
                 raise UsageError(
@@ -193,15 +193,15 @@ def _run(
     """Rows of cells; those that are finished are kept in a folder."""
     files = {cell: folder / f"{_fingerprint(cell)}.json" for cell in cells}
     kept = {cell: _read(file) for cell, file in files.items()}
-    rows = {cell: own for cell, own in kept.items() if own is not None}
+    rows = {cell: values for cell, values in kept.items() if values is not None}
     missing = [cell for cell in cells if cell not in rows]
     advance = bar("sweep-alpha", len(cells))
     advance(len(rows), "")
     try:
         results = ordered_map(run_cell, missing, workers, ahead=1)
-        for cell, own in zip(missing, results, strict=True):
-            rows[cell] = as_read(own)
-            write_json(files[cell], own)
+        for cell, values in zip(missing, results, strict=True):
+            rows[cell] = as_read(values)
+            write_json(files[cell], values)
             advance(1, f"{cell.task} {cell.form} alpha {cell.pd.alpha:g}")
     except KeyboardInterrupt:
         raise KeyboardInterrupt(

@@ -65,13 +65,13 @@ class SweepCell:
     @property
     def overrides(self) -> dict[str, Any]:
         """Settings of the task that are replaced."""
-        own: dict[str, Any] = {
+        settings: dict[str, Any] = {
             "max_steps": self.max_steps,
             "controller": {"form": self.form},
         }
         if self.mass is not None:
-            own["load"] = {"mass": (self.mass, self.mass)}
-        return own
+            settings["load"] = {"mass": (self.mass, self.mass)}
+        return settings
 
 
 def load_cells(goals: int, seed: int) -> list[SweepCell]:

@@ -16,22 +16,22 @@ _KEYS = ("task", "form", "rule", "alpha", "direction")
 def summarize_cells(rows: Sequence[Row]) -> list[Row]:
     """One row per task, form, rule, alpha and direction: means over goals."""
     summaries = []
-    for values, own in sorted(grouped(rows, *_KEYS).items()):
+    for values, group in sorted(grouped(rows, *_KEYS).items()):
         successes = sum(
-            row["steps"] <= SHORT_EPISODE and row["success"] == 1 for row in own
+            row["steps"] <= SHORT_EPISODE and row["success"] == 1 for row in group
         )
         summaries.append(
             {
                 **dict(zip(_KEYS, values, strict=True)),
-                "goals": len(own),
-                **{name: mean_of(own, name) for name in ("d_mm", "d_mp", "steps")},
-                "success_25": successes / len(own),
-                "success_25_interval": success_interval(successes, len(own)),
-                "success_50": mean_of(own, "success"),
-                "base_jerk_rms": mean_of(own, "base_jerk_rms"),
-                "zmp_margin": min(row["zmp_margin"] for row in own),
-                "return": mean_of(own, "return"),
-                "qp_failures": sum(row["qp_failures"] for row in own),
+                "goals": len(group),
+                **{name: mean_of(group, name) for name in ("d_mm", "d_mp", "steps")},
+                "success_25": successes / len(group),
+                "success_25_interval": success_interval(successes, len(group)),
+                "success_50": mean_of(group, "success"),
+                "base_jerk_rms": mean_of(group, "base_jerk_rms"),
+                "zmp_margin": min(row["zmp_margin"] for row in group),
+                "return": mean_of(group, "return"),
+                "qp_failures": sum(row["qp_failures"] for row in group),
             }
         )
     return summaries
@@ -77,16 +77,16 @@ def summarize_loads(rows: Sequence[Row]) -> list[Row]:
     least_mass, least_alpha = next(iter(cells))
     means = ("success", "steps", "d_mm", "base_jerk_rms", "zmp_span", *GAINED)
     summary = []
-    for (mass, alpha), own in cells.items():
-        row: Row = {"mass": mass, "alpha": alpha, "goals": len(own)}
-        row |= {name: mean_of(own, name) for name in means}
+    for (mass, alpha), group in cells.items():
+        row: Row = {"mass": mass, "alpha": alpha, "goals": len(group)}
+        row |= {name: mean_of(group, name) for name in means}
         for name in GAINED:
             gain, light = (
                 by_goal(cells[load, alpha], name)
                 - by_goal(cells[load, least_alpha], name)
                 for load in (mass, least_mass)
             )
-            row[f"{name}_least"] = min(goal[name] for goal in own)
+            row[f"{name}_least"] = min(goal[name] for goal in group)
             row[f"{name}_gain"] = float(gain.mean())
             row[f"{name}_gain_interval"] = bootstrap_interval(gain)
             row[f"{name}_more"] = float((gain - light).mean())

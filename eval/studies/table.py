@@ -93,11 +93,11 @@ class Table:
         by_setting = grouped(self.rows, "setting")
         for cell in self.study.cells:
             source, setting = cell_name(cell)
-            own = by_setting[setting]
+            group = by_setting[setting]
             if self.study.table == "episodes":
-                rows = {"": own[0]}
+                rows = {"": group[0]}
             else:
-                probes = {r["probe"]: r for r in own if r["dataset"] == source}
+                probes = {r["probe"]: r for r in group if r["dataset"] == source}
                 rows = {probe.name: probes[probe.name] for probe in self.study.probes}
             yield Line(cell, self.study.reported.get((source, setting)), rows)
 
@@ -129,7 +129,7 @@ def _of_probes(study: Study, rows: Sequence[Row]) -> list[Column]:
         Column("every seed", _every_seed),
         Column("IQM [%]", lambda line: _iqm(line, "success")),
         *map(_short, others),
-        Column("paper [%]", _theirs),
+        Column("paper [%]", _reported),
         Column("difference [points]", _difference),
         Column(RETURN, _return),
         Column("d_mm [m]", lambda line: f"{line.row['d_mm']:.3f}"),
@@ -177,19 +177,19 @@ def _short(probe: Probe) -> Column:
     return Column(f"{probe.about}: goals [%], return", text)
 
 
-def _theirs(line: Line) -> str:
+def _reported(line: Line) -> str:
     return "" if line.reported is None else str(line.reported)
 
 
 def _difference(line: Line) -> str:
     """Our success rate less the reported one, after as many updates."""
-    theirs = line.reported
-    if theirs is None or theirs.success is None:
+    reported = line.reported
+    if reported is None or reported.success is None:
         return ""
     config = line.cell[1].config
-    if theirs.updates not in (None, getattr(config, "updates", None)):
+    if reported.updates not in (None, getattr(config, "updates", None)):
         return ""
-    return f"{100 * line.row['success'] - theirs.success:+.1f}"
+    return f"{100 * line.row['success'] - reported.success:+.1f}"
 
 
 def _return(line: Line) -> str:
@@ -239,7 +239,7 @@ _OF_EPISODES = [
         "at the best checkpoint [%]",
         lambda line: rate_with_interval(line.row, "success_best"),
     ),
-    Column("paper [%]", _theirs),
+    Column("paper [%]", _reported),
     Column("return", lambda line: f"{line.row['return_last']:.2f}"),
     *map(_episodes, LEVELS),
     Column("episodes", lambda line: str(line.row["episodes"])),

@@ -5,10 +5,10 @@ import sys
 from pathlib import Path
 
 from marl_mm.errors import MarlMmError, UsageError
-from marl_mm.eval.studies import online, ours, paper
+from marl_mm.eval.studies import offline, online, paper
 from marl_mm.eval.studies.study import Study
 
-STUDIES = paper.STUDIES | ours.STUDIES | online.STUDIES
+STUDIES = paper.STUDIES | offline.STUDIES | online.STUDIES
 """Studies by name."""
 
 GROUPS = {
@@ -28,7 +28,7 @@ def study_of(path: Path, name: str) -> Study:
         raise UsageError(f"there is no file {path}, expected FILE.py:NAME")
     sys.path.insert(0, str(path.parent))  # of what it imports itself
     try:
-        found = runpy.run_path(str(path))
+        variables = runpy.run_path(str(path))
     except MarlMmError as error:
         raise UsageError(f"{path}: {error}") from error
     except Exception as error:
@@ -36,11 +36,11 @@ def study_of(path: Path, name: str) -> Study:
         raise UsageError(f"{path} cannot be run: {reason:.300}") from error
     finally:
         sys.path.remove(str(path.parent))
-    study = found.get(name)
+    study = variables.get(name)
     if isinstance(study, Study):
         return study
-    known = [key for key, value in found.items() if isinstance(value, Study)]
+    names = [key for key, value in variables.items() if isinstance(value, Study)]
     raise UsageError(
         f"{path} has no Study called {name!r}, expected one of "
-        f"{', '.join(known) or 'its names: it has none'}"
+        f"{', '.join(names) or 'its names: it has none'}"
     )

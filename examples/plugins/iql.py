@@ -129,5 +129,5 @@ class Iql(OfflineLearner):
 
 
 _about = "IQL: in-sample values, advantage-weighted cloning."
-_own = {"learner": Iql, "presets": {TUNED: IqlConfig()}, "source": "Kostrikov 2022"}
-ALGORITHMS.add("iql", Algorithm(about=_about, **_own))
+_parts = {"learner": Iql, "presets": {TUNED: IqlConfig()}, "source": "Kostrikov 2022"}
+ALGORITHMS.add("iql", Algorithm(about=_about, **_parts))

@@ -111,7 +111,7 @@ def _make(
 
 
 def _parts(studies: dict[str, Study], options: Ablate, target: str) -> dict[str, Study]:
-    """The asked part of a study."""
+    """The requested part of a study."""
     if len(studies) != 1:
         raise UsageError(f"--settings and --datasets are for a study, not {target}")
     ((name, study),) = studies.items()
@@ -161,7 +161,7 @@ Check = tuple[Path, Callable[[Path], object]]
 def _checks(
     options: Ablate, studies: dict[str, Study], with_alpha: bool
 ) -> Sequence[Check]:
-    """Checks of the tables that there are."""
+    """Checks of the existing tables."""
     committed = not (options.out or options.runs or options.small)
     if committed and _COMMITTED.exists():
         options = replace(options, out=_COMMITTED / "studies")

@@ -52,9 +52,9 @@ def _spec(name: str) -> Mapping[str, Any]:
     with redirect_stdout(printed), suppress(SystemExit):
         main = importlib.import_module(f"marl_mm.commands.{module}").main
         main([*words, "--tyro-print-completion", "bash"])
-    found = re.search("^COMPLETION_SPEC = (.*)$", printed.getvalue(), re.MULTILINE)
-    assert found, printed.getvalue()
-    spec: Mapping[str, Any] = ast.literal_eval(found[1])
+    match = re.search("^COMPLETION_SPEC = (.*)$", printed.getvalue(), re.MULTILINE)
+    assert match, printed.getvalue()
+    spec: Mapping[str, Any] = ast.literal_eval(match[1])
     return spec
 
 

@@ -155,7 +155,7 @@ def _delete(
         kept = f"; {location.folder.readlink()}, where it led, is kept"
     if not yes:
         if not sys.stdin.isatty():
-            raise UsageError("nobody is here to answer: add --yes to delete")
+            raise UsageError("there is no terminal to confirm on: add --yes to delete")
         try:
             answer = input(f"delete {what}? [y/N] ")
         except EOFError:

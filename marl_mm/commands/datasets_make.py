@@ -21,8 +21,8 @@ from marl_mm.files import refuse_existing
 from marl_mm.runs.settings import check_seed
 
 _TASK = task_help(
-    'Whose rewards they are: {}; default what the file\'s attribute "task" says, and '
-    "Reach-v0 where it says nothing."
+    'Task of the episodes: {}; default the file\'s attribute "task", or '
+    "Reach-v0 without one."
 )
 
 
@@ -34,7 +34,7 @@ def make_mix(
     overwrite: bool = False,
     json: bool = False,
 ) -> None:
-    """Draw so many steps of each of several datasets at random, as whole episodes.
+    """Draw steps from each of several datasets at random, as whole episodes.
 
     Args:
         parts: DATASET:STEPS, such as good:20000 medium:5000 random:5000.

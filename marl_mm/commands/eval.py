@@ -56,9 +56,9 @@ def main(
     if out is not None:
         refuse_existing(out, overwrite)
     task = own_task(policies) if task is None else task
-    own = make_task(task, task_overrides(max_steps))
+    variant = make_task(task, task_overrides(max_steps))
     for name in policies:  # before any work is done
-        load_policy(name, own, config_of(name, settings))
+        load_policy(name, variant, config_of(name, settings))
     with progress_bars() as bar:
         evaluations = [
             evaluate(

@@ -31,7 +31,7 @@ def main(arguments: Sequence[str]) -> None:
     kind, *rest = arguments
 
     def listing(*, json: bool = False) -> None:
-        """List what there is, and where it comes from.
+        """List what is registered, and where it comes from.
 
         Args:
             json: Print JSON.
@@ -51,7 +51,7 @@ def _rows(kind: str) -> Iterator[Row]:
 
 
 def _describe(kind: str, item: Any) -> Row:
-    """What a list tells of a registered object, beside its name and origin."""
+    """What a list shows of a registered object, beside its name and origin."""
     if kind == "algorithms":
         return {
             "learns": "online" if item.online else "from a dataset",
@@ -77,9 +77,9 @@ def _changed(task: Any) -> Row:
     return dict(_changed_fields(usual, config_dict(task)))
 
 
-def _changed_fields(usual: Any, own: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in own.items():
+def _changed_fields(base: Any, task: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in task.items():
         if isinstance(value, dict):
-            yield from _changed_fields(usual[name], value, f"{path}{name}.")
-        elif value != usual[name]:
+            yield from _changed_fields(base[name], value, f"{path}{name}.")
+        elif value != base[name]:
             yield f"{path}{name}", value

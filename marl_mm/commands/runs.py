@@ -37,7 +37,7 @@ def main(
 
 
 def _cells(run: Run) -> dict[str, Any]:
-    """What is known of a run, by column."""
+    """A run's values, by column."""
     try:
         config, metrics, evaluation = run.config, run.metrics, run.evaluation
     except CheckpointError as error:

@@ -52,7 +52,7 @@ class Offline(_Options, training.Offline):
 
 @dataclass(frozen=True, kw_only=True)
 class Online(_Options, training.Online):
-    """Learn from episodes of one's own."""
+    """Learn from the algorithm's own episodes."""
 
     task: Annotated[str, task_help("To learn: {}.")] = DEFAULT
 
@@ -99,7 +99,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _subcommand(name: str, started_from: str, saved: Any = None) -> Subcommand:
-    """An algorithm's options if nothing is said; those of a run where it was saved."""
+    """An algorithm's default options; those of a run where it was saved."""
     algorithm = ALGORITHMS.get(name)
     settings: dict[str, Any] = {
         "algorithm": name,

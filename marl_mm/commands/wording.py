@@ -22,6 +22,6 @@ def as_options(text: str) -> str:
     return _PARAMETER.sub(_option, text)
 
 
-def _option(found: re.Match[str]) -> str:
-    name, value = found.groups()
+def _option(match: re.Match[str]) -> str:
+    name, value = match.groups()
     return f"--{'no-' * (value == '=False')}{name.replace('_', '-')}"

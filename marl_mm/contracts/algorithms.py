@@ -130,8 +130,8 @@ def _learns(candidate: Candidate) -> None:
     candidate.train(learner)
     after = candidate.weights(learner)
     for name in candidate.agents(learner):
-        own = [key for key in before if key.startswith(f"{name} ")]
-        moved = any(not np.array_equal(before[key], after[key]) for key in own)
+        keys = [key for key in before if key.startswith(f"{name} ")]
+        moved = any(not np.array_equal(before[key], after[key]) for key in keys)
         demand(moved, f"the actor {name} stays as it is")
 
 
@@ -169,13 +169,13 @@ def _explores(words: str, policy: Policy, arrays: EpisodeArrays) -> None:
 def _sees_its_own(words: str, policy: LearnedPolicy, state: np.ndarray) -> None:
     """An agent's action depends only on the entries that it sees."""
     action, layout = policy.act(state), policy.layout
-    known = {agent.name: agent for agent in (*layout.agents, layout.joint)}
+    layouts = {agent.name: agent for agent in (*layout.agents, layout.joint)}
     for name in policy.agents:
-        demand(name in known, f"{words}: {name} is none of the agents")
+        demand(name in layouts, f"{words}: {name} is none of the agents")
         other = state + 1.0
-        own = list(known[name].observation)
-        other[own] = state[own]
-        sets = list(known[name].action)
+        seen = list(layouts[name].observation)
+        other[seen] = state[seen]
+        sets = list(layouts[name].action)
         same = np.array_equal(policy.act(other)[sets], action[sets])
         demand(same, f"{words}: {name} acts on what it does not see")
 
@@ -197,14 +197,14 @@ def _exports(candidate: Candidate) -> None:
 
 def _acts_alone(candidate: Candidate) -> None:
     learner = candidate.trained(some_episodes())
-    own = candidate.policy(learner)
+    policy = candidate.policy(learner)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "checkpoint.pt")
         candidate.save(path, learner)
         read = load_policy(path)
-    demand(read.layout == own.layout, "the checkpoint has another layout")
+    demand(read.layout == policy.layout, "the checkpoint has another layout")
     for state in some_episodes().states[:20]:
-        demand_same(read.act(state), own.act(state), "actions of the checkpoint")
+        demand_same(read.act(state), policy.act(state), "actions of the checkpoint")
 
 
 def _odd_values(candidate: Candidate) -> None:

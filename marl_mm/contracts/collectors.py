@@ -51,8 +51,8 @@ class Candidate:
     @property
     def overrides(self) -> dict[str, int]:
         """Fields of the task that were replaced."""
-        own = self.task
-        return {"ticks_per_step": own.ticks_per_step, "max_steps": own.max_steps}
+        task = self.task
+        return {"ticks_per_step": task.ticks_per_step, "max_steps": task.max_steps}
 
     def policy(self) -> Policy:
         """The policy of the default settings."""
@@ -63,8 +63,8 @@ class Candidate:
 def candidate(name: str, task: str = DEFAULT) -> Candidate:
     """A registered collector, to be tested in a registered task."""
     ticks = short(task).task.ticks_per_step
-    own = make_task(task, {"ticks_per_step": ticks, "max_steps": LONG})
-    return Candidate(name, COLLECTORS.get(name), task, own)
+    variant = make_task(task, {"ticks_per_step": ticks, "max_steps": LONG})
+    return Candidate(name, COLLECTORS.get(name), task, variant)
 
 
 def _plans(numbers: range = range(EPISODES)) -> list[EpisodePlan]:

@@ -59,8 +59,8 @@ def kind_of(path: Path) -> Kind:
     for kind in KINDS:
         if kind.fits(path):
             return kind
-    known = ", ".join(kind.name for kind in KINDS)
-    raise UsageError(f"{path} is of no known kind, expected a {known}")
+    names = ", ".join(kind.name for kind in KINDS)
+    raise UsageError(f"{path} is of no known kind, expected a {names}")
 
 
 def fingerprint(path: Path) -> str:

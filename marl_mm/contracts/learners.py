@@ -51,8 +51,8 @@ class Candidate:
             "warm_up": 8,
             "capacity": 2_000,
         }
-        known = {field.name for field in fields(config)}
-        return replace(config, **{k: v for k, v in small.items() if k in known})
+        names = {field.name for field in fields(config)}
+        return replace(config, **{k: v for k, v in small.items() if k in names})
 
     def fresh(self, arrays: EpisodeArrays, seeds: tuple[int, ...] = (0,)) -> Any:
         """A new learner; an online one has seen the episodes."""

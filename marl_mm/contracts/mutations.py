@@ -85,8 +85,8 @@ _WITHOUT_CHECKSUM = (".json", ".jsonl", ".csv")
 
 def _is_target(path: Path) -> bool:
     """Whether a file is read: cards, pictures and events are not."""
-    known = path.suffix in (*_INFORMED, ".onnx")
-    return path.is_file() and known and not path.name.startswith("card.")
+    readable = path.suffix in (*_INFORMED, ".onnx")
+    return path.is_file() and readable and not path.name.startswith("card.")
 
 
 def _sign(path: Path) -> None:
@@ -225,11 +225,11 @@ def _places(value: Any, where: str = "", depth: int = 0) -> list[tuple[Any, Any,
         pairs = value.items()
     elif isinstance(value, list):
         pairs = list(enumerate(value))[:20]
-    found = []
+    places = []
     for key, inner in pairs if depth < 6 else ():
-        found.append((value, key, f"{where}/{key}"))
-        found += _places(inner, f"{where}/{key}", depth + 1)
-    return found
+        places.append((value, key, f"{where}/{key}"))
+        places += _places(inner, f"{where}/{key}", depth + 1)
+    return places
 
 
 def _json(path: Path, rng: Rng) -> str:

@@ -44,8 +44,8 @@ def _layout(short: ShortTask) -> None:
     with closing(EpisodeCore(short.task)) as core:
         core.reset(np.random.default_rng(0))
         seen = set(short.task.observe(core.attempt))  # type: ignore[arg-type]
-        known = {*layout.state_names} - {*layout.desired}
-        unknown = seen - known
+        expected = {*layout.state_names} - {*layout.desired}
+        unknown = seen - expected
         demand(not unknown, f"observe tells {', '.join(sorted(unknown))}, not in it")
     for state in np.concatenate([episode.states for episode in episodes(short)]):
         for entry, value in zip(layout.state, state.tolist(), strict=True):
@@ -114,8 +114,8 @@ def _highest_return(short: ShortTask) -> None:
         terms = arrays_of([episode], "contract").reward_terms(task.needs)
         returns = np.cumsum(episode.rewards[::-1])
         hits = np.asarray(task.judge(achieved, achieved.copy(), terms)[0])
-        found = {"reward": episode.rewards, "return": returns, "hit's reward": hits}
-        for name, values in found.items():
+        measures = {"reward": episode.rewards, "return": returns, "hit's reward": hits}
+        for name, values in measures.items():
             highest = values.max()
             demand(highest <= bound, f"a {name} is {highest:g}, the bound {bound:g}")
 

@@ -45,15 +45,15 @@ def collect(
     collecting = Collecting(task=task)
     name = str(dataset) if dataset is not None else default_dataset(task, collector)
     if settings.get("resume"):
-        known = begun_settings(name, collector)
-        collecting = with_values(collecting, known)
-        config = with_values(config, known)
-    own = {k: v for k, v in settings.items() if not hasattr(collecting, k)}
-    rest = {k: v for k, v in settings.items() if k not in own}
+        saved = begun_settings(name, collector)
+        collecting = with_values(collecting, saved)
+        config = with_values(config, saved)
+    collector_values = {k: v for k, v in settings.items() if not hasattr(collecting, k)}
+    rest = {k: v for k, v in settings.items() if k not in collector_values}
     data, complete = collect_into(
         name,
         collector,
-        with_settings(f"collector {collector}", config, own),
+        with_settings(f"collector {collector}", config, collector_values),
         with_settings("collect", collecting, rest),
         progress,
     )
@@ -87,8 +87,8 @@ def begun_settings(name: str, collector: str) -> dict[str, Any]:
     begun = Provenance.from_json(about) if about else recorded(location)
     if begun is None or begun.collector != collector:
         return {}
-    known = {"task": begun.task, "seed": begun.seed}
-    return known | {**begun.overrides, **(begun.collector_config or {})}
+    settings = {"task": begun.task, "seed": begun.seed}
+    return settings | {**begun.overrides, **(begun.collector_config or {})}
 
 
 def default_dataset(task: str, collector: str) -> str:

@@ -165,18 +165,18 @@ class _Collector:
             with Journal(location.working) as journal:
                 begun = journal.about() or {}
                 replaces = options.overwrite or bool(begun.get("replaces"))
-                ours = recorded(location) if options.resume and not replaces else None
-                steps = self._steps(begun, ours)
-                known: Attempts = {}
-                for source in (first, location if ours else None):
-                    known |= self._attempts(source)
-                if ours and ours.complete and ours.steps_asked == steps:
+                stored = recorded(location) if options.resume and not replaces else None
+                steps = self._steps(begun, stored)
+                attempts: Attempts = {}
+                for source in (first, location if stored else None):
+                    attempts |= self._attempts(source)
+                if stored and stored.complete and stored.steps_asked == steps:
                     cleaning.callback(clear, location)
-                    kept = [e for e in known.values() if e is not None]
-                    return Collection(kept, len(known), complete=True)
-                known |= self._begun(journal, steps)
+                    kept = [e for e in attempts.values() if e is not None]
+                    return Collection(kept, len(attempts), complete=True)
+                attempts |= self._begun(journal, steps)
                 try:
-                    collection = self._run(journal, steps, known, bar)
+                    collection = self._run(journal, steps, attempts, bar)
                 except HopelessError:
                     if not any(map(self.keeps, self._episodes(journal).values())):
                         journal.begin(self.about.to_json())  # empty, it is removed
@@ -187,14 +187,14 @@ class _Collector:
                 clear(location)
         return collection
 
-    def _steps(self, begun: dict[str, Any], ours: Provenance | None) -> int:
+    def _steps(self, begun: dict[str, Any], stored: Provenance | None) -> int:
         """Number of steps to collect.
 
         Raises:
             UsageError: If more were asked for before.
         """
         before = begun.get("steps_asked", 0) if self.options.resume else 0
-        before = max(before, (ours and ours.steps_asked) or 0)
+        before = max(before, (stored and stored.steps_asked) or 0)
         asked = self.options.steps or before or _STEPS
         if asked < before:
             raise UsageError(
@@ -209,8 +209,8 @@ class _Collector:
             return {}
         dataset = load_dataset(source)
         self._refuse_other(source, dataset.metadata["marl_mm"])
-        known: Attempts = dict.fromkeys(range(dataset.provenance.attempts or 0))
-        return known | {episode.index: episode for episode in dataset.episodes}
+        attempts: Attempts = dict.fromkeys(range(dataset.provenance.attempts or 0))
+        return attempts | {episode.index: episode for episode in dataset.episodes}
 
     def _begun(self, journal: Journal, steps: int) -> Attempts:
         """Attempts in a journal; an empty one begins."""
@@ -232,18 +232,18 @@ class _Collector:
     def _episodes(self, journal: Journal) -> dict[int, Episode]:
         return journal.episodes(self.task.layout)
 
-    def _refuse_other(self, location: Location, theirs: dict[str, Any]) -> None:
+    def _refuse_other(self, location: Location, metadata: dict[str, Any]) -> None:
         """Raise an OtherConfigError that says what else was collected there."""
-        who, mine = theirs.get("collector"), self.about.collector
-        if who not in (None, mine):
+        who, collector = metadata.get("collector"), self.about.collector
+        if who not in (None, collector):
             raise OtherConfigError(
-                f"{location.name} was collected by {who}, now asked for {mine}",
+                f"{location.name} was collected by {who}, now asked for {collector}",
                 "choose another `dataset` or add `overwrite=True`",
             )
-        refuse_other_config(location.folder, theirs, self.about.to_json())
+        refuse_other_config(location.folder, metadata, self.about.to_json())
 
     def _run(
-        self, journal: Journal, steps: int, known: Attempts, bar: Bar
+        self, journal: Journal, steps: int, attempts: Attempts, bar: Bar
     ) -> Collection:
         complete = False
         rollouts = Rollouts(self.task, self.options.workers, self.options.executor)
@@ -255,7 +255,7 @@ class _Collector:
                 steps,
                 self.options.seed,
                 bar(f"collect {self.policy.name}", steps),
-                known,
+                attempts,
                 journal.add,
             )
             complete = collection.complete
@@ -315,8 +315,8 @@ def _remove_if_empty(location: Location) -> None:
     """No trace of a collection that kept nothing."""
     journal = location.working / JOURNAL
     if journal.exists():
-        with Journal(location.working) as known:
-            if len(known):
+        with Journal(location.working) as entries:
+            if len(entries):
                 return
         journal.unlink()
     if location.working.exists() and not any(location.working.iterdir()):

@@ -52,8 +52,8 @@ def evaluate(
     actor = load_policy(policy, make_task(name, overrides), config, **settings)
     called = actor.name if policy is actor else str(getattr(policy, "folder", policy))
     advance = progress(f"eval {Path(called).name}", episodes)
-    found = evaluate_policy(actor, episodes, seed, name, overrides, workers, advance)
-    return replace(found, policy=called)
+    result = evaluate_policy(actor, episodes, seed, name, overrides, workers, advance)
+    return replace(result, policy=called)
 
 
 def evaluations_json(evaluations: Sequence[Evaluation]) -> list[dict[str, Any]]:

@@ -102,13 +102,13 @@ def refuse_other(run: Path, config: RunConfig, ignored: Sequence[str] = ()) -> N
         OtherConfigError: Naming what differs.
         CheckpointError: If its config cannot be read.
     """
-    theirs, mine = read_config(run).to_json(), as_json(config.to_json())
+    begun, current = read_config(run).to_json(), as_json(config.to_json())
     for key in ("packages", *ignored):
-        mine.pop(key, None)
-    for values in (theirs, mine):  # a dataset may have moved
+        current.pop(key, None)
+    for values in (begun, current):  # a dataset may have moved
         if values.get("dataset"):
             values["dataset"].pop("path", None)
-    refuse_other_config(run, theirs, mine)
+    refuse_other_config(run, begun, current)
 
 
 def task_of(training: Training, dataset: Dataset | None) -> str:

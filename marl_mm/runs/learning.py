@@ -276,8 +276,8 @@ def evaluate_run(
     kept = {FILE: EVALUATION, BEST: BEST_EVALUATION} if online else {FILE: EVALUATION}
     asked = training.eval_episodes, training.eval_seed
     for file, result in kept.items():
-        known = read_evaluation(run / result) if training.resume else None
-        if known is not None and (len(known.rows), known.seed) == asked:
+        saved = read_evaluation(run / result) if training.resume else None
+        if saved is not None and (len(saved.rows), saved.seed) == asked:
             continue
         try:
             evaluation = evaluate(

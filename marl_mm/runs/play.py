@@ -128,19 +128,19 @@ def play(
     check_positive(fps=fps)
     check_seed(seed)
     name = own_task([policy]) if task is None else task
-    own = make_task(name, task_overrides(max_steps))
-    actor = load_policy(policy, own, config, **settings)
-    ahead, behind = goal_set(own, 2, seed)
+    variant = make_task(name, task_overrides(max_steps))
+    actor = load_policy(policy, variant, config, **settings)
+    ahead, behind = goal_set(variant, 2, seed)
     if direction is not None and ahead.goal is None:
         raise UsageError(f"`direction` is not for {name}: its seed draws the goal")
     episode, frames = film_episode(
-        own,
+        variant,
         actor,
         ahead if direction == "forward" else behind,
-        camera or own.camera,
+        camera or variant.camera,
         0 if gui else fps,
         gui,
-        progress(f"play {actor.name}", own.max_steps),
+        progress(f"play {actor.name}", variant.max_steps),
     )
     return Film(episode, frames, fps, name, actor.name)
 

@@ -41,8 +41,8 @@ def load_policy(
         collector = COLLECTORS.get(source)
         config = collector.config() if config is None else config
         config = with_settings(f"collector {source}", config, settings)
-        own = make_task(task) if isinstance(task, str) else task
-        return collector.policy(config, own)
+        instance = make_task(task) if isinstance(task, str) else task
+        return collector.policy(config, instance)
     if settings:
         raise UsageError(
             f"{source!s:.80} takes no settings, got {', '.join(settings)}: they are "

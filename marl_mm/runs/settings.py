@@ -32,17 +32,17 @@ def with_settings(owner: str, record: T, settings: Mapping[str, Any]) -> T:
     Raises:
         UsageError: If no field has a name, or a value is of another type.
     """
-    known = dict(_kinds(record))
+    kinds = dict(_kinds(record))
     for name, value in settings.items():
-        if name not in known:
-            close = difflib.get_close_matches(name, known, 1)
+        if name not in kinds:
+            close = difflib.get_close_matches(name, kinds, 1)
             hint = f"; did you mean {close[0]}?" if close else ""
             raise UsageError(
                 f"{owner} has no setting {name!r}, expected some of "
-                f"{', '.join(sorted(known))}{hint}"
+                f"{', '.join(sorted(kinds))}{hint}"
             )
         try:
-            check_type(value, known[name])
+            check_type(value, kinds[name])
         except TypeCheckError as error:
             why = " ".join(str(error).split())
             raise UsageError(f"{owner}: {name} is {value!r:.80}, {why}") from None

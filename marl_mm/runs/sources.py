@@ -120,7 +120,7 @@ class Datasets:
 
     bar: Bar = silent_bar
 
-    known: Mapping[str, Source | Mix] = field(default_factory=dict)
+    declared: Mapping[str, Source | Mix] = field(default_factory=dict)
     """Declared sources by the word that an id is short for."""
 
     scale: float = 1.0
@@ -158,7 +158,7 @@ class Datasets:
         """A dataset; what is missing of it is made.
 
         Raises:
-            UnknownDatasetError: If there is none, and nobody knows how to make it.
+            UnknownDatasetError: If there is none, and no source to make it from.
             OtherConfigError: If another collection has its name.
             KeyboardInterrupt: After Ctrl-C; the same call goes on.
         """
@@ -207,11 +207,11 @@ class Datasets:
 
     def _gives_way(self, data: Mix, location: Location) -> bool:
         """Whether a mix that is there may be replaced: it is of no more steps."""
-        known = None if self.overwrite else recorded(location)
-        if known is None:
+        record = None if self.overwrite else recorded(location)
+        if record is None:
             return True
-        fewer = 0 < sum(_drawn(known)) <= sum(self._drawn_by(data))
-        return known.seed == data.seed and fewer
+        fewer = 0 < sum(_drawn(record)) <= sum(self._drawn_by(data))
+        return record.seed == data.seed and fewer
 
     def _made_of(self, data: Source | Mix) -> list[Source]:
         """Sources that it begins with, or is drawn from."""
@@ -222,20 +222,20 @@ class Datasets:
     def _whole(self, data: Source | Mix, location: Location) -> bool:
         """Whether the dataset is there, as it is declared, with all its steps."""
         try:
-            known = recorded(location)
+            record = recorded(location)
         except DatasetError:
             if self.overwrite:
                 return False
             raise
-        if known is None or known.seed != data.seed:
+        if record is None or record.seed != data.seed:
             return False
         if isinstance(data, Mix):
-            return _drawn(known) == self._drawn_by(data)
+            return _drawn(record) == self._drawn_by(data)
         config = as_json(asdict(data.config))
-        mine = data.task, data.collector, config, self._steps(data.steps)
-        config = as_json(dict(known.collector_config or {}))
-        theirs = known.task, known.collector, config, known.steps_asked
-        return known.complete and theirs == mine
+        expected = data.task, data.collector, config, self._steps(data.steps)
+        config = as_json(dict(record.collector_config or {}))
+        actual = record.task, record.collector, config, record.steps_asked
+        return record.complete and actual == expected
 
     def _deed(self, data: Source | Mix) -> str:
         if isinstance(data, Mix):
@@ -258,9 +258,9 @@ class Datasets:
 
     def _declared(self, data: Data) -> Data:
         """The source that a word is short for, if it is a declared one's."""
-        return self.known.get(data, data) if isinstance(data, str) else data
+        return self.declared.get(data, data) if isinstance(data, str) else data
 
 
-def _drawn(known: Provenance) -> list[int]:
+def _drawn(record: Provenance) -> list[int]:
     """Steps that were drawn from each source of a dataset."""
-    return [*(known.recipe or {}).get("steps", {}).values()]
+    return [*(record.recipe or {}).get("steps", {}).values()]

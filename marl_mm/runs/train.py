@@ -35,7 +35,7 @@ def train(
         dataset: Dataset to learn from, its id or its path; none for an algorithm that
             learns from episodes of its own, which takes ``demonstrations``.
         out: Folder of the runs: seed s goes to ``out/s``; default ``runs/ALGORITHM``.
-        seeds: Seeds of the runs; default 0, or when resuming those that there are.
+        seeds: Seeds of the runs; default 0, or when resuming those that exist.
         preset: Preset of hyper-parameters; default tuned.
         config: Hyper-parameters in place of the preset's.
         progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
@@ -53,11 +53,11 @@ def train(
     if out == "":
         raise UsageError("`out` is empty, expected a folder")
     folder = Path(out) if out is not None else Path("runs") / algorithm
-    known: dict[str, Any] = {}
+    saved: dict[str, Any] = {}
     if settings.get("resume"):
-        known = saved_settings(folder)
+        saved = saved_settings(folder)
         if preset is None:
-            training = with_values(training, known)
+            training = with_values(training, saved)
     if config is not None:
         kind = type(training.config)
         if not isinstance(config, kind):
@@ -65,9 +65,9 @@ def train(
         training = replace(training, config=config)
     training = with_settings(algorithm, training, settings)
     if dataset is None and isinstance(training, Offline):
-        dataset = known.get("dataset")
+        dataset = saved.get("dataset")
     if seeds is None:
-        seeds = known.get("seeds", (0,))
+        seeds = saved.get("seeds", (0,))
     runs = list(trained(training, dataset, folder, seeds, progress))
     return sorted(runs, key=lambda run: seeds.index(int(run.folder.name)))
 

@@ -54,7 +54,7 @@ def inputs(count: int, seeds: int = 1) -> tuple[torch.Tensor, torch.Tensor]:
 def cloned(made: SeededActors, state: torch.Tensor, action: torch.Tensor) -> None:
     """One step of every agent towards actions."""
     for agent in made._layouts.values():
-        own = made.own(agent.name, state) - action[..., list(agent.action)]
+        own = made.action(agent.name, state) - action[..., list(agent.action)]
         made.descend(agent.name, own.square().mean(dim=(1, 2)))
 
 
@@ -116,7 +116,7 @@ def test_the_joint_action_is_in_the_layouts_order() -> None:
     state, _ = inputs(6, len(SEEDS))
     joint = made.joint(state)
     for agent in SPLIT.agents:
-        own = made.own(agent.name, state)
+        own = made.action(agent.name, state)
         assert torch.equal(joint[..., list(agent.action)], own)
 
 
@@ -128,8 +128,8 @@ def test_one_seeds_actors_act_as_the_ensemble_does() -> None:
     for number in range(len(SEEDS)):
         for name, agent in made.agents(number).items():
             with torch.no_grad():
-                alone = agent.actor(agent.own(raw))
-            torch.testing.assert_close(alone, made.own(name, normalised)[number])
+                alone = agent.actor(agent.observed(raw))
+            torch.testing.assert_close(alone, made.action(name, normalised)[number])
 
 
 def test_states_come_back_and_learning_goes_on_equally() -> None:

@@ -775,7 +775,7 @@ class InTurnOnline(Maddpg):
 
     def _actor_loss(self, batch: Batch) -> torch.Tensor:
         state = batch.observation
-        parts = [agent.actor(agent.own(state)) for agent in self.agents.values()]
+        parts = [agent.actor(agent.observed(state)) for agent in self.agents.values()]
         loss: torch.Tensor = -self.critic(state, torch.cat(parts, dim=-1)).mean()
         return loss
 

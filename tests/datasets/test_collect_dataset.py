@@ -327,7 +327,7 @@ def test_attempts_that_come_in_any_order_are_kept_in_theirs(
         backwards,  # type: ignore[arg-type]
         20,
         seed=0,
-        known=known,
+        earlier_attempts=known,
         keep_safe=lambda episode: safe.append(episode.index),
     )
     assert [episode.index for episode in collection.episodes] == [0, 1, 3, 4, 5]

@@ -5,7 +5,7 @@ import lzma
 from pathlib import Path
 
 from marl_mm.eval.rows import read_rows
-from marl_mm.eval.studies.ours import BLOCKS
+from marl_mm.eval.studies.offline import BLOCKS
 
 RESULTS = Path(__file__).resolve().parents[2] / "eval/results"
 
