@@ -1,7 +1,8 @@
 """Settings of simulation and camera; independent of the engine."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -20,11 +21,35 @@ ENGINES: dict[Engine, tuple[str, str]] = {
 """Package, and module in it, of each engine."""
 
 
+DEFAULT_ENGINE: Engine = "bullet"
+"""Engine of the tasks, unless another is asked for; that of version 1."""
+
+
+def engine_of(overrides: Mapping[str, Any]) -> Engine:
+    """Engine of a task with these fields replaced.
+
+    Raises:
+        UsageError: If the fields are of another kind.
+    """
+    simulation = overrides.get("simulation", {})
+    if not isinstance(simulation, Mapping):
+        raise UsageError(f"simulation is {simulation!r:.60}, expected a mapping")
+    engine: Engine = simulation.get("engine", DEFAULT_ENGINE)
+    return engine
+
+
+def engine_overrides(engine: Engine | None) -> dict[str, Any]:
+    """Replaced fields of a task on this engine; none for the default one."""
+    if engine in (None, DEFAULT_ENGINE):
+        return {}
+    return {"simulation": {"engine": engine}}
+
+
 @dataclass(frozen=True)
 class SimulationConfig:
     """Engine, and settings of its solver, motors and contacts."""
 
-    engine: Engine = "bullet"
+    engine: Engine = DEFAULT_ENGINE
     """Engine of the simulation: "bullet" or "mujoco"; the paper has PyBullet."""
 
     solver_iterations: int = 20
