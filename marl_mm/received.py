@@ -190,6 +190,11 @@ def printable(text: str) -> str:
     return "".join(c if is_printable(c) else ascii(c)[1:-1] for c in text)
 
 
+def printable_name(name: str) -> str:
+    """A name with all its control characters spelled out, line breaks too."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in name)
+
+
 _ODD = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
 """Exceptions at values of the wrong kind."""
 
