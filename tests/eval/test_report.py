@@ -217,9 +217,9 @@ def test_a_link_out_of_the_results_shows_nobody_a_file(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     results, out = tmp_path / "results", tmp_path / "report.html"
-    for path in ("studies/foo.csv", "alpha/alpha.csv", "studies/rows/a/b.json"):
-        (results / path).parent.mkdir(parents=True, exist_ok=True)
-        (results / path).write_text(STUDY)
+    for part in ("studies/foo.csv", "alpha/alpha.csv", "studies/rows/a/b.json"):
+        (results / part).parent.mkdir(parents=True, exist_ok=True)
+        (results / part).write_text(STUDY)
     elsewhere, path = tmp_path / "elsewhere", results / name
     path.parent.mkdir(exist_ok=True)
     if path.exists():
