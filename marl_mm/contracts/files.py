@@ -30,6 +30,7 @@ from marl_mm.datasets.verify import verify
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import CheckpointError, DatasetError, UsageError
 from marl_mm.eval.rows import read_rows
+from marl_mm.received import refuse_links_out
 from marl_mm.runs.folder import CONFIG, EVALUATION, read_config, read_evaluation
 
 _CONTENTS = Callable[[Path], Any]
@@ -125,6 +126,9 @@ def _act(policy: LearnedPolicy) -> None:
 
 
 def _read_run(path: Path) -> Any:
+    results = sorted(path.glob("eval*.json"))
+    names = (CONFIG, FILE, BEST, *(result.name for result in results))
+    refuse_links_out(path, names, CheckpointError)
     config = read_config(path)
     metrics = read_metrics(path)
     if metrics and not (path / FILE).exists():
@@ -133,7 +137,7 @@ def _read_run(path: Path) -> Any:
     for file in (FILE, BEST):
         if (path / file).exists():
             contents.append(_read_policy(path / file))
-    for result in sorted(path.glob("eval*.json")):
+    for result in results:
         evaluation = read_evaluation(result)
         contents.append(evaluation and evaluation.to_json())
     return contents
