@@ -27,6 +27,7 @@ from marl_mm.plugins import record
 from marl_mm.received import check_kind, read_json
 from marl_mm.runs.settings import check_seeds
 from marl_mm.runs.training import Offline, Online, Training
+from marl_mm.sim.config import DEFAULT_ENGINE
 from marl_mm.versions import versions
 
 CONFIG = "config.json"
@@ -127,6 +128,7 @@ def run_config(training: Training, dataset: Dataset | None, seed: int) -> RunCon
         preset=training.preset,
         seed=seed,
         task=task,
+        engine=training.engine or DEFAULT_ENGINE,
         dataset=dataset.identity() if dataset else None,
         packages=versions(),
         plugins=record(ALGORITHMS.origin(training.algorithm), TASKS.origin(task)),

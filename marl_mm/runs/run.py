@@ -5,7 +5,7 @@ import io
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.run_config import RunConfig
@@ -22,6 +22,7 @@ from marl_mm.runs.folder import (
     read_config,
     read_evaluation,
 )
+from marl_mm.sim.config import DEFAULT_ENGINE, Engine
 
 _FPS = 1
 """Pictures per simulated second of a film strip."""
@@ -88,7 +89,8 @@ class Run:
         if seed in self._strips:
             return self._strips[seed]
         max_steps = self.config.settings.get("max_steps")
-        task = make_task(self.config.task, task_overrides(max_steps))
+        engine = cast(Engine, self.config.engine)
+        task = make_task(self.config.task, task_overrides(max_steps, engine))
         picture = io.BytesIO()
         both = film_both_ways(task, self.policy, seed, _FPS)
         draw_film_strip(picture, both.strips)
@@ -114,7 +116,7 @@ class Run:
             parts.append(
                 html_picture((self.folder / CURVE).read_bytes(), "learning curve")
             )
-        if evaluation:
+        if evaluation and self.config.engine == DEFAULT_ENGINE:  # others draw none
             parts.append(html_picture(self.film_strip(), "film strip"))
         return "\n".join(parts)
 
