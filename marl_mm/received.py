@@ -222,7 +222,7 @@ def damage_named(where: str, refusal: Refusal) -> Iterator[None]:
 def is_printable(text: str) -> bool:
     """Whether a text can do no harm in a terminal; it may have several lines."""
     return text.isprintable() or all(
-        c in "\n\t" or not unicodedata.category(c).startswith("C") for c in text
+        c in "\n\t" or not unicodedata.category(c).startswith("C") for c in set(text)
     )
 
 

@@ -193,6 +193,22 @@ def test_checkpoints_that_are_no_regular_files_are_refused_at_once(
         assert "expected a regular file" in output.err + output.out
 
 
+@pytest.mark.parametrize("name", ["checkpoint.pt", "policy.safetensors"])
+def test_policies_that_are_links_out_of_their_folder_are_refused(
+    tmp_path: Path, capsys: Output, name: str
+) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    (tmp_path / "elsewhere").write_text("anything")
+    (run / name).symlink_to(tmp_path / "elsewhere")
+    (run / "config.json").write_text("{}")
+    for words in (["eval", str(run)], ["check", str(run)]):
+        capsys.readouterr()
+        assert main(words) == 1
+        output = capsys.readouterr()
+        assert "is a link out of its folder" in output.err + output.out
+
+
 # --- HDF5 --------------------------------------------------------------------
 
 
