@@ -11,7 +11,7 @@ from marl_mm.config_diff import refuse_other_config
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import FILE as JOURNAL
-from marl_mm.datasets.journal import Journal
+from marl_mm.datasets.journal import Journal, discard
 from marl_mm.datasets.location import Location
 from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Origin, Provenance
@@ -165,7 +165,7 @@ class _Collector:
         with only_here(location.working), ExitStack() as cleaning:
             cleaning.callback(_remove_if_empty, location)
             if options.overwrite:
-                (location.working / JOURNAL).unlink(missing_ok=True)
+                discard(location.working)
             with Journal(location.working) as journal:
                 begun = journal.about() or {}
                 replaces = options.overwrite or bool(begun.get("replaces"))
