@@ -50,8 +50,8 @@ ITERATIONS = 50
 """Largest number of iterations of the contact solver, which takes 1.2 on average."""
 
 MOTOR_TIME = 2 / RATE
-"""Time constant that MuJoCo checks the wheels' motors with [s]; their reference is
-written anew in each step."""
+"""Time constant of the wheels' motors in the model [s]. It has no effect, as their
+reference is written in each step."""
 
 SETTLING = 480
 """Number of steps in which the robot sinks into its contacts before the first start."""
