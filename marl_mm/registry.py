@@ -29,6 +29,11 @@ def registered_by(origin: str) -> Iterator[None]:
         _origin.pop()
 
 
+def is_name(text: str) -> bool:
+    """Whether a thing may have this name: a letter, then letters, digits, -, _ or ."""
+    return re.fullmatch(r"[^\W\d][\w.-]*", text) is not None
+
+
 class Registry(Generic[T]):
     """Things of one kind by name, in the order in which they were added.
 
@@ -69,7 +74,7 @@ class Registry(Generic[T]):
             raise UsageError(
                 f"{self.kind} {name!r} is {thing!r:.80}, expected a {kind}"
             )
-        if not re.fullmatch(r"[^\W\d][\w.-]*", name) or name in self._taken:
+        if not is_name(name) or name in self._taken:
             but = f", other than {', '.join(sorted(self._taken))}" * bool(self._taken)
             raise UsageError(
                 f"{self.kind} {name!r}: expected a letter and then letters, digits, "
