@@ -243,31 +243,44 @@ def _check_objects(path: Path, file: Any, most: int) -> None:
         DatasetError: Naming the object.
     """
     addresses = {h5py.h5o.get_info(file.id).addr}
-    size = 0
+    names: list[bytes] = []
 
     def fault(name: bytes, link: Any) -> str | None:
-        """What is wrong with an object; HDF5 goes on for as long as it is None."""
-        nonlocal size
-        shown = printable(name[:_LINE].decode(errors="backslashreplace"))
+        """What is wrong with a link; HDF5 goes on for as long as it is None."""
         if link.type != h5py.h5l.TYPE_HARD:
-            return f"{shown} is a link to another place, expected the object itself"
-        if link.u in addresses or name.count(b"/") >= _DEPTH:
-            return f"{shown} is an object of several names, or in too many groups"
-        addresses.add(link.u)
-        node = h5py.h5o.open(file.id, name)
-        if not isinstance(node, h5py.h5d.DatasetID):
+            why = "is a link to another place, expected the object itself"
+        elif link.u in addresses or name.count(b"/") >= _DEPTH:
+            why = "is an object of several names, or in too many groups"
+        else:
+            addresses.add(link.u)
+            names.append(name)
             return None
-        how = node.get_create_plist()
-        if how.get_layout() == h5py.h5d.VIRTUAL or how.get_external_count():
-            return f"{shown} is stored in other files, expected all data in this one"
-        size += math.prod(node.shape or ()) * node.get_type().get_size()
-        if size > most:
-            return f"{shown} and others have {size:,} bytes, expected at most {most:,}"
-        return None
+        return f"{_shown(name)} {why}"
 
     native = h5py.h5.ITER_NATIVE
     if (problem := file.id.links.visit(fault, order=native, info=True)) is not None:
         raise DatasetError(f"{path}, {problem}")
+    size = 0
+    for name in names:
+        node = h5py.h5o.open(file.id, name)
+        if not isinstance(node, h5py.h5d.DatasetID):
+            continue
+        how = node.get_create_plist()
+        if how.get_layout() == h5py.h5d.VIRTUAL or how.get_external_count():
+            raise DatasetError(
+                f"{path}, {_shown(name)} is stored in other files, expected all data "
+                "in this one"
+            )
+        size += math.prod(node.shape or ()) * node.get_type().get_size()
+        if size > most:
+            raise DatasetError(
+                f"{path}, {_shown(name)} and others have {size:,} bytes, expected at "
+                f"most {most:,} in a file of this size"
+            )
+
+
+def _shown(name: bytes) -> str:
+    return printable(name[:_LINE].decode(errors="backslashreplace"))
 
 
 def read_hdf5(
@@ -290,7 +303,7 @@ def read_hdf5(
     with open_hdf5(path) as file:
         if (count := sum(map(_is_episode, file))) != total:
             raise DatasetError(
-                f"{path} has {count:,} episodes, expected the {total:,} of metadata.json"
+                f"{path} has {count:,} episodes, expected {total:,} as in metadata.json"
             )
         for number in range(total):
             group = opened_group(path, file, f"episode_{number}")

@@ -4,6 +4,7 @@ import pickletools
 import re
 import zipfile
 from pathlib import Path
+from typing import Any
 
 from marl_mm.received import MAX_VALUES, most_unpacked
 
@@ -81,18 +82,18 @@ def _check_pickle(content: bytes) -> None:
     at it each time. Nothing is built: the operations are counted.
     """
     stack: list[list[int]] = []  # each value's count in a list, as containers grow
-    memo: dict[int, list[int]] = {}
+    memo: dict[Any, list[int]] = {}
     marks: list[int] = []
     for operation, argument, _ in pickletools.genops(content):
         name = operation.name
         if name == "MARK":
             marks.append(len(stack))
         elif "PUT" in name:
-            memo[int(argument)] = stack[-1]
+            memo[argument] = stack[-1]
         elif name == "MEMOIZE":
             memo[len(memo)] = stack[-1]
         elif "GET" in name:
-            stack.append(memo[int(argument)])
+            stack.append(memo[argument])
         else:
             taken, given = operation.stack_before, operation.stack_after
             if pickletools.markobject in taken:
