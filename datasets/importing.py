@@ -21,6 +21,7 @@ from marl_mm.datasets.hdf5 import (
     optional,
     states_of,
 )
+from marl_mm.datasets.metadata import METADATA_BYTES
 from marl_mm.datasets.plausible import problems_of
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.episode import IMPORTED, Episode
@@ -185,7 +186,9 @@ def _metadata(path: Path, file: Any) -> Mapping[str, Any]:
     if "task" in file.attrs:
         return dict(file.attrs)
     beside = path.parent / "metadata.json"
-    metadata = read_json(beside, DatasetError) if beside.exists() else None
+    metadata = None
+    if beside.exists():
+        metadata = read_json(beside, DatasetError, METADATA_BYTES)
     record = metadata.get("marl_mm") if isinstance(metadata, dict) else None
     return record if isinstance(record, dict) else {}
 
