@@ -14,7 +14,7 @@ from marl_mm.errors import CheckpointError, LayoutError, UsageError
 from marl_mm.files import new_file
 from marl_mm.layout import Layout
 from marl_mm.received import check_kind, check_plain, check_regular
-from marl_mm.registry import is_name
+from marl_mm.registry import NAME
 from marl_mm.version1 import checkpoint_layout
 
 FILE = "checkpoint.pt"
@@ -124,7 +124,7 @@ def read_checkpoint(path: Path, algorithm: str | None = None) -> dict[str, Any]:
         raise CheckpointError(f"{file} lacks {', '.join(sorted(missing))}")
     for name, kind in _KINDS.items():
         check_kind(checkpoint[name], kind, f"{file}: {name}", CheckpointError)
-    if not is_name(checkpoint["algorithm"]):
+    if not NAME.fullmatch(checkpoint["algorithm"]):
         raise CheckpointError(
             f"{file}: algorithm is {checkpoint['algorithm']!a:.60}, expected a name "
             "such as 'td3-bc'"

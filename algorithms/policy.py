@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from marl_mm.algorithms.actors import AgentActor
-from marl_mm.algorithms.checkpoint import read_checkpoint, restored_agents
-from marl_mm.errors import UsageError
+from marl_mm.algorithms.checkpoint import FILE, read_checkpoint, restored_agents
+from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.layout import JOINT_NAME, Layout
 from marl_mm.layout_diff import refuse_other_layout
+from marl_mm.received import refuse_links_out
 
 
 class LearnedPolicy:
@@ -114,13 +115,16 @@ def load_policy(path: str | Path) -> LearnedPolicy:
 
     Raises:
         UsageError: If there is no such file.
-        CheckpointError: If it is damaged.
+        CheckpointError: If it is damaged, or a link out of the run folder.
     """
     from marl_mm.algorithms import pretrained  # which knows policies
 
     path = Path(path)
     if str(path) == pretrained.NAME and not path.exists():
         return pretrained.load_pretrained()
+    if path.is_dir():
+        names = (FILE, pretrained.WEIGHTS, "config.json")
+        refuse_links_out(path, names, CheckpointError)
     if (path / pretrained.WEIGHTS).exists():
         return pretrained.load_pretrained(path)
     checkpoint = read_checkpoint(path)

@@ -6,6 +6,7 @@ from typing import Any, get_type_hints
 
 from marl_mm.errors import CheckpointError
 from marl_mm.received import check_kind
+from marl_mm.sim.config import DEFAULT_ENGINE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,6 +24,9 @@ class RunConfig:
 
     task: str
     """Registered name of the task of the evaluations."""
+
+    engine: str = DEFAULT_ENGINE
+    """Engine of the simulation; that of version 1 where none is recorded."""
 
     dataset: Mapping[str, str] | None = None
     """Id, path and fingerprint of the dataset; None without one."""

@@ -1,7 +1,9 @@
 """The log of a run: its record, ``metrics.jsonl``, and the loggers beside it."""
 
 import json
-from collections.abc import Iterable, Sequence
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TypedDict
 
@@ -14,13 +16,25 @@ from marl_mm.algorithms.loggers import (
 )
 from marl_mm.errors import CheckpointError
 from marl_mm.files import append, new_file
-from marl_mm.received import check_kind, parse_json, read_text
+from marl_mm.received import (
+    check_kind,
+    check_regular,
+    is_printable,
+    parse_json,
+    refuse_links_out,
+)
 
 METRICS = "metrics.jsonl"
 """The record of a run: JSON lines, one a row."""
 
-METRICS_BYTES = 1_000_000_000
-"""Largest size of the record [bytes]."""
+METRICS_BYTES = 100_000_000
+"""Largest size of the record [bytes]; a row has less than 2,000."""
+
+_LINE_BYTES = 100_000
+"""Largest size of a row [bytes]."""
+
+_ROWS, _VALUES = 100_000, 1_500_000
+"""Largest numbers of rows and of values in the record."""
 
 CurvePoint = TypedDict(
     "CurvePoint",
@@ -105,16 +119,50 @@ def read_metrics(run: Path) -> list[Row]:
     """The rows of a run's ``metrics.jsonl``; a last line cut off is left out.
 
     Raises:
-        CheckpointError: If another line is damaged.
+        CheckpointError: If another line is damaged, or there are far too many; if the
+            file is a link out of the run's folder.
     """
     path = run / METRICS
+    refuse_links_out(run, [METRICS], CheckpointError)
     if not path.exists():
         return []
-    lines = read_text(path, CheckpointError, METRICS_BYTES).splitlines(keepends=True)
-    whole = [line for line in lines if line.endswith("\n")]
-    rows = [parse_json(line, str(path), CheckpointError) for line in whole]
-    check_kind(rows, list[dict[str, float]], str(path), CheckpointError)
+    check_regular(path, CheckpointError, METRICS_BYTES)
+    rows: list[Row] = []
+    values = 0
+    for line in _lines(path):
+        row = _parsed(line, str(path))
+        rows.append({sys.intern(name): value for name, value in row.items()})
+        values += len(row)
+        if not row or len(rows) > _ROWS or values > _VALUES:
+            raise CheckpointError(
+                f"{path} is damaged: it has an empty row, or more than {_ROWS:,} rows "
+                f"or {_VALUES:,} values"
+            )
     return rows
+
+
+def _parsed(line: str, where: str) -> Row:
+    with suppress(ValueError, RecursionError):
+        row = json.loads(line)
+        numbers = isinstance(row, dict) and {*map(type, row.values())} <= {int, float}
+        if numbers and is_printable("".join(row)):  # the usual case, in less time
+            return dict(row)
+    row = parse_json(line, where, CheckpointError)
+    check_kind(row, dict[str, float], where, CheckpointError)
+    return dict(row)
+
+
+def _lines(path: Path) -> Iterator[str]:
+    """Lines of a file that are whole."""
+    try:
+        with path.open("rb") as file:
+            while (line := file.readline(_LINE_BYTES)).endswith(b"\n"):
+                yield line.decode()
+            if len(line) == _LINE_BYTES:
+                raise ValueError(f"a line of more than {_LINE_BYTES:,} bytes")
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise CheckpointError(f"cannot read {path}: {reason}") from error
 
 
 def merit(row: Row) -> tuple[float, ...]:

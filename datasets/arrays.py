@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from os import SEEK_END
 from pathlib import Path
 from typing import IO
 
@@ -252,18 +253,21 @@ def save_arrays(file: Path | IO[bytes], arrays: EpisodeArrays, compress: bool) -
     (np.savez_compressed if compress else np.savez)(file, allow_pickle=False, **values)
 
 
-def load_arrays(file: Path | IO[bytes], layout: Layout) -> EpisodeArrays:
+def load_arrays(
+    file: Path | IO[bytes], layout: Layout, packed: bool = True
+) -> EpisodeArrays:
     """Read what ``save_arrays`` wrote.
 
     Args:
         file: The npz file.
         layout: Layout of the states and actions.
+        packed: Whether the file may be compressed.
 
     Raises:
         DatasetError: If the file is damaged, or of another layout.
     """
     try:
-        _refuse_bomb(file)
+        _refuse_bomb(file, packed)
         with np.load(file, allow_pickle=False) as values:
             keys = [key for key in values if key.startswith("info/")]
             if unknown := {*values} - {*keys} - {*_ARRAYS}:
@@ -278,15 +282,15 @@ def load_arrays(file: Path | IO[bytes], layout: Layout) -> EpisodeArrays:
     return loaded
 
 
-def _refuse_bomb(file: Path | IO[bytes]) -> None:
+def _refuse_bomb(file: Path | IO[bytes], packed: bool) -> None:
     """Raise for a file that asks for far more memory than its size can hold."""
     with zipfile.ZipFile(file) as parts:
-        packed = sum(part.compress_size for part in parts.infolist())
         size = sum(part.file_size for part in parts.infolist())
+    whole = file.stat().st_size if isinstance(file, Path) else file.seek(0, SEEK_END)
     if not isinstance(file, Path):
         file.seek(0)
-    if size > most_unpacked(packed):
-        raise ValueError(f"{size:,} bytes of arrays in a file of {packed:,} bytes")
+    if size > (most_unpacked(whole) if packed else whole):
+        raise ValueError(f"{size:,} bytes of arrays in a file of {whole:,} bytes")
 
 
 def _inconsistency(arrays: EpisodeArrays) -> str:

@@ -25,7 +25,7 @@ from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError, MarlMmError
 from marl_mm.files import named_errors
 from marl_mm.layout import Layout
-from marl_mm.received import check_regular, is_printable, most_unpacked, printable
+from marl_mm.received import check_regular, is_printable, most_unpacked, printable_name
 
 FILE = "main_data.hdf5"
 
@@ -280,7 +280,7 @@ def _check_objects(path: Path, file: Any, most: int) -> None:
 
 
 def _shown(name: bytes) -> str:
-    return printable(name[:_LINE].decode(errors="backslashreplace"))
+    return printable_name(name[:_LINE].decode(errors="backslashreplace"))
 
 
 def read_hdf5(

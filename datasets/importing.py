@@ -218,9 +218,13 @@ def _episode(
         values["terminations"],
         values["truncations"],
         info,
-        int(seed) if isinstance(seed, int | np.integer) else -1,
+        int(seed) if _is_seed(seed) else -1,
         layout,
     )
+
+
+def _is_seed(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and 0 <= int(value) < 2**63
 
 
 def _minari(path: Path, file: Any, layout: Layout, names: list[str]) -> list[Episode]:

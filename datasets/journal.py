@@ -10,21 +10,32 @@ import io
 import json
 import sqlite3
 from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from marl_mm.datasets.arrays import arrays_of, load_arrays, save_arrays
 from marl_mm.datasets.location import datasets_root
+from marl_mm.datasets.sqlite_files import check_files, check_tables, opened_to_read
 from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError, MarlMmError
 from marl_mm.layout import Layout
-from marl_mm.received import check_kind, check_regular, parse_json
+from marl_mm.received import RECORD_BYTES, check_kind, parse_json
 
 FILE = "episodes.sqlite"
 
 _DIGEST = "record_sha256"
 """Key of the record's checksum."""
+
+
+_LEAST_LIMIT = 100_000
+"""Smallest limit of SQLite's values [bytes], whose statements count too."""
+
+_TABLES = {
+    "about": "CREATE TABLE about (text)",
+    "episodes": "CREATE TABLE episodes (number integer primary key, npz)",
+}
+"""Statements that create the tables, as SQLite keeps them; no others may be there."""
 
 
 def begun() -> dict[str, int | None]:
@@ -33,24 +44,56 @@ def begun() -> dict[str, int | None]:
     A number is None if its journal cannot be read.
     """
     root = datasets_root()
-    counts = {}
+    counts: dict[str, int | None] = {}
     for path in root.glob(f"**/.*.collecting/{FILE}") if root.exists() else []:
         folder = path.parent
         name = folder.with_name(folder.name[1:].removesuffix(".collecting"))
-        counts[name.relative_to(root).as_posix()] = _asked(
-            folder, "select count(*) from episodes"
-        )
+        count = None
+        with suppress(MarlMmError), reading(folder) as journal:
+            count = len(journal)
+        counts[name.relative_to(root).as_posix()] = count
     return dict(sorted(counts.items()))
 
 
 def noted(folder: Path) -> dict[str, Any] | None:
     """The record of a collection; None if nothing was begun, or it cannot be read."""
-    text = _asked(folder, "select text from about")
-    return None if text is None else _record(text, folder / FILE)
+    if not (folder / FILE).exists():
+        return None
+    with suppress(MarlMmError), reading(folder) as journal:
+        return journal.about()
+    return None
+
+
+@contextmanager
+def reading(folder: Path) -> Iterator["Journal"]:
+    """A journal that another process may be writing; no file is changed.
+
+    Raises:
+        DatasetError: If it is damaged, missing, or could change other files.
+    """
+    path = folder / FILE
+    try:
+        with _damage_named(path), opened_to_read(path) as file:
+            check_tables(file, path, _TABLES)
+            yield Journal(folder, file)
+    except sqlite3.OperationalError as error:
+        raise DatasetError(f"{path} cannot be read ({error})") from error
+
+
+@contextmanager
+def _damage_named(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except sqlite3.DatabaseError as error:
+        if isinstance(error, sqlite3.OperationalError):
+            raise
+        raise DatasetError(
+            f"{path} is damaged ({error}): start anew with `overwrite=True`"
+        ) from error
 
 
 def _record(text: Any, path: Path) -> dict[str, Any]:
-    if not isinstance(text, str):
+    if not isinstance(text, str) or len(text) > RECORD_BYTES:
         raise DatasetError(f"{path} is damaged: its record is {text!r:.60}")
     value = parse_json(text, str(path), DatasetError)
     check_kind(value, dict[str, Any], str(path), DatasetError)
@@ -65,23 +108,14 @@ def _digest(record: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _asked(folder: Path, question: str) -> Any:
-    """A value from a journal that another process may be writing."""
-    address = f"{(folder / FILE).absolute().as_uri()}?mode=rw"  # does not create it
-    try:
-        with closing(sqlite3.connect(address, uri=True)) as file:
-            _refuse_programs(file, folder / FILE)
-            row = file.execute(question).fetchone()
-    except (sqlite3.DatabaseError, DatasetError):
-        return None
-    return None if row is None else row[0]
+def discard(folder: Path) -> None:
+    """Delete a journal, whatever it is, and what SQLite left beside it.
 
-
-def _refuse_programs(file: sqlite3.Connection, path: Path) -> None:
-    """Raise for a file whose tables are computed when they are read."""
-    question = "select count(*) from sqlite_master where type not in ('table', 'index')"
-    if file.execute(question).fetchone()[0]:
-        raise DatasetError(f"{path} is damaged: it holds more than tables")
+    Raises:
+        OSError: If that is not allowed.
+    """
+    for path in folder.glob(f"{FILE}*"):
+        path.unlink()
 
 
 class Journal:
@@ -89,24 +123,26 @@ class Journal:
 
     Args:
         folder: Folder of the journal, which is created.
+        opened: The journal's file, opened to be read alone; see ``reading``.
 
     Raises:
-        DatasetError: If the existing journal is damaged.
+        DatasetError: If the existing journal is damaged, or could change other files.
         MarlMmError: If the journal cannot be written.
     """
 
-    def __init__(self, folder: Path) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
+    def __init__(self, folder: Path, opened: sqlite3.Connection | None = None) -> None:
         self._path = folder / FILE
-        if self._path.exists():
-            check_regular(self._path, DatasetError)
+        if opened is not None:
+            self._file = opened
+            return
+        folder.mkdir(parents=True, exist_ok=True)
+        check_files(self._path)
         with self._errors():
             self._file = sqlite3.connect(self._path)
-            _refuse_programs(self._file, self._path)
-            self._file.execute("create table if not exists about (text)")
-            self._file.execute(
-                "create table if not exists episodes (number integer primary key, npz)"
-            )
+            check_tables(self._file, self._path, _TABLES)
+            there = {n for (n,) in self._file.execute("select name from sqlite_master")}
+            for statement in (_TABLES[name] for name in _TABLES if name not in there):
+                self._file.execute(statement)
 
     def __enter__(self) -> "Journal":
         return self
@@ -116,7 +152,7 @@ class Journal:
 
     def about(self) -> dict[str, Any] | None:
         """The record of the collection; None if nothing was begun."""
-        with self._errors():
+        with self._reading():
             row = self._file.execute("select text from about").fetchone()
         return None if row is None else _record(row[0], self._path)
 
@@ -146,39 +182,63 @@ class Journal:
             )
 
     def __len__(self) -> int:
-        with self._errors():
-            (count,) = self._file.execute("select count(*) from episodes").fetchone()
-        return int(count)
+        return sum(1 for _ in self._rows("select number from episodes"))
 
     def episodes(self, layout: Layout) -> dict[int, Episode]:
         """All episodes by number.
 
         Args:
             layout: Layout of the states and actions.
+
+        Raises:
+            DatasetError: If an episode is damaged, or larger than it should be.
         """
-        with self._errors():
-            rows = self._file.execute("select number, npz from episodes").fetchall()
+        episodes: dict[int, Episode] = {}
+        left = self._path.stat().st_size
         try:
-            episodes = [load_arrays(io.BytesIO(blob), layout) for _, blob in rows]
-            if [int(e.indices[0]) for e in episodes] != [number for number, _ in rows]:
-                raise ValueError("an episode of another number")
-            return {int(arrays.indices[0]): arrays.episode(0) for arrays in episodes}
+            for number, blob in self._rows("select number, npz from episodes"):
+                left -= len(blob)
+                if left < 0:
+                    raise ValueError("more episodes than the file has room for")
+                arrays = load_arrays(io.BytesIO(blob), layout, packed=False)
+                if int(arrays.indices[0]) != number:
+                    raise ValueError("an episode of another number")
+                episodes[number] = arrays.episode(0)
         except (DatasetError, TypeError, ValueError) as error:
             raise DatasetError(
                 f"an episode in {self._path} is damaged: start anew with "
                 "`overwrite=True`"
             ) from error
+        return episodes
+
+    def _rows(self, question: str) -> Iterator[tuple[Any, ...]]:
+        """Rows by rising number: in a file that was forged they could go on forever."""
+        with self._reading():
+            before = None
+            for row in self._file.execute(question):
+                if before is not None and row[0] <= before:
+                    raise DatasetError(f"{self._path} is damaged: its rows repeat")
+                before = row[0]
+                yield row
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """No value is larger than the file, whatever it says of itself."""
+        most = max(self._path.stat().st_size, _LEAST_LIMIT)
+        usual = self._file.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, most)
+        try:
+            with self._errors():
+                yield
+        finally:
+            self._file.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, usual)
 
     @contextmanager
     def _errors(self) -> Iterator[None]:
         try:
-            yield
+            with _damage_named(self._path):
+                yield
         except sqlite3.OperationalError as error:  # disk full, no permission
             raise MarlMmError(
                 f"cannot write {self._path}: {error}; finished episodes are kept: make "
                 "room and go on with `resume=True`"
-            ) from error
-        except sqlite3.DatabaseError as error:
-            raise DatasetError(
-                f"{self._path} is damaged ({error}): start anew with `overwrite=True`"
             ) from error

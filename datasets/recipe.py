@@ -14,6 +14,7 @@ from marl_mm.datasets.location import Location
 from marl_mm.datasets.provenance import Origin, Provenance
 from marl_mm.datasets.storage import write_alone
 from marl_mm.errors import UsageError
+from marl_mm.sim.config import engine_of, engine_overrides
 
 
 @dataclass(frozen=True)
@@ -210,10 +211,16 @@ def _described(datasets: Sequence[Dataset], recipe: dict[str, Any]) -> Provenanc
                     f"two different datasets are called {name}: collect one of them "
                     "under another name"
                 )
+    engines = sorted({engine_of(source.overrides) for source in sources})
+    if len(engines) > 1:
+        raise UsageError(
+            f"the datasets are of engines {' and '.join(engines)}: choose those of one"
+        )
     longest = max(source.overrides.get("max_steps", 0) for source in sources)
+    steps = {"max_steps": longest} if longest else {}
     return Provenance(
         task=sources[0].task,
-        overrides={"max_steps": longest} if longest else {},
+        overrides={**steps, **engine_overrides(engines[0])},
         collector=recipe["kind"],
         seed=recipe.get("seed"),
         recipe=recipe,

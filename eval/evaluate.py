@@ -12,6 +12,7 @@ from marl_mm.eval.metrics import EvaluationRow, episode_row, summarize_direction
 from marl_mm.notebook import html_table
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
+from marl_mm.sim.config import engine_of
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,7 @@ class Evaluation:
             "policy_config": self.policy_config,
             "task": self.task,
             "overrides": self.overrides,
+            "engine": engine_of(self.overrides),
             "seed": self.seed,
             "success_rate": everything["success_rate"],
             "interval": everything["interval"],

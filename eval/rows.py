@@ -7,7 +7,8 @@ import json
 import lzma
 import math
 import zlib
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +32,11 @@ _XZ_MEMORY = 100_000_000
 """Most memory for unpacking [bytes]."""
 
 
-_ROWS_BYTES = 1_000_000_000
-"""Largest size of unpacked rows [bytes]."""
+_ROWS_BYTES = 32_000_000
+"""Largest size of unpacked rows [bytes]; ours have less than a million."""
+
+_CELLS = 1_000_000
+"""Largest number of cells in a file of rows; ours have less than 130,000."""
 
 
 def older_file(path: Path) -> Path:
@@ -110,19 +114,33 @@ def read_rows(path: Path) -> list[Row]:
         raise UsageError(f"there is no {path} to draw from")
     if not path.exists():
         path = older_file(path)
-    size = check_regular(path, MarlMmError)
+    size = check_regular(path, MarlMmError, _ROWS_BYTES)
     most = min(most_unpacked(size), _ROWS_BYTES)
     try:
-        text = _unpacked(path, most).decode()
-        check_plain(text.replace("\r\n", "\n"), "it", MarlMmError)
-        rows = list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
-        for number, row in enumerate(rows, 1):
-            if None in row or None in row.values():
-                raise ValueError(f"row {number} has not as many values as the first")
-        return [_typed(row) for row in rows]
+        data = _unpacked(path, most)
+        if data.count(b",") + data.count(b"\n") > _CELLS:
+            raise ValueError(f"more than {_CELLS:,} cells")
+        check_plain(data.decode().replace("\r\n", "\n"), "it", MarlMmError)
+        return list(_typed_rows(data))
     except _DAMAGE as error:
         reason = str(error) or type(error).__name__
         raise MarlMmError(f"{path} is damaged ({reason:.120})") from error
+
+
+def _typed_rows(data: bytes) -> Iterator[Row]:
+    """Rows of a CSV file's bytes, one after the other."""
+    if not data:
+        raise ValueError("it is empty")
+    file = io.TextIOWrapper(io.BytesIO(data), "utf-8", newline="")
+    reader = csv.DictReader(file, strict=True)
+    names = Counter(reader.fieldnames or [])
+    for name, count in names.most_common(1):
+        if count > 1:
+            raise ValueError(f"{count} columns of the name {name:.40}")
+    for number, row in enumerate(reader, 1):
+        if None in row or None in row.values():
+            raise ValueError(f"row {number} has not as many values as the first")
+        yield _typed(row)
 
 
 _DAMAGE = (
@@ -155,8 +173,11 @@ def _typed(row: dict[str, str]) -> Row:
 
 
 def _number(text: str) -> Any:
+    if text[:1].isalpha() and text[0] not in "iInN":  # infinity and nan are numbers
+        return text
     try:
-        return int(text)
+        if "." not in text:
+            return int(text)
     except ValueError:
         pass
     try:

@@ -22,7 +22,10 @@ _SOURCES = (
     "control/*.py",
     "control/compiled/*.py",
     "robot/*.py",
+    "sim/config.py",
+    "sim/native.py",
     "sim/planar.py",
+    "envs/compiled.py",
 )
 """Patterns of all sources of compiled code, relative to the package."""
 
@@ -32,7 +35,9 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
     previous = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = previous or str(_cache_folder())
     try:
-        compiled: Callable[P, R] = numba.njit(cache=True, error_model="numpy")(function)
+        compiled: Callable[P, R] = numba.njit(
+            cache=True, error_model="numpy", nogil=True
+        )(function)
         return compiled
     finally:
         numba.config.CACHE_DIR = previous

@@ -196,6 +196,11 @@ def printable(text: str) -> str:
     return "".join(c if is_printable(c) else ascii(c)[1:-1] for c in text)
 
 
+def printable_name(name: str) -> str:
+    """A name with all its control characters spelled out, line breaks too."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in name)
+
+
 _ODD = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
 """Exceptions at values of the wrong kind."""
 
@@ -223,7 +228,7 @@ def damage_named(where: str, refusal: Refusal) -> Iterator[None]:
 def is_printable(text: str) -> bool:
     """Whether a text can do no harm in a terminal; it may have several lines."""
     return text.isprintable() or all(
-        c in "\n\t" or not unicodedata.category(c).startswith("C") for c in text
+        c in "\n\t" or not unicodedata.category(c).startswith("C") for c in set(text)
     )
 
 

@@ -5,6 +5,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 PACKAGES = (
     "pybullet",
+    "mujoco-core",
     "pin",
     "proxsuite",
     "numba",

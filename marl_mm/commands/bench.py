@@ -2,14 +2,16 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Annotated, Any
 
+from marl_mm.commands.options import task_help
 from marl_mm.commands.output import print_rows, show
 from marl_mm.commands.parser import parse_subcommand
 from marl_mm.control.config import Form, Solver
-from marl_mm.envs.registry import make_task
+from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.progress import Bar, progress_bars
 from marl_mm.runs.settings import check_positive, check_seed
+from marl_mm.sim.config import Engine
 from marl_mm.versions import versions
 
 
@@ -115,12 +117,45 @@ class BenchData(_Bench):
         return bench_data(self.episodes, self.workers, self.load_steps, self.seed, bar)
 
 
+@dataclass(frozen=True)
+class BenchEnv(_Bench):
+    """Count environment steps per second of the engines, in turns in one process.
+
+    Beside them the loop in Python that a watch of every tick asks for, and the parts of
+    a compiled tick.
+    """
+
+    task: Annotated[str, task_help("{}.")] = DEFAULT
+
+    engine: tuple[Engine, ...] = ("bullet", "mujoco")
+    """Engines to compare; bullet is their reference."""
+
+    turns: int = 8
+    """Turns of each engine and kind of alpha."""
+
+    steps: int = 10
+    """Environment steps of a turn with random actions."""
+
+    def measure(self, bar: Bar) -> dict[str, Any]:
+        """The benchmark of these options."""
+        from marl_mm.eval.bench.env import bench_env
+
+        settings = self.turns, self.steps, self.seed
+        return bench_env(self.task, self.engine, *settings, bar)
+
+
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm bench``."""
     _, options = parse_subcommand(
-        dict(control=BenchControl, abuse=BenchAbuse, train=BenchTrain, data=BenchData),
+        dict(
+            env=BenchEnv,
+            control=BenchControl,
+            abuse=BenchAbuse,
+            train=BenchTrain,
+            data=BenchData,
+        ),
         "marl-mm bench",
-        "Measure the controller's time and limits, and the speed of training and data.",
+        "Measure the speed of steps, training and data, and the controller's limits.",
         arguments,
     )
     check_seed(options.seed)

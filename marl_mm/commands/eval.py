@@ -17,7 +17,13 @@ from marl_mm.runs.evaluate import (
     save_evaluations,
     task_overrides,
 )
-from marl_mm.runs.policies import load_policy, own_task, policy_names
+from marl_mm.runs.policies import (
+    load_policy,
+    own_engine,
+    own_task,
+    policy_names,
+)
+from marl_mm.sim.config import Engine
 
 
 @command
@@ -28,6 +34,7 @@ def main(
     seed: int = 0,
     task: OwnTask = None,
     max_steps: int | None = None,
+    engine: Engine | None = None,
     workers: int = CORES,
     out: Path | None = None,
     overwrite: bool = False,
@@ -43,6 +50,7 @@ def main(
         seed: Seed of the goals and of random policies.
         task: Registered name of the task.
         max_steps: Steps per episode; default the task's.
+        engine: Engine of the simulation; default the runs' own, or bullet.
         workers: Processes; the result does not depend on their number.
         out: JSON file to write everything to, with a row per episode.
         overwrite: Replace OUT if it exists.
@@ -56,7 +64,8 @@ def main(
     if out is not None:
         refuse_existing(out, overwrite)
     task = own_task(policies) if task is None else task
-    variant = make_task(task, task_overrides(max_steps))
+    engine = own_engine(policies) if engine is None else engine
+    variant = make_task(task, task_overrides(max_steps, engine))
     for name in policies:  # before any work is done
         load_policy(name, variant, config_of(name, settings))
     with progress_bars() as bar:
@@ -67,6 +76,7 @@ def main(
                 seed=seed,
                 task=task,
                 max_steps=max_steps,
+                engine=engine,
                 workers=workers,
                 config=config_of(name, settings),
                 progress=bar,

@@ -16,7 +16,7 @@ from marl_mm.eval.video import check_format, write_video
 from marl_mm.files import refuse_existing
 from marl_mm.progress import progress_bars
 from marl_mm.runs.play import Direction, Motion, check_strip, play, play_demo
-from marl_mm.sim.config import Camera
+from marl_mm.sim.config import Camera, Engine
 
 _CAMERA, _MOTION = Camera(), Motion()
 
@@ -31,6 +31,7 @@ def main(
     seed: int = 0,
     task: OwnTask = None,
     max_steps: int | None = None,
+    engine: Engine | None = None,
     fps: int = 10,
     gui: bool = False,
     overwrite: bool = False,
@@ -54,6 +55,7 @@ def main(
         seed: Seed of the goal and of random policies.
         task: Registered name of the task.
         max_steps: Steps of one second until the episode is cut off; default the task's.
+        engine: Engine of the simulation; default the run's own, or bullet.
         fps: Frames per second of film and of simulated time.
         gui: Open PyBullet's window instead of writing a film; needs a screen.
         overwrite: Replace what exists.
@@ -91,6 +93,7 @@ def main(
             seed=seed,
             direction=direction,
             max_steps=max_steps,
+            engine=engine,
             fps=fps,
             gui=gui,
             camera=None if camera == _CAMERA else camera,

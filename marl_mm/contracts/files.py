@@ -4,13 +4,11 @@ Each is read as the commands read it, and must be whole, plausible and of known 
 """
 
 import hashlib
-import shutil
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -20,16 +18,19 @@ from marl_mm.algorithms.export import POLICY_FORMATS, exported_metadata
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.pretrained import WEIGHTS
 from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.card import card_markdown, card_text
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import FILE as JOURNAL
-from marl_mm.datasets.journal import Journal, noted
+from marl_mm.datasets.journal import reading
 from marl_mm.datasets.location import locate
+from marl_mm.datasets.plausible import problems_of
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.verify import verify
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import CheckpointError, DatasetError, UsageError
 from marl_mm.eval.rows import read_rows
+from marl_mm.received import refuse_links_out
 from marl_mm.runs.folder import CONFIG, EVALUATION, read_config, read_evaluation
 
 _CONTENTS = Callable[[Path], Any]
@@ -125,6 +126,9 @@ def _act(policy: LearnedPolicy) -> None:
 
 
 def _read_run(path: Path) -> Any:
+    results = sorted(path.glob("eval*.json"))
+    names = (CONFIG, FILE, BEST, *(result.name for result in results))
+    refuse_links_out(path, names, CheckpointError)
     config = read_config(path)
     metrics = read_metrics(path)
     if metrics and not (path / FILE).exists():
@@ -133,19 +137,25 @@ def _read_run(path: Path) -> Any:
     for file in (FILE, BEST):
         if (path / file).exists():
             contents.append(_read_policy(path / file))
-    for result in sorted(path.glob("eval*.json")):
+    for result in results:
         evaluation = read_evaluation(result)
         contents.append(evaluation and evaluation.to_json())
     return contents
 
 
 def _read_journal(path: Path) -> Any:
-    begun = Provenance.from_json(noted(path) or {})
-    layout = make_task(begun.task, begun.overrides).layout
-    with TemporaryDirectory() as folder:  # opening a journal may change it
-        shutil.copy(path / JOURNAL, folder)
-        with Journal(Path(folder)) as journal:
-            return {n: vars(e) for n, e in journal.episodes(layout).items()}
+    with reading(path) as journal:
+        begun = Provenance.from_json(journal.about() or {})
+        task = make_task(begun.task, begun.overrides)
+        episodes = journal.episodes(task.layout)
+    if episodes:
+        problems = problems_of(arrays_of(episodes.values(), str(path)))
+        longest = max(map(len, episodes.values()))
+        if longest > task.max_steps:
+            problems.append(f"an episode of {longest} steps, at most {task.max_steps}")
+        if problems:
+            raise DatasetError(f"{path / JOURNAL}: {'; '.join(problems)}")
+    return {number: vars(episode) for number, episode in episodes.items()}
 
 
 def _read_record(path: Path) -> Any:

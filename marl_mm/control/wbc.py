@@ -114,11 +114,7 @@ class WholeBodyController:
             command = self._readable(state, terms, reference, priorities)
             finite = bool(np.isfinite(command.torque).all())
         if not finite:
-            raise NonFiniteStateError(
-                f"the controller found no finite command at q = {state.q.tolist()}, "
-                f"v = {state.v.tolist()}, target {reference.ee_position_w.tolist()}, "
-                f"shares {priorities.shares.tolist()}"
-            )
+            raise no_command(state, reference.ee_position_w, priorities)
         return command
 
     def _compiled(
@@ -167,6 +163,23 @@ class WholeBodyController:
             self._rate,
             qp.daqp if self.config.solver == "daqp" else qp.proxqp,
         )
+
+
+def no_command(
+    state: RobotState, target_w: np.ndarray, priorities: Priorities
+) -> NonFiniteStateError:
+    """Error of a tick without a finite command.
+
+    Args:
+        state: The robot then.
+        target_w: Target of the end-effector, shape (3,) [m].
+        priorities: Priorities of the tasks.
+    """
+    return NonFiniteStateError(
+        f"the controller found no finite command at q = {state.q.tolist()}, "
+        f"v = {state.v.tolist()}, target {target_w.tolist()}, "
+        f"shares {priorities.shares.tolist()}"
+    )
 
 
 def _typed(defaults: NamedTuple, values: NamedTuple) -> Iterator[Any]:

@@ -2,21 +2,17 @@
 
 from abc import ABC
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from marl_mm.control.records import Reference
-from marl_mm.envs.order import Order
+from marl_mm.envs.order import Order, Track
 from marl_mm.envs.task import Attempt, Task, Values
 from marl_mm.envs.terms import goal_distance
 from marl_mm.errors import UsageError
 from marl_mm.layout import Entry
 from marl_mm.sim.config import RATE
 from marl_mm.sim.scene import Mark, Scene
-
-if TYPE_CHECKING:
-    from marl_mm.robot.model import RobotState
 
 HAND = tuple(Entry(f"end_effector_{axis}", "m") for axis in "xyz")
 """Position of the end-effector, world frame."""
@@ -58,10 +54,6 @@ class BasePlan(NamedTuple):
         """Position of the plan after each tick of the step, shape (ticks, 2) [m]."""
         x = self.start_x + self.advance * np.arange(1, ticks + 1) / ticks
         return np.stack([x, np.zeros(ticks)], axis=1)
-
-    def heading(self, y: float, gain: float, limit: float) -> float:
-        """Heading that steers a base at lateral offset y back to y = 0 [rad]."""
-        return -self.direction * min(max(gain * y, -limit), limit)
 
 
 @dataclass
@@ -200,16 +192,15 @@ class CruiseTask(Task, ABC):
 
     def _order(self, attempt: Attempt) -> Order:
         course: Course = attempt.memory
-        target_w, rotation_w, plan = course.target_w, course.rotation_w, course.plan
-        posture = np.array(self.robot.initial_joints)
-        ticks = self.ticks_per_step
-        speed = plan.advance * RATE / ticks
-        points = plan.points(ticks)
-        gain, limit = self.heading_gain, self.heading_limit
-
-        def reference_at(k: int, state: "RobotState") -> Reference:
-            heading = plan.heading(state.q[1].item(), gain, limit)
-            return Reference(target_w, rotation_w, points[k], heading, speed, posture)
-
-        priorities = attempt.drives[0].controller.priorities(course.alpha)
-        return Order(reference_at, priorities)
+        plan, ticks = course.plan, self.ticks_per_step
+        track = Track(
+            course.target_w,
+            course.rotation_w,
+            plan.points(ticks),
+            self.heading_gain,
+            self.heading_limit,
+            plan.direction,
+            plan.advance * RATE / ticks,
+            np.array(self.robot.initial_joints),
+        )
+        return Order(track, attempt.drives[0].controller.priorities(course.alpha))

@@ -19,10 +19,11 @@ from marl_mm.envs.order import Order, ReferenceAt
 from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig
 from marl_mm.robot.limits import robot_limits
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
+from marl_mm.robot.planar import PlanarModel
 from marl_mm.robot.support import support_margin
-from marl_mm.sim.bullet import BulletWorld
 from marl_mm.sim.config import RATE, SimulationConfig
 from marl_mm.sim.scene import Mark, Scene
+from marl_mm.sim.world import open_world
 
 
 class Tick(NamedTuple):
@@ -98,8 +99,13 @@ class Drive:
         visual: bool = False,
         gui: bool = False,
     ) -> None:
-        self.world = BulletWorld(robot, simulation, visual, gui)
-        self.model = RobotModel(robot, balance=controller.limits.zmp)
+        self.world = open_world(robot, simulation, visual, gui)
+        # Pinocchio's last bits are those of version 1.
+        self.model = (
+            PlanarModel(robot)
+            if self.world.native
+            else RobotModel(robot, balance=controller.limits.zmp)
+        )
         self.limits = robot_limits(robot)
         self.controller = WholeBodyController(self.limits, controller, RATE)
         self._posture = robot.initial_joints
@@ -204,7 +210,13 @@ def follow(
         every: Number of ticks between measurements of stability.
         watch: Function that is called after each robot's tick.
     """
-    steps = [_Step(*pair, ticks, every) for pair in zip(drives, orders, strict=True)]
+    pairs = list(zip(drives, orders, strict=True))
+    if watch is None and all(drive.world.native for drive in drives):
+        from marl_mm.envs import compiled  # needs the library of such an engine
+
+        if all(compiled.can_follow(*pair) for pair in pairs):
+            return [compiled.follow(*pair, ticks, every) for pair in pairs]
+    steps = [_Step(*pair, ticks, every) for pair in pairs]
     for k in range(ticks):
         for number, step in enumerate(steps):
             step.tick(k, number, watch)

@@ -6,8 +6,8 @@ from marl_mm.control.config import Knowledge
 from marl_mm.control.payload import Payload
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
 from marl_mm.sim.config import RATE
-from marl_mm.sim.handling import Handling, Touches
 from marl_mm.sim.scene import Scene
+from marl_mm.sim.world import Handling, Touches
 
 SLIPPED = 0.03
 """Distance by which a held block's centre may move between the pads, in world axes

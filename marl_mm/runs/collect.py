@@ -13,6 +13,7 @@ from marl_mm.envs.registry import DEFAULT, TASKS
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.collecting import Collecting, collect_dataset, recorded
 from marl_mm.runs.settings import with_settings, with_values
+from marl_mm.sim.config import engine_of
 
 
 def collect(
@@ -87,7 +88,8 @@ def begun_settings(name: str, collector: str) -> dict[str, Any]:
     begun = Provenance.from_json(about) if about else recorded(location)
     if begun is None or begun.collector != collector:
         return {}
-    settings = {"task": begun.task, "seed": begun.seed}
+    engine = engine_of(begun.overrides)
+    settings = {"task": begun.task, "seed": begun.seed, "engine": engine}
     return settings | {**begun.overrides, **(begun.collector_config or {})}
 
 

@@ -11,7 +11,7 @@ from marl_mm.config_diff import refuse_other_config
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import FILE as JOURNAL
-from marl_mm.datasets.journal import Journal
+from marl_mm.datasets.journal import Journal, discard
 from marl_mm.datasets.location import Location
 from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Origin, Provenance
@@ -32,6 +32,7 @@ from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.plugins import record
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.settings import check_positive, check_seed, refuse_both
+from marl_mm.sim.config import DEFAULT_ENGINE, Engine, engine_overrides
 from marl_mm.workers import Executor
 
 _STEPS = 10_000
@@ -63,6 +64,9 @@ class Collecting:
 
     max_steps: int | None = None
     """Steps per episode; default the collector's, where it has some, or the task's."""
+
+    engine: Engine | None = None
+    """Engine of the simulation, bullet or mujoco; default bullet."""
 
     resume: bool = False
     """Go on where a collection was stopped, or with more steps where it ended. Settings
@@ -125,7 +129,7 @@ class _Collector:
         if max_steps is None:
             max_steps = collector.max_steps or make_task(options.task).max_steps
         check_positive(max_steps=max_steps)
-        overrides = {"max_steps": max_steps}
+        overrides = {"max_steps": max_steps, **engine_overrides(options.engine)}
         self.location, self.options, self.keeps = location, options, collector.keeps
         self.task = make_task(options.task, overrides)
         self._refuse_existing()
@@ -161,7 +165,7 @@ class _Collector:
         with only_here(location.working), ExitStack() as cleaning:
             cleaning.callback(_remove_if_empty, location)
             if options.overwrite:
-                (location.working / JOURNAL).unlink(missing_ok=True)
+                discard(location.working)
             with Journal(location.working) as journal:
                 begun = journal.about() or {}
                 replaces = options.overwrite or bool(begun.get("replaces"))
@@ -240,6 +244,9 @@ class _Collector:
                 f"{location.name} was collected by {who}, now asked for {collector}",
                 "choose another `dataset` or add `overwrite=True`",
             )
+        if config := metadata.get("config"):  # version 1 had one engine
+            simulation = {"engine": DEFAULT_ENGINE, **config.get("simulation", {})}
+            metadata = {**metadata, "config": {**config, "simulation": simulation}}
         refuse_other_config(location.folder, metadata, self.about.to_json())
 
     def _run(

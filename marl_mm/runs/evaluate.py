@@ -10,8 +10,9 @@ from marl_mm.eval.evaluate import Evaluation
 from marl_mm.eval.evaluate import evaluate as evaluate_policy
 from marl_mm.files import refuse_existing, write_json
 from marl_mm.progress import Bar, silent_bar
-from marl_mm.runs.policies import load_policy, own_task
+from marl_mm.runs.policies import load_policy, own_engine, own_task
 from marl_mm.runs.settings import check_positive, check_seed
+from marl_mm.sim.config import Engine, engine_overrides
 from marl_mm.versions import versions
 
 
@@ -22,6 +23,7 @@ def evaluate(
     seed: int = 0,
     task: str | None = None,
     max_steps: int | None = None,
+    engine: Engine | None = None,
     workers: int = 1,
     config: Any = None,
     progress: Bar = silent_bar,
@@ -36,6 +38,7 @@ def evaluate(
         seed: Seed of the goals and of random policies.
         task: Registered name of the task; default the run's own, or Reach-v0.
         max_steps: Steps per episode; default the task's.
+        engine: Engine of the simulation, bullet or mujoco; default the run's own.
         workers: Processes; the result does not depend on their number.
         config: Settings of a collector's policy; default the collector's.
         progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
@@ -47,7 +50,7 @@ def evaluate(
     """
     check_positive(episodes=episodes, workers=workers)
     check_seed(seed)
-    overrides = task_overrides(max_steps)
+    overrides = task_overrides(max_steps, engine or own_engine([policy]))
     name = own_task([policy]) if task is None else task
     actor = load_policy(policy, make_task(name, overrides), config, **settings)
     called = actor.name if policy is actor else str(getattr(policy, "folder", policy))
@@ -73,13 +76,17 @@ def save_evaluations(
     write_json(Path(path), evaluations_json(evaluations))
 
 
-def task_overrides(max_steps: int | None) -> dict[str, Any]:
-    """Settings of a task that are replaced: the steps of an episode, if they are.
+def task_overrides(
+    max_steps: int | None, engine: Engine | None = None
+) -> dict[str, Any]:
+    """Settings of a task that are replaced: steps of an episode and engine, if any.
 
     Raises:
-        UsageError: If they are not positive.
+        UsageError: If the steps are not positive, or there is no such engine.
     """
+    overrides = engine_overrides(engine)
+    make_task(overrides=overrides)  # raises
     if max_steps is None:
-        return {}
+        return overrides
     check_positive(max_steps=max_steps)
-    return {"max_steps": max_steps}
+    return {"max_steps": max_steps, **overrides}

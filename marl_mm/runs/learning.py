@@ -38,6 +38,7 @@ from marl_mm.runs.folder import (
 )
 from marl_mm.runs.settings import check_positive
 from marl_mm.runs.training import Offline, Online, Training
+from marl_mm.sim.config import DEFAULT_ENGINE, engine_of
 
 T = TypeVar("T", bound=Training)
 
@@ -149,6 +150,24 @@ def with_exact_precision(training: T) -> T:
         return training
     precision = resolved(training.config.precision)
     return replace(training, config=replace(training.config, precision=precision))
+
+
+def on_engine(training: T, dataset: Dataset | None) -> T:
+    """Settings that name the engine: the dataset's, where none is asked for.
+
+    Raises:
+        UsageError: If demonstrations are of another engine.
+    """
+    if dataset is None:
+        return replace(training, engine=training.engine or DEFAULT_ENGINE)
+    given = engine_of(dataset.provenance.overrides)
+    engine = training.engine or given
+    if isinstance(training, Online) and engine != given:
+        raise UsageError(
+            f"`demonstrations` {training.demonstrations} is of engine {given}, "
+            f"expected {engine}"
+        )
+    return replace(training, engine=engine)
 
 
 def algorithm_of(

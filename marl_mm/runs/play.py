@@ -26,9 +26,9 @@ from marl_mm.eval.video import (
 from marl_mm.files import refuse_existing
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.evaluate import task_overrides
-from marl_mm.runs.policies import load_policy, own_task
+from marl_mm.runs.policies import load_policy, own_engine, own_task
 from marl_mm.runs.settings import check_positive, check_seed
-from marl_mm.sim.config import RATE, Camera
+from marl_mm.sim.config import RATE, Camera, Engine
 
 Direction = Literal["forward", "backward"]
 
@@ -97,6 +97,7 @@ def play(
     seed: int = 0,
     direction: Direction | None = None,
     max_steps: int | None = None,
+    engine: Engine | None = None,
     fps: int = 10,
     gui: bool = False,
     camera: Camera | None = None,
@@ -114,6 +115,7 @@ def play(
         direction: Side of the robot on which the goal is, where the task does not draw
             its own; default backward.
         max_steps: Steps of one second until the episode is cut off; default the task's.
+        engine: Engine of the simulation, bullet or mujoco; default the run's own.
         fps: Pictures per second of film and of simulated time.
         gui: Open PyBullet's window and take no pictures; needs a screen.
         camera: Place of the camera; default the task's.
@@ -128,7 +130,8 @@ def play(
     check_positive(fps=fps)
     check_seed(seed)
     name = own_task([policy]) if task is None else task
-    variant = make_task(name, task_overrides(max_steps))
+    overrides = task_overrides(max_steps, engine or own_engine([policy]))
+    variant = make_task(name, overrides)
     actor = load_policy(policy, variant, config, **settings)
     ahead, behind = goal_set(variant, 2, seed)
     if direction is not None and ahead.goal is None:
@@ -183,6 +186,7 @@ def play_demo(
     Args:
         name: ``arm-reach`` or ``base-turn``.
         motion: Motion of the demo.
+        engine: Engine of the simulation, bullet or mujoco; default the run's own.
         fps: Pictures per second of film and of simulated time.
         gui: Open PyBullet's window and take no pictures.
         camera: Place of the camera.

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.envs.registry import DEFAULT, make_task
@@ -11,6 +11,7 @@ from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.policy import Policy
 from marl_mm.received import read_json
 from marl_mm.runs.settings import with_settings
+from marl_mm.sim.config import DEFAULT_ENGINE, Engine
 
 AGENT = "pretrained"
 """Name of the agent that ships, which needs no run folder."""
@@ -76,7 +77,24 @@ def own_task(policies: Sequence[Any]) -> str:
     Raises:
         UsageError: If there are several tasks.
     """
-    tasks: dict[str, Any] = {}
+    return _of_runs(policies, "task", DEFAULT)
+
+
+def own_engine(policies: Sequence[Any]) -> Engine:
+    """The engine of all runs among some policies; without runs the default.
+
+    Args:
+        policies: Sources as in ``load_policy``.
+
+    Raises:
+        UsageError: If there are several engines.
+    """
+    return cast(Engine, _of_runs(policies, "engine", DEFAULT_ENGINE))
+
+
+def _of_runs(policies: Sequence[Any], key: str, default: str) -> str:
+    """What all runs among some policies have in their records."""
+    values: dict[str, Any] = {}
     for source in policies:
         if hasattr(source, "act") or source in policy_names():
             continue
@@ -87,11 +105,13 @@ def own_task(policies: Sequence[Any]) -> str:
         config = (path.parent if path.is_file() else path) / "config.json"
         if config.exists():
             record = read_json(config, CheckpointError)
-            task = record.get("task", DEFAULT) if isinstance(record, dict) else None
-            if not isinstance(task, str):
-                raise CheckpointError(f"{config} is damaged: its task is {task!r:.60}")
-            tasks[task] = path
-    if len(tasks) > 1:
-        listed = ", ".join(f"{name} for {task}" for task, name in sorted(tasks.items()))
-        raise UsageError(f"runs for several tasks, {listed}: choose one with `task`")
-    return next(iter(tasks), DEFAULT)
+            value = record.get(key, default) if isinstance(record, dict) else None
+            if not isinstance(value, str):
+                raise CheckpointError(f"{config} is damaged: {key} is {value!r:.60}")
+            values[value] = path
+    if len(values) > 1:
+        listed = ", ".join(
+            f"{name} for {value}" for value, name in sorted(values.items())
+        )
+        raise UsageError(f"runs for several {key}s, {listed}: choose one with `{key}`")
+    return next(iter(values), default)

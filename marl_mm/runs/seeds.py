@@ -15,6 +15,7 @@ from marl_mm.progress import Bar, distant_bars, show_distant_bars
 from marl_mm.runs.learning import (
     begin_runs,
     check_training,
+    on_engine,
     train_runs,
     with_exact_precision,
 )
@@ -44,7 +45,7 @@ def train_seeds(
         DivergedError: At the end, if a seed diverged; see ``algorithms.train.train``.
         KeyboardInterrupt: After Ctrl-C, saying how to go on.
     """
-    training = with_exact_precision(training)
+    training = on_engine(with_exact_precision(training), dataset)
     check_training(training, dataset, runs)
     # Those of an incomplete last round go beside the others: no core is idle then.
     processes = min(len(runs), training.workers + len(runs) % training.workers)

@@ -8,6 +8,7 @@ from marl_mm.algorithms.loggers import DEFAULT_LOGGERS, check_loggers
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
 from marl_mm.algorithms.schedule import Schedule
 from marl_mm.runs.settings import check_positive, check_seed, refuse_both
+from marl_mm.sim.config import Engine, engine_overrides
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +48,9 @@ class Training:
     max_steps: int | None = None
     """Steps of an episode, of evaluations too; default the task's."""
 
+    engine: Engine | None = None
+    """Engine of the simulation, bullet or mujoco; default the dataset's, or bullet."""
+
     workers: int = 1
     """Processes that run episodes, and that train seeds from a dataset. The result does
     not depend on their number."""
@@ -68,7 +72,8 @@ class Training:
     @property
     def overrides(self) -> dict[str, Any]:
         """Settings of the task that are replaced."""
-        return {} if self.max_steps is None else {"max_steps": self.max_steps}
+        steps = {} if self.max_steps is None else {"max_steps": self.max_steps}
+        return {**steps, **engine_overrides(self.engine)}
 
     def check(self) -> None:
         """Raise a UsageError that names the first setting that makes no sense."""
@@ -138,7 +143,8 @@ class Online(Training):
     @property
     def recorded(self) -> dict[str, Any]:
         """Settings that a run's record holds beside the hyper-parameters."""
-        return {**self.overrides, **super().recorded, **asdict(self.schedule)}
+        steps = {} if self.max_steps is None else {"max_steps": self.max_steps}
+        return {**steps, **super().recorded, **asdict(self.schedule)}
 
 
 def training_of(algorithm: str, name: str = TUNED, **settings: Any) -> Offline | Online:

@@ -1,1 +1,1 @@
-"""The simulator: the only package that imports PyBullet."""
+"""The simulator: the only package that imports an engine."""

@@ -5,15 +5,14 @@ import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
-from math import asin, atan2
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from marl_mm.errors import MarlMmError, NonFiniteStateError, UsageError
+from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.files import named_errors
-from marl_mm.robot.description import WHEEL_RADIUS, WHEEL_SEPARATION, RobotConfig
+from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.description import urdf_xml as robot_urdf
 from marl_mm.robot.model import GRAVITY, RobotState
 from marl_mm.robot.names import (
@@ -25,8 +24,8 @@ from marl_mm.robot.names import (
 )
 from marl_mm.sim.config import RATE, Camera, SimulationConfig
 from marl_mm.sim.engine import pybullet, pybullet_data
-from marl_mm.sim.handling import Handling
-from marl_mm.sim.planar import planar_state
+from marl_mm.sim.handling import BulletHandling
+from marl_mm.sim.planar import attitude, diverged, planar_state, rim_rates
 from marl_mm.sim.scene import Mark, Scene
 
 
@@ -92,16 +91,10 @@ class BulletWorld:
         )
         self._disconnect.atexit = False  # the process's end frees it, too
         self._com_b = robot.base_com_b
-        self._handling: Handling | None = None
+        self._handling: BulletHandling | None = None
 
     def reset(self, marks: Sequence[Mark] = (), scene: Scene | None = None) -> None:
-        """A new world: the robot at the origin, heading +x, in its start posture.
-
-        Args:
-            marks: Drawings without a body, for a world with visuals.
-            scene: Block and stand. Without a scene, hand and arm are no solid bodies,
-                which is faster.
-        """
+        """See ``World``."""
         client, config = self._client, self._config
         pybullet.resetSimulation(physicsClientId=client)
         pybullet.setGravity(0, 0, -GRAVITY, physicsClientId=client)
@@ -117,18 +110,14 @@ class BulletWorld:
         links = self._load_robot(solid=scene is not None)
         self._handling = None
         if scene is not None:
-            self._handling = Handling(
+            self._handling = BulletHandling(
                 client, self._robot, links, self._ground, config, scene, self._visual
             )
         for mark in marks if self._visual else ():
             self._draw(mark)
 
     def read(self) -> RobotState:
-        """The robot's planar state, from the simulator's free-floating base.
-
-        Raises:
-            NonFiniteStateError: If the simulation has diverged.
-        """
+        """See ``World``."""
         client, robot = self._client, self._robot
         joints = pybullet.getJointStates(robot, self._arm, physicsClientId=client)
         place, turn = pybullet.getBasePositionAndOrientation(
@@ -139,32 +128,25 @@ class BulletWorld:
         q, v = np.empty(11), np.empty(10)
         com_b = self._com_b
         if not planar_state(place, turn, linear, angular, com_b, arm, rates, q, v):
-            raise NonFiniteStateError(
-                f"the simulation diverged: q = {q.tolist()}, v = {v.tolist()}"
-            )
+            raise diverged(q, v)
         return RobotState(q, v)
 
     def attitude(self) -> tuple[float, float]:
-        """Roll and pitch of the base [rad]; pitch is positive with the nose down."""
+        """See ``World``."""
         _, quaternion = pybullet.getBasePositionAndOrientation(
             self._robot, physicsClientId=self._client
         )
-        x, y, z, w = quaternion
-        roll = atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-        return roll, asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
+        return attitude(quaternion)
 
     def wheel_rates(self) -> tuple[float, float]:
-        """Rates of the left and the right wheel [rad/s]."""
+        """See ``World``."""
         left, right = pybullet.getJointStates(
             self._robot, self._wheels, physicsClientId=self._client
         )
         return left[1], right[1]
 
     def ground_forces(self) -> tuple[np.ndarray, np.ndarray]:
-        """Contact points with the ground, shape (n, 3) [m], and normal forces [N].
-
-        The forces, shape (n,), are those of the last step.
-        """
+        """See ``World``."""
         contacts = pybullet.getContactPoints(
             self._robot, self._ground, physicsClientId=self._client
         )
@@ -172,22 +154,12 @@ class BulletWorld:
         return points, np.array([contact[9] for contact in contacts])
 
     def command(self, forward: float, yaw_rate: float, torque: np.ndarray) -> None:
-        """Set the motors for the next step.
-
-        Args:
-            forward: Base speed [m/s].
-            yaw_rate: Base turning rate [rad/s].
-            torque: Torques of the arm joints, shape (7,) [N m].
-        """
-        turn = yaw_rate * WHEEL_SEPARATION / 2
+        """See ``World``."""
         pybullet.setJointMotorControlArray(
             self._robot,
             self._wheels,
             pybullet.VELOCITY_CONTROL,
-            targetVelocities=[
-                (forward - turn) / WHEEL_RADIUS,
-                (forward + turn) / WHEEL_RADIUS,
-            ],
+            targetVelocities=rim_rates(forward, yaw_rate),
             forces=self._wheel_forces,
             physicsClientId=self._client,
         )
@@ -200,10 +172,13 @@ class BulletWorld:
         )
 
     def step(self) -> None:
-        """Advance by 1/240 s."""
+        """See ``World``."""
         if self._handling is not None:
             self._handling.tick()
         pybullet.stepSimulation(physicsClientId=self._client)
+
+    native = None
+    """See ``World``."""
 
     @property
     def client(self) -> int:
@@ -212,13 +187,13 @@ class BulletWorld:
         return client
 
     @property
-    def handling(self) -> Handling:
+    def handling(self) -> BulletHandling:
         """Gripper, block and stand of a world with a scene."""
         assert self._handling is not None
         return self._handling
 
     def grasp_position_w(self) -> np.ndarray:
-        """Position of the end-effector in the simulation, shape (3,) [m]."""
+        """See ``World``."""
         state = pybullet.getLinkState(
             self._robot,
             self._grasp,

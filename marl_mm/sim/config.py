@@ -1,6 +1,8 @@
 """Settings of simulation and camera; independent of the engine."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 
@@ -10,9 +12,45 @@ RATE = 240
 """Simulation steps and controller ticks per second (paper, Sec. 4.1)."""
 
 
+Engine = Literal["bullet", "mujoco"]
+
+ENGINES: dict[Engine, tuple[str, str]] = {
+    "bullet": ("pybullet", "pybullet"),
+    "mujoco": ("mujoco-core", "mujoco"),
+}
+"""Package, and module in it, of each engine."""
+
+
+DEFAULT_ENGINE: Engine = "bullet"
+"""Engine of the tasks, unless another is asked for; that of version 1."""
+
+
+def engine_of(overrides: Mapping[str, Any]) -> Engine:
+    """Engine of a task with these fields replaced.
+
+    Raises:
+        UsageError: If the fields are of another kind.
+    """
+    simulation = overrides.get("simulation", {})
+    if not isinstance(simulation, Mapping):
+        raise UsageError(f"simulation is {simulation!r:.60}, expected a mapping")
+    engine: Engine = simulation.get("engine", DEFAULT_ENGINE)
+    return engine
+
+
+def engine_overrides(engine: Engine | None) -> dict[str, Any]:
+    """Replaced fields of a task on this engine; none for the default one."""
+    if engine in (None, DEFAULT_ENGINE):
+        return {}
+    return {"simulation": {"engine": engine}}
+
+
 @dataclass(frozen=True)
 class SimulationConfig:
-    """Settings of solver, motors and contacts."""
+    """Engine, and settings of its solver, motors and contacts."""
+
+    engine: Engine = DEFAULT_ENGINE
+    """Engine of the simulation: "bullet" or "mujoco"; the paper has PyBullet."""
 
     solver_iterations: int = 20
     """Iterations of the contact solver; 10, 20 and 50 agree to 0.1 mm."""
@@ -39,6 +77,12 @@ class SimulationConfig:
 
     spinning_friction: float = 0.002
     """Spinning friction of pads and blocks about the normal [m]: pads are patches."""
+
+    def __post_init__(self) -> None:
+        if self.engine not in ENGINES:
+            raise UsageError(
+                f"simulation.engine is {self.engine!r}, expected {' or '.join(ENGINES)}"
+            )
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """The gripper, the block that it handles, its stand, and their contacts."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -9,25 +9,10 @@ from marl_mm.robot.names import ARM_LINKS, BASE_LINK, FINGER_LINKS, HAND_LINK
 from marl_mm.sim.config import SimulationConfig
 from marl_mm.sim.engine import pybullet
 from marl_mm.sim.scene import Scene
+from marl_mm.sim.world import Touches
 
 
-class Touches(NamedTuple):
-    """Contacts after a step."""
-
-    fingers: int
-    """Number of fingers that touch the block, 0 to 2."""
-
-    stand: bool
-    """Whether the block touches its stand."""
-
-    ground: bool
-    """Whether the block touches the ground."""
-
-    collision: str
-    """Forbidden collision in words; empty without one."""
-
-
-class Handling:
+class BulletHandling:
     """A block, and its stand if it has one, in a robot's world.
 
     Args:

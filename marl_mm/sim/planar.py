@@ -1,8 +1,38 @@
-"""Planar state of the controller from the simulator's floating base."""
+"""Between the simulator's floating base on wheels and the controller's planar base."""
+
+from collections.abc import Sequence
+from math import asin, atan2
 
 import numpy as np
 
+from marl_mm.errors import NonFiniteStateError
 from marl_mm.jit import jit
+from marl_mm.robot.description import WHEEL_RADIUS, WHEEL_SEPARATION
+
+
+def diverged(q: np.ndarray, v: np.ndarray) -> NonFiniteStateError:
+    """Error of a state that is not finite: q (11,) and v (10,) of ``RobotState``."""
+    return NonFiniteStateError(
+        f"the simulation diverged: q = {q.tolist()}, v = {v.tolist()}"
+    )
+
+
+def attitude(quaternion: tuple[float, ...]) -> tuple[float, float]:
+    """Roll and pitch of an orientation x, y, z, w [rad]."""
+    x, y, z, w = quaternion
+    roll = atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    return roll, asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
+
+
+def rim_rates(forward: float, yaw_rate: float) -> tuple[float, float]:
+    """Rates of the left and the right wheel [rad/s] at the base's speeds.
+
+    Args:
+        forward: Base speed [m/s].
+        yaw_rate: Base turning rate [rad/s].
+    """
+    turn = yaw_rate * WHEEL_SEPARATION / 2
+    return (forward - turn) / WHEEL_RADIUS, (forward + turn) / WHEEL_RADIUS
 
 
 @jit
@@ -12,8 +42,8 @@ def planar_state(
     linear_w: tuple[float, ...],
     angular_w: tuple[float, ...],
     com_b: tuple[float, ...],
-    joints: tuple[float, ...],
-    rates: tuple[float, ...],
+    joints: Sequence[float] | np.ndarray,
+    rates: Sequence[float] | np.ndarray,
     q: np.ndarray,
     v: np.ndarray,
 ) -> bool:

@@ -48,3 +48,32 @@ def test_rows_beyond_the_checkpoint_are_of_an_attempt_that_was_cut_off(
     assert [kept["step"] for kept in read_metrics(tmp_path)] == [10, 20]
     with pytest.raises(CheckpointError, match=r"ends at step 20, the checkpoint .* 25"):
         RunLog(tmp_path, "step", 25, ())
+
+
+@pytest.mark.parametrize(
+    ("data", "match"),
+    [
+        ("{}\n" * 8_000_000, "an empty row, or more than"),
+        ('{"a": 1}\n' * 100_001, "more than 100,000 rows"),
+        (("{" + '"a": 1, ' * 999 + '"b": 1}\n') * 100 + "[1]\n", "dict"),
+        ('{"a": "x"}\n', "is neither float or int"),
+        ('{"\\u001b[31m": 1}\n', "control characters"),
+        (" " * 200_000 + "{}\n", "a line of more than 100,000 bytes"),
+    ],
+)
+def test_records_that_cannot_be_ours_are_refused(
+    tmp_path: Path, data: str, match: str
+) -> None:
+    (tmp_path / METRICS).write_text(data)
+    with pytest.raises(CheckpointError, match=match):
+        read_metrics(tmp_path)
+
+
+def test_a_record_that_is_a_link_out_is_refused_and_left_alone(tmp_path: Path) -> None:
+    run, victim = tmp_path / "run", tmp_path / "victim.jsonl"
+    run.mkdir()
+    victim.write_text('{"step": 1}\n')
+    (run / METRICS).symlink_to(victim)
+    with pytest.raises(CheckpointError, match="is a link out of its folder"):
+        RunLog(run, "step", 0, ())
+    assert victim.read_text() == '{"step": 1}\n'

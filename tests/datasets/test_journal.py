@@ -1,15 +1,21 @@
 """The journal keeps every finished episode, whatever happens to its writer."""
 
+import io
 import signal
+import sqlite3
+import struct
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from marl_mm.datasets.journal import FILE, Journal, begun, noted
+from marl_mm.datasets.arrays import arrays_of, save_arrays
+from marl_mm.datasets.journal import FILE, Journal, begun, discard, noted, reading
 from marl_mm.datasets.location import locate
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import Episode
@@ -110,3 +116,139 @@ def test_a_damaged_journal_is_named(tmp_path: Path) -> None:
     (tmp_path / FILE).write_bytes(b"no database, but long enough to look like one" * 9)
     with pytest.raises(DatasetError, match="damaged"):
         Journal(tmp_path)
+
+
+# --- Journals from strangers -------------------------------------------------
+
+MAGIC = bytes.fromhex("d9d505f920a163d7")
+
+
+def rollback(folder: Path, names: Path | None, pages: int = 3) -> None:
+    """A journal beside a database that SQLite would play back when it opens it."""
+    with Journal(folder) as journal:
+        journal.begin({})
+    database = (folder / FILE).read_bytes()
+    data = struct.pack(">8sIIIII", MAGIC, 1, 7, pages, 512, 4096).ljust(512, b"\0")
+    checksum = 7 + sum(database[place] for place in range(4096 - 200, 0, -200))
+    data += struct.pack(">I", 1) + database[:4096] + struct.pack(">I", checksum)
+    if names is not None:
+        name = str(names).encode()
+        data += struct.pack(">I", 2**30 // 4096 + 1) + name
+        data += struct.pack(">II", len(name), sum(name)) + MAGIC
+    (folder / f"{FILE}-journal").write_bytes(data)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def refused(folder: Path, match: str) -> None:
+    """It is neither read nor resumed, and nothing is changed."""
+    before = contents(folder)
+    with pytest.raises(DatasetError, match=match), reading(folder) as journal:
+        journal.about(), len(journal), journal.episodes(REACH)
+    with pytest.raises(DatasetError, match=match), Journal(folder) as journal:
+        journal.about(), len(journal), journal.episodes(REACH)
+    assert noted(folder) is None
+    assert contents(folder) == before
+
+
+def test_no_journal_deletes_a_file_that_it_names(
+    datasets_home: Path, tmp_path: Path
+) -> None:
+    precious = tmp_path / "precious"
+    precious.write_text("mine")
+    location = locate("evil")
+    rollback(location.working, precious)
+    assert begun() == {"marl_mm/reach/evil-v0": None}
+    refused(location.working, "names another file, which SQLite would delete")
+    assert precious.read_text() == "mine"
+    discard(location.working)
+    assert list(location.working.iterdir()) == []
+
+
+def test_a_journal_that_was_cut_off_is_read_without_a_change(tmp_path: Path) -> None:
+    rollback(tmp_path / "x", None)
+    before = contents(tmp_path / "x")
+    with reading(tmp_path / "x") as journal:
+        assert len(journal) == 0
+    assert contents(tmp_path / "x") == before and len(before) == 2
+    with Journal(tmp_path / "x") as journal:
+        assert len(journal) == 0
+    assert len(contents(tmp_path / "x")) == 1
+
+
+def test_a_journal_undoes_to_no_larger_file(tmp_path: Path) -> None:
+    rollback(tmp_path, None, pages=2**31)
+    refused(tmp_path, "it undoes to 8,796,093,022,208 bytes")
+
+
+@pytest.mark.parametrize("name", [FILE, f"{FILE}-journal"])
+def test_a_journal_that_is_a_link_leaves_the_other_file_alone(
+    tmp_path: Path, name: str
+) -> None:
+    victim = tmp_path / "victim.db"
+    with closing(sqlite3.connect(victim)) as file, file:
+        file.execute("create table mine (text)")
+    before = victim.read_bytes()
+    rollback(tmp_path / "x", None)
+    (tmp_path / "x" / name).unlink()
+    (tmp_path / "x" / name).symlink_to(victim)
+    refused(tmp_path / "x", "is a link to")
+    assert victim.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "create table other (text)",
+        "create view more as select 1",
+        "drop table about; create table about "
+        "(x, text generated always as (hex(zeroblob(450000000))))",
+    ],
+)
+def test_a_journal_holds_its_two_tables_alone(tmp_path: Path, statement: str) -> None:
+    rollback(tmp_path, None)
+    (tmp_path / f"{FILE}-journal").unlink()
+    with closing(sqlite3.connect(tmp_path / FILE)) as file, file:
+        file.executescript(statement)
+    refused(tmp_path, "expected the tables about and episodes as they were made")
+
+
+def test_a_journal_with_a_write_ahead_log_is_refused(tmp_path: Path) -> None:
+    with Journal(tmp_path) as journal:
+        journal.begin({})
+    with closing(sqlite3.connect(tmp_path / FILE)) as file:
+        file.execute("pragma journal_mode = wal")
+    refused(tmp_path, "write-ahead log")
+
+
+def test_compressed_episodes_are_refused(
+    tmp_path: Path, make_episode: MakeEpisode
+) -> None:
+    with Journal(tmp_path) as journal:
+        journal.begin({})
+        journal.add(make_episode(0))
+    blob = io.BytesIO()
+    arrays = arrays_of([make_episode(0)], "")
+    zeros = {"zeros": np.zeros((len(arrays.rewards), 10_000))}
+    save_arrays(blob, replace(arrays, info=arrays.info | zeros), compress=True)
+    with closing(sqlite3.connect(tmp_path / FILE)) as file, file:
+        file.execute("update episodes set npz = ?", [blob.getvalue()])
+    with reading(tmp_path) as journal, pytest.raises(DatasetError, match="is damaged"):
+        journal.episodes(REACH)
+
+
+def test_rows_that_repeat_are_refused(tmp_path: Path) -> None:
+    """In a tree whose pages stand in several places they would never end."""
+    with Journal(tmp_path) as journal:
+        journal.begin({})
+    with closing(sqlite3.connect(tmp_path / FILE)) as file, file:
+        values = [(number, bytes(10)) for number in range(3)]
+        file.executemany("insert into episodes values (?, ?)", values)
+    data = bytearray((tmp_path / FILE).read_bytes())
+    pointers = 2 * 4096 + 8  # of the third page's three rows, 2 bytes each
+    data[pointers : pointers + 6] = 3 * data[pointers : pointers + 2]
+    (tmp_path / FILE).write_bytes(data)
+    with reading(tmp_path) as journal, pytest.raises(DatasetError, match="repeat"):
+        len(journal)

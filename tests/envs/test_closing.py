@@ -97,12 +97,17 @@ def test_a_world_reads_the_robot_that_it_asks_for() -> None:
     light.close()
 
 
+def bullet_of(core: EpisodeCore) -> BulletWorld:
+    assert isinstance(core.drive.world, BulletWorld)
+    return core.drive.world
+
+
 def test_a_number_that_is_given_again_is_not_closed_by_the_old_world() -> None:
     first = EpisodeCore(make_task())
-    client = first.drive.world.client
+    client = bullet_of(first).client
     first.close()
     second = EpisodeCore(make_task())
-    assert second.drive.world.client == client
+    assert bullet_of(second).client == client
     first.close()
     del first
     second.reset(np.random.default_rng(0))

@@ -62,9 +62,11 @@ def busy_actions(task: str, seed: int) -> tuple[dict[str, int], Act]:
 ARM = {*ARM_LINKS, HAND_LINK, *FINGER_LINKS}
 
 
-def contents(world: BulletWorld) -> tuple[int, set[str], int]:
+def contents(core: EpisodeCore) -> tuple[int, set[str], int]:
     """Bodies in a world, links of its robot that can touch, the solver's iterations."""
-    client, robot = {"physicsClientId": world.client}, 1  # after the ground
+    assert isinstance(core.drive.world, BulletWorld)
+    client = {"physicsClientId": core.drive.world.client}
+    robot = 1  # after the ground
     links = {
         pybullet.getJointInfo(robot, number, **client)[12].decode(): number
         for number in range(pybullet.getNumJoints(robot, **client))
@@ -191,7 +193,7 @@ def test_an_empty_world_has_nothing_of_a_block_to_spend_time_on(
     core = open_world("Reach-v0")
     core.reset(np.random.default_rng(0))
     assert core.drive.hand is None
-    bodies, solid, iterations = contents(core.drive.world)
+    bodies, solid, iterations = contents(core)
     assert bodies == 2
     assert not solid & ARM
     assert iterations == SimulationConfig().solver_iterations
@@ -199,7 +201,7 @@ def test_an_empty_world_has_nothing_of_a_block_to_spend_time_on(
     core = open_world("CarryReach-v0")
     core.reset(np.random.default_rng(0))
     assert core.drive.hand is not None
-    bodies, solid, iterations = contents(core.drive.world)
+    bodies, solid, iterations = contents(core)
     assert bodies == 3
     assert solid >= ARM - {ARM_LINKS[0]}  # which is within the base
     assert iterations == SimulationConfig().grasp_iterations

@@ -13,6 +13,7 @@ from marl_mm.envs.registry import make_task
 from marl_mm.errors import MarlMmError
 from marl_mm.eval.bench.abuse import abuse
 from marl_mm.eval.bench.control import bench_control
+from marl_mm.eval.bench.env import bench_env
 from marl_mm.eval.bench.offline import (
     AUTHORS,
     LEARNERS,
@@ -23,6 +24,8 @@ from marl_mm.eval.bench.offline import (
 )
 from marl_mm.eval.bench.online import bench_online, bench_success
 from marl_mm.eval.bench.td3_bc_reference import PlainTd3Bc
+from marl_mm.progress import silent_bar
+from marl_mm.sim.config import Engine
 
 
 @pytest.mark.slow
@@ -40,6 +43,21 @@ def test_parts_of_a_tick_belong_together() -> None:
     assert set(references) == names
     assert references["compiled"]["median"] < references["numpy_proxqp"]["median"]
     assert set(result["infeasible_us"]) == {"compiled", "numpy_proxqp"}
+
+
+@pytest.mark.slow
+def test_engines_are_timed_in_turns() -> None:
+    engines: tuple[Engine, ...] = ("bullet", "mujoco")
+    result = bench_env("Reach-v0", engines, turns=3, steps=3, seed=0, bar=silent_bar)
+    loop = "mujoco, loop in Python"
+    for label in ("random alpha", "alpha 1"):
+        speeds = result[f"{label}: steps/s"]
+        assert set(speeds) == {*engines, loop} and min(speeds.values()) > 0
+        assert set(result[f"{label}: times the steps/s of bullet"]) == {"mujoco", loop}
+    parts = result["mujoco: us of a tick"]
+    assert sum(parts.values()) == pytest.approx(2 * parts["all"])
+    alone = bench_env("Reach-v0", ["mujoco"], turns=1, steps=1, seed=0, bar=silent_bar)
+    assert not any("times" in quantity for quantity in alone)
 
 
 @pytest.mark.slow

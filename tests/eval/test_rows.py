@@ -1,11 +1,14 @@
 """Rows of results are read back as they were written, under older names too."""
 
 import gzip
+import lzma
+import math
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from marl_mm.errors import UsageError
+from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import has_rows, read_rows, write_csv
 
@@ -32,3 +35,41 @@ def test_older_files_are_read_until_newer_ones_replace_them(tmp_path: Path) -> N
     write_csv(path, ROWS)
     assert [file.name for file in tmp_path.iterdir()] == ["rows.csv.xz"]
     assert read_rows(path) == ROWS
+
+
+@pytest.mark.parametrize(
+    ("data", "match"),
+    [
+        (b"", "it is empty"),
+        (b"a,a\n1,2\n", "2 columns of the name a"),
+        (b"a\n" * 12_000_000, "more than 1,000,000 cells"),
+        (b"ab," * 3_300_000, "more than 1,000,000 cells"),
+        (b"a" * 33_000_000, "33,000,000 bytes, expected at most 32,000,000"),
+    ],
+)
+def test_rows_that_cannot_be_ours_are_refused_before_they_are_parsed(
+    tmp_path: Path, data: bytes, match: str
+) -> None:
+    path = tmp_path / "rows.csv"
+    path.write_bytes(data)
+    with pytest.raises(MarlMmError, match=match):
+        read_rows(path)
+
+
+@pytest.mark.parametrize("pack", [lzma.compress, gzip.compress])
+def test_rows_that_unpack_to_far_more_are_refused(
+    tmp_path: Path, pack: Callable[[bytes], bytes]
+) -> None:
+    path = tmp_path / f"rows.csv.{'xz' if pack is lzma.compress else 'gz'}"
+    path.write_bytes(pack(b"a\n" * 20_000_000))
+    with pytest.raises(MarlMmError, match="more than 32,000,000 bytes unpacked"):
+        read_rows(path)
+
+
+def test_numbers_are_read_as_such_and_texts_as_texts(tmp_path: Path) -> None:
+    path = tmp_path / "rows.csv"
+    texts = ("1", "-2", "0.5", "1e3", "nan", "-inf", "Infinity", "east", "i", "", "1.x")
+    path.write_text(f"{','.join(map(str, range(11)))}\n{','.join(texts)}\n")
+    values = list(read_rows(path)[0].values())
+    expected = [1, -2, 0.5, 1e3, math.nan, -math.inf, math.inf, "east", "i", "", "1.x"]
+    assert list(map(repr, values)) == list(map(repr, expected))

@@ -1,0 +1,144 @@
+"""Speed of an environment: engines in turns, and where the time of a step goes."""
+
+from collections.abc import Callable, Sequence
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from marl_mm.envs.core import EpisodeCore
+from marl_mm.envs.registry import make_task
+from marl_mm.jit import jit
+from marl_mm.progress import Bar
+from marl_mm.robot.planar import PlanarModel, planar_terms
+from marl_mm.sim.config import Engine, engine_overrides
+from marl_mm.sim.native import advance
+
+REFERENCE: Engine = "bullet"
+"""Engine that the others' speeds are divided by."""
+
+ALPHAS: dict[str, float | None] = {"random alpha": None, "alpha 1": 1.0}
+"""Alphas of the actions; None draws one for each step."""
+
+_REPEATS = 2_000
+"""Number of calls of the compiled model that are timed at once."""
+
+
+def bench_env(
+    task: str, engines: Sequence[Engine], turns: int, steps: int, seed: int, bar: Bar
+) -> dict[str, Any]:
+    """Environment steps per second of engines that take turns in one process.
+
+    An engine with a compiled step is timed with the loop in Python, too, which a watch
+    of every tick asks for.
+
+    Args:
+        task: Registered name of the task.
+        engines: Engines to compare; PyBullet is their reference if it is among them.
+        turns: Number of turns of each.
+        steps: Environment steps of a turn, with random actions.
+        seed: Seed of goals and actions.
+        bar: Factory of progress bars.
+    """
+    kinds: dict[str, tuple[EpisodeCore, Any]] = {}
+    for engine in engines:
+        core = EpisodeCore(make_task(task, engine_overrides(engine)))
+        kinds[engine] = core, None
+        if core.drive.world.native:
+            kinds[f"{engine}, loop in Python"] = core, lambda tick: None
+    advance = bar("bench env", turns * len(kinds) * len(ALPHAS))
+    speeds: dict[str, dict[str, list[float]]] = {
+        alpha: {kind: [] for kind in kinds} for alpha in ALPHAS
+    }
+    for turn in range(-1, turns):  # the first compiles
+        for label, alpha in ALPHAS.items():
+            for kind, (core, watch) in kinds.items():
+                rng = np.random.default_rng([seed, max(turn, 0)])
+                seconds = _timed(core, rng, steps, alpha, watch)
+                if turn >= 0:
+                    speeds[label][kind].append(steps / seconds)
+                    advance(1, kind)
+    result: dict[str, Any] = {}
+    for label, by_kind in speeds.items():
+        medians = {kind: float(np.median(values)) for kind, values in by_kind.items()}
+        result[f"{label}: steps/s"] = medians
+        if REFERENCE in engines and len(kinds) > 1:
+            result[f"{label}: times the steps/s of {REFERENCE}"] = {
+                kind: float(np.median(np.divide(values, by_kind[REFERENCE])))
+                for kind, values in by_kind.items()
+                if kind != REFERENCE
+            }
+    for engine in engines:
+        core, _ = kinds[engine]
+        if isinstance(core.drive.model, PlanarModel):
+            result[f"{engine}: us of a tick"] = _parts(core, medians[engine])
+        core.close()
+    return result
+
+
+def _timed(
+    core: EpisodeCore,
+    rng: np.random.Generator,
+    steps: int,
+    alpha: float | None,
+    watch: Callable[[Any], None] | None,
+) -> float:
+    """Seconds that some steps take; resets of episodes are not counted."""
+    low, high = np.array(core.task.layout.low), np.array(core.task.layout.high)
+    seconds, left = 0.0, 0
+    for _ in range(steps):
+        if not left:
+            core.reset(rng)
+            left = core.task.max_steps
+        action = rng.uniform(low, high)
+        if alpha is not None:
+            action[core.task.layout.action_names.index("alpha")] = alpha
+        begun = perf_counter()
+        step = core.step(action, watch)
+        seconds += perf_counter() - begun
+        left = 0 if step.terminated else left - 1
+    return seconds
+
+
+def _parts(core: EpisodeCore, steps_per_second: float) -> dict[str, float]:
+    """Times of a compiled tick's parts at the present state [us].
+
+    Args:
+        core: Environment with a compiled step; its episode is over afterwards.
+        steps_per_second: Its speed.
+    """
+    drive, model = core.drive, core.drive.model
+    assert drive.world.native and isinstance(model, PlanarModel)
+    bodies, scratch, terms = model.bodies, model.scratch, model.terms
+    parts = {
+        "model": _call_time(_repeat_model, *drive.state, bodies, scratch, terms),
+        "engine": _call_time(_repeat_engine, drive.world.native),
+    }
+    tick = 1e6 / steps_per_second / core.task.ticks_per_step
+    return {
+        "all": tick,
+        **parts,
+        "controller, and the rest": tick - sum(parts.values()),
+    }
+
+
+def _call_time(repeat: Callable[..., None], *arguments: Any) -> float:
+    """Time of one of many calls in compiled code [us]."""
+    repeat(1, *arguments)  # compiles
+    begun = perf_counter()
+    repeat(_REPEATS, *arguments)
+    return 1e6 * (perf_counter() - begun) / _REPEATS
+
+
+@jit
+def _repeat_model(
+    repeats: int, q: np.ndarray, v: np.ndarray, bodies: Any, scratch: Any, terms: Any
+) -> None:
+    for _ in range(repeats):
+        planar_terms(q, v, bodies, scratch, terms)
+
+
+@jit
+def _repeat_engine(repeats: int, native: Any) -> None:
+    for _ in range(repeats):
+        advance(native, 0.0, 0.0)

@@ -1,0 +1,178 @@
+"""A step of a robot as one compiled call: model, controller and engine, tick by tick.
+
+``marl_mm.envs.drive`` has the same loop in Python, which is its reference.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from marl_mm.control.compiled.tick import tick
+from marl_mm.control.limits import WHEEL_ARM
+from marl_mm.control.records import VARIABLES
+from marl_mm.control.wbc import no_command
+from marl_mm.envs.drive import Drive, Motion
+from marl_mm.envs.order import Order, Track
+from marl_mm.jit import jit
+from marl_mm.robot.description import WHEEL_RADIUS
+from marl_mm.robot.model import RobotState
+from marl_mm.robot.planar import PlanarModel, planar_terms, zero_moment_point
+from marl_mm.robot.support import SUPPORT_B, SUPPORT_INWARD_B
+from marl_mm.sim.config import RATE
+from marl_mm.sim.native import Native, advance, read, update_kinematics
+from marl_mm.sim.planar import attitude, rim_rates
+
+_attitude, _rim_rates = jit(attitude), jit(rim_rates)
+
+
+def can_follow(drive: Drive, order: Order) -> bool:
+    """Whether a robot's step can be one compiled call."""
+    solver = drive.controller.config.solver
+    plain = drive.hand is None and solver == "active-set"
+    return plain and isinstance(order.reference_at, Track)
+
+
+def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
+    """Run a robot's controller for some ticks; ``drive.state`` is the robot after them.
+
+    Args:
+        drive: The robot, in a world with ``native``.
+        order: Its order, whose reference is a ``Track``.
+        ticks: Number of ticks of 1/240 s.
+        every: Number of ticks between measurements of stability.
+
+    Raises:
+        NonFiniteStateError: If the controller finds no finite command, or the
+            simulation diverges.
+    """
+    model, controller, (track, priorities) = drive.model, drive.controller, order
+    native = drive.world.native
+    assert native and isinstance(model, PlanarModel) and isinstance(track, Track)
+    accelerations, looks = np.empty(ticks), np.empty((-(-ticks // every), 5))
+    q, v, counts = drive.state.q.copy(), drive.state.v.copy(), np.zeros(2, np.int64)
+    finite = _follow(
+        native,
+        model.bodies,
+        model.scratch,
+        model.terms,
+        track,
+        controller.numbers,
+        *priorities,
+        controller.rows,
+        every,
+        accelerations,
+        looks,
+        q,
+        v,
+        counts,
+    )
+    if not finite:
+        raise no_command(RobotState(q, v), track.target_w, priorities)
+    drive.state = drive.world.read()
+    margins, tilts, pitches, slips, errors = looks.T.tolist()
+    return Motion(
+        accelerations,
+        min(margins),
+        max(tilts),
+        max(pitches, key=abs),
+        max(slips),
+        max(errors),
+        *counts.tolist(),
+    )
+
+
+@jit
+def _follow(
+    native: Native,
+    bodies: Any,
+    scratch: Any,
+    terms: Any,
+    track: Track,
+    numbers: tuple[Any, ...],
+    matrices: np.ndarray,
+    shares: np.ndarray,
+    rows: int,
+    every: int,
+    accelerations: np.ndarray,
+    looks: np.ndarray,
+    q: np.ndarray,
+    v: np.ndarray,
+    counts: np.ndarray,
+) -> bool:
+    """All ticks, or those before the simulation diverges.
+
+    Arguments are those of ``follow``, with results in the last five.
+
+    Returns:
+        Whether all commands were finite; else q and v are the state without one.
+    """
+    robot, gains, hierarchy, limits = numbers
+    u, torque, counters = np.empty(VARIABLES), np.empty(7), np.empty(4, np.int64)
+    for k in range(accelerations.shape[0]):
+        planar_terms(q, v, bodies, scratch, terms)
+        steer = min(
+            max(track.heading_gain * q[1], -track.heading_limit), track.heading_limit
+        )
+        reference = (
+            track.target_w,
+            track.rotation_w,
+            track.points[k],
+            -track.direction * steer,
+            track.speed,
+            track.posture,
+        )
+        counters[:] = 0
+        feasible, finite, forward, turning = tick(
+            (q, v),
+            terms,
+            reference,
+            robot,
+            gains,
+            hierarchy,
+            limits,
+            matrices,
+            shares,
+            rows,
+            float(RATE),
+            u,
+            torque,
+            counters,
+        )
+        if not finite:
+            return False
+        if k % every == 0:
+            _look(native, terms, q, v, u, looks[k // every])
+        accelerations[k] = u[0]
+        if counters[2] > 0:
+            counts[0] += counters[2]
+            counts[1] += not feasible
+        native.torque[:] = torque
+        left, right = _rim_rates(forward, turning)
+        advance(native, left, right)
+        if not read(native, q, v):
+            break
+    return True
+
+
+@jit
+def _look(
+    native: Native, terms: Any, q: np.ndarray, v: np.ndarray, u: np.ndarray, to: Any
+) -> None:
+    """Write what ``Drive.look`` measures, shape (5,)."""
+    x, y = zero_moment_point(q, terms[7], u)
+    margin = np.inf
+    for e in range(SUPPORT_B.shape[0]):
+        ahead = (x - SUPPORT_B[e, 0]) * SUPPORT_INWARD_B[e, 0]
+        aside = (y - SUPPORT_B[e, 1]) * SUPPORT_INWARD_B[e, 1]
+        margin = min(margin, ahead + aside)
+    qpos, qvel, wheels = native.qpos, native.qvel, native.wheels
+    roll, pitch = _attitude((qpos[4], qpos[5], qpos[6], qpos[3]))
+    turn = WHEEL_ARM * v[2]
+    left = abs(WHEEL_RADIUS * qvel[wheels[0]] - v[0] + turn)
+    right = abs(WHEEL_RADIUS * qvel[wheels[1]] - v[0] - turn)
+    update_kinematics(native.model, native.data)
+    error = 0.0
+    for i in range(3):
+        error += (terms[0][i] - native.grasp_w[i]) ** 2
+    to[0], to[1], to[2] = margin, np.hypot(roll, pitch), pitch
+    to[3], to[4] = max(left, right), np.sqrt(error)

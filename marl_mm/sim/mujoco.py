@@ -1,0 +1,315 @@
+"""The robot in MuJoCo: its model from the URDF, its state, commands and steps.
+
+Joint frames, masses and inertias are those of the URDF. Contacts are soft in MuJoCo,
+so the robot starts where they carry its weight.
+"""
+
+import ctypes
+from collections.abc import Sequence
+from functools import lru_cache
+
+import mujoco
+import numpy as np
+
+from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.robot.description import RobotConfig, urdf_xml
+from marl_mm.robot.model import GRAVITY, RobotState
+from marl_mm.robot.names import (
+    ARM_JOINTS,
+    BASE_LINK,
+    FINGER_JOINTS,
+    GRASP_FRAME,
+    WHEEL_JOINTS,
+)
+from marl_mm.sim.config import RATE, Camera, SimulationConfig
+from marl_mm.sim.native import Native
+from marl_mm.sim.planar import attitude, diverged, planar_state, rim_rates
+from marl_mm.sim.scene import Mark, Scene
+from marl_mm.sim.world import Handling
+
+GROUND = "ground"
+"""Name of the plane."""
+
+IMPEDANCE = {"wheel": 0.995, "caster": 0.95}
+"""Impedance of the contacts with the ground (``solimp``): casters are softer, so that
+the drive wheels carry most of the weight, as in PyBullet."""
+
+CONTACT_TIME = 0.04
+"""Time constant of these contacts (``solref``) [s]; with two steps, 8 ms, the base
+hops."""
+
+IMPEDANCE_RATIO = 5.0
+"""Impedance of friction over that of normal forces (``impratio``)."""
+
+ITERATIONS = 50
+"""Largest number of iterations of the contact solver, which takes 1.2 on average."""
+
+MOTOR_TIME = 2 / RATE
+"""Time constant that MuJoCo checks the wheels' motors with [s]; their reference is
+written anew in each step."""
+
+SETTLING = 480
+"""Number of steps in which the robot sinks into its contacts before the first start."""
+
+_ORIGIN = (0.0, 0.0, 0.0)
+
+# Its warnings become errors here; it would print them, and append them to a file.
+_log = mujoco.MjLogConfig.get()
+_log.logto_console = _log.logto_file = False
+_log.set()
+
+
+@lru_cache(maxsize=16)
+def _model(robot: RobotConfig, config: SimulationConfig) -> mujoco.MjModel:
+    """The robot on its plane, with locked fingers."""
+    spec = mujoco.MjSpec.from_string(urdf_xml(robot))
+    option = spec.option
+    option.timestep, option.gravity = 1 / RATE, (0, 0, -GRAVITY)
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    option.impratio, option.iterations = IMPEDANCE_RATIO, ITERATIONS
+    off = mujoco.mjtDisableBit
+    option.disableflags |= (
+        off.mjDSBL_SENSOR
+        | off.mjDSBL_ISLAND
+        | off.mjDSBL_MIDPHASE
+        | off.mjDSBL_AUTORESET
+        | off.mjDSBL_EULERDAMP
+    )
+    for name in FINGER_JOINTS:
+        joint = spec.joint(name)
+        finger, way = joint.parent, np.empty(3)
+        mujoco.mju_rotVecQuat(way, joint.axis * robot.initial_finger, finger.quat)
+        finger.pos = finger.pos + way
+        spec.delete(joint)
+    for name in WHEEL_JOINTS:
+        # The motor is dry friction about a moving reference: a bounded force that gives
+        # the wheel its speed within the step, as PyBullet's motor does.
+        joint = spec.joint(name)
+        joint.frictionloss = config.wheel_force
+        joint.solref_friction = (MOTOR_TIME, 1)
+        joint.solimp_friction = (0.9999, 0.9999, 0.001, 0.5, 2)
+    spec.body(BASE_LINK).add_freejoint()
+    spec.body(GRASP_FRAME).add_site(name=GRASP_FRAME)
+    spec.worldbody.add_geom(
+        name=GROUND, type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1)
+    )
+    _touch_ground(spec, config)
+    return spec.compile()
+
+
+def _touch_ground(spec: mujoco.MjSpec, config: SimulationConfig) -> None:
+    """Let wheels and casters touch the ground, and nothing else touch anything."""
+    for number, geom in enumerate(spec.geoms):
+        geom.contype = geom.conaffinity = 0
+        geom.mass = 0.0
+        if geom.type != mujoco.mjtGeom.mjGEOM_SPHERE:
+            continue
+        geom.name = f"{geom.parent.name}_{number}"
+        wheel = geom.parent.name != BASE_LINK
+        impedance = IMPEDANCE["wheel" if wheel else "caster"]
+        spec.add_pair(
+            geomname1=GROUND,
+            geomname2=geom.name,
+            condim=3 if wheel else 1,
+            friction=(config.wheel_friction, config.wheel_friction, 0, 0, 0),
+            solref=(CONTACT_TIME, 1),
+            solimp=(impedance, impedance, 0.001, 0.5, 2),
+        )
+
+
+@lru_cache(maxsize=16)
+def _start(robot: RobotConfig, config: SimulationConfig) -> np.ndarray:
+    """Positions of all joints in which the contacts carry the robot at rest."""
+    robot_ = _Robot(_model(robot, config))
+    for _ in range(SETTLING):
+        robot_.joints[:], robot_.rates[:] = robot.initial_joints, 0.0
+        mujoco.mj_forward(robot_.model, robot_.data)
+        robot_.torque[:] = robot_.bias
+        robot_.step((0.0, 0.0))
+    robot_.joints[:] = robot.initial_joints
+    start: np.ndarray = robot_.data.qpos.copy()
+    start[:2] = 0.0
+    _, x, y, _ = start[3:7] / start[3]
+    start[3:7] = np.array([1.0, x, y, 0.0]) / np.sqrt(1.0 + x * x + y * y)  # no yaw
+    return start
+
+
+class _Robot:
+    """A robot's data in MuJoCo, with views of what is read and commanded."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.model, self.data = model, mujoco.MjData(model)
+        arm = [model.joint(name) for name in ARM_JOINTS]
+        place, rate = int(arm[0].qposadr[0]), int(arm[0].dofadr[0])
+        assert [joint.dofadr[0] for joint in arm] == list(range(rate, rate + 7))
+        of_arm = slice(rate, rate + 7)
+        self.first = place, rate
+        self.joints, self.rates = self.data.qpos[place:][:7], self.data.qvel[of_arm]
+        self.torque = self.data.qfrc_applied[of_arm]
+        self.bias = self.data.qfrc_bias[of_arm]
+        self.wheels = [int(model.joint(name).dofadr[0]) for name in WHEEL_JOINTS]
+        self._check_motors()
+
+    def native(self) -> Native:
+        """The robot as compiled code sees it."""
+        data = self.data
+        return Native(
+            self.model._address,
+            data._address,
+            self._pointer(data.efc_aref),
+            data.qpos,
+            data.qvel,
+            self.torque,
+            data.site(GRASP_FRAME).xpos,
+            np.array(self.first),
+            np.array(self.wheels),
+        )
+
+    def _pointer(self, array: np.ndarray) -> np.ndarray:
+        """Word of the ``mjData`` that points to one of its arrays, shape (1,).
+
+        MuJoCo places arrays of constraints anew in each step, and Python has no name
+        for the word; it is found by its value.
+        """
+        word, size = self.data._address, np.uint64().itemsize
+        while (found := ctypes.c_uint64.from_address(word)).value != array.ctypes.data:
+            word += size
+        return np.ctypeslib.as_array(found).reshape(1)
+
+    def step(self, target: tuple[float, float]) -> None:
+        """Advance by 1/240 s while the wheels turn at these rates [rad/s]."""
+        model, data = self.model, self.data
+        mujoco.mj_step1(model, data)
+        for row, (wheel, rate) in enumerate(zip(self.wheels, target, strict=True)):
+            data.efc_aref[row] = (rate - data.qvel[wheel]) * RATE
+        mujoco.mj_step2(model, data)
+
+    def _check_motors(self) -> None:
+        """Raise where the first constraints are not the motors of the wheels."""
+        data = self.data
+        mujoco.mj_forward(self.model, data)
+        friction = mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
+        kinds, numbers = data.efc_type[:2].tolist(), data.efc_id[:2].tolist()
+        if kinds != [friction] * 2 or numbers != self.wheels:
+            raise MarlMmError(
+                f"MuJoCo {mujoco.__version__} orders its constraints otherwise than "
+                f"this package expects: kinds {kinds}, numbers {numbers}"
+            )
+
+
+class MujocoWorld:
+    """One robot on a plane, without blocks; see ``World``.
+
+    Args:
+        robot: Mass properties and start posture.
+        config: Settings of the motors and of friction.
+        visual: Has to be False: there are no pictures.
+        gui: Has to be False: there is no window.
+
+    Raises:
+        UsageError: If pictures are asked for.
+    """
+
+    def __init__(
+        self,
+        robot: RobotConfig,
+        config: SimulationConfig,
+        visual: bool = False,
+        gui: bool = False,
+    ) -> None:
+        if visual or gui:
+            raise UsageError(
+                "engine 'mujoco' draws no pictures yet: use engine 'bullet' for films"
+            )
+        self._robot = _Robot(_model(robot, config))
+        self.native = self._robot.native()
+        self.model, self.data = self._robot.model, self._robot.data
+        self._start = _start(robot, config)
+        self._target = 0.0, 0.0
+
+    def reset(self, marks: Sequence[Mark] = (), scene: Scene | None = None) -> None:
+        """See ``World``.
+
+        Raises:
+            UsageError: If there is a block.
+        """
+        if scene is not None:
+            raise UsageError("engine 'mujoco' has no blocks yet: use engine 'bullet'")
+        model, data = self._robot.model, self._robot.data
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = self._start
+        self._target = 0.0, 0.0
+        mujoco.mj_forward(model, data)
+
+    def read(self) -> RobotState:
+        """See ``World``."""
+        robot, data = self._robot, self._robot.data
+        w, x, y, z = data.qpos[3:7].tolist()
+        angular_w = np.empty(3)
+        mujoco.mju_rotVecQuat(angular_w, data.qvel[3:6], data.qpos[3:7])
+        q, v = np.empty(11), np.empty(10)
+        if not planar_state(
+            tuple(data.qpos[:3].tolist()),
+            (x, y, z, w),
+            tuple(data.qvel[:3].tolist()),
+            tuple(angular_w.tolist()),
+            _ORIGIN,
+            tuple(robot.joints.tolist()),
+            tuple(robot.rates.tolist()),
+            q,
+            v,
+        ):
+            raise diverged(q, v)
+        if (counts := data.warning.number).any():
+            kind = mujoco.mjtWarning(int(counts.argmax())).name
+            raise MarlMmError(
+                f"MuJoCo warns of {kind}: q = {q.tolist()}, v = {v.tolist()}"
+            )
+        return RobotState(q, v)
+
+    def attitude(self) -> tuple[float, float]:
+        """See ``World``."""
+        w, x, y, z = self._robot.data.qpos[3:7].tolist()
+        return attitude((x, y, z, w))
+
+    def wheel_rates(self) -> tuple[float, float]:
+        """See ``World``."""
+        left, right = self._robot.data.qvel[self._robot.wheels].tolist()
+        return left, right
+
+    def ground_forces(self) -> tuple[np.ndarray, np.ndarray]:
+        """See ``World``."""
+        model, data = self._robot.model, self._robot.data
+        forces, force = np.empty(data.ncon), np.empty(6)
+        for number in range(data.ncon):
+            mujoco.mj_contactForce(model, data, number, force)
+            forces[number] = force[0]
+        return data.contact.pos.copy(), forces
+
+    def command(self, forward: float, yaw_rate: float, torque: np.ndarray) -> None:
+        """See ``World``."""
+        self._target = rim_rates(forward, yaw_rate)
+        self._robot.torque[:] = torque
+
+    def step(self) -> None:
+        """See ``World``."""
+        self._robot.step(self._target)
+
+    @property
+    def handling(self) -> Handling:
+        """See ``World``; there are no blocks."""
+        raise UsageError("engine 'mujoco' has no blocks yet: use engine 'bullet'")
+
+    def grasp_position_w(self) -> np.ndarray:
+        """See ``World``."""
+        data = self._robot.data
+        mujoco.mj_kinematics(self._robot.model, data)  # of the state after the step
+        return np.array(data.site(GRASP_FRAME).xpos)
+
+    def render(self, camera: Camera) -> np.ndarray:
+        """See ``World``; there are no pictures."""
+        raise UsageError("engine 'mujoco' draws no pictures yet: use engine 'bullet'")
+
+    def close(self) -> None:
+        """See ``World``; MuJoCo frees its memory with the object."""

@@ -1,0 +1,204 @@
+"""MuJoCo as the engine: the same robot, its contacts, and the compiled step."""
+
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from marl_mm.envs import make_task
+from marl_mm.envs.core import EpisodeCore
+from marl_mm.envs.drive import Tick
+from marl_mm.errors import MarlMmError, NonFiniteStateError, UsageError
+from marl_mm.robot.description import RobotConfig
+from marl_mm.robot.model import RobotModel, RobotState
+from marl_mm.robot.names import ARM_JOINTS, GRASP_FRAME
+from marl_mm.sim.config import SimulationConfig
+from marl_mm.sim.mujoco import MujocoWorld
+from marl_mm.sim.world import open_world
+
+MUJOCO = {"simulation": {"engine": "mujoco"}}
+
+
+def opened(task: str = "Reach-v0", **overrides: Any) -> EpisodeCore:
+    return EpisodeCore(make_task(task, MUJOCO | overrides))
+
+
+def episode(core: EpisodeCore, seed: int, steps: int, watch: Any = None) -> np.ndarray:
+    """All numbers of some steps with random actions, shape (steps, n)."""
+    rng = np.random.default_rng(seed)
+    core.reset(rng)
+    low, high = np.array(core.task.layout.low), np.array(core.task.layout.high)
+    rows = []
+    for _ in range(steps):
+        step = core.step(rng.uniform(low, high), watch)
+        numbers = [v for v in step.info.values() if not isinstance(v, str)]
+        rows.append([*step.state, step.reward, *numbers])
+    return np.array(rows, dtype=np.float64)
+
+
+# --- The model ---------------------------------------------------------------
+
+
+def test_its_dynamics_are_those_of_the_planar_model() -> None:
+    world, model = (
+        MujocoWorld(RobotConfig(), SimulationConfig()),
+        RobotModel(RobotConfig()),
+    )
+    engine, data = world.model, world.data
+    joints = [engine.joint(name) for name in ARM_JOINTS]
+    angles = [joint.qposadr[0] for joint in joints]
+    rates = [joint.dofadr[0] for joint in joints]
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        yaw, turn = rng.uniform(-3, 3), rng.uniform(-1, 1)
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        q = np.array([*rng.uniform(-1, 1, 2), cos, sin, *rng.uniform(-1, 1, 7)])
+        v = np.array([*rng.uniform(-1, 1, 2), turn, *rng.uniform(-1, 1, 7)])
+        terms = model.evaluate(RobotState(q, v))
+        data.qpos[:] = 0.0
+        data.qpos[:2], data.qpos[angles] = q[:2], q[4:]
+        data.qpos[[3, 6]] = np.cos(yaw / 2), np.sin(yaw / 2)
+        planar, change = np.zeros((engine.nv, 10)), np.zeros((engine.nv, 10))
+        planar[:2, :2] = [[cos, -sin], [sin, cos]]
+        change[:2, :2] = turn * np.array([[-sin, -cos], [cos, -sin]])
+        planar[5, 2] = 1.0
+        planar[rates, range(3, 10)] = 1.0
+        data.qvel[:] = planar @ v
+        mujoco.mj_forward(engine, data)
+        mass = np.zeros((engine.nv, engine.nv))
+        mujoco.mj_fullM(engine, data, mass)
+        bias = planar.T @ (data.qfrc_bias + mass @ change @ v)
+        assert np.abs(planar.T @ mass @ planar - terms.mass_matrix).max() < 1e-11
+        assert np.abs(bias - terms.nonlinear).max() < 1e-11
+        hand_w = data.site(GRASP_FRAME).xpos
+        assert np.abs(hand_w - terms.position_w).max() < 1e-12
+
+
+def test_it_stands_and_drives_on_all_its_wheels() -> None:
+    """No hop, no tilt, no slip, and most of the weight on the wheels that drive."""
+    world = MujocoWorld(RobotConfig(), SimulationConfig())
+    world.reset()
+    arm = world.data.qfrc_bias[-7:]
+    for speed in 0.1 * np.sin(np.linspace(0.0, 4 * np.pi, 480)):
+        world.command(speed, 0.0, arm.copy())
+        world.step()
+        points, forces = world.ground_forces()
+        assert len(points) == 6 and (forces > 0).all(), forces
+        assert np.hypot(*world.attitude()) < 1e-3
+        assert abs(world.read().v[0] - speed) < 2e-3
+    wheels = np.abs(points[:, 1]) > 0.21
+    assert wheels.sum() == 2
+    assert forces[wheels].sum() > 0.6 * forces.sum()
+    assert forces.sum() == pytest.approx(world.model.body_mass.sum() * 9.81, rel=0.05)
+
+
+def test_it_stays_where_it_starts() -> None:
+    core = opened()
+    core.reset(np.random.default_rng(0))
+    before = core.drive.state.q
+    hand = core.drive.world.grasp_position_w()
+    assert np.abs(hand - core.drive.start_w()).max() < 1e-3
+    core.step(np.array([0.0, 0.0, 0.0, 1.0]))
+    assert np.abs(core.drive.state.q - before).max() < 2e-3
+
+
+# --- The compiled step -------------------------------------------------------
+
+FORMS: list[dict[str, Any]] = [
+    {},
+    {"controller": {"form": "rhp"}},
+    {"controller": {"form": "rhp-literal"}},
+    {"controller": {"limits": {"zmp": False}}},
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("overrides", FORMS, ids=str)
+def test_the_compiled_step_is_the_loop_in_python(overrides: dict[str, Any]) -> None:
+    core = opened(**overrides)
+    ticks: list[Tick] = []
+    for seed in range(2):
+        looped = episode(core, seed, core.task.max_steps, ticks.append)
+        compiled = episode(core, seed, core.task.max_steps)
+        assert np.abs(compiled - looped).max() <= 1e-12
+    assert len(ticks) == 2 * core.task.max_steps * core.task.ticks_per_step
+
+
+@pytest.mark.parametrize("watch", [None, lambda tick: None], ids=["compiled", "loop"])
+def test_numbers_that_are_not_finite_end_in_an_error(
+    watch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    core = opened()
+    core.reset(np.random.default_rng(0))
+    core.drive.state.v[4] = np.nan
+    with pytest.raises(NonFiniteStateError, match="no finite command at q = "):
+        core.step(np.zeros(4), watch)
+    core.reset(np.random.default_rng(0))
+    assert isinstance(core.drive.world, MujocoWorld)
+    core.drive.world.data.qvel[-1] = np.inf
+    with pytest.raises(NonFiniteStateError, match="the simulation diverged: q = "):
+        core.step(np.zeros(4), watch)
+    assert np.isfinite(episode(core, 0, 2)).all()  # the next episode is sound
+    core.drive.world.data.warning.number[1] = 1
+    with pytest.raises(MarlMmError, match="warns of mjWARN_CONTACTFULL: q = "):
+        core.step(np.zeros(4), watch)
+    assert not list(tmp_path.iterdir()) and not "".join(capfd.readouterr())
+
+
+BODY = """
+import hashlib, sys
+sys.path.insert(0, sys.argv[1])
+from test_mujoco import episode, opened
+print(hashlib.sha256(episode(opened("SmoothReach-v0"), 3, 6).tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_bytes_are_the_same_in_processes_and_threads() -> None:
+    command = [sys.executable, "-c", BODY, str(Path(__file__).parent)]
+    digests = {
+        subprocess.run(
+            command, env={**os.environ, "OMP_NUM_THREADS": str(n)}, capture_output=True
+        ).stdout
+        for n in (1, 2)
+    }
+    assert len(digests) == 1 and len(digests.pop()) == 65
+    cores = [opened("SmoothReach-v0") for _ in range(2)]
+    with ThreadPoolExecutor(2) as pool:
+        beside = list(pool.map(episode, cores, (3, 4), (6, 6)))
+    for core, seed, rows in zip(cores, (3, 4), beside, strict=True):
+        assert rows.tobytes() == episode(core, seed, 6).tobytes()
+
+
+# --- What it cannot ----------------------------------------------------------
+
+
+def test_engines_that_are_not_there_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UsageError, match="'brax', expected bullet or mujoco"):
+        make_task("Reach-v0", {"simulation": {"engine": "brax"}})
+    monkeypatch.setattr("marl_mm.sim.world.find_spec", lambda name: None)
+    with pytest.raises(UsageError, match="needs the package mujoco-core"):
+        open_world(RobotConfig(), SimulationConfig(engine="mujoco"))
+
+
+def test_pictures_and_blocks_are_refused() -> None:
+    with pytest.raises(UsageError, match="draws no pictures"):
+        EpisodeCore(make_task("Reach-v0", MUJOCO), visual=True)
+    core = opened("Grasp-v0")
+    with pytest.raises(UsageError, match="no blocks"):
+        core.reset(np.random.default_rng(0))
+
+
+def test_an_order_of_constraints_that_is_not_expected_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(mujoco.mjtConstraint, "mjCNSTR_FRICTION_DOF", 99)
+    with pytest.raises(MarlMmError, match="orders its constraints otherwise"):
+        MujocoWorld(RobotConfig(), SimulationConfig())

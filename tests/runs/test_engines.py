@@ -1,0 +1,98 @@
+"""The engine stands in every dataset, run and evaluation, and is not mixed."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import marl_mm
+from marl_mm.cli import main
+from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.metadata import sign_metadata
+from marl_mm.errors import UsageError
+
+FEW: dict[str, Any] = {"eval_episodes": 2, "curve_episodes": 1, "hidden": (8,)}
+
+
+def run(*words: object) -> int:
+    try:
+        return main([str(word) for word in words])
+    except SystemExit as end:
+        return int(end.code or 0)
+
+
+@pytest.fixture
+def fallen(datasets_home: Path) -> Any:
+    """A small dataset of MuJoCo."""
+    return marl_mm.collect("pd", dataset="fallen", steps=60, engine="mujoco")
+
+
+@pytest.mark.slow
+def test_a_dataset_names_its_engine_and_replays(
+    fallen: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = fallen.provenance
+    assert record.config["simulation"]["engine"] == "mujoco"
+    assert "mujoco-core" in record.packages
+    assert run("datasets", "verify", "fallen", "--replay") == 0
+    with_two = marl_mm.collect(
+        "pd", dataset="two", steps=60, engine="mujoco", workers=2
+    )
+    assert with_two.fingerprint == fallen.fingerprint
+    assert run("collect", "pd", "--dataset", "fallen", "--steps", 90, "--resume") == 0
+    assert load_dataset("fallen").provenance.overrides["simulation"] == {
+        "engine": "mujoco"
+    }
+    other = "--resume", "--engine", "bullet", "--steps", 120
+    assert run("collect", "pd", "--dataset", "fallen", *other) == 2
+    assert "engine = mujoco (now bullet)" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_run_is_evaluated_on_the_engine_of_its_data(
+    fallen: Any, tmp_path: Path
+) -> None:
+    (first,) = marl_mm.train("td3-bc", fallen, out=tmp_path / "a", updates=20, **FEW)
+    assert first.config.engine == "mujoco"
+    assert first.evaluated.to_json()["engine"] == "mujoco"
+    assert marl_mm.evaluate(first, episodes=2).to_json()["engine"] == "mujoco"
+    other = marl_mm.evaluate(first, episodes=2, engine="bullet")
+    assert other.to_json()["engine"] == "bullet"
+    assert "film strip" not in first._repr_html_()
+    (second,) = marl_mm.train(
+        "td3-bc", "good-5k", out=tmp_path / "b", updates=20, **FEW
+    )
+    assert second.config.engine == "bullet"
+    both = first.folder, second.folder
+    assert run("eval", *both, "--episodes", 2) == 2  # their engines differ
+    assert run("eval", *both, "--episodes", 2, "--engine", "mujoco") == 0
+
+
+@pytest.mark.slow
+def test_datasets_of_two_engines_are_not_mixed(
+    fallen: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parts = "good-5k:60", "fallen:60"
+    assert run("datasets", "mix", *parts, "--out", "mixed") == 2
+    assert "of engines bullet and mujoco" in capsys.readouterr().err
+    with pytest.raises(UsageError, match="is of engine mujoco, expected bullet"):
+        marl_mm.train("ddpg-her", demonstrations="fallen", engine="bullet")
+
+
+@pytest.mark.slow
+def test_what_version_1_began_goes_on(datasets_home: Path, tmp_path: Path) -> None:
+    """It names no engine."""
+    marl_mm.collect("pd", dataset="old", steps=30)
+    file = load_dataset("old").location.folder / "data/metadata.json"
+    metadata = json.loads(file.read_text())
+    for about in (metadata["marl_mm"], *metadata["marl_mm"]["origins"].values()):
+        assert about["config"]["simulation"].pop("engine") == "bullet"
+    file.write_text(json.dumps(metadata))
+    sign_metadata(file)
+    marl_mm.collect("pd", dataset="old", steps=60, resume=True)
+    (first,) = marl_mm.train("td3-bc", "good-5k", out=tmp_path, updates=20, **FEW)
+    config = json.loads((first.folder / "config.json").read_text())
+    assert config.pop("engine") == "bullet"
+    (first.folder / "config.json").write_text(json.dumps(config))
+    marl_mm.train("td3-bc", "good-5k", out=tmp_path, updates=40, resume=True, **FEW)
