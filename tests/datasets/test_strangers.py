@@ -329,7 +329,10 @@ def test_what_is_not_read_is_looked_at_too(
 def test_episodes_beyond_those_of_the_metadata_are_refused(
     gift: Path, episodes: list[Episode], capsys: Output
 ) -> None:
-    tamper(gift, lambda metadata: metadata["marl_mm"].update(episodes=1))
+    def change(metadata: dict[str, Any]) -> None:
+        metadata["total_episodes"] = metadata["marl_mm"]["episodes"] = 1
+
+    tamper(gift, change)
     refused(gift, f"has {len(episodes)} episodes, expected 1", capsys)
 
 
