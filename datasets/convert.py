@@ -81,6 +81,22 @@ def read_apart(
         return load_arrays(out, layout)
 
 
+def _hand_over(out: Path, arrays: EpisodeArrays) -> None:
+    """Write arrays into a temporary file.
+
+    Raises:
+        DatasetError: If there is no room for it.
+    """
+    try:
+        save_arrays(out, arrays, compress=False)
+    except OSError as error:
+        raise DatasetError(
+            f"cannot write {arrays.nbytes:,} bytes into the folder of temporary files, "
+            f"{out.parents[1]}: {error.strerror or error}; make room there, or name "
+            "another folder in $TMPDIR"
+        ) from error
+
+
 def main() -> None:
     """Read what standard input asks for; print an error as JSON."""
     asked = json.load(sys.stdin)
@@ -90,7 +106,7 @@ def main() -> None:
     layout = Layout.from_json(asked["layout"])
     try:
         arrays = read_hdf5(path, asked["total"], layout, asked["info"])
-        save_arrays(out, arrays, compress=False)
+        _hand_over(out, arrays)
     except DatasetError as error:
         sys.stdout.write(json.dumps(str(error)))
     except (OSError, MemoryError) as error:

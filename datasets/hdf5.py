@@ -355,8 +355,10 @@ class _Attributes:
     def number(self, name: str) -> int:
         """An integer of at most 64 bits."""
         value = self._group.attrs.get(name)
-        if not isinstance(value, int | np.integer):
-            raise self._refused(name, value, "an integer")
+        fits = isinstance(value, int | np.integer) and -(2**63) <= int(value) < 2**63
+        if not fits:
+            shown = value.item() if isinstance(value, np.integer) else value
+            raise self._refused(name, shown, "an integer of 64 bits with its sign")
         return int(value)
 
     def text(self, name: str) -> str:

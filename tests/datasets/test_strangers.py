@@ -346,6 +346,10 @@ def start_far_away(group: Any) -> None:
     ("change", "match"),
     [
         (lambda group: group.attrs.__setitem__("seed", -5), "1 seeds below 0"),
+        (
+            lambda group: group.attrs.__setitem__("seed", np.uint64(2**64 - 1)),
+            f"{FILE}, episode_0: 'seed' is 18446744073709551615, expected an integer",
+        ),
         (start_far_away, "1 starts beyond 1e+12"),
     ],
 )
