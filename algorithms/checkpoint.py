@@ -1,5 +1,6 @@
 """Checkpoints: one file that acts and resumes without anything else."""
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from io import BytesIO
 from pathlib import Path
@@ -155,6 +156,25 @@ def restored_agents(checkpoint: dict[str, Any], path: Path) -> dict[str, AgentAc
     except DAMAGE as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise CheckpointError(f"{path} is damaged ({reason:.80})") from error
+
+
+def check_types(state: Any, fresh: Any, where: str = "state") -> None:
+    """Raise for tensors of another type than a fresh learner's: they would be cast.
+
+    Args:
+        state: State of a checkpoint.
+        fresh: State of a learner with the same config; what it lacks may be anything.
+        where: Name of the state, for the message.
+
+    Raises:
+        ValueError: Naming the tensor.
+    """
+    if isinstance(state, torch.Tensor) and isinstance(fresh, torch.Tensor):
+        if state.dtype != fresh.dtype:
+            raise ValueError(f"{where} has {state.dtype}, expected {fresh.dtype}")
+    elif isinstance(state, Mapping) and isinstance(fresh, Mapping):
+        for key in state.keys() & fresh.keys():
+            check_types(state[key], fresh[key], str(key))
 
 
 def _check_values(value: Any) -> None:

@@ -80,7 +80,7 @@ _PATIENCE = 30.0
 _SLOWEST = 200_000.0
 """Least speed of reading a large file [bytes/s]: a tenth of the usual speed."""
 
-_OWN_MEMORY = 200_000_000
+_OWN_MEMORY = 100_000_000
 """Memory of the process beside arrays and what is loaded already [bytes]."""
 
 

@@ -446,6 +446,24 @@ def test_bombs_in_data_are_refused_cheaply(
     assert not Path(out).exists()
 
 
+def test_a_text_that_is_repeated_fills_no_memory(tmp_path: Path) -> None:
+    """3,000 texts of 1 MB each, which are one in the file."""
+    path = tmp_path / "texts.hdf5"
+    texts = np.array(["x" * 1_000_000, *["y"] * 2_999], object)
+    with h5py.File(path, "w") as file:
+        file["rewards"] = np.zeros(5)
+        file.attrs["task"] = "Reach-v0"
+        file.attrs.create("texts", texts, dtype=h5py.string_dtype())
+    content = path.read_bytes()
+    begin = content.index((1_000_000).to_bytes(4, "little"))
+    first = content[begin : begin + 16]  # its length and place
+    path.write_bytes(content[:begin] + 3_000 * first + content[begin + 48_000 :])
+    out = tmp_path / "imported"
+    code, memory, error = cheap("datasets", "import", str(path), "--out", str(out))
+    assert code == 1 and error.count("\n") == 1, error
+    assert memory < 500 and not out.exists()
+
+
 def test_metadata_of_a_gigabyte_are_not_read(gift: Path, capsys: Output) -> None:
     os.truncate(gift / "data" / "metadata.json", 10**9)
     refused(gift, "1,000,000,000 bytes, expected at most", capsys)
