@@ -195,20 +195,20 @@ class Journal:
         """
         episodes: dict[int, Episode] = {}
         left = self._path.stat().st_size
-        try:
-            for number, blob in self._rows("select number, npz from episodes"):
+        for number, blob in self._rows("select number, npz from episodes"):
+            try:
                 left -= len(blob)
-                if left < 0:
+                if left < 0:  # several are made of the same bytes
                     raise ValueError("more episodes than the file has room for")
                 arrays = load_arrays(io.BytesIO(blob), layout, packed=False)
                 if int(arrays.indices[0]) != number:
                     raise ValueError("an episode of another number")
                 episodes[number] = arrays.episode(0)
-        except (DatasetError, TypeError, ValueError) as error:
-            raise DatasetError(
-                f"an episode in {self._path} is damaged: start anew with "
-                "`overwrite=True`"
-            ) from error
+            except (DatasetError, TypeError, ValueError) as error:
+                raise DatasetError(
+                    f"an episode in {self._path} is damaged: start anew with "
+                    "`overwrite=True`"
+                ) from error
         return episodes
 
     def _rows(self, question: str) -> Iterator[tuple[Any, ...]]:
