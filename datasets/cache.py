@@ -28,8 +28,9 @@ SIZE_VARIABLE = "MARL_MM_CACHE_GB"
 _SIZE = 5.0
 """Default of the largest size [GB]."""
 
-_FORM = 1
-"""Version of the entries; those of others are not found."""
+_FORM = 2
+"""Version of the entries, and of the checks before they are stored; those of other
+versions are not found."""
 
 
 @dataclass(frozen=True)

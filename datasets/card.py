@@ -5,7 +5,6 @@ A card is stored with its dataset as ``card.json``, ``card.md`` and ``card.png``
 
 import io
 import json
-import re
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +14,7 @@ import numpy as np
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.errors import DatasetError
 from marl_mm.files import new_file, write_json
+from marl_mm.markdown import literal, one_line
 from marl_mm.notebook import html_picture, html_table
 from marl_mm.received import read_json
 
@@ -139,14 +139,8 @@ def card_text(values: dict[str, Any]) -> str:
 
 def card_markdown(values: dict[str, Any], figure: str = "card.png") -> str:
     """The card as a Markdown page that shows the figure, a file beside it."""
-    rows = "\n".join(f"| {name} | {_escaped(text)} |" for name, text in _rows(values))
+    rows = "\n".join(f"| {name} | {literal(text)} |" for name, text in _rows(values))
     return f"# {values['id']}\n\n| | |\n| --- | --- |\n{rows}\n\n![card]({figure})\n"
-
-
-def _escaped(text: str) -> str:
-    """A text that Markdown shows as it is: no cell, link, picture or HTML begins."""
-    text = " ".join(text.split("\n")).replace("&", "&amp;").replace("<", "&lt;")
-    return re.sub(r"[|`\[\]]", r"\\\g<0>", text)
 
 
 def card_html(dataset: "Dataset") -> str:
@@ -159,7 +153,10 @@ def card_html(dataset: "Dataset") -> str:
 
 
 def _rows(values: dict[str, Any]) -> list[tuple[str, str]]:
-    texts = {key: _text(value) for key, value in values.items()}
+    texts = {
+        key: _histogram_text(value) if key.endswith("_histogram") else _text(value)
+        for key, value in values.items()
+    }
     texts["success"] = ", ".join(
         f"{direction} {_percent(value['rate'])} of {value['episodes']}"
         for direction, value in values["success"].items()
@@ -174,13 +171,15 @@ def _rows(values: dict[str, Any]) -> list[tuple[str, str]]:
         f"{row['collector']}"
         for row in values["sources"]
     )
-    return [(key.replace("_", " "), text) for key, text in texts.items()]
+    return [(key.replace("_", " "), one_line(text)) for key, text in texts.items()]
+
+
+def _histogram_text(value: dict[str, Any]) -> str:
+    low, high = _text(value["low"]), _text(value["high"])
+    return f"{bars(value['counts'])}  {low} to {high}"
 
 
 def _text(value: Any) -> str:
-    if isinstance(value, dict) and "counts" in value:
-        low, high = _text(value["low"]), _text(value["high"])
-        return f"{bars(value['counts'])}  {low} to {high}"
     if isinstance(value, dict):
         inner = {
             key: f" ({_text(item)})" if isinstance(item, dict) else f": {_text(item)}"

@@ -6,6 +6,10 @@ from typing import Any, get_type_hints
 
 from marl_mm.errors import DatasetError
 from marl_mm.received import check_kind
+from marl_mm.registry import NAME
+
+_MOST_STEPS = 1_000_000_000
+"""Largest number of steps per episode in a dataset's record."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,11 +142,28 @@ class Provenance:
             provenance = cls(**filled)
         except (TypeError, AttributeError) as error:
             raise DatasetError(f"metadata.json: {error}") from error
-        for record in (provenance, *provenance.origins.values()):
+        records: list[Origin | Provenance] = [provenance, *provenance.origins.values()]
+        for record in records:
             for name, kind in get_type_hints(type(record)).items():
                 where = f"metadata.json: {name}"
                 check_kind(getattr(record, name), kind, where, DatasetError)
+            _check_task(record)
         return provenance
+
+
+def _check_task(record: Origin | Provenance) -> None:
+    """Raise a DatasetError for a task that cannot have its name or number of steps."""
+    if record.task is not None and not NAME.fullmatch(record.task):
+        raise DatasetError(
+            f"metadata.json: task is {record.task!r:.60}, expected a letter and then "
+            "letters, digits, '-', '_' and '.'"
+        )
+    steps = record.overrides.get("max_steps")
+    if steps is not None and (type(steps) is not int or not 1 <= steps <= _MOST_STEPS):
+        raise DatasetError(
+            f"metadata.json: max_steps is {steps!r:.60}, expected an integer from 1 to "
+            f"{_MOST_STEPS:,}"
+        )
 
 
 _SHARED = {item.name for item in fields(Provenance)} & {

@@ -23,7 +23,7 @@ from marl_mm.datasets.metadata import (
     new_metadata,
     sign_metadata,
 )
-from marl_mm.datasets.plausible import problems_of
+from marl_mm.datasets.plausible import problems_of, problems_of_record
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.envs.registry import TASKS
 from marl_mm.episode import INFO
@@ -154,6 +154,8 @@ def read_arrays(
         DatasetError: If the data are not as they were written.
     """
     path, record = location.data / FILE, metadata["marl_mm"]
+    about = location.data / "metadata.json"
+    _refuse_problems(problems_of_record(metadata, None), about)
     digest = file_digest(path, DatasetError)
     if digest != record["data_sha256"]:
         raise DatasetError(
@@ -166,10 +168,15 @@ def read_arrays(
     arrays = cache.cached(key) if cached else None
     if arrays is None:
         arrays = read_apart(path, key.episodes, key.layout, key.info)
-        if problems := problems_of(arrays):
-            raise DatasetError(f"{path}: {'; '.join(problems)}")
+        _refuse_problems(problems_of(arrays), path)
         cache.keep(key, arrays)
+    _refuse_problems(problems_of_record(metadata, arrays.steps), about)
     return arrays
+
+
+def _refuse_problems(problems: list[str], path: Path) -> None:
+    if problems:
+        raise DatasetError(f"{path}: {'; '.join(problems)}")
 
 
 def _key(digest: str, arrays: EpisodeArrays) -> cache.Key:

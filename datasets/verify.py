@@ -10,6 +10,8 @@ from marl_mm.datasets.card import kept_card
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.datasets.location import Location
 from marl_mm.datasets.metadata import read_metadata, statistics
+from marl_mm.datasets.plausible import problems_of_task
+from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import read_arrays
 from marl_mm.episode import IMPORTED
 from marl_mm.errors import DatasetError
@@ -31,27 +33,24 @@ def verify(location: Location) -> list[str]:
     except DatasetError as error:
         return [str(error)]
     return [
-        *_counts(arrays, metadata),
+        *_statistics(arrays, metadata),
         *_infos(arrays),
+        *_task(arrays, metadata),
         *_card(Dataset(location, metadata, arrays)),
     ]
 
 
-def _counts(arrays: EpisodeArrays, metadata: dict[str, Any]) -> list[str]:
-    record = metadata["marl_mm"]
-    pairs = {
-        "total_episodes": (metadata.get("total_episodes"), len(arrays)),
-        "total_steps": (metadata.get("total_steps"), arrays.steps),
-        "steps": (record["steps"], arrays.steps),
-    }
-    problems = [
-        f"metadata.json: {name} is {recorded}, the file has {counted}"
-        for name, (recorded, counted) in pairs.items()
-        if recorded != counted
-    ]
-    if json.loads(json.dumps(statistics(arrays))) != record["statistics"]:
-        problems.append("metadata.json: the statistics are not those of the data")
-    return problems
+def _statistics(arrays: EpisodeArrays, metadata: dict[str, Any]) -> list[str]:
+    recorded = metadata["marl_mm"]["statistics"]
+    if json.loads(json.dumps(statistics(arrays))) == recorded:
+        return []
+    return ["metadata.json: the statistics are not those of the data"]
+
+
+def _task(arrays: EpisodeArrays, metadata: dict[str, Any]) -> list[str]:
+    provenance = Provenance.from_json(metadata["marl_mm"])
+    problems = problems_of_task(provenance.task, provenance.overrides, arrays)
+    return [f"metadata.json: {problem}" for problem in problems]
 
 
 def _infos(arrays: EpisodeArrays) -> list[str]:
@@ -70,6 +69,8 @@ def _card(dataset: Dataset) -> list[str]:
     path = dataset.location.folder / "card.json"
     if not path.exists():
         return []
+    if path.is_dir():
+        return [f"{path} is a folder, expected a file: delete it"]
     again = f"marl-mm datasets show {dataset.location.name} writes it again"
     try:
         kept = read_json(path, DatasetError)

@@ -1,7 +1,8 @@
 """Evaluations side by side, as Markdown or on the terminal."""
 
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from markdown_it import MarkdownIt
@@ -10,6 +11,7 @@ from rich.table import Table
 
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.eval.metrics import METRICS, Metric
+from marl_mm.markdown import literal, one_line
 
 _HEADER = ("policy", "goals", "success % [95 % interval]", "steps", "return")
 
@@ -56,23 +58,42 @@ def _number(value: float | None, form: str) -> str:
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table."""
+    """A Markdown table.
+
+    Cells may have Markdown in them. A line break is a space, and "|" begins no cell.
+    """
     lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+    return "\n".join(f"| {' | '.join(map(_cell, line))} |" for line in lines) + "\n"
+
+
+def _cell(text: str) -> str:
+    return re.sub(r"(?<!\\)\|", r"\|", one_line(text))
 
 
 def markdown_html(text: str) -> str:
-    """Markdown with tables as HTML; HTML and pictures in it are shown as text."""
-    parser = MarkdownIt("commonmark", {"html": False}).enable("table").disable("image")
-    page: str = parser.render(text)
+    """Markdown with tables as HTML; HTML, pictures and links are shown as text."""
+    parser = MarkdownIt("commonmark", {"html": False}).enable("table")
+    page: str = parser.disable(["image", "link", "autolink"]).render(text)
     return page
 
 
-def rows_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows as they are, as Markdown: a column a key."""
+def rows_table(
+    rows: Sequence[Mapping[str, Any]], shown: Callable[[str], str] = str
+) -> str:
+    """Rows as they are, as Markdown: a column a key.
+
+    Args:
+        rows: The rows.
+        shown: Function that makes a cell of a text; ``literal`` for strangers' texts.
+    """
     names = list(dict.fromkeys(name for row in rows for name in row))
-    lines = [[_text(row.get(name, "")) for name in names] for row in rows]
-    return markdown_table(names, lines)
+    lines = [[shown(_text(row.get(name, ""))) for name in names] for row in rows]
+    return markdown_table([shown(name) for name in names], lines)
+
+
+def literal_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """``rows_table`` of a stranger's rows: no text in them is read as Markdown."""
+    return rows_table(rows, literal)
 
 
 def _text(value: Any) -> str:

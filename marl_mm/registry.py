@@ -15,6 +15,9 @@ T = TypeVar("T")
 BUILT_IN = "marl_mm"
 """Origin of things that come with the package."""
 
+NAME = re.compile(r"[^\W\d][\w.-]*")
+"""Form of names."""
+
 _origin: list[str] = []
 """Names of the plug-ins being loaded, the innermost last."""
 
@@ -69,7 +72,7 @@ class Registry(Generic[T]):
             raise UsageError(
                 f"{self.kind} {name!r} is {thing!r:.80}, expected a {kind}"
             )
-        if not re.fullmatch(r"[^\W\d][\w.-]*", name) or name in self._taken:
+        if not NAME.fullmatch(name) or name in self._taken:
             but = f", other than {', '.join(sorted(self._taken))}" * bool(self._taken)
             raise UsageError(
                 f"{self.kind} {name!r}: expected a letter and then letters, digits, "

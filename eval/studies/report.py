@@ -1,7 +1,7 @@
 """All results on one page of HTML, which needs nothing else: no network, no files."""
 
 from base64 import b64encode
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from mimetypes import guess_type
 from pathlib import Path
@@ -21,8 +21,14 @@ from marl_mm.eval.studies.alpha import ABOUT, STEPS, WORTH, worth_table
 from marl_mm.eval.studies.paper import NOTE
 from marl_mm.eval.studies.table import Table
 from marl_mm.eval.studies.targets import STUDIES
-from marl_mm.eval.tables import markdown_html, markdown_table, rows_table
-from marl_mm.received import check_regular, damage_named, read_json, read_text
+from marl_mm.eval.tables import literal_table, markdown_html, markdown_table
+from marl_mm.received import (
+    check_regular,
+    damage_named,
+    read_json,
+    read_text,
+    refuse_links_out,
+)
 from marl_mm.versions import versions
 
 _TEMPLATE = Path(__file__).with_name("report.html")
@@ -76,14 +82,15 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
 
     Raises:
         UsageError: If there is nothing to show, or a video is none.
+        MarlMmError: If a file is damaged, or a link out of the folder.
     """
     studies = results / "studies"
     if (studies / "results").is_dir():  # of a folder of runs
         studies = studies / "results"
     with damage_named(str(results), MarlMmError):
         sections = [
-            *_studies(studies),
-            *_sweep(results / "alpha"),
+            *_studies(results, studies),
+            *_sweep(results),
             *_benchmarks(results),
             *_videos(videos),
         ]
@@ -106,40 +113,51 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
     )
 
 
-def _studies(folder: Path) -> Iterator[Section]:
+def _within(results: Path, files: Iterable[Path]) -> list[Path]:
+    """The files that exist, sorted. Whoever gets the page gets their bytes.
+
+    Raises:
+        MarlMmError: If one is a link out of the folder of results.
+    """
+    there = sorted(path for path in files if path.exists())
+    names = [str(path.relative_to(results)) for path in there]
+    refuse_links_out(results, names, MarlMmError)
+    return there
+
+
+def _studies(results: Path, folder: Path) -> Iterator[Section]:
     """Our studies as tables, in our order; other studies and parts as rows."""
+    figures = {path.stem: path for path in _within(results, folder.glob("*.png"))}
+    tables = {path.name: path for path in _within(results, folder.glob("*.csv"))}
+
+    def drawn(name: str, title: str, target: str, text: str) -> Section:
+        media = [_media(figures[name])] if name in figures else []
+        command = f"marl-mm ablate {target} --out {folder} --overwrite"
+        return Section(name, title, command, _html(text), media)
+
     for name, study in STUDIES.items():
-        if (folder / f"{name}.csv").exists():
-            table = Table(study, read_rows(folder / f"{name}.csv"))
-            text = f"{table.markdown()}\n{NOTE}"
-            yield _drawn(name, study.about, name, text, folder)
-    if (folder / WORTH).exists():
-        text = worth_table(read_rows(folder / WORTH))
-        yield _drawn("alpha", ABOUT, "alpha", text, folder)
-    for path in sorted(folder.glob("*.csv")):
-        if path.stem not in STUDIES and path.name not in (WORTH, STEPS):
-            text = rows_table(read_rows(path))
-            yield _drawn(path.stem, path.stem, "TARGET", text, folder)
-    if made_of := sorted(folder.glob("rows/*/*.json")):
+        if path := tables.pop(f"{name}.csv", None):
+            table = Table(study, read_rows(path))
+            yield drawn(name, study.about, name, f"{table.markdown()}\n{NOTE}")
+    if path := tables.pop(WORTH, None):
+        yield drawn("alpha", ABOUT, "alpha", worth_table(read_rows(path)))
+    tables.pop(STEPS, None)
+    for path in tables.values():
+        text = literal_table(read_rows(path))
+        yield drawn(path.stem, path.stem, "TARGET", text)
+    if made_of := _within(results, folder.glob("rows/*/*.json")):
         details = [
             (f"{p.parent.name}, {p.stem}", read_text(p, UsageError)) for p in made_of
         ]
         yield Section("configs", "What the runs were made of", details=details)
 
 
-def _drawn(name: str, title: str, target: str, text: str, folder: Path) -> Section:
-    """A table, and the figure of its name if there is one."""
-    figure = folder / f"{name}.png"
-    media = [_media(figure)] if figure.exists() else []
-    command = f"marl-mm ablate {target} --out {folder} --overwrite"
-    return Section(name, title, command, _html(text), media)
-
-
-def _sweep(folder: Path) -> Iterator[Section]:
+def _sweep(results: Path) -> Iterator[Section]:
+    folder = results / "alpha"
     if (folder / "alpha.csv").exists():
-        tables = [read_rows(path) for path in sorted(folder.glob("*.csv"))]
-        text = _html("\n".join(map(rows_table, tables)))
-        media = [_media(path) for path in sorted(folder.glob("*.png"))]
+        tables = map(read_rows, _within(results, folder.glob("*.csv")))
+        text = _html("\n".join(map(literal_table, tables)))
+        media = [_media(path) for path in _within(results, folder.glob("*.png"))]
         command = f"marl-mm sweep-alpha --out {folder} --overwrite"
         yield Section("sweep", "What alpha does", command, text, media)
 
@@ -151,11 +169,11 @@ def _benchmarks(results: Path) -> Iterator[Section]:
         "offline/bench.json": ("Offline updates", "train", offline_speed_table),
     }
     for name, (title, target, table) in tables.items():
-        if (results / name).exists():
-            text = _html(table(read_json(results / name, UsageError)))
+        for path in _within(results, [results / name]):
+            text = _html(table(read_json(path, UsageError)))
             key = name.replace("/", "-")
             yield Section(key, title, f"marl-mm bench {target}", text)
-    abuse = sorted(results.glob("controller/abuse-*.json"))
+    abuse = _within(results, results.glob("controller/abuse-*.json"))
     if reports := {p.stem[len("abuse-") :]: read_json(p, UsageError) for p in abuse}:
         text = _html(abuse_table(reports))
         command = "marl-mm bench abuse --ticks 1000000"
@@ -177,6 +195,6 @@ def _media(path: Path) -> Media:
 
 
 def _html(text: str) -> Markup:
-    """Markdown with tables; HTML in it is shown as text."""
+    """Markdown with tables; HTML and links in it are shown as text."""
     page = markdown_html(text).replace("<table>", '<div class="table"><table>')
     return Markup(page.replace("</table>", "</table></div>"))

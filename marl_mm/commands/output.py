@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from marl_mm.datasets.location import Location
+from marl_mm.received import printable_name
 
 if TYPE_CHECKING:  # a help takes neither data nor the simulator
     from marl_mm.datasets.dataset import Dataset
@@ -22,19 +23,21 @@ def print_rows(
 ) -> None:
     """Print rows as JSON or, a column a key, as a table without empty columns.
 
-    Into a pipe, texts of the table are whole, for a search.
+    Into a pipe, texts of the table are whole, for a search. Texts may come from
+    strangers: control characters and line breaks are spelled out.
     """
     from rich.console import Console
-    from rich.markup import escape
     from rich.table import Column, Table
+    from rich.text import Text
 
     if as_json:
         show(rows)
         return
     names = [name for name in rows[0] if any(row[name] is not None for row in rows)]
-    table = Table(*(Column(name, overflow="fold") for name in names), title=title)
+    about = None if title is None else Text(printable_name(title), "table.title")
+    table = Table(*(Column(name, overflow="fold") for name in names), title=about)
     for row in rows:
-        table.add_row(*(escape(_text(row[name])) for name in names))
+        table.add_row(*(Text(printable_name(_text(row[name]))) for name in names))
     console = Console()
     (console if console.is_terminal else Console(width=200)).print(table)
 

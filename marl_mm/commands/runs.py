@@ -7,7 +7,8 @@ import tyro
 
 from marl_mm.commands.output import print_rows
 from marl_mm.commands.parser import command
-from marl_mm.errors import CheckpointError
+from marl_mm.errors import CheckpointError, MarlMmError
+from marl_mm.received import damage_named
 from marl_mm.runs.run import Run, find_runs
 
 _COLUMNS = ("algorithm", "task", "dataset", "trained")
@@ -37,11 +38,16 @@ def main(
 
 
 def _cells(run: Run) -> dict[str, Any]:
-    """A run's values, by column."""
+    """A run's values, by column; of a damaged run only a note with the reason."""
     try:
-        config, metrics, evaluation = run.config, run.metrics, run.evaluation
-    except CheckpointError as error:
+        with damage_named(str(run.folder), CheckpointError):
+            return _read(run)
+    except (MarlMmError, OSError) as error:
         return {"note": str(error)}
+
+
+def _read(run: Run) -> dict[str, Any]:
+    config, metrics, evaluation = run.config, run.metrics, run.evaluation
     clock = "updates" if "updates" in config.settings else "episodes"
     last = metrics[-1] if metrics else {}
     done = last.get("step", last.get("episode", 0))

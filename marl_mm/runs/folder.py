@@ -22,9 +22,10 @@ from marl_mm.errors import (
     UsageError,
 )
 from marl_mm.eval.evaluate import Evaluation
+from marl_mm.eval.metrics import EvaluationRow
 from marl_mm.files import refuse_existing, write_json
 from marl_mm.plugins import record
-from marl_mm.received import check_kind, read_json
+from marl_mm.received import check_kind, damage_named, read_json
 from marl_mm.runs.settings import check_seeds
 from marl_mm.runs.training import Offline, Online, Training
 from marl_mm.sim.config import DEFAULT_ENGINE
@@ -38,6 +39,16 @@ SB3_BEST = "best.zip"
 
 _MADE = ("eval*.json", *(f"*{form.suffix}" for _, form in POLICY_FORMATS.items()))
 """Files that are made of a run's policies: evaluations and exports."""
+
+_EVALUATION: dict[str, Any] = {
+    "policy": str,
+    "policy_config": dict[str, Any],
+    "task": str,
+    "overrides": dict[str, Any],
+    "seed": int,
+    "episodes": list[dict[str, Any]],
+}
+"""Types of an evaluation's fields."""
 
 
 def check_runs(training: Training, out: Path, seeds: Sequence[int]) -> None:
@@ -213,9 +224,42 @@ def read_evaluation(path: Path) -> Evaluation | None:
     """
     if not path.exists():
         return None
-    try:
-        evaluation = Evaluation.from_json(read_json(path, CheckpointError))
+    values = read_json(path, CheckpointError)
+    check_kind(values, dict[str, Any], str(path), CheckpointError)
+    for name, kind in _EVALUATION.items():
+        check_kind(values.get(name), kind, f"{path}: {name}", CheckpointError)
+    if not values["episodes"]:
+        raise CheckpointError(f"{path} has no episodes, expected at least one")
+    for number, row in enumerate(values["episodes"]):
+        _check_row(row, f"{path}, episode {number}")
+    with damage_named(str(path), CheckpointError):
+        evaluation = Evaluation.from_json(values)
         _ = evaluation.summary
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
-        raise CheckpointError(f"{path} is damaged ({error!r:.80})") from error
     return evaluation
+
+
+def _check_row(row: dict[str, Any], where: str) -> None:
+    """Raise a CheckpointError for what is no row of an evaluation."""
+    for name in sorted(EvaluationRow.__required_keys__ - row.keys()):
+        raise CheckpointError(f"{where} lacks {name!r}")
+    for name, value in row.items():
+        if name in ("direction", "reason"):
+            fits, expected = isinstance(value, str), "a text"
+        elif name == "success":
+            fits, expected = isinstance(value, bool), "true or false"
+        elif name == "goal":
+            fits = isinstance(value, list) and all(map(_is_number, value))
+            expected = "a list of numbers"
+        else:
+            fits, expected = _is_number(value), "a number"
+        if not fits:
+            raise CheckpointError(
+                f"{where}: {name!r} is {value!r:.60}, expected {expected}"
+            )
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value is a float or an integer of at most 64 bits."""
+    if isinstance(value, int):
+        return -(2**63) <= value < 2**64
+    return isinstance(value, float)

@@ -10,9 +10,10 @@ from typing import Any, cast
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.algorithms.runlog import read_metrics
-from marl_mm.errors import UsageError
+from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.notebook import html_picture
+from marl_mm.received import check_regular, refuse_links_out
 from marl_mm.runs.evaluate import task_overrides
 from marl_mm.runs.folder import (
     BEST_EVALUATION,
@@ -22,7 +23,7 @@ from marl_mm.runs.folder import (
     read_config,
     read_evaluation,
 )
-from marl_mm.sim.config import DEFAULT_ENGINE, Engine
+from marl_mm.sim.config import Engine
 
 _FPS = 1
 """Pictures per simulated second of a film strip."""
@@ -113,10 +114,12 @@ class Run:
         if evaluation := self.evaluation:
             parts.append(evaluation._repr_html_())
         if (self.folder / CURVE).exists():
+            refuse_links_out(self.folder, [CURVE], CheckpointError)
+            check_regular(self.folder / CURVE, CheckpointError)
             parts.append(
                 html_picture((self.folder / CURVE).read_bytes(), "learning curve")
             )
-        if evaluation and self.config.engine == DEFAULT_ENGINE:  # others draw none
+        if evaluation:
             parts.append(html_picture(self.film_strip(), "film strip"))
         return "\n".join(parts)
 

@@ -8,6 +8,7 @@ import errno
 import os
 import resource
 import signal
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,7 +26,7 @@ from marl_mm.algorithms.mabc import Mabc
 from marl_mm.algorithms.mabc_config import MabcConfig
 from marl_mm.algorithms.runlog import METRICS, RunLog
 from marl_mm.cli import main
-from marl_mm.datasets import hdf5
+from marl_mm.datasets import cache, hdf5
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.provenance import Provenance
@@ -165,6 +166,17 @@ def test_a_dataset_is_whole_or_not_there(
         line = refused(capfd, "datasets", *words, folder / "new")
     assert line.startswith(f"marl-mm: {FULL}: {folder}/new")
     assert names(folder) == []
+
+
+def test_no_room_for_temporary_files_is_not_blamed_on_the_data(
+    dataset: Path, capsys: Output
+) -> None:
+    cache.clear()
+    with room_for(1000):
+        line = refused(capsys, "datasets", "show", ID)
+    assert f"the folder of temporary files, {tempfile.gettempdir()}: {FULL}" in line
+    assert str(dataset) not in line
+    assert main(["datasets", "verify", ID]) == 0
 
 
 def test_an_imported_dataset_is_whole_or_not_there(

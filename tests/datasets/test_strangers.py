@@ -5,6 +5,7 @@ Each test is an attack that once worked.
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -28,7 +29,7 @@ from marl_mm.datasets.storage import write_dataset
 from marl_mm.datasets.verify import verify
 from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError
-from marl_mm.received import file_digest
+from marl_mm.received import file_digest, parse_json
 
 Output = pytest.CaptureFixture[str]
 
@@ -272,6 +273,7 @@ def test_data_that_lie_elsewhere_are_refused(
         ("terminations", True, "end an episode before its last"),
         ("truncations", True, "end an episode before its last"),
         ("observations/desired_goal", 0.3, "goals that move"),
+        ("rewards", 1e308, "1 rewards beyond 1e+12"),
     ],
 )
 def test_implausible_episodes_are_refused_though_signed(
@@ -283,6 +285,93 @@ def test_implausible_episodes_are_refused_though_signed(
     refused(gift, match, capsys)
     words = ["train", "mabc", "--dataset", str(gift), "--out", str(gift / "../runs")]
     assert main(words) == 1 and match in capsys.readouterr().err
+
+
+def unread_storage(group: Any, secret: Path) -> None:
+    secret.write_bytes(bytes(80))
+    group.create_dataset("unread", (10,), "f8", external=[(secret, 0, 80)])
+
+
+def unread_link(group: Any, secret: Path) -> None:
+    group.file["unread"] = h5py.ExternalLink(str(secret), "/")
+
+
+def repeated_group(group: Any, secret: Path) -> None:
+    group.file["unread"] = group
+
+
+def repeated_array(group: Any, secret: Path) -> None:
+    group["infos/again"] = group["rewards"]
+
+
+@pytest.mark.parametrize(
+    ("attack", "match"),
+    [
+        (unread_storage, "unread is stored in other files"),
+        (unread_link, "unread is a link to another place"),
+        (repeated_group, "is an object of several names"),
+        (repeated_array, "is an object of several names"),
+    ],
+)
+def test_what_is_not_read_is_looked_at_too(
+    gift: Path, tmp_path: Path, capsys: Output, attack: Callable[..., None], match: str
+) -> None:
+    path = gift / "data" / FILE
+    with h5py.File(path, "r+") as file:
+        attack(file["episode_0"], tmp_path / "secret.bin")
+    sign(gift)
+    refused(gift, match, capsys)
+    out = str(tmp_path / "imported")
+    assert main(["datasets", "import", str(path), "--out", out]) == 1
+    assert match in capsys.readouterr().err and not Path(out).exists()
+
+
+def test_episodes_beyond_those_of_the_metadata_are_refused(
+    gift: Path, episodes: list[Episode], capsys: Output
+) -> None:
+    def change(metadata: dict[str, Any]) -> None:
+        metadata["total_episodes"] = metadata["marl_mm"]["episodes"] = 1
+
+    tamper(gift, change)
+    refused(gift, f"has {len(episodes)} episodes, expected 1", capsys)
+
+
+def start_far_away(group: Any) -> None:
+    start = group.attrs["initial_configuration"]
+    start[0] = 1e300
+    group.attrs["initial_configuration"] = start
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        (lambda group: group.attrs.__setitem__("seed", -5), "1 seeds below 0"),
+        (
+            lambda group: group.attrs.__setitem__("seed", np.uint64(2**64 - 1)),
+            f"{FILE}, episode_0: 'seed' is 18446744073709551615, expected an integer",
+        ),
+        (start_far_away, "1 starts beyond 1e+12"),
+    ],
+)
+def test_implausible_attributes_are_refused_though_signed(
+    gift: Path, capsys: Output, change: Callable[[Any], None], match: str
+) -> None:
+    with h5py.File(gift / "data" / FILE, "r+") as file:
+        change(file["episode_0"])
+    sign(gift)
+    refused(gift, match, capsys)
+
+
+def test_a_seed_that_is_none_counts_as_unknown_when_imported(
+    gift: Path, tmp_path: Path
+) -> None:
+    with h5py.File(gift / "data" / FILE, "r+") as file:
+        for name, seed in (("episode_0", -5), ("episode_1", np.uint64(2**64 - 1))):
+            file[name].attrs["seed"] = seed
+    out = str(tmp_path / "imported")
+    assert main(["datasets", "import", str(gift / "data" / FILE), "--out", out]) == 0
+    assert load_dataset(out).arrays.seeds[:2].tolist() == [-1, -1]
+    assert verify(locate(out)) == []
 
 
 # --- Bombs -------------------------------------------------------------------
@@ -327,12 +416,20 @@ def packed_zeros(file: Any) -> None:
     file.create_dataset("episode_0/infos/d_mm", data=values, compression="gzip")
 
 
+def sum_of_rows(file: Any) -> None:
+    """Each array is as large as one may be, all together are 12 GB."""
+    for number in range(200):
+        file.create_dataset(f"episode_0/{number}", (7_500_000,), "f8", chunks=(10**6,))
+
+
 def many_episodes(file: Any) -> None:
     for number in range(10, 100_010):
         file[f"episode_{number}"] = file["episode_0"]
 
 
-@pytest.mark.parametrize("bomb", [declared_rows, packed_zeros, many_episodes])
+@pytest.mark.parametrize(
+    "bomb", [declared_rows, packed_zeros, sum_of_rows, many_episodes]
+)
 def test_bombs_in_data_are_refused_cheaply(
     gift: Path, tmp_path: Path, bomb: Callable[[Any], None]
 ) -> None:
@@ -352,6 +449,20 @@ def test_bombs_in_data_are_refused_cheaply(
 def test_metadata_of_a_gigabyte_are_not_read(gift: Path, capsys: Output) -> None:
     os.truncate(gift / "data" / "metadata.json", 10**9)
     refused(gift, "1,000,000,000 bytes, expected at most", capsys)
+
+
+def test_metadata_are_bounded_by_what_ours_need(gift: Path, capsys: Output) -> None:
+    text = "[" + "[]," * 400_000 + "[]]"
+    (gift / "data" / "metadata.json").write_text(text)
+    refused(gift, "1,200,004 bytes, expected at most 1,000,000", capsys)
+
+
+def test_values_of_a_record_are_counted_before_they_are_built(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(json, "loads", None)
+    with pytest.raises(DatasetError, match="it has more than 3,000,000 values"):
+        parse_json("[" + "[]," * 1_500_001 + "[]]", "it", DatasetError)
 
 
 def test_deep_nesting_is_refused(gift: Path, capsys: Output) -> None:
@@ -374,6 +485,13 @@ def test_deep_nesting_is_refused(gift: Path, capsys: Output) -> None:
         (lambda m: m["marl_mm"].update(attempts="x"), "attempts"),
         (lambda m: m["marl_mm"].update(attempts=10**12), "attempts"),
         (lambda m: m["marl_mm"].update(episodes=-1), "at least 1"),
+        (lambda m: m["marl_mm"].update(episodes=1), "but episodes 1"),
+        (lambda m: m["marl_mm"].update(steps=1), "steps is 1, but the episodes"),
+        (lambda m: m.update(total_steps=1), "total_steps is 1, but the episodes"),
+        (lambda m: m["marl_mm"].update(task="<b>"), "task is '<b>', expected a letter"),
+        (lambda m: m["marl_mm"]["overrides"].update(max_steps=-1), "max_steps is -1"),
+        (lambda m: m["marl_mm"]["overrides"].update(max_steps=2.5), "max_steps is 2.5"),
+        (lambda m: m["marl_mm"]["info"].append("is_success"), "a step number twice"),
         *(
             (lambda m, key=key: m["marl_mm"].pop(key), key)
             for key in ("data_sha256", "episodes", "steps", "statistics", "task")
@@ -389,6 +507,66 @@ def test_metadata_that_cannot_be_ours_are_refused(
     path.write_text(json.dumps(metadata))
     sign_metadata(path)
     refused(gift, match, capsys)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"task": "GraspReach-v0"}, "another layout than GraspReach-v0: state "),
+        ({"overrides": {"no_such": 1}}, "make no Reach-v0: unknown field 'no_such'"),
+    ],
+)
+def test_another_tasks_name_is_found(
+    gift: Path, change: dict[str, Any], match: str
+) -> None:
+    tamper(gift, lambda metadata: metadata["marl_mm"].update(change))
+    assert [match in problem for problem in verify(locate(str(gift)))] == [True]
+
+
+@pytest.mark.parametrize("recipe", [{"counts": 3}, {"counts": ["a", None]}])
+def test_a_recipe_of_any_keys_is_shown(
+    gift: Path, capsys: Output, recipe: dict[str, Any]
+) -> None:
+    tamper(gift, lambda metadata: metadata["marl_mm"].update(recipe=recipe))
+    assert main(["datasets", "show", str(gift)]) == 0
+    assert re.search(r"^recipe +counts: ", capsys.readouterr().out, re.MULTILINE)
+    assert "counts: " in load_dataset(str(gift))._repr_html_()
+
+
+def test_a_line_break_makes_no_row_of_a_card(gift: Path, capsys: Output) -> None:
+    name = "pd\nreturn  1000.0"
+    tamper(gift, lambda metadata: metadata["marl_mm"].update(collector=name))
+    for words in ([], ["--markdown"]):
+        assert main(["datasets", "show", str(gift), *words]) == 0
+        assert "pd return  1000.0" in capsys.readouterr().out
+
+
+def test_a_folder_in_the_cards_place_is_named(gift: Path) -> None:
+    (gift / "card.json").mkdir()
+    assert verify(locate(str(gift))) == [
+        f"{gift / 'card.json'} is a folder, expected a file: delete it"
+    ]
+
+
+_ODD_NAMES = ("a\x1b[31m\x1b]0;title\x07-v0", "a\u202eb-v0", "a\n  b-v0")
+
+
+@pytest.mark.parametrize("name", _ODD_NAMES)
+@pytest.mark.parametrize("kind", ["dataset", "collection"])
+def test_names_of_folders_are_spelled_out(
+    gift: Path, datasets_home: Path, capsys: Output, name: str, kind: str
+) -> None:
+    folder = datasets_home / "marl_mm"
+    folder.mkdir(parents=True)
+    if kind == "dataset":
+        shutil.copytree(gift, folder / name)
+    else:
+        (folder / f".{name}.collecting").mkdir()
+        (folder / f".{name}.collecting" / "episodes.sqlite").write_bytes(b"")
+    assert main(["datasets", "list"]) == 0
+    shown = capsys.readouterr().out
+    assert f"marl_mm/{ascii(name)[1:-1]} " in shown
+    assert not {"\x1b", "\x07", "\u202e"} & set(shown) and "\n  b" not in shown
 
 
 def test_a_card_of_other_data_is_named(gift: Path) -> None:

@@ -1,6 +1,8 @@
 """The report: one page that a real browser shows without complaint."""
 
 import base64
+import csv
+import html
 import json
 import os
 import re
@@ -193,6 +195,90 @@ def test_names_are_text_and_not_html(tmp_path: Path) -> None:
     page = report_page(tmp_path)
     assert "&lt;b&gt;Mine" in page
     assert "<script>" not in page
+
+
+STUDY = "setting,success\nx,1\n"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "studies",
+        "studies/foo.csv",
+        "studies/foo.png",
+        "studies/rows/a",
+        "studies/rows/a/b.json",
+        "alpha/alpha.png",
+        "controller/bench.json",
+        "controller/abuse-a.json",
+    ],
+)
+def test_a_link_out_of_the_results_shows_nobody_a_file(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results, out = tmp_path / "results", tmp_path / "report.html"
+    for part in ("studies/foo.csv", "alpha/alpha.csv", "studies/rows/a/b.json"):
+        (results / part).parent.mkdir(parents=True, exist_ok=True)
+        (results / part).write_text(STUDY)
+    elsewhere, path = tmp_path / "elsewhere", results / name
+    path.parent.mkdir(exist_ok=True)
+    if path.exists():
+        path.rename(elsewhere)
+    else:
+        elsewhere.write_text("{}")
+    path.symlink_to(elsewhere)
+    assert main(["report", "--results", str(results), "--out", str(out)]) == 1
+    error = capsys.readouterr().err
+    assert "is a link out of its folder" in error and error.count("\n") == 1
+    assert not out.exists()
+
+
+def test_links_within_the_results_are_followed(tmp_path: Path) -> None:
+    (tmp_path / "studies").mkdir()
+    (tmp_path / "foo.csv").write_text(STUDY)
+    (tmp_path / "studies/foo.csv").symlink_to(tmp_path / "foo.csv")
+    assert "<th>setting</th>" in report_page(tmp_path)
+
+
+@pytest.mark.parametrize("part", ["studies/foo.csv", "alpha/alpha.csv"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[c](http://evil)",
+        "<http://x>",
+        "[c][d]",
+        "x\n\n# HEAD",
+        "x\n| a | b |",
+        "x\u2028# HEAD",
+        r"a|b \|c \\|d",
+        "*a* _b_ `c` ~~d~~",
+        "&lt;b&gt; &#60;",
+        "<b>",
+        "d_mm [m]",
+    ],
+)
+def test_cells_and_heads_are_shown_as_they_are(
+    text: str, part: str, tmp_path: Path
+) -> None:
+    (tmp_path / part).parent.mkdir()
+    with (tmp_path / part).open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerows([["setting", text], [text, "y"]])
+    page = report_page(tmp_path)
+    (table,) = re.findall(r"<table>.*?<td>y</td>.*?</table>", page, re.DOTALL)
+    cells = re.findall(r"<t[hd]>(.*?)</t[hd]>", table)
+    shown = " ".join(text.splitlines())
+    assert [html.unescape(cell) for cell in cells] == ["setting", shown, shown, "y"]
+    assert page.count("<h1>") == 1 and 'href="http' not in page
+    assert not re.search("<(a|b|em|code)>", table)
+
+
+def test_names_of_files_make_no_link(tmp_path: Path) -> None:
+    folder = tmp_path / "controller"
+    folder.mkdir()
+    for path in (RESULTS / "controller").glob("abuse-*.json"):
+        shutil.copy(path, folder / "abuse-[c](http:evil)<http:x>.json")
+    assert 'href="http' not in report_page(tmp_path)
 
 
 @pytest.mark.parametrize(
