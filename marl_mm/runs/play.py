@@ -186,7 +186,6 @@ def play_demo(
     Args:
         name: ``arm-reach`` or ``base-turn``.
         motion: Motion of the demo.
-        engine: Engine of the simulation, bullet or mujoco; default the run's own.
         fps: Pictures per second of film and of simulated time.
         gui: Open PyBullet's window and take no pictures.
         camera: Place of the camera.

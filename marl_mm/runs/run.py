@@ -23,7 +23,7 @@ from marl_mm.runs.folder import (
     read_config,
     read_evaluation,
 )
-from marl_mm.sim.config import DEFAULT_ENGINE, Engine
+from marl_mm.sim.config import Engine
 
 _FPS = 1
 """Pictures per simulated second of a film strip."""
@@ -119,7 +119,7 @@ class Run:
             parts.append(
                 html_picture((self.folder / CURVE).read_bytes(), "learning curve")
             )
-        if evaluation and self.config.engine == DEFAULT_ENGINE:  # others draw none
+        if evaluation:
             parts.append(html_picture(self.film_strip(), "film strip"))
         return "\n".join(parts)
 

@@ -202,6 +202,25 @@ class BulletWorld:
         )
         return np.array(state[4])
 
+    def pose(
+        self, place_w: Sequence[float], turn: Sequence[float], joints: Sequence[float]
+    ) -> None:
+        """Put the robot somewhere, to draw it there.
+
+        Args:
+            place_w: Position of the base, shape (3,) [m].
+            turn: Orientation of the base: x, y, z, w.
+            joints: Angles of the arm joints, shape (7,) [rad].
+        """
+        client, robot = self._client, self._robot
+        unturned = (0.0, 0.0, 0.0, 1.0)
+        com_w, _ = pybullet.multiplyTransforms(place_w, turn, self._com_b, unturned)
+        pybullet.resetBasePositionAndOrientation(
+            robot, com_w, turn, physicsClientId=client
+        )
+        for index, angle in zip(self._arm, joints, strict=True):
+            pybullet.resetJointState(robot, index, angle, 0, physicsClientId=client)
+
     def render(self, camera: Camera) -> np.ndarray:
         """Image by PyBullet's CPU renderer, shape (height, width, 3), uint8."""
         client = self._client

@@ -7,6 +7,8 @@ so the robot starts where they carry its weight.
 import ctypes
 from collections.abc import Sequence
 from functools import lru_cache
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -26,6 +28,9 @@ from marl_mm.sim.native import Native
 from marl_mm.sim.planar import attitude, diverged, planar_state, rim_rates
 from marl_mm.sim.scene import Mark, Scene
 from marl_mm.sim.world import Handling
+
+if TYPE_CHECKING:
+    from marl_mm.sim.bullet import BulletWorld
 
 GROUND = "ground"
 """Name of the plane."""
@@ -198,17 +203,33 @@ class _Robot:
             )
 
 
+def _puppet(robot: RobotConfig, config: SimulationConfig) -> "BulletWorld":
+    """A robot of PyBullet that is only drawn.
+
+    Raises:
+        UsageError: If PyBullet is not installed.
+    """
+    if find_spec("pybullet") is None:
+        raise UsageError(
+            "pictures of engine 'mujoco' are drawn by PyBullet, which is not there: "
+            "pip install pybullet, for which there are wheels up to Python 3.11"
+        )
+    from marl_mm.sim.bullet import BulletWorld
+
+    return BulletWorld(robot, config, visual=True)
+
+
 class MujocoWorld:
     """One robot on a plane, without blocks; see ``World``.
 
     Args:
         robot: Mass properties and start posture.
         config: Settings of the motors and of friction.
-        visual: Has to be False: there are no pictures.
+        visual: Have PyBullet draw the robot, as MuJoCo has no renderer on the CPU.
         gui: Has to be False: there is no window.
 
     Raises:
-        UsageError: If pictures are asked for.
+        UsageError: If a window is asked for, or pictures without PyBullet.
     """
 
     def __init__(
@@ -218,10 +239,9 @@ class MujocoWorld:
         visual: bool = False,
         gui: bool = False,
     ) -> None:
-        if visual or gui:
-            raise UsageError(
-                "engine 'mujoco' draws no pictures yet: use engine 'bullet' for films"
-            )
+        if gui:
+            raise UsageError("engine 'mujoco' has no window: use engine 'bullet'")
+        self._puppet = _puppet(robot, config) if visual else None
         self._robot = _Robot(_model(robot, config))
         self.native = self._robot.native()
         self.model, self.data = self._robot.model, self._robot.data
@@ -241,6 +261,8 @@ class MujocoWorld:
         data.qpos[:] = self._start
         self._target = 0.0, 0.0
         mujoco.mj_forward(model, data)
+        if self._puppet is not None:
+            self._puppet.reset(marks)
 
     def read(self) -> RobotState:
         """See ``World``."""
@@ -308,8 +330,13 @@ class MujocoWorld:
         return np.array(data.site(GRASP_FRAME).xpos)
 
     def render(self, camera: Camera) -> np.ndarray:
-        """See ``World``; there are no pictures."""
-        raise UsageError("engine 'mujoco' draws no pictures yet: use engine 'bullet'")
+        """See ``World``."""
+        assert self._puppet is not None
+        place, (w, x, y, z) = np.split(self.data.qpos[:7], [3])
+        self._puppet.pose(place.tolist(), (x, y, z, w), self._robot.joints.tolist())
+        return self._puppet.render(camera)
 
     def close(self) -> None:
         """See ``World``; MuJoCo frees its memory with the object."""
+        if self._puppet is not None:
+            self._puppet.close()

@@ -188,9 +188,30 @@ def test_engines_that_are_not_there_are_told(monkeypatch: pytest.MonkeyPatch) ->
         open_world(RobotConfig(), SimulationConfig(engine="mujoco"))
 
 
-def test_pictures_and_blocks_are_refused() -> None:
-    with pytest.raises(UsageError, match="draws no pictures"):
-        EpisodeCore(make_task("Reach-v0", MUJOCO), visual=True)
+def test_it_is_drawn_where_it_is() -> None:
+    """By PyBullet, whose own robot looks the same in the same place."""
+    pictures = []
+    for overrides in (MUJOCO, {}):
+        core = EpisodeCore(make_task("Reach-v0", overrides), visual=True)
+        core.reset(np.random.default_rng(0))
+        pictures.append(core.render(core.task.camera))
+        core.step(np.array([1.0, 0.5, 0.0, 0.0]))
+        pictures.append(core.render(core.task.camera))
+        core.close()
+    before, after, *usual = (picture.astype(float) for picture in pictures)
+    assert np.abs(before - after).mean() > 0.5
+    for picture, expected in zip((before, after), usual, strict=True):
+        assert np.abs(picture - expected).mean() < 0.1
+
+
+def test_a_window_blocks_and_pictures_without_pybullet_are_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with pytest.raises(UsageError, match="has no window"):
+        MujocoWorld(RobotConfig(), SimulationConfig(), gui=True)
+    monkeypatch.setattr("marl_mm.sim.mujoco.find_spec", lambda name: None)
+    with pytest.raises(UsageError, match="are drawn by PyBullet, which is"):
+        MujocoWorld(RobotConfig(), SimulationConfig(), visual=True)
     core = opened("Grasp-v0")
     with pytest.raises(UsageError, match="no blocks"):
         core.reset(np.random.default_rng(0))
