@@ -76,6 +76,11 @@ def actors_from(states: Mapping[str, Any], layout: Layout) -> dict[str, AgentAct
         state = states[agent.name]
         agents[agent.name] = blank_actor(agent, _hidden(state))
         actor = agents[agent.name].actor
+        for key, blank in actor.state_dict().items():
+            if key in state and state[key].dtype != blank.dtype:  # it would be cast
+                raise ValueError(
+                    f"{key} of type {state[key].dtype}, expected {blank.dtype}"
+                )
         actor.load_state_dict(state)
         actor.eval()
         if not all(bool(value.isfinite().all()) for value in state.values()):

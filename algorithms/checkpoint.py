@@ -1,5 +1,6 @@
 """Checkpoints: one file that acts and resumes without anything else."""
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from io import BytesIO
 from pathlib import Path
@@ -9,10 +10,12 @@ import torch
 
 from marl_mm.algorithms.actors import AgentActor, actors_from
 from marl_mm.algorithms.algorithm import OfflineAlgorithm, Resumable
+from marl_mm.archives import check_saved
 from marl_mm.errors import CheckpointError, LayoutError, UsageError
 from marl_mm.files import new_file
 from marl_mm.layout import Layout
-from marl_mm.received import check_archive, check_kind, check_plain, check_regular
+from marl_mm.received import check_kind, check_plain, check_regular
+from marl_mm.registry import NAME
 from marl_mm.version1 import checkpoint_layout
 
 FILE = "checkpoint.pt"
@@ -107,7 +110,7 @@ def read_checkpoint(path: Path, algorithm: str | None = None) -> dict[str, Any]:
         )
     check_regular(file, CheckpointError)
     try:
-        check_archive(file)
+        check_saved(file)
         checkpoint = torch.load(file, map_location="cpu", weights_only=True)
         _check_values(checkpoint)
     except Exception as error:  # torch raises whatever its unpickler met
@@ -122,6 +125,11 @@ def read_checkpoint(path: Path, algorithm: str | None = None) -> dict[str, Any]:
         raise CheckpointError(f"{file} lacks {', '.join(sorted(missing))}")
     for name, kind in _KINDS.items():
         check_kind(checkpoint[name], kind, f"{file}: {name}", CheckpointError)
+    if not NAME.fullmatch(checkpoint["algorithm"]):
+        raise CheckpointError(
+            f"{file}: algorithm is {checkpoint['algorithm']!a:.60}, expected a name "
+            "such as 'td3-bc'"
+        )
     if algorithm is not None and checkpoint["algorithm"] != algorithm:
         raise CheckpointError(
             f"{file} holds a checkpoint of algorithm {checkpoint['algorithm']!r}, "
@@ -150,6 +158,25 @@ def restored_agents(checkpoint: dict[str, Any], path: Path) -> dict[str, AgentAc
         raise CheckpointError(f"{path} is damaged ({reason:.80})") from error
 
 
+def check_types(state: Any, fresh: Any, where: str = "state") -> None:
+    """Raise for tensors of another type than a fresh learner's: they would be cast.
+
+    Args:
+        state: State of a checkpoint.
+        fresh: State of a learner with the same config; what it lacks may be anything.
+        where: Name of the state, for the message.
+
+    Raises:
+        ValueError: Naming the tensor.
+    """
+    if isinstance(state, torch.Tensor) and isinstance(fresh, torch.Tensor):
+        if state.dtype != fresh.dtype:
+            raise ValueError(f"{where} has {state.dtype}, expected {fresh.dtype}")
+    elif isinstance(state, Mapping) and isinstance(fresh, Mapping):
+        for key in state.keys() & fresh.keys():
+            check_types(state[key], fresh[key], str(key))
+
+
 def _check_values(value: Any) -> None:
     """Raise for values whose text cannot be shown, and tensors beyond their data."""
     tensors: list[torch.Tensor] = []
@@ -159,6 +186,8 @@ def _check_values(value: Any) -> None:
             continue
         if tensor.layout != torch.strided or tensor.is_meta or tensor.is_quantized:
             raise ValueError(f"a tensor of kind {tensor.layout}")
+        if tensor.is_complex():
+            raise ValueError(f"a tensor of type {tensor.dtype}")
         if tensor.numel() == 0 and max(tensor.shape) > 0:
             raise ValueError(f"an empty tensor of shape {tuple(tensor.shape)}")
         if tensor.numel() * tensor.element_size() > tensor.untyped_storage().nbytes():

@@ -24,10 +24,11 @@ from torch import nn
 
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.policy import LearnedPolicy
+from marl_mm.archives import check_archive
 from marl_mm.errors import ExportError, LayoutError, UsageError
 from marl_mm.files import new_file
 from marl_mm.layout import Layout, in_order
-from marl_mm.received import check_archive, check_regular, parse_json
+from marl_mm.received import check_regular, parse_json
 from marl_mm.registry import Registry
 
 Run = Callable[[np.ndarray], np.ndarray]

@@ -31,6 +31,13 @@ WEIGHTS = "policy.safetensors"
 _SHIPPED = "ddec5644189035eb447e6ee475ae547924bc5d2142c3a82bc882f28d7e07d560"
 """SHA-256 of the shipped agent's weights; its config, which is older, has none."""
 
+_CONFIG_BYTES = 1_000_000
+"""Largest size of the config [bytes]; the shipped agent's has 2,000."""
+
+_HEADER_BYTES = 100_000
+"""Largest size of the weights' names and shapes [bytes]; the shipped agent's are in
+a thousand."""
+
 
 def ship(run: Path, folder: Path) -> None:
     """Make a shippable folder of an online run's best policy.
@@ -67,9 +74,10 @@ def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
         CheckpointError: If its files are missing or damaged.
     """
     try:
-        config = read_json(folder / "config.json", CheckpointError)
+        config = read_json(folder / "config.json", CheckpointError, _CONFIG_BYTES)
         expected = config.get("weights_sha256", _SHIPPED if folder == FOLDER else None)
         digest = file_digest(folder / WEIGHTS, CheckpointError)
+        _check_header(folder / WEIGHTS)
         if expected not in (None, digest):
             raise ValueError(f"the bytes of {WEIGHTS} are not those that were written")
         tensors = load_file(folder / WEIGHTS)
@@ -86,3 +94,16 @@ def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise CheckpointError(f"{folder} is damaged ({reason:.80})") from error
     return LearnedPolicy(NAME, agents, layout, NAME)
+
+
+def _check_header(path: Path) -> None:
+    """Raise for weights whose names and shapes are too many.
+
+    A file of safetensors begins with their size in eight bytes.
+    """
+    with path.open("rb") as file:
+        size = int.from_bytes(file.read(8), "little")
+    if size > _HEADER_BYTES:
+        raise ValueError(
+            f"{WEIGHTS} has a header of {size:,} bytes, expected {_HEADER_BYTES:,}"
+        )

@@ -33,8 +33,8 @@ METRICS_BYTES = 100_000_000
 _LINE_BYTES = 100_000
 """Largest size of a row [bytes]."""
 
-_ROWS, _VALUES = 100_000, 1_500_000
-"""Largest numbers of rows and of values in the record."""
+_ROWS, _VALUES, _NAMES = 100_000, 1_500_000, 1_000
+"""Largest numbers of rows, of values and of their names in the record."""
 
 CurvePoint = TypedDict(
     "CurvePoint",
@@ -128,15 +128,17 @@ def read_metrics(run: Path) -> list[Row]:
         return []
     check_regular(path, CheckpointError, METRICS_BYTES)
     rows: list[Row] = []
+    names: set[str] = set()
     values = 0
     for line in _lines(path):
         row = _parsed(line, str(path))
         rows.append({sys.intern(name): value for name, value in row.items()})
         values += len(row)
-        if not row or len(rows) > _ROWS or values > _VALUES:
+        names |= row.keys()
+        if not row or len(rows) > _ROWS or values > _VALUES or len(names) > _NAMES:
             raise CheckpointError(
-                f"{path} is damaged: it has an empty row, or more than {_ROWS:,} rows "
-                f"or {_VALUES:,} values"
+                f"{path} is damaged: it has an empty row, or more than {_ROWS:,} rows, "
+                f"{_VALUES:,} values or {_NAMES:,} names of them"
             )
     return rows
 

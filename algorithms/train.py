@@ -19,6 +19,7 @@ from marl_mm.algorithms.checkpoint import (
     BEST,
     DAMAGE,
     FILE,
+    check_types,
     read_checkpoint,
     save_seed,
     save_seeds_policy,
@@ -202,6 +203,7 @@ def resume(algorithm: Resumable, run: Path, ignored: Sequence[str] = ()) -> None
     """
     state = _state(algorithm, run, ignored)
     with _damage_named(run):
+        check_types(state, algorithm.state())
         algorithm.load_state(state)
 
 
@@ -229,6 +231,8 @@ def resume_seeds(
             "by one"
         )
     with _damage_named(runs[0]):
+        for number, state in enumerate(states):
+            check_types(state, algorithm.state(number))
         algorithm.load_states(states)
 
 

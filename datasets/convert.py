@@ -17,7 +17,7 @@ from marl_mm.datasets.arrays import EpisodeArrays, load_arrays, save_arrays
 from marl_mm.datasets.hdf5 import read_hdf5
 from marl_mm.errors import DatasetError
 from marl_mm.layout import Layout
-from marl_mm.processes import importing_this
+from marl_mm.processes import importing_this, limit_memory
 from marl_mm.received import most_unpacked
 
 _PATIENCE = 30.0
@@ -26,8 +26,8 @@ _PATIENCE = 30.0
 _SLOWEST = 200_000.0
 """Least speed of reading a large file [bytes/s]: a tenth of the usual speed."""
 
-_OWN_MEMORY = 2**32
-"""Address space of the process beside the arrays [bytes]: libraries map a lot."""
+_OWN_MEMORY = 100_000_000
+"""Memory of the process beside libraries and arrays [bytes]."""
 
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
@@ -101,8 +101,7 @@ def main() -> None:
     """Read what standard input asks for; print an error as JSON."""
     asked = json.load(sys.stdin)
     path, out = Path(asked["path"]), Path(asked["out"])
-    most = _OWN_MEMORY + 4 * most_unpacked(path.stat().st_size)
-    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    limit_memory(_OWN_MEMORY + 4 * most_unpacked(path.stat().st_size))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     layout = Layout.from_json(asked["layout"])
     try:

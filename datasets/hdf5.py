@@ -25,7 +25,7 @@ from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError, MarlMmError
 from marl_mm.files import named_errors
 from marl_mm.layout import Layout
-from marl_mm.received import check_regular, is_printable, most_unpacked
+from marl_mm.received import check_regular, is_printable, most_unpacked, printable_name
 
 FILE = "main_data.hdf5"
 
@@ -44,6 +44,9 @@ _LINE = 300
 
 ROBOT_NUMBERS = 11
 """Numbers of a robot's configuration: base's place, cosine, sine, seven joints."""
+
+_DEPTH = 20
+"""Largest number of groups around an array."""
 
 _LEAST_EPISODE = 200
 """Least size of an episode in a file [bytes]; ours have 4,000."""
@@ -209,20 +212,75 @@ def _size(fill: Callable[[Any], None], options: Mapping[str, Any]) -> int:
 
 @contextmanager
 def open_hdf5(path: Path) -> Iterator[Any]:
-    """Open an HDF5 file for reading.
+    """Open an HDF5 file for reading, once all objects in it are looked at.
 
     Raises:
-        DatasetError: If the file is damaged, or a part that the block reads.
+        DatasetError: If the file is damaged, or a part that the block reads. Also if
+            an object lies elsewhere or has several names, or all arrays together are
+            too large for the file.
     """
-    check_regular(path, DatasetError)
+    size = check_regular(path, DatasetError)
     try:
         with h5py.File(path, "r") as file:
+            _check_objects(path, file, most_unpacked(size))
             yield file
     except MarlMmError:
         raise
     except _DAMAGE as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise DatasetError(f"{path} is damaged ({reason:.160})") from error
+
+
+def _check_objects(path: Path, file: Any, most: int) -> None:
+    """Raise for a file whose objects are not all in it, each under one name.
+
+    Args:
+        path: The file, for messages.
+        file: The open file.
+        most: Largest size of all arrays together [bytes].
+
+    Raises:
+        DatasetError: Naming the object.
+    """
+    addresses = {h5py.h5o.get_info(file.id).addr}
+    names: list[bytes] = []
+
+    def fault(name: bytes, link: Any) -> str | None:
+        """What is wrong with a link; HDF5 goes on for as long as it is None."""
+        if link.type != h5py.h5l.TYPE_HARD:
+            why = "is a link to another place, expected the object itself"
+        elif link.u in addresses or name.count(b"/") >= _DEPTH:
+            why = "is an object of several names, or in too many groups"
+        else:
+            addresses.add(link.u)
+            names.append(name)
+            return None
+        return f"{_shown(name)} {why}"
+
+    native = h5py.h5.ITER_NATIVE
+    if (problem := file.id.links.visit(fault, order=native, info=True)) is not None:
+        raise DatasetError(f"{path}, {problem}")
+    size = 0
+    for name in names:
+        node = h5py.h5o.open(file.id, name)
+        if not isinstance(node, h5py.h5d.DatasetID):
+            continue
+        how = node.get_create_plist()
+        if how.get_layout() == h5py.h5d.VIRTUAL or how.get_external_count():
+            raise DatasetError(
+                f"{path}, {_shown(name)} is stored in other files, expected all data "
+                "in this one"
+            )
+        size += math.prod(node.shape or ()) * node.get_type().get_size()
+        if size > most:
+            raise DatasetError(
+                f"{path}, {_shown(name)} and others have {size:,} bytes, expected at "
+                f"most {most:,} in a file of this size"
+            )
+
+
+def _shown(name: bytes) -> str:
+    return printable_name(name[:_LINE].decode(errors="backslashreplace"))
 
 
 def read_hdf5(
@@ -243,6 +301,10 @@ def read_hdf5(
     wanted = *episode_fields(layout), *(Field(f"infos/{key}", "number") for key in info)
     refuse_count(path, total)
     with open_hdf5(path) as file:
+        if (count := sum(map(_is_episode, file))) != total:
+            raise DatasetError(
+                f"{path} has {count:,} episodes, expected {total:,} as in metadata.json"
+            )
         for number in range(total):
             group = opened_group(path, file, f"episode_{number}")
             values = checked(path, group, wanted)
@@ -327,16 +389,20 @@ def states_of(values: dict[str, np.ndarray], layout: Layout) -> np.ndarray:
 
 def is_of_episodes(file: Any) -> bool:
     """Whether an open file has Minari's episodes."""
-    return any(re.fullmatch(r"episode_\d+", name) for name in file)
+    return any(map(_is_episode, file))
+
+
+def _is_episode(name: str) -> bool:
+    return re.fullmatch(r"episode_\d+", name) is not None
 
 
 def episode_groups(path: Path, file: Any) -> Iterator[Any]:
     """Groups of Minari's episodes in an open file, in order.
 
     Raises:
-        DatasetError: If there are more than the file can hold, or one is a link.
+        DatasetError: If there are more than the file can hold, or one is no group.
     """
-    names = [name for name in file if re.fullmatch(r"episode_\d+", name)]
+    names = [*filter(_is_episode, file)]
     refuse_count(path, len(names))
     for name in sorted(names, key=lambda name: int(name[8:])):
         yield opened_group(path, file, name)
@@ -357,67 +423,24 @@ def opened_group(path: Path, parent: Any, name: str) -> Any:
     """A group within another.
 
     Raises:
-        DatasetError: If it is missing, or a link.
+        DatasetError: If it is missing.
     """
-    group = parent[name] if _has(path, parent, name) else None
+    group = parent.get(name)
     if not isinstance(group, h5py.Group):
         raise DatasetError(f"{path} has no group {name!r}")
     return group
 
 
-def optional(path: Path, group: Any, key: str) -> np.ndarray | None:
+def optional(group: Any, key: str) -> np.ndarray | None:
     """The array of numbers of this key; None if there is none."""
-    if not _has(path, group, key) or not isinstance(group[key], h5py.Dataset):
+    node = group.get(key)
+    if not isinstance(node, h5py.Dataset) or node.dtype.kind not in "fiub":
         return None
-    node = _opened(path, group, key)
-    return _values(path, group, key, node) if node.dtype.kind in "fiub" else None
+    return _values(node.id)
 
 
-def _has(path: Path, group: Any, key: str) -> bool:
-    """Whether a group has something of this key.
-
-    Raises:
-        DatasetError: If a part of the key is a link to another place or file.
-    """
-    parts = key.split("/")
-    for count in range(1, len(parts) + 1):
-        name = "/".join(parts[:count]).encode()
-        if not group.id.links.exists(name):
-            return False
-        if group.id.links.get_info(name).type != h5py.h5l.TYPE_HARD:
-            raise DatasetError(
-                f"{path}, {_where(group, key)} is a link to another place, expected "
-                "the array itself"
-            )
-    return True
-
-
-def _where(group: Any, key: str) -> str:
-    return f"{group.name}/{key}".lstrip("/")
-
-
-def _opened(path: Path, group: Any, key: str) -> Any:
-    """An array's node, which is stored in this file; a KeyError without one."""
-    if not _has(path, group, key):
-        raise KeyError(key)
-    node = h5py.h5d.open(group.id, key.encode())  # the fast way
-    how = node.get_create_plist()
-    if how.get_layout() == h5py.h5d.VIRTUAL or how.get_external_count():
-        raise DatasetError(
-            f"{path}, {_where(group, key)} is stored in other files, expected all data "
-            "in this one"
-        )
-    return node
-
-
-def _values(path: Path, group: Any, key: str, node: Any) -> np.ndarray:
+def _values(node: Any) -> np.ndarray:
     """An array's values."""
-    size = math.prod(node.shape) * node.dtype.itemsize
-    if size > most_unpacked(path.stat().st_size):
-        raise DatasetError(
-            f"{path}, {_where(group, key)} has {size:,} bytes unpacked, too many for "
-            f"the file's {path.stat().st_size:,}"
-        )
     value = np.empty(node.shape, node.dtype)
     node.read(h5py.h5s.ALL, h5py.h5s.ALL, value)
     return value
@@ -440,10 +463,10 @@ def checked(path: Path, group: Any, wanted: tuple[Field, ...]) -> dict[str, np.n
     steps = 0
     for field in ordered:
         try:
-            node = _opened(path, group, field.key)
+            node = h5py.h5d.open(group.id, field.key.encode())  # the fast way
         except KeyError:
             keys = [item.key for item in wanted]
-            missing = [repr(key) for key in keys if not _has(path, group, key)]
+            missing = [repr(key) for key in keys if key not in group]
             raise DatasetError(f"{where} has no array {', '.join(missing)}") from None
         shape, kind = node.shape, node.dtype
         if kind.kind not in _KINDS[field.kind]:
@@ -459,7 +482,7 @@ def checked(path: Path, group: Any, wanted: tuple[Field, ...]) -> dict[str, np.n
             raise DatasetError(
                 f"{where}: {field.key!r} has shape {shape}, expected {wanted_shape}"
             )
-        value = _values(path, group, field.key, node)
+        value = _values(node)
         if field.kind == "float" and not np.isfinite(value).all():
             raise DatasetError(f"{where}: {field.key!r} holds a NaN or an infinity")
         values[field.key] = value

@@ -21,13 +21,20 @@ from marl_mm.datasets.hdf5 import (
     optional,
     states_of,
 )
+from marl_mm.datasets.metadata import METADATA_BYTES
 from marl_mm.datasets.plausible import problems_of
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.episode import IMPORTED, Episode
 from marl_mm.errors import DatasetError, UsageError, WorkerDiedError
 from marl_mm.layout import Layout
 from marl_mm.layout_diff import refuse_other_layout
-from marl_mm.received import check_regular, parse_json, read_json, refuse_links_out
+from marl_mm.received import (
+    check_regular,
+    most_unpacked,
+    parse_json,
+    read_json,
+    refuse_links_out,
+)
 from marl_mm.registry import Registry
 from marl_mm.version1 import dataset_layout
 from marl_mm.workers import apart
@@ -72,6 +79,9 @@ _PATIENCE = 30.0
 
 _SLOWEST = 200_000.0
 """Least speed of reading a large file [bytes/s]: a tenth of the usual speed."""
+
+_OWN_MEMORY = 100_000_000
+"""Memory of the process beside arrays and what is loaded already [bytes]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,10 +144,10 @@ def read_foreign(path: Path, dataset_id: str, task: str | None = None) -> Foreig
     size = check_regular(path, DatasetError)
     if not h5py.is_hdf5(path):
         raise DatasetError(f"{path} is no HDF5 file, or a damaged one ({size} bytes)")
-    seconds = _PATIENCE + size / _SLOWEST
+    limits = _PATIENCE + size / _SLOWEST, _OWN_MEMORY + 4 * most_unpacked(size)
     try:
-        name = task or apart(_task_of, path, seconds) or DEFAULT
-        arrays = apart(_read, (path, dataset_id, name), seconds)
+        name = task or apart(_task_of, path, *limits) or DEFAULT
+        arrays = apart(_read, (path, dataset_id, name), *limits)
     except UsageError as error:
         way_out = "" if task else ", or give `task`"
         raise UsageError(f"{path}: {error}{way_out}") from error
@@ -176,7 +186,9 @@ def _metadata(path: Path, file: Any) -> Mapping[str, Any]:
     if "task" in file.attrs:
         return dict(file.attrs)
     beside = path.parent / "metadata.json"
-    metadata = read_json(beside, DatasetError) if beside.exists() else None
+    metadata = None
+    if beside.exists():
+        metadata = read_json(beside, DatasetError, METADATA_BYTES)
     record = metadata.get("marl_mm") if isinstance(metadata, dict) else None
     return record if isinstance(record, dict) else {}
 
@@ -196,7 +208,7 @@ def _episode(
 ) -> Episode:
     """An episode of Minari's format with goal-dictionary observations."""
     values = checked(path, group, episode_fields(layout))
-    info = {key: optional(path, group, f"infos/{key}") for key in names}
+    info = {key: optional(group, f"infos/{key}") for key in names}
     seed = group.attrs.get("seed", -1)
     return _built(
         number,

@@ -9,8 +9,8 @@ import hashlib
 import io
 import json
 import sqlite3
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -72,24 +72,25 @@ def reading(folder: Path) -> Iterator["Journal"]:
         DatasetError: If it is damaged, missing, or could change other files.
     """
     path = folder / FILE
-    try:
-        with _damage_named(path), opened_to_read(path) as file:
-            check_tables(file, path, _TABLES)
-            yield Journal(folder, file)
-    except sqlite3.OperationalError as error:
-        raise DatasetError(f"{path} cannot be read ({error})") from error
+    with _read_errors(path), opened_to_read(path) as file:
+        check_tables(file, path, _TABLES)
+        yield Journal(folder, file)
 
 
 @contextmanager
-def _damage_named(path: Path) -> Iterator[None]:
+def _read_errors(path: Path) -> Iterator[None]:
     try:
         yield
+    except sqlite3.OperationalError as error:  # no permission, no such table
+        raise DatasetError(f"cannot read {path}: {error}") from error
     except sqlite3.DatabaseError as error:
-        if isinstance(error, sqlite3.OperationalError):
-            raise
-        raise DatasetError(
-            f"{path} is damaged ({error}): start anew with `overwrite=True`"
-        ) from error
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: sqlite3.DatabaseError) -> DatasetError:
+    return DatasetError(
+        f"{path} is damaged ({error}): start anew with `overwrite=True`"
+    )
 
 
 def _record(text: Any, path: Path) -> dict[str, Any]:
@@ -195,23 +196,25 @@ class Journal:
         """
         episodes: dict[int, Episode] = {}
         left = self._path.stat().st_size
-        try:
-            for number, blob in self._rows("select number, npz from episodes"):
-                left -= len(blob)
-                if left < 0:
-                    raise ValueError("more episodes than the file has room for")
-                arrays = load_arrays(io.BytesIO(blob), layout, packed=False)
-                if int(arrays.indices[0]) != number:
-                    raise ValueError("an episode of another number")
-                episodes[number] = arrays.episode(0)
-        except (DatasetError, TypeError, ValueError) as error:
-            raise DatasetError(
-                f"an episode in {self._path} is damaged: start anew with "
-                "`overwrite=True`"
-            ) from error
+        question = "select number, npz from episodes"
+        with closing(self._rows(question)) as rows:
+            for number, blob in rows:
+                try:
+                    left -= len(blob)
+                    if left < 0:  # several are made of the same bytes
+                        raise ValueError("more episodes than the file has room for")
+                    arrays = load_arrays(io.BytesIO(blob), layout, packed=False)
+                    if int(arrays.indices[0]) != number:
+                        raise ValueError("an episode of another number")
+                    episodes[number] = arrays.episode(0)
+                except (DatasetError, TypeError, ValueError) as error:
+                    raise DatasetError(
+                        f"an episode in {self._path} is damaged: start anew with "
+                        "`overwrite=True`"
+                    ) from error
         return episodes
 
-    def _rows(self, question: str) -> Iterator[tuple[Any, ...]]:
+    def _rows(self, question: str) -> Generator[tuple[Any, ...], None, None]:
         """Rows by rising number: in a file that was forged they could go on forever."""
         with self._reading():
             before = None
@@ -227,7 +230,7 @@ class Journal:
         most = max(self._path.stat().st_size, _LEAST_LIMIT)
         usual = self._file.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, most)
         try:
-            with self._errors():
+            with _read_errors(self._path):
                 yield
         finally:
             self._file.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, usual)
@@ -235,10 +238,11 @@ class Journal:
     @contextmanager
     def _errors(self) -> Iterator[None]:
         try:
-            with _damage_named(self._path):
-                yield
+            yield
         except sqlite3.OperationalError as error:  # disk full, no permission
             raise MarlMmError(
                 f"cannot write {self._path}: {error}; finished episodes are kept: make "
                 "room and go on with `resume=True`"
             ) from error
+        except sqlite3.DatabaseError as error:
+            raise _damaged(self._path, error) from error

@@ -47,6 +47,9 @@ _MARL_MM: dict[str, Any] = {
 SUCCESS = "is_success"
 """Step number that every dataset has."""
 
+METADATA_BYTES = 1_000_000
+"""Largest size of a dataset's metadata [bytes]; a mix of three has 9,000."""
+
 SCHEMA = 3
 """Version of our metadata; version 2 had no layout, and is read, too."""
 
@@ -69,7 +72,7 @@ def read_metadata(location: Location) -> dict[str, Any]:
         )
     refuse_links_out(location.folder, OWN_FILES, DatasetError)
     path = location.data / "metadata.json"
-    metadata: dict[str, Any] = read_json(path, DatasetError)
+    metadata: dict[str, Any] = read_json(path, DatasetError, METADATA_BYTES)
     record = metadata.get("marl_mm") if isinstance(metadata, dict) else None
     schema = record.get("schema") if isinstance(record, dict) else None
     if not isinstance(record, dict) or schema not in (2, SCHEMA):

@@ -36,7 +36,13 @@ _ROWS_BYTES = 32_000_000
 """Largest size of unpacked rows [bytes]; ours have less than a million."""
 
 _CELLS = 1_000_000
-"""Largest number of cells in a file of rows; ours have less than 130,000."""
+"""Largest number of cells in a file of rows; ours have less than 180,000."""
+
+_ROW_CELLS = 5
+"""Number of cells whose memory a row takes by itself."""
+
+_COLUMNS = 1_000
+"""Largest number of columns; ours have less than 30."""
 
 
 def older_file(path: Path) -> Path:
@@ -118,7 +124,7 @@ def read_rows(path: Path) -> list[Row]:
     most = min(most_unpacked(size), _ROWS_BYTES)
     try:
         data = _unpacked(path, most)
-        if data.count(b",") + data.count(b"\n") > _CELLS:
+        if data.count(b",") + _ROW_CELLS * data.count(b"\n") > _CELLS:
             raise ValueError(f"more than {_CELLS:,} cells")
         check_plain(data.decode().replace("\r\n", "\n"), "it", MarlMmError)
         return list(_typed_rows(data))
@@ -134,6 +140,8 @@ def _typed_rows(data: bytes) -> Iterator[Row]:
     file = io.TextIOWrapper(io.BytesIO(data), "utf-8", newline="")
     reader = csv.DictReader(file, strict=True)
     names = Counter(reader.fieldnames or [])
+    if len(names) > _COLUMNS:
+        raise ValueError(f"{len(names):,} columns, expected at most {_COLUMNS:,}")
     for name, count in names.most_common(1):
         if count > 1:
             raise ValueError(f"{count} columns of the name {name:.40}")

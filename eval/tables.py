@@ -12,6 +12,7 @@ from rich.table import Table
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.eval.metrics import METRICS, Metric
 from marl_mm.markdown import literal, one_line
+from marl_mm.received import printable_name
 
 _HEADER = ("policy", "goals", "success % [95 % interval]", "steps", "return")
 
@@ -133,7 +134,11 @@ def evaluation_table(evaluations: Sequence[Evaluation], width: int = 80) -> Tabl
     """
     heads = [name.split(" [")[0] for name in header()]
     rows = [
-        (name, goals.replace("forward", "ahead").replace("backward", "behind"), *rest)
+        (
+            printable_name(name),
+            goals.replace("forward", "ahead").replace("backward", "behind"),
+            *rest,
+        )
         for name, goals, *rest in table_rows(evaluations)
     ]
     rest = (

@@ -5,6 +5,7 @@ They start in milliseconds instead of seconds, and share the libraries' memory.
 
 import json
 import os
+import resource
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from multiprocessing import forkserver, get_context, resource_tracker
@@ -62,3 +63,15 @@ def set_variables(values: Mapping[str, str | None]) -> None:
             os.environ.pop(name, None)
         else:
             os.environ[name] = value
+
+
+def limit_memory(more: int) -> None:
+    """Let this process have so much more address space than it has now [bytes].
+
+    Beyond it, Python raises a ``MemoryError``, and libraries fail or end the process.
+    """
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    most = pages * resource.getpagesize() + more
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    if hard == resource.RLIM_INFINITY or most < hard:
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))

@@ -16,7 +16,7 @@ from typing import Any, Literal, Protocol, TypeVar, cast
 from marl_mm.errors import UsageError, WorkerDiedError
 from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.plugins import Carried
-from marl_mm.processes import process_context
+from marl_mm.processes import limit_memory, process_context
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -172,20 +172,24 @@ class Workers:
             return [self._pool.submit(_call, each) for each in packed]
 
 
-def apart(function: Callable[[T], R], item: T, seconds: float) -> R:
+def apart(
+    function: Callable[[T], R], item: T, seconds: float, memory: int | None = None
+) -> R:
     """Result of a function in a process of its own, which may crash or hang.
 
     Args:
         function: Function that is importable by name; its errors are raised here.
         item: Argument of the function.
         seconds: Longest time that it may take [s].
+        memory: Largest address space beside what the process begins with [bytes]; None:
+            any.
 
     Raises:
-        WorkerDiedError: If the process crashed or took too long.
+        WorkerDiedError: If the process crashed, took too long or asked for more memory.
     """
     context = process_context(function.__module__)
     receiver, sender = context.Pipe(duplex=False)
-    arguments = Carried(), dict(os.environ), sender, function, item
+    arguments = Carried(), dict(os.environ), sender, memory, function, item
     process = context.Process(target=_send, args=arguments, daemon=True)
     with deaf_to_interrupts(), _dead_servers_named():
         process.start()
@@ -219,12 +223,17 @@ def _send(
     plugins: Any,
     environment: dict[str, str],
     sender: connection.Connection,
+    memory: int | None,
     function: Callable[[T], R],
     item: T,
 ) -> None:
     _live_in(environment)
+    if memory is not None:
+        limit_memory(memory)
     try:
         sender.send((True, function(item)))
+    except MemoryError:
+        sender.send((False, WorkerDiedError("it needs more memory than it may have")))
     except Exception as error:
         sender.send((False, error))
 

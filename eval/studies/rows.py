@@ -198,7 +198,13 @@ class RowStore:
 
     def _rows(self, cell: Cell, end: str = ".csv.xz") -> list[Row]:
         path = self._path(cell, end)
-        return read_rows(path) if has_rows(path) else []
+        rows = read_rows(path) if has_rows(path) else []
+        kinds = {"seed": int} | ({} if end == _CURVES else {"probe": int | float | str})
+        for number, row in enumerate(rows, 1):
+            for name, kind in kinds.items():
+                if not isinstance(row.get(name), kind):
+                    raise MarlMmError(f"{path} is damaged: row {number} has no {name}")
+        return rows
 
     def _record(self, cell: Cell) -> dict[str, Any]:
         path = self._path(cell, ".json")
@@ -206,6 +212,10 @@ class RowStore:
         check_kind(record, dict[str, Any], str(path), MarlMmError)
         kind = dict[str, dict[str, Any]]
         check_kind(record.get("probes", {}), kind, str(path), MarlMmError)
+        ends = record.get("diverged", {})
+        check_kind(ends, dict[str, float], str(path), MarlMmError)
+        if not all(seed.isdecimal() for seed in ends):
+            raise MarlMmError(f"{path} is damaged: `diverged` is not by seed")
         return dict(record)
 
     def _path(self, cell: Cell, end: str) -> Path:

@@ -59,13 +59,14 @@ def print_evaluations(evaluations: Sequence["Evaluation"]) -> None:
 
     console = Console(markup=False)
     if not console.is_terminal:
-        longest = max(len(evaluation.policy) for evaluation in evaluations)
+        longest = max(len(printable_name(result.policy)) for result in evaluations)
         console = Console(width=80 + longest, markup=False)
     console.print(evaluation_table(evaluations, console.width))
     for evaluation in evaluations:
         failures = evaluation.summary["all"].get("failures")
         if failures is not None:
-            print(f"{evaluation.policy} failed: {failures_in_words(failures)}")
+            name = printable_name(evaluation.policy)
+            print(f"{name} failed: {failures_in_words(failures)}")
 
 
 def read_dataset(name: str | Location) -> "Dataset":

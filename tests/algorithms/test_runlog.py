@@ -1,5 +1,6 @@
 """Which checkpoint is the best, and what is read of a record that was cut off."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -55,7 +56,8 @@ def test_rows_beyond_the_checkpoint_are_of_an_attempt_that_was_cut_off(
     [
         ("{}\n" * 8_000_000, "an empty row, or more than"),
         ('{"a": 1}\n' * 100_001, "more than 100,000 rows"),
-        (("{" + '"a": 1, ' * 999 + '"b": 1}\n') * 100 + "[1]\n", "dict"),
+        (json.dumps({str(n): 1 for n in range(1_001)}) + "\n", "1,000 names"),
+        ('{"a": 1, "b": 2}\n' * 1_000 + "[1]\n", "dict"),
         ('{"a": "x"}\n', "is neither float or int"),
         ('{"\\u001b[31m": 1}\n', "control characters"),
         (" " * 200_000 + "{}\n", "a line of more than 100,000 bytes"),

@@ -414,20 +414,22 @@ def test_a_metric_is_checked_and_measured(
 
 
 def test_nothing_in_a_file_loads_a_plugin(
-    datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    datasets_home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Names and paths of plug-ins in runs and data are told, never imported."""
     trap = tmp_path / "trap.py"
     trap.write_text("raise SystemExit('a file has run code')\n")
+    monkeypatch.syspath_prepend(tmp_path)
     out = tmp_path / "run"
     assert run("train", "mabc", "--dataset", "good-5k", *SMALL, "--out", out) == 0
     config = json.loads((out / "0/config.json").read_text())
     config["plugins"] = {str(trap): "0" * 64}
     (out / "0/config.json").write_text(json.dumps(config))
     checkpoint = torch.load(out / "0" / FILE, weights_only=True)
-    checkpoint |= {"algorithm": str(trap), "plugins": {str(trap): "0" * 64}}
-    torch.save(checkpoint, out / "0" / FILE)
     few = ["--episodes", 2, "--max-steps", 1, "--workers", 1]
-    assert run("eval", out / "0", *few) == 0
+    for name, code in ((str(trap), 1), (trap.stem, 0)):
+        named = {"algorithm": name, "plugins": {str(trap): "0" * 64}}
+        torch.save(checkpoint | named, out / "0" / FILE)
+        assert run("eval", out / "0", *few) == code
     assert np.isfinite(load_policy(out / "0").act(np.zeros(10))).all()
     assert "trap.py" not in plugins._loaded

@@ -42,6 +42,8 @@ def test_apart_survives_a_crash_and_ends_what_hangs() -> None:
         apart(os._exit, 3, seconds=60)
     with pytest.raises(WorkerDiedError, match="no end after 1 s"):
         apart(time.sleep, 600, seconds=1)
+    with pytest.raises(WorkerDiedError, match="more memory than it may have"):
+        apart(bytearray, 10**9, seconds=60, memory=10**8)
 
 
 def test_workers_live_in_the_environment_of_when_they_are_begun(

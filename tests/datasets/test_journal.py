@@ -252,3 +252,26 @@ def test_rows_that_repeat_are_refused(tmp_path: Path) -> None:
     (tmp_path / FILE).write_bytes(data)
     with reading(tmp_path) as journal, pytest.raises(DatasetError, match="repeat"):
         len(journal)
+
+
+def test_a_value_that_claims_more_bytes_than_the_file_has_is_refused(
+    tmp_path: Path,
+) -> None:
+    """Its pages lead in a circle, and would be read again and again."""
+
+    def varint(number: int) -> bytes:
+        parts = [number >> 14, number >> 7 & 127, number & 127]
+        return bytes([parts[0] | 128, parts[1] | 128, parts[2]])
+
+    with Journal(tmp_path) as journal:
+        journal.begin({})
+    with closing(sqlite3.connect(tmp_path / FILE)) as file, file:
+        file.execute("insert into episodes values (0, ?)", [bytes(999_000)])
+    data = (tmp_path / FILE).read_bytes()
+    more = 12 * 4092  # a page's bytes, without the number of the next
+    for number, factor in ((999_005, 1), (2 * 999_000 + 12, 2)):  # record, its value
+        assert data.count(varint(number)) == 1
+        data = data.replace(varint(number), varint(number + factor * more))
+    (tmp_path / FILE).write_bytes(data)
+    with reading(tmp_path) as journal, pytest.raises(DatasetError, match="too big"):
+        journal.episodes(REACH)

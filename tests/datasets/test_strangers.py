@@ -29,7 +29,7 @@ from marl_mm.datasets.storage import write_dataset
 from marl_mm.datasets.verify import verify
 from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError
-from marl_mm.received import file_digest
+from marl_mm.received import file_digest, parse_json
 
 Output = pytest.CaptureFixture[str]
 
@@ -287,6 +287,55 @@ def test_implausible_episodes_are_refused_though_signed(
     assert main(words) == 1 and match in capsys.readouterr().err
 
 
+def unread_storage(group: Any, secret: Path) -> None:
+    secret.write_bytes(bytes(80))
+    group.create_dataset("unread", (10,), "f8", external=[(secret, 0, 80)])
+
+
+def unread_link(group: Any, secret: Path) -> None:
+    group.file["unread"] = h5py.ExternalLink(str(secret), "/")
+
+
+def repeated_group(group: Any, secret: Path) -> None:
+    group.file["unread"] = group
+
+
+def repeated_array(group: Any, secret: Path) -> None:
+    group["infos/again"] = group["rewards"]
+
+
+@pytest.mark.parametrize(
+    ("attack", "match"),
+    [
+        (unread_storage, "unread is stored in other files"),
+        (unread_link, "unread is a link to another place"),
+        (repeated_group, "is an object of several names"),
+        (repeated_array, "is an object of several names"),
+    ],
+)
+def test_what_is_not_read_is_looked_at_too(
+    gift: Path, tmp_path: Path, capsys: Output, attack: Callable[..., None], match: str
+) -> None:
+    path = gift / "data" / FILE
+    with h5py.File(path, "r+") as file:
+        attack(file["episode_0"], tmp_path / "secret.bin")
+    sign(gift)
+    refused(gift, match, capsys)
+    out = str(tmp_path / "imported")
+    assert main(["datasets", "import", str(path), "--out", out]) == 1
+    assert match in capsys.readouterr().err and not Path(out).exists()
+
+
+def test_episodes_beyond_those_of_the_metadata_are_refused(
+    gift: Path, episodes: list[Episode], capsys: Output
+) -> None:
+    def change(metadata: dict[str, Any]) -> None:
+        metadata["total_episodes"] = metadata["marl_mm"]["episodes"] = 1
+
+    tamper(gift, change)
+    refused(gift, f"has {len(episodes)} episodes, expected 1", capsys)
+
+
 def start_far_away(group: Any) -> None:
     start = group.attrs["initial_configuration"]
     start[0] = 1e300
@@ -367,12 +416,20 @@ def packed_zeros(file: Any) -> None:
     file.create_dataset("episode_0/infos/d_mm", data=values, compression="gzip")
 
 
+def sum_of_rows(file: Any) -> None:
+    """Each array is as large as one may be, all together are 12 GB."""
+    for number in range(200):
+        file.create_dataset(f"episode_0/{number}", (7_500_000,), "f8", chunks=(10**6,))
+
+
 def many_episodes(file: Any) -> None:
     for number in range(10, 100_010):
         file[f"episode_{number}"] = file["episode_0"]
 
 
-@pytest.mark.parametrize("bomb", [declared_rows, packed_zeros, many_episodes])
+@pytest.mark.parametrize(
+    "bomb", [declared_rows, packed_zeros, sum_of_rows, many_episodes]
+)
 def test_bombs_in_data_are_refused_cheaply(
     gift: Path, tmp_path: Path, bomb: Callable[[Any], None]
 ) -> None:
@@ -389,9 +446,41 @@ def test_bombs_in_data_are_refused_cheaply(
     assert not Path(out).exists()
 
 
+def test_a_text_that_is_repeated_fills_no_memory(tmp_path: Path) -> None:
+    """3,000 texts of 1 MB each, which are one in the file."""
+    path = tmp_path / "texts.hdf5"
+    texts = np.array(["x" * 1_000_000, *["y"] * 2_999], object)
+    with h5py.File(path, "w") as file:
+        file["rewards"] = np.zeros(5)
+        file.attrs["task"] = "Reach-v0"
+        file.attrs.create("texts", texts, dtype=h5py.string_dtype())
+    content = path.read_bytes()
+    begin = content.index((1_000_000).to_bytes(4, "little"))
+    first = content[begin : begin + 16]  # its length and place
+    path.write_bytes(content[:begin] + 3_000 * first + content[begin + 48_000 :])
+    out = tmp_path / "imported"
+    code, memory, error = cheap("datasets", "import", str(path), "--out", str(out))
+    assert code == 1 and error.count("\n") == 1, error
+    assert memory < 500 and not out.exists()
+
+
 def test_metadata_of_a_gigabyte_are_not_read(gift: Path, capsys: Output) -> None:
     os.truncate(gift / "data" / "metadata.json", 10**9)
     refused(gift, "1,000,000,000 bytes, expected at most", capsys)
+
+
+def test_metadata_are_bounded_by_what_ours_need(gift: Path, capsys: Output) -> None:
+    text = "[" + "[]," * 400_000 + "[]]"
+    (gift / "data" / "metadata.json").write_text(text)
+    refused(gift, "1,200,004 bytes, expected at most 1,000,000", capsys)
+
+
+def test_values_of_a_record_are_counted_before_they_are_built(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(json, "loads", None)
+    with pytest.raises(DatasetError, match="it has more than 3,000,000 values"):
+        parse_json("[" + "[]," * 1_500_001 + "[]]", "it", DatasetError)
 
 
 def test_deep_nesting_is_refused(gift: Path, capsys: Output) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
+from marl_mm.commands.output import print_evaluations
 from marl_mm.envs.tasks.reach import Reach
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
@@ -68,6 +69,14 @@ def test_a_notebook_shows_rates_with_intervals_and_names_as_text() -> None:
     assert page.startswith("<table><tr><th>policy</th><th>goals</th>")
     assert page.count("<td>&lt;b&gt;mine&lt;/b&gt;</td>") == 3 and "<b>" not in page
     assert "<td>2 all</td><td>50.0 [9.5, 90.5]</td><td>6.0</td>" in page
+
+
+def test_a_line_break_in_a_name_makes_no_row_on_a_terminal(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    rows = [row("forward", True, 6)]
+    print_evaluations([Evaluation("a\nb", {}, "Reach-v0", {}, 0, rows)])
+    assert r"a\nb " in capsys.readouterr().out
 
 
 def test_no_success_has_no_steps_to_success() -> None:

@@ -44,6 +44,8 @@ def test_older_files_are_read_until_newer_ones_replace_them(tmp_path: Path) -> N
         (b"a,a\n1,2\n", "2 columns of the name a"),
         (b"a\n" * 12_000_000, "more than 1,000,000 cells"),
         (b"ab," * 3_300_000, "more than 1,000,000 cells"),
+        (b",".join(b"%d" % n for n in range(1_001)), "1,001 columns"),
+        (b"a\n" + b"ab," * 900_000 + b"\n", "not as many values as the first"),
         (b"a" * 33_000_000, "33,000,000 bytes, expected at most 32,000,000"),
     ],
 )
