@@ -14,7 +14,12 @@ from marl_mm.archives import check_saved
 from marl_mm.errors import CheckpointError, LayoutError, UsageError
 from marl_mm.files import new_file
 from marl_mm.layout import Layout
-from marl_mm.received import check_kind, check_plain, check_regular
+from marl_mm.received import (
+    check_kind,
+    check_plain,
+    check_regular,
+    refuse_links_out,
+)
 from marl_mm.registry import NAME
 from marl_mm.version1 import checkpoint_layout
 
@@ -98,9 +103,12 @@ def read_checkpoint(path: Path, algorithm: str | None = None) -> dict[str, Any]:
 
     Raises:
         UsageError: If there is no such file.
-        CheckpointError: If it is damaged, or of another algorithm or agent layout.
+        CheckpointError: If it is damaged, a link out of the run folder, or of another
+            algorithm or agent layout.
     """
     file = path / FILE if path.is_dir() else path
+    if path.is_dir():
+        refuse_links_out(path, [FILE], CheckpointError)
     if not file.exists():
         runs = sorted(other.parent for other in path.glob(f"*/{FILE}"))
         meant = f"; did you mean {runs[0]}?" if runs else ""

@@ -32,7 +32,6 @@ from marl_mm.config_diff import refuse_other_config
 from marl_mm.errors import CheckpointError, DivergedError
 from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.progress import Advance, silent
-from marl_mm.received import refuse_links_out
 
 Evaluate = Callable[[LearnedPolicy], CurvePoint]
 """Evaluation of a policy; the loop knows nothing of environments."""
@@ -250,7 +249,6 @@ def _damage_named(run: Path) -> Iterator[None]:
 def _state(
     algorithm: Resumable | OfflineAlgorithm, run: Path, ignored: Sequence[str]
 ) -> dict[str, Any]:
-    refuse_links_out(run, [FILE], CheckpointError)
     checkpoint = read_checkpoint(run, algorithm.name)
     current = asdict(algorithm.config)
     for name in ignored:
