@@ -33,7 +33,8 @@ were like when they had gone on (210 updates, 6 episodes); see further/."""
 def files(tmp_path: Path) -> Path:
     """Copies: reading a dataset leaves a cache beside it, going on changes a run."""
     with tarfile.open(MADE) as archive:
-        archive.extractall(tmp_path, filter="data")
+        archive.extraction_filter = getattr(tarfile, "data_filter", None)  # 3.11.4
+        archive.extractall(tmp_path)
     return tmp_path / "version1"
 
 
