@@ -12,17 +12,24 @@ import numpy as np
 from marl_mm.jit import jit
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.model import GRAVITY, ModelTerms, RobotModel, RobotState
+from marl_mm.robot.vectors import (
+    Symmetric,
+    Vector,
+    added,
+    cross,
+    dot,
+    halves,
+    scaled,
+    times,
+    turned,
+    vector,
+)
 
 BODIES = 8
 """Number of bodies: the base and the seven links of the arm."""
 
 HAND = BODIES - 1
 """Number of the body with the hand."""
-
-Vector = tuple[float, float, float]
-
-Symmetric = tuple[float, float, float, float, float, float]
-"""A symmetric matrix: xx, xy, xz, yy, yz, zz."""
 
 
 class Bodies(NamedTuple):
@@ -193,29 +200,29 @@ def _go_out(
     turn = (0.0, 0.0, v[2])
     turn_rate = (0.0, 0.0, 0.0)
     velocity = (cos * v[0] - sin * v[1], sin * v[0] + cos * v[1], 0.0)
-    x, y, z = _cross(turn, velocity)
+    x, y, z = cross(turn, velocity)
     rate = (x, y, z + GRAVITY)  # as if the ground went up
     for i in range(BODIES):
         if i > 0:
             parent = rotation[i - 1]
-            reach = _turned(parent, _vector(bodies.place[i]))
+            reach = turned(parent, vector(bodies.place[i]))
             velocity, rate = _carried(velocity, rate, turn, turn_rate, reach)
             place[i, 0] = place[i - 1, 0] + reach[0]
             place[i, 1] = place[i - 1, 1] + reach[1]
             place[i, 2] = place[i - 1, 2] + reach[2]
             _rotate(parent, bodies.rotation[i], q[3 + i], rotation[i])
             axis = (rotation[i, 0, 2], rotation[i, 1, 2], rotation[i, 2, 2])
-            lever = _cross(_vector(place[i]), axis)
+            lever = cross(vector(place[i]), axis)
             for k in range(3):
                 motion[2 + i, k], motion[2 + i, 3 + k] = lever[k], axis[k]
-            spin = _scaled(v[2 + i], axis)
-            turn_rate = _sum(turn_rate, _cross(turn, spin))
-            turn = _sum(turn, spin)
+            spin = scaled(v[2 + i], axis)
+            turn_rate = added(turn_rate, cross(turn, spin))
+            turn = added(turn, spin)
         _weigh(i, bodies, scratch, turn, turn_rate, rate)
     hand = rotation[HAND]
-    reach = _turned(hand, _vector(bodies.grasp_place))
+    reach = turned(hand, vector(bodies.grasp_place))
     velocity, rate = _carried(velocity, rate, turn, turn_rate, reach)
-    grasp = _sum(_vector(place[HAND]), reach)
+    grasp = added(vector(place[HAND]), reach)
     for k in range(3):
         terms.position_w[k] = grasp[k] + (q[k] if k < 2 else 0.0)
         terms.velocity_w[k], terms.velocity_w[3 + k] = velocity[k], turn[k]
@@ -224,10 +231,10 @@ def _go_out(
         row = hand[k, 0], hand[k, 1], hand[k, 2]
         for j in range(3):
             column = bodies.grasp_rotation[:, j]
-            terms.rotation_w[k, j] = _dot(row, _vector(column))
+            terms.rotation_w[k, j] = dot(row, vector(column))
     for j in range(10):
-        linear, angular = _halves(motion[j])
-        linear = _sum(linear, _cross(angular, grasp))
+        linear, angular = halves(motion[j])
+        linear = added(linear, cross(angular, grasp))
         for k in range(3):
             terms.jacobian[k, j], terms.jacobian[3 + k, j] = linear[k], angular[k]
 
@@ -252,14 +259,14 @@ def _weigh(
         rate: Acceleration of the body's origin, with gravity [m/s^2].
     """
     mass, rotation = bodies.mass[i], scratch.rotation[i]
-    lever = _turned(rotation, _vector(bodies.com[i]))
-    com = _sum(_vector(scratch.place[i]), lever)
+    lever = turned(rotation, vector(bodies.com[i]))
+    com = added(vector(scratch.place[i]), lever)
     _, rate = _carried(turn, rate, turn, turn_rate, lever)
-    force = _scaled(mass, rate)
+    force = scaled(mass, rate)
     inertia = _seen(rotation, bodies.inertia[i])
-    spin = _times(inertia, turn)
-    moment = _sum(_times(inertia, turn_rate), _cross(turn, spin))
-    moment = _sum(moment, _cross(com, force))
+    spin = times(inertia, turn)
+    moment = added(times(inertia, turn_rate), cross(turn, spin))
+    moment = added(moment, cross(com, force))
     x, y, z = com
     scratch.mass[i] = mass
     for k in range(3):
@@ -286,21 +293,21 @@ def _come_back(scratch: Scratch, terms: ModelTerms) -> None:
             for k in range(6):
                 scratch.inertia[i, k] += scratch.inertia[i + 1, k]
                 scratch.force[i, k] += scratch.force[i + 1, k]
-        mass, moment = scratch.mass[i], _vector(scratch.moment[i])
+        mass, moment = scratch.mass[i], vector(scratch.moment[i])
         about = scratch.inertia[i]
         inertia = about[0], about[1], about[2], about[3], about[4], about[5]
-        force, torque = _halves(scratch.force[i])
+        force, torque = halves(scratch.force[i])
         last = 3 + i
         for j in range(i + 2 if i else 0, last):
-            linear, angular = _halves(motion[j])
-            terms.nonlinear[j] = _dot(linear, force) + _dot(angular, torque)
-            push = _sum(_scaled(mass, linear), _cross(angular, moment))
-            twist = _sum(_times(inertia, angular), _cross(moment, linear))
+            linear, angular = halves(motion[j])
+            terms.nonlinear[j] = dot(linear, force) + dot(angular, torque)
+            push = added(scaled(mass, linear), cross(angular, moment))
+            twist = added(times(inertia, angular), cross(moment, linear))
             for k in range(3):
                 terms.wrench[k, j], terms.wrench[3 + k, j] = push[k], twist[k]
             for k in range(last):
-                linear, angular = _halves(motion[k])
-                value = _dot(linear, push) + _dot(angular, twist)
+                linear, angular = halves(motion[k])
+                value = dot(linear, push) + dot(angular, twist)
                 terms.mass_matrix[k, j] = terms.mass_matrix[j, k] = value
     for k in range(6):
         terms.wrench[k, 10] = scratch.force[0, k]
@@ -319,9 +326,9 @@ def _carried(
         turn_rate: Angular acceleration [rad/s^2].
         reach: Way from the first point to the other [m].
     """
-    sweep = _cross(turn, reach)
-    rate = _sum(rate, _sum(_cross(turn_rate, reach), _cross(turn, sweep)))
-    return _sum(velocity, sweep), rate
+    sweep = cross(turn, reach)
+    rate = added(rate, added(cross(turn_rate, reach), cross(turn, sweep)))
+    return added(velocity, sweep), rate
 
 
 @jit
@@ -332,78 +339,26 @@ def _rotate(
     cos, sin = np.cos(angle), np.sin(angle)
     for k in range(3):
         row = parent[k, 0], parent[k, 1], parent[k, 2]
-        x = _dot(row, _vector(joint[:, 0]))
-        y = _dot(row, _vector(joint[:, 1]))
+        x = dot(row, vector(joint[:, 0]))
+        y = dot(row, vector(joint[:, 1]))
         axes[k, 0], axes[k, 1] = cos * x + sin * y, cos * y - sin * x
-        axes[k, 2] = _dot(row, _vector(joint[:, 2]))
+        axes[k, 2] = dot(row, vector(joint[:, 2]))
 
 
 @jit
 def _seen(rotation: np.ndarray, inertia: np.ndarray) -> Symmetric:
     """An inertia in the axes of the world."""
-    rows = (_vector(rotation[0]), _vector(rotation[1]), _vector(rotation[2]))
+    rows = (vector(rotation[0]), vector(rotation[1]), vector(rotation[2]))
     x, y, z = (
-        _turned(inertia, rows[0]),
-        _turned(inertia, rows[1]),
-        _turned(inertia, rows[2]),
+        turned(inertia, rows[0]),
+        turned(inertia, rows[1]),
+        turned(inertia, rows[2]),
     )
     return (
-        _dot(rows[0], x),
-        _dot(rows[0], y),
-        _dot(rows[0], z),
-        _dot(rows[1], y),
-        _dot(rows[1], z),
-        _dot(rows[2], z),
-    )
-
-
-@jit
-def _turned(rotation: np.ndarray, a: Vector) -> Vector:
-    return (
-        rotation[0, 0] * a[0] + rotation[0, 1] * a[1] + rotation[0, 2] * a[2],
-        rotation[1, 0] * a[0] + rotation[1, 1] * a[1] + rotation[1, 2] * a[2],
-        rotation[2, 0] * a[0] + rotation[2, 1] * a[1] + rotation[2, 2] * a[2],
-    )
-
-
-@jit
-def _times(a: Symmetric, b: Vector) -> Vector:
-    return (
-        a[0] * b[0] + a[1] * b[1] + a[2] * b[2],
-        a[1] * b[0] + a[3] * b[1] + a[4] * b[2],
-        a[2] * b[0] + a[4] * b[1] + a[5] * b[2],
-    )
-
-
-@jit
-def _vector(a: np.ndarray) -> Vector:
-    return a[0], a[1], a[2]
-
-
-@jit
-def _halves(a: np.ndarray) -> tuple[Vector, Vector]:
-    return (a[0], a[1], a[2]), (a[3], a[4], a[5])
-
-
-@jit
-def _sum(a: Vector, b: Vector) -> Vector:
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-@jit
-def _scaled(a: float, b: Vector) -> Vector:
-    return a * b[0], a * b[1], a * b[2]
-
-
-@jit
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@jit
-def _cross(a: Vector, b: Vector) -> Vector:
-    return (
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
+        dot(rows[0], x),
+        dot(rows[0], y),
+        dot(rows[0], z),
+        dot(rows[1], y),
+        dot(rows[1], z),
+        dot(rows[2], z),
     )

@@ -178,9 +178,9 @@ class _Robot:
         for the word; it is found by its value.
         """
         word, size = self.data._address, np.uint64().itemsize
-        while (found := ctypes.c_uint64.from_address(word)).value != array.ctypes.data:
+        while (entry := ctypes.c_uint64.from_address(word)).value != array.ctypes.data:
             word += size
-        return np.ctypeslib.as_array(found).reshape(1)
+        return np.ctypeslib.as_array(entry).reshape(1)
 
     def step(self, target: tuple[float, float]) -> None:
         """Advance by 1/240 s while the wheels turn at these rates [rad/s]."""
