@@ -8,6 +8,7 @@ from marl_mm.plugins import load_installed
 
 if TYPE_CHECKING:
     from marl_mm.datasets.dataset import load_dataset
+    from marl_mm.envs import make_vec, parallel_vec
     from marl_mm.eval.studies.study import Online, Probe, Setting, Study
     from marl_mm.runs.collect import collect
     from marl_mm.runs.evaluate import evaluate
@@ -32,6 +33,8 @@ __all__ = [
     "load_dataset",
     "load_policy",
     "load_run",
+    "make_vec",
+    "parallel_vec",
     "play",
     "repeat",
     "train",
@@ -42,6 +45,7 @@ _MODULES = {
         ("Online", "Probe", "Setting", "Study"), "marl_mm.eval.studies.study"
     ),
     **dict.fromkeys(("Mix", "Source"), "marl_mm.runs.sources"),
+    **dict.fromkeys(("make_vec", "parallel_vec"), "marl_mm.envs"),
     "collect": "marl_mm.runs.collect",
     "evaluate": "marl_mm.runs.evaluate",
     "find_runs": "marl_mm.runs.run",

@@ -1,21 +1,26 @@
 """A function over many items, in this process or in several."""
 
 import os
-import pickle
-import threading
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from importlib.util import find_spec
-from itertools import islice
-from multiprocessing import connection, parent_process
+from itertools import islice, repeat
+from multiprocessing import connection
 from typing import Any, Literal, Protocol, TypeVar, cast
 
 from marl_mm.errors import UsageError, WorkerDiedError
 from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.plugins import Carried
+from marl_mm.pools import (
+    broken_pools_named,
+    close,
+    dead_servers_named,
+    gathered,
+    live_in,
+    opened,
+    submit,
+)
 from marl_mm.processes import limit_memory, process_context
 
 T = TypeVar("T")
@@ -96,9 +101,7 @@ class Workers:
         self._workers = workers
         self._pool: ProcessPoolExecutor | None = None
         if workers > 1:
-            first = Carried(), dict(os.environ), initializer, arguments
-            context = process_context((initializer or _begin).__module__)
-            self._pool = ProcessPoolExecutor(workers, context, _begin, first)
+            self._pool = opened(workers, initializer, arguments)
         elif initializer is not None:
             initializer(*arguments)
 
@@ -111,9 +114,7 @@ class Workers:
     def close(self) -> None:
         """End the processes when they have finished their present items."""
         if self._pool is not None:
-            # At most a few items are in flight; an interrupted wait would hang at exit.
-            with deaf_to_interrupts():
-                self._pool.shutdown(wait=True, cancel_futures=True)
+            close([self._pool])
 
     def map(
         self, function: Callable[[T], R], items: Iterable[T], ahead: int = 4
@@ -134,7 +135,7 @@ class Workers:
             return
         remaining = iter(items)
         pending: deque[Future[R]] = deque()
-        with _broken_pools_named(pending):
+        with broken_pools_named(pending):
             pending += self._submit(function, islice(remaining, self._workers * ahead))
             while pending:
                 result = pending.popleft().result()
@@ -150,7 +151,7 @@ class Workers:
             return
         remaining = iter(items)
         pending: set[Future[R]] = set()
-        with _broken_pools_named(pending):
+        with broken_pools_named(pending):
             pending |= set(
                 self._submit(function, islice(remaining, self._workers * ahead))
             )
@@ -164,12 +165,42 @@ class Workers:
         self, function: Callable[[T], R], items: Iterable[T]
     ) -> list[Future[R]]:
         assert self._pool is not None
-        # Pickled here: the pool's own thread meets an item that cannot be pickled, and
-        # a pool that is closed meanwhile waits for that item forever.
-        packed = [pickle.dumps((function, item)) for item in items]
-        # Workers start here, and inherit the signal mask.
-        with deaf_to_interrupts(), _dead_servers_named():
-            return [self._pool.submit(_call, each) for each in packed]
+        return submit(repeat(self._pool), function, items)
+
+
+class Residents:
+    """Processes that keep what their functions store between calls.
+
+    Args:
+        initializer: Function that is called once in every process.
+        arguments: Arguments of the initializer in each process.
+    """
+
+    def __init__(
+        self,
+        initializer: Callable[..., None],
+        arguments: Sequence[tuple[Any, ...]],
+    ) -> None:
+        self._pools = [opened(1, initializer, each) for each in arguments]
+
+    def call(self, function: Callable[[T], R], items: Iterable[T]) -> list[R]:
+        """Results of a function that runs in every process at once.
+
+        Args:
+            function: Function that is importable by name.
+            items: Its argument in each process.
+
+        Raises:
+            WorkerDiedError: If a process died.
+        """
+        futures: list[Future[R]] = []
+        with broken_pools_named(futures):
+            futures += submit(self._pools, function, items)
+            return gathered(futures)
+
+    def close(self) -> None:
+        """End the processes when they have finished their present calls."""
+        close(self._pools)
 
 
 def apart(
@@ -191,7 +222,7 @@ def apart(
     receiver, sender = context.Pipe(duplex=False)
     arguments = Carried(), dict(os.environ), sender, memory, function, item
     process = context.Process(target=_send, args=arguments, daemon=True)
-    with deaf_to_interrupts(), _dead_servers_named():
+    with deaf_to_interrupts(), dead_servers_named():
         process.start()
     sender.close()
     try:
@@ -208,17 +239,6 @@ def apart(
     raise value
 
 
-@contextmanager
-def _dead_servers_named() -> Iterator[None]:
-    """Explain the failure if the fork server is dead when a process is asked for."""
-    try:
-        yield
-    except (EOFError, ConnectionError) as error:
-        raise WorkerDiedError(
-            "the process that starts the workers died; is there enough memory?"
-        ) from error
-
-
 def _send(
     plugins: Any,
     environment: dict[str, str],
@@ -227,7 +247,7 @@ def _send(
     function: Callable[[T], R],
     item: T,
 ) -> None:
-    _live_in(environment)
+    live_in(environment)
     if memory is not None:
         limit_memory(memory)
     try:
@@ -236,53 +256,6 @@ def _send(
         sender.send((False, WorkerDiedError("it needs more memory than it may have")))
     except Exception as error:
         sender.send((False, error))
-
-
-@contextmanager
-def _broken_pools_named(pending: Collection[Future[Any]]) -> Iterator[None]:
-    """Explain the failure of a pool, and cancel waiting items when the block ends."""
-    try:
-        yield
-    except BrokenProcessPool as error:
-        raise WorkerDiedError(
-            "a worker process died; if memory ran out, use fewer `workers`"
-        ) from error
-    finally:
-        for future in pending:
-            future.cancel()
-
-
-def _begin(
-    plugins: Any,
-    environment: dict[str, str],
-    initializer: Callable[..., None] | None,
-    arguments: tuple[Any, ...],
-) -> None:
-    """Set up a worker: it ends with its parent, even if the parent is killed.
-
-    Its environment variables are the parent's of now, not the fork server's.
-    """
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    _live_in(environment)
-    if initializer is not None:
-        initializer(*arguments)
-
-
-def _call(packed: bytes) -> Any:
-    function, item = pickle.loads(packed)
-    return function(item)
-
-
-def _live_in(environment: dict[str, str]) -> None:
-    os.environ.clear()
-    os.environ.update(environment)
-
-
-def _end_with_parent() -> None:
-    parent = parent_process()
-    assert parent is not None
-    connection.wait([parent.sentinel])
-    os._exit(1)
 
 
 def ordered_map(

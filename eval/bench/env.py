@@ -8,6 +8,7 @@ import numpy as np
 
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.registry import make_task
+from marl_mm.envs.vector import TaskVector
 from marl_mm.jit import jit
 from marl_mm.progress import Bar
 from marl_mm.robot.planar import PlanarModel, planar_terms
@@ -25,12 +26,19 @@ _REPEATS = 2_000
 
 
 def bench_env(
-    task: str, engines: Sequence[Engine], turns: int, steps: int, seed: int, bar: Bar
+    task: str,
+    engines: Sequence[Engine],
+    turns: int,
+    steps: int,
+    seed: int,
+    vector: int,
+    workers: int,
+    bar: Bar,
 ) -> dict[str, Any]:
     """Environment steps per second of engines that take turns in one process.
 
     An engine with a compiled step is timed with the loop in Python, too, which a watch
-    of every tick asks for.
+    of every tick asks for. A vector of environments takes turns with a single one.
 
     Args:
         task: Registered name of the task.
@@ -38,6 +46,8 @@ def bench_env(
         turns: Number of turns of each.
         steps: Environment steps of a turn, with random actions.
         seed: Seed of goals and actions.
+        vector: Number of environments of the vector.
+        workers: Number of its threads or processes.
         bar: Factory of progress bars.
     """
     kinds: dict[str, tuple[EpisodeCore, Any]] = {}
@@ -73,7 +83,42 @@ def bench_env(
         if isinstance(core.drive.model, PlanarModel):
             result[f"{engine}: us of a tick"] = _parts(core, medians[engine])
         core.close()
+    label = f"vector of {vector}, {workers} workers: times the steps/s of one"
+    result[label] = {
+        engine: _speed_up(task, engine, turns, steps, seed, vector, workers)
+        for engine in engines
+    }
     return result
+
+
+def _speed_up(
+    task: str,
+    engine: Engine,
+    turns: int,
+    steps: int,
+    seed: int,
+    vector: int,
+    workers: int,
+) -> float:
+    """Times the steps per second of one environment, with the resets that fall due."""
+    overrides = engine_overrides(engine)
+    one = TaskVector(task, 1, 1, overrides)
+    many = TaskVector(task, vector, workers, overrides)
+    ratios = []
+    for turn in range(-1, turns):  # the first warms up
+        times = []
+        for envs, count in ((one, steps), (many, max(1, 2 * steps // vector))):
+            envs.reset(seed=seed + max(turn, 0))
+            envs.action_space.seed(seed + max(turn, 0))
+            begun = perf_counter()
+            for _ in range(count):
+                envs.step(envs.action_space.sample())
+            times.append((perf_counter() - begun) / count / envs.num_envs)
+        if turn >= 0:
+            ratios.append(times[0] / times[1])
+    one.close()
+    many.close()
+    return float(np.median(ratios))
 
 
 def _timed(

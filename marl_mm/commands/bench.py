@@ -121,8 +121,8 @@ class BenchData(_Bench):
 class BenchEnv(_Bench):
     """Count environment steps per second of the engines, in turns in one process.
 
-    Beside them the loop in Python that a watch of every tick asks for, and the parts of
-    a compiled tick.
+    Beside them the loop in Python that a watch of every tick asks for, the parts of a
+    compiled tick, and a vector of environments against one.
     """
 
     task: Annotated[str, task_help("{}.")] = DEFAULT
@@ -136,11 +136,18 @@ class BenchEnv(_Bench):
     steps: int = 10
     """Environment steps of a turn with random actions."""
 
+    vector: int = 8
+    """Environments of a vector that takes turns with a single one."""
+
+    workers: int = 2
+    """Threads or processes of the vector."""
+
     def measure(self, bar: Bar) -> dict[str, Any]:
         """The benchmark of these options."""
         from marl_mm.eval.bench.env import bench_env
 
-        settings = self.turns, self.steps, self.seed
+        check_positive(vector=self.vector, workers=self.workers)
+        settings = self.turns, self.steps, self.seed, self.vector, self.workers
         return bench_env(self.task, self.engine, *settings, bar)
 
 

@@ -25,11 +25,11 @@ Infos = Mapping[str, Any] | Sequence[Mapping[str, Any]]
 
 
 def goal_observation(state: np.ndarray, layout: Layout) -> GoalObservation:
-    """The joint state, shape (n,), as a goal dictionary."""
+    """Joint states, shape (..., n), as a goal dictionary."""
     return {
-        "observation": state[layout.observation].copy(),
-        "achieved_goal": state[layout.achieved].copy(),
-        "desired_goal": state[layout.goal].copy(),
+        "observation": state[..., layout.observation].copy(),
+        "achieved_goal": state[..., layout.achieved].copy(),
+        "desired_goal": state[..., layout.goal].copy(),
     }
 
 

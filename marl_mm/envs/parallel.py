@@ -31,25 +31,35 @@ def split_action(action: np.ndarray, layout: Layout) -> AgentDict:
     return {agent.name: action[list(agent.action)] for agent in layout.agents}
 
 
-def join_actions(actions: Mapping[str, np.ndarray], layout: Layout) -> np.ndarray:
-    """The joint action, float64, shape (k,), of the agents' actions.
+def join_actions(
+    actions: Mapping[str, np.ndarray], layout: Layout, *batch: int
+) -> np.ndarray:
+    """The joint actions, float64, shape (*batch, k), of the agents' actions.
 
     Raises:
-        InvalidActionError: If an agent is missing or its action has another shape.
+        InvalidActionError: If an agent is missing, or its actions have another shape or
+            are no numbers.
     """
-    joint = np.zeros(len(layout.action))
+    joint = np.zeros((*batch, len(layout.action)))
     for agent in layout.agents:
         if agent.name not in actions:
             raise InvalidActionError(
                 f"no action for agent {agent.name!r}, got {sorted(actions)}"
             )
-        action = np.asarray(actions[agent.name], dtype=np.float64)
-        if action.shape != (len(agent.action),):
+        try:
+            action = np.asarray(actions[agent.name], dtype=np.float64)
+        except (TypeError, ValueError):
+            raise InvalidActionError(
+                f"action of agent {agent.name!r} is {actions[agent.name]!r:.60}, "
+                "expected numbers"
+            ) from None
+        shape = *batch, len(agent.action)
+        if action.shape != shape:
             raise InvalidActionError(
                 f"action of agent {agent.name!r} has shape {action.shape}, expected "
-                f"({len(agent.action)},)"
+                f"{shape}"
             )
-        joint[list(agent.action)] = action
+        joint[..., list(agent.action)] = action
     return joint
 
 

@@ -48,7 +48,7 @@ def test_parts_of_a_tick_belong_together() -> None:
 @pytest.mark.slow
 def test_engines_are_timed_in_turns() -> None:
     engines: tuple[Engine, ...] = ("bullet", "mujoco")
-    result = bench_env("Reach-v0", engines, turns=3, steps=3, seed=0, bar=silent_bar)
+    result = bench_env("Reach-v0", engines, 3, 3, 0, 2, 2, silent_bar)
     loop = "mujoco, loop in Python"
     for label in ("random alpha", "alpha 1"):
         speeds = result[f"{label}: steps/s"]
@@ -56,8 +56,10 @@ def test_engines_are_timed_in_turns() -> None:
         assert set(result[f"{label}: times the steps/s of bullet"]) == {"mujoco", loop}
     parts = result["mujoco: us of a tick"]
     assert sum(parts.values()) == pytest.approx(2 * parts["all"])
-    alone = bench_env("Reach-v0", ["mujoco"], turns=1, steps=1, seed=0, bar=silent_bar)
-    assert not any("times" in quantity for quantity in alone)
+    vectors = result["vector of 2, 2 workers: times the steps/s of one"]
+    assert set(vectors) == set(engines) and min(vectors.values()) > 0
+    alone = bench_env("Reach-v0", ["mujoco"], 1, 1, 0, 2, 1, silent_bar)
+    assert not any("of bullet" in quantity for quantity in alone)
 
 
 @pytest.mark.slow
