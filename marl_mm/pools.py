@@ -4,8 +4,14 @@ import os
 import pickle
 import threading
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import (
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
 from contextlib import contextmanager
 from multiprocessing import connection, parent_process
 from typing import Any, TypeVar
@@ -32,16 +38,28 @@ def gathered(futures: Sequence[Future[R]]) -> list[R]:
 
 
 def opened(
-    workers: int, initializer: Callable[..., None] | None, arguments: tuple[Any, ...]
-) -> ProcessPoolExecutor:
-    """Processes that start with the first call, with this process's plug-ins."""
+    workers: int,
+    initializer: Callable[..., None] | None,
+    arguments: tuple[Any, ...],
+    threads: bool = False,
+) -> Executor:
+    """Processes that start with the first call, with this process's plug-ins.
+
+    Args:
+        workers: Number of processes.
+        initializer: Function that is called once in every process.
+        arguments: Arguments of the initializer.
+        threads: Have threads of this process instead.
+    """
+    if threads:
+        return ThreadPoolExecutor(workers, "", initializer, arguments)
     first = Carried(), dict(os.environ), initializer, arguments
     context = process_context((initializer or _begin).__module__)
     return ProcessPoolExecutor(workers, context, _begin, first)
 
 
 def submit(
-    pools: Iterable[ProcessPoolExecutor],
+    pools: Iterable[Executor],
     function: Callable[[T], R],
     items: Iterable[T],
 ) -> list[Future[R]]:
@@ -55,7 +73,7 @@ def submit(
         return [pool.submit(_call, each) for pool, each in pairs]
 
 
-def close(pools: Iterable[ProcessPoolExecutor]) -> None:
+def close(pools: Iterable[Executor]) -> None:
     """End the processes when they have finished their present calls."""
     # At most a few items are in flight; an interrupted wait would hang at exit.
     with deaf_to_interrupts():
@@ -79,7 +97,7 @@ def broken_pools_named(pending: Collection[Future[Any]]) -> Iterator[None]:
     """Explain the failure of a pool, and cancel waiting items when the block ends."""
     try:
         yield
-    except BrokenProcessPool as error:
+    except BrokenExecutor as error:
         raise WorkerDiedError(
             "a worker process died; if memory ran out, use fewer `workers`"
         ) from error

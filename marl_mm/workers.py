@@ -3,7 +3,8 @@
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent import futures
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from importlib.util import find_spec
 from itertools import islice, repeat
 from multiprocessing import connection
@@ -85,6 +86,7 @@ class Workers:
         workers: Number of processes; with 1, everything runs in this process.
         initializer: Function that is called once in every process.
         arguments: Arguments of the initializer.
+        threads: Have threads of this process, for functions that leave others be.
 
     Raises:
         UsageError: If ``workers`` is not positive.
@@ -95,13 +97,14 @@ class Workers:
         workers: int,
         initializer: Callable[..., None] | None = None,
         arguments: tuple[Any, ...] = (),
+        threads: bool = False,
     ) -> None:
         if workers < 1:
             raise UsageError(f"workers is {workers}, expected >= 1")
         self._workers = workers
-        self._pool: ProcessPoolExecutor | None = None
+        self._pool: futures.Executor | None = None
         if workers > 1:
-            self._pool = opened(workers, initializer, arguments)
+            self._pool = opened(workers, initializer, arguments, threads)
         elif initializer is not None:
             initializer(*arguments)
 
@@ -193,10 +196,10 @@ class Residents:
         Raises:
             WorkerDiedError: If a process died.
         """
-        futures: list[Future[R]] = []
-        with broken_pools_named(futures):
-            futures += submit(self._pools, function, items)
-            return gathered(futures)
+        pending: list[Future[R]] = []
+        with broken_pools_named(pending):
+            pending += submit(self._pools, function, items)
+            return gathered(pending)
 
     def close(self) -> None:
         """End the processes when they have finished their present calls."""

@@ -1,9 +1,10 @@
-"""Episodes of a policy, in order, in this process or in several.
+"""Episodes of a policy, in order, in this process, its threads, or others.
 
 The result depends on the plans alone. Every episode starts from a rebuilt world and
 draws from its own seed, and results are returned in the order of the plans.
 """
 
+import threading
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -13,10 +14,11 @@ from gymnasium.utils import seeding
 
 from marl_mm.envs.core import EpisodeCore, Step
 from marl_mm.envs.drive import Watch
+from marl_mm.envs.slots import threads_serve
 from marl_mm.envs.task import Task
 from marl_mm.episode import Episode
 from marl_mm.policy import Policy
-from marl_mm.workers import Executor, open_pool
+from marl_mm.workers import Executor, Pool, Workers, open_pool
 
 Purpose = Literal["collect", "evaluate", "train"]
 PURPOSES: tuple[Purpose, ...] = get_args(Purpose)
@@ -87,7 +89,8 @@ class Rollouts:
 
     Args:
         task: The task.
-        workers: Number of processes; 1 with "local" is this process.
+        workers: Number of processes, or of threads where a step is one compiled call;
+            1 with "local" is this process.
         executor: Place of the processes: this machine, or a Ray cluster.
 
     Raises:
@@ -99,9 +102,11 @@ class Rollouts:
     ) -> None:
         here = workers == 1 and executor == "local"
         self._core = EpisodeCore(task) if here else None
-        self._pool = (
-            None if here else open_pool(executor, workers, _start_worker, (task,))
-        )
+        self._pool: Pool | None = None
+        if executor == "local" and workers > 1 and threads_serve(task, workers):
+            self._pool = Workers(workers, _start_worker, (task,), threads=True)
+        elif not here:
+            self._pool = open_pool(executor, workers, _start_worker, (task,))
 
     def __enter__(self) -> "Rollouts":
         return self
@@ -150,15 +155,13 @@ def run_episodes(
         yield from rollouts.run(policy, plans)
 
 
-_core: EpisodeCore | None = None
-"""Environment of a worker process."""
+_worker = threading.local()
+"""Environment of a worker, a process or a thread, in its ``core``."""
 
 
 def _start_worker(task: Task) -> None:
-    global _core
-    _core = EpisodeCore(task)
+    _worker.core = EpisodeCore(task)
 
 
 def _run_in_worker(item: tuple[Policy, EpisodePlan]) -> Episode:
-    assert _core is not None
-    return run_episode(_core, *item)
+    return run_episode(_worker.core, *item)

@@ -25,6 +25,19 @@ Backend = Literal["threads", "processes"]
 BACKENDS: tuple[Backend, ...] = get_args(Backend)
 
 
+MOST_THREADS = 4
+"""Largest number of threads: a tenth of an episode's time is Python's, which only one
+of them runs at a time."""
+
+
+def threads_serve(task: Task, workers: int) -> bool:
+    """Whether threads run a task's steps side by side, as compiled calls let them."""
+    compiled = task.simulation.engine != "bullet" and (
+        type(task).at_tick is Task.at_tick and task.controller.solver == "active-set"
+    )
+    return compiled and workers <= MOST_THREADS
+
+
 class Outcome(NamedTuple):
     """Result of an environment's step, beside its state."""
 

@@ -13,7 +13,15 @@ from gymnasium.vector.utils import batch_space
 from marl_mm.envs.core import check_render_mode, render_metadata
 from marl_mm.envs.goal_env import GoalObservation, goal_observation
 from marl_mm.envs.registry import DEFAULT, make_task
-from marl_mm.envs.slots import BACKENDS, Apart, Backend, Here, Outcome, Slots
+from marl_mm.envs.slots import (
+    BACKENDS,
+    Apart,
+    Backend,
+    Here,
+    Outcome,
+    Slots,
+    threads_serve,
+)
 from marl_mm.envs.task import Task
 from marl_mm.errors import InvalidActionError, UsageError, WorkerDiedError
 from marl_mm.layout import Layout
@@ -236,8 +244,8 @@ class GoalVector(TaskVector):
     """Vector environment of ``GoalEnv``, ``marl_mm.make_vec("Reach-v0", 8)``.
 
     Every number is that of n single environments to the last bit, whatever the workers.
-    Threads serve where a step is one compiled call (engine ``"mujoco"``), processes
-    elsewhere, with some of the environments in each.
+    Up to four workers are threads where a step is one compiled call (engine
+    ``"mujoco"``); they are processes elsewhere, with some of the environments in each.
 
     Args:
         task: Registered name of the task.
@@ -270,7 +278,8 @@ def _opened(
     """
     bullet = visual or task.simulation.engine == "bullet"
     if backend is None:
-        backend = "threads" if _compiled(task) and not bullet else "processes"
+        serve = threads_serve(task, workers) and not visual
+        backend = "threads" if serve else "processes"
     elif backend not in BACKENDS:
         raise UsageError(
             f"backend is {backend!r}, expected {' or '.join(BACKENDS)}, or None"
@@ -283,9 +292,3 @@ def _opened(
     if workers == 1 or backend == "threads":
         return Here(task, n, workers, visual)
     return Apart(task, n, workers, visual)
-
-
-def _compiled(task: Task) -> bool:
-    """Whether the task's steps may be compiled calls, which leave other threads be."""
-    plain = type(task).at_tick is Task.at_tick
-    return plain and task.controller.solver == "active-set"

@@ -1,0 +1,98 @@
+"""Episodes in threads and processes are those of a single process."""
+
+import threading
+
+import numpy as np
+import psutil
+import pytest
+
+from marl_mm.algorithms.explore import Explorer
+from marl_mm.algorithms.policy import LearnedPolicy
+from marl_mm.envs import slots
+from marl_mm.envs.registry import make_task
+from marl_mm.envs.rollout import EpisodePlan, Rollouts
+from marl_mm.envs.task import Task
+from marl_mm.episode import Episode
+from marl_mm.policy import Policy
+from marl_mm.runs.policies import load_policy
+
+PLANS = [EpisodePlan(i, 10 + i) for i in range(5)]
+
+
+def noisy() -> Explorer:
+    policy = load_policy("pretrained")
+    assert isinstance(policy, LearnedPolicy)
+    return Explorer(policy, noise=0.1, random_share=0.2)
+
+
+def content(episode: Episode) -> tuple[object, ...]:
+    arrays = episode.states, episode.actions, episode.rewards, episode.start
+    info = [(name, values.tobytes()) for name, values in episode.info.items()]
+    return episode.index, *(array.tobytes() for array in arrays), *info
+
+
+def kinds() -> tuple[int, int]:
+    """Numbers of threads and of worker processes."""
+    me = psutil.Process()
+    others = [p for p in me.children(recursive=True) if p.ppid() != me.pid]
+    return threading.active_count() - 1, len(others)
+
+
+def run(task: Task, policy: Policy, workers: int) -> list[Episode]:
+    with Rollouts(task, workers) as rollouts:
+        return list(rollouts.run(policy, PLANS))
+
+
+@pytest.mark.parametrize("form", ["blend", "rhp"])
+def test_threads_and_processes_run_the_same_episodes(
+    monkeypatch: pytest.MonkeyPatch, form: str
+) -> None:
+    simulation, controller = {"engine": "mujoco"}, {"form": form}
+    settings = {"simulation": simulation, "controller": controller, "max_steps": 4}
+    task, policy = make_task("Reach-v0", settings), noisy()
+    alone = [content(episode) for episode in run(task, policy, 1)]
+    with Rollouts(task, 2) as rollouts:
+        episodes = list(rollouts.run(policy, PLANS))
+        assert kinds() == (2, 0)
+        ready = rollouts.completed(policy, PLANS)
+        assert sorted(episode.index for episode in ready) == list(range(5))
+    assert [content(episode) for episode in episodes] == alone
+    assert kinds() == (0, 0)
+    monkeypatch.setattr(slots, "MOST_THREADS", 1)
+    with Rollouts(task, 2) as rollouts:
+        episodes = list(rollouts.run(policy, PLANS))
+        assert kinds()[1] == 2
+    assert [content(episode) for episode in episodes] == alone
+
+
+def test_threads_serve_only_where_steps_leave_others_be() -> None:
+    for settings, workers, serve in (
+        ({"simulation": {"engine": "mujoco"}}, 4, True),
+        ({"simulation": {"engine": "mujoco"}}, 5, False),
+        ({}, 2, False),
+        (
+            {
+                "simulation": {"engine": "mujoco"},
+                "controller": {"solver": "proxqp"},
+            },
+            2,
+            False,
+        ),
+    ):
+        assert slots.threads_serve(make_task("Reach-v0", settings), workers) == serve
+
+
+def test_a_policy_goes_on_learning_while_its_episodes_run() -> None:
+    """A worker acts with the weights of when the episode was handed out."""
+    task = make_task("Reach-v0", {"simulation": {"engine": "mujoco"}, "max_steps": 2})
+    policy = load_policy("pretrained")
+    assert isinstance(policy, LearnedPolicy)
+    with Rollouts(task, 2) as rollouts:
+        expected = [content(episode) for episode in rollouts.run(policy, PLANS)]
+        episodes = rollouts.run(policy, PLANS)
+        first = next(episodes)
+        for agent in policy.agents.values():
+            for weight in agent.actor.parameters():
+                weight.data.zero_()
+        assert [content(e) for e in (first, *episodes)] == expected
+    assert not np.isnan(first.states).any()
