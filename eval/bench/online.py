@@ -6,7 +6,7 @@ for both. Ours does more in an update: its critic's layers are normalised; it is
 without that, too.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from time import perf_counter
@@ -16,7 +16,6 @@ import numpy as np
 
 from marl_mm.algorithms.ddpg import Ddpg
 from marl_mm.algorithms.ddpg_config import DdpgConfig
-from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.maddpg import Maddpg
 from marl_mm.algorithms.maddpg_config import MaddpgConfig
 from marl_mm.algorithms.online import run_cycle
@@ -26,7 +25,6 @@ from marl_mm.algorithms.speed import prepare_for_small_networks
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import EpisodePlan, Rollouts, episode_seed
 from marl_mm.envs.task import Task
-from marl_mm.episode import Episode
 from marl_mm.eval.bench import SB3
 from marl_mm.eval.evaluate import evaluate_with
 from marl_mm.policy import Policy
@@ -143,11 +141,7 @@ def _taught(
     rollouts: Rollouts, hyper: DdpgConfig, env_steps: int, seed: int, advance: Advance
 ) -> Ddpg:
     """Our learner, after so many steps."""
-
-    def run_episodes(policy: Explorer, numbers: Iterable[int]) -> Iterator[Episode]:
-        plans = [EpisodePlan(i, episode_seed(seed, i, "train")) for i in numbers]
-        return rollouts.run(policy, plans)
-
+    run_episodes = partial(rollouts.train, seed)
     task = make_task(TASK)
     learner = Ddpg(hyper, task, seed, (), task.layout)
     while learner.env_steps < env_steps:

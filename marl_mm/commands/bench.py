@@ -151,6 +151,37 @@ class BenchEnv(_Bench):
         return bench_env(self.task, self.engine, *settings, bar)
 
 
+@dataclass(frozen=True)
+class BenchLearning(_Bench):
+    """Time until online learners reach 95 % of goals, on engines in turns.
+
+    It trains as ``marl-mm train`` does with the tuned presets.
+    """
+
+    task: Annotated[str, task_help("{}.")] = DEFAULT
+
+    algorithm: tuple[str, ...] = ("ddpg-her", "maddpg-her")
+    """Online algorithms."""
+
+    engine: tuple[Engine, ...] = ("bullet", "mujoco")
+    """Engines to compare; the first is the others' reference."""
+
+    seeds: int = 3
+    """Number of seeds, from ``seed`` on."""
+
+    workers: int = 2
+    """Processes, or threads, that run episodes."""
+
+    def measure(self, bar: Bar) -> dict[str, Any]:
+        """The benchmark of these options."""
+        from marl_mm.eval.bench.learning import bench_learning
+
+        check_positive(seeds=self.seeds, workers=self.workers)
+        seeds, choice = range(self.seed, self.seed + self.seeds), self.engine
+        settings = self.task, self.algorithm, choice, seeds, self.workers
+        return bench_learning(*settings, bar)
+
+
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm bench``."""
     _, options = parse_subcommand(
@@ -159,6 +190,7 @@ def main(arguments: Sequence[str]) -> None:
             control=BenchControl,
             abuse=BenchAbuse,
             train=BenchTrain,
+            learning=BenchLearning,
             data=BenchData,
         ),
         "marl-mm bench",

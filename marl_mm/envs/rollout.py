@@ -135,6 +135,13 @@ class Rollouts:
                 _run_in_worker, ((policy, plan) for plan in plans)
             )
 
+    def train(
+        self, seed: int, policy: Policy, numbers: Iterable[int]
+    ) -> Iterator[Episode]:
+        """Run the training episodes of a seed with these numbers; see ``run``."""
+        plans = [EpisodePlan(i, episode_seed(seed, i, "train")) for i in numbers]
+        return self.run(policy, plans)
+
     def completed(
         self, policy: Policy, plans: Iterable[EpisodePlan]
     ) -> Iterator[Episode]:

@@ -49,10 +49,10 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
         check_render_mode(render_mode)
         workers = available_cores() if workers is None else workers
         for name, number in {"n": n, "workers": workers}.items():
-            if isinstance(number, bool) or not isinstance(number, int) or number < 1:
+            if not isinstance(number, int | np.integer) or number < 1:
                 raise UsageError(f"{name} is {number!r}, expected an integer >= 1")
         self.task = make_task(task, overrides)
-        self.num_envs, self.render_mode = n, render_mode
+        self.num_envs, self.render_mode = int(n), render_mode
         self.metadata = {
             **render_metadata(self.task),
             "autoreset_mode": AutoresetMode.SAME_STEP,

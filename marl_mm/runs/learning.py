@@ -1,15 +1,15 @@
 """Runs that learn, from a dataset or online: what stops them, and their training."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import torch
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
-from marl_mm.algorithms.explore import Explorer
-from marl_mm.algorithms.online import RunEpisodes, is_flat, train_online
+from marl_mm.algorithms.online import is_flat, train_online
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.algorithms.runlog import CurvePoint, read_metrics
@@ -17,8 +17,7 @@ from marl_mm.algorithms.speed import prepare_for_small_networks, resolved
 from marl_mm.algorithms.train import resume, resume_seeds, train
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.envs.registry import make_task
-from marl_mm.envs.rollout import EpisodePlan, Rollouts, episode_seed
-from marl_mm.episode import Episode
+from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import DatasetError, UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate, evaluate_with
 from marl_mm.files import only_here, write_json
@@ -243,7 +242,7 @@ def train_runs(
             train_online(
                 algorithm,
                 folders[0],
-                _episodes(rollouts, *runs),
+                partial(rollouts.train, next(iter(runs))),
                 point,
                 training.schedule,
                 advance,
@@ -252,14 +251,6 @@ def train_runs(
     for seed, run in runs.items():
         evaluate_run(training, dataset, run, bar, f"eval {seed}")
     return folders
-
-
-def _episodes(rollouts: Rollouts, seed: int) -> RunEpisodes:
-    def run_episodes(policy: Explorer, numbers: Iterable[int]) -> Iterator[Episode]:
-        plans = [EpisodePlan(i, episode_seed(seed, i, "train")) for i in numbers]
-        return rollouts.run(policy, plans)
-
-    return run_episodes
 
 
 def curve_point(evaluation: Evaluation) -> CurvePoint:

@@ -11,9 +11,11 @@ from marl_mm.control.config import Form
 from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import MarlMmError
+from marl_mm.eval.bench import learning
 from marl_mm.eval.bench.abuse import abuse
 from marl_mm.eval.bench.control import bench_control
 from marl_mm.eval.bench.env import bench_env
+from marl_mm.eval.bench.learning import bench_learning
 from marl_mm.eval.bench.offline import (
     AUTHORS,
     LEARNERS,
@@ -60,6 +62,17 @@ def test_engines_are_timed_in_turns() -> None:
     assert set(vectors) == set(engines) and min(vectors.values()) > 0
     alone = bench_env("Reach-v0", ["mujoco"], 1, 1, 0, 2, 1, silent_bar)
     assert not any("of bullet" in quantity for quantity in alone)
+
+
+@pytest.mark.slow
+def test_learning_is_timed_to_the_episodes_of_training(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(learning, "RATE", 0.0)  # the first evaluation ends it
+    result = bench_learning("Reach-v0", ["ddpg-her"], ["mujoco"], [3], 2, silent_bar)
+    assert result["ddpg-her: episodes to 0%"] == {"mujoco": [40]}
+    assert result["ddpg-her: seconds"]["mujoco"][0] > 0
+    assert result["ddpg-her: times the seconds of mujoco"] == {}
 
 
 @pytest.mark.slow
