@@ -15,7 +15,7 @@ from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.episode import Episode
 from marl_mm.eval.goals import goal_set
-from marl_mm.eval.grouping import by_goal, grouped, mean_of
+from marl_mm.eval.grouping import by_goal, engine_in, grouped, mean_of
 from marl_mm.eval.intervals import bootstrap_interval
 from marl_mm.eval.metrics import Row, alphas
 from marl_mm.eval.rows import read_rows, write_csv
@@ -140,7 +140,7 @@ def summarize_worth(rows: Sequence[Row]) -> list[Row]:
                 {
                     "setting": setting,
                     "task": held[0]["task"],
-                    **{key: held[0][key] for key in ("engine",) if key in held[0]},
+                    **engine_in(held),
                     "seed": seed,
                     "alpha": alpha,
                     "goals": len(held),

@@ -119,13 +119,13 @@ class RowStore:
         """
         named = {cell_name(cell): engine_named(cell[0]) for cell in cells}
         there = {cell_name(cell): self._engine(cell) for cell in cells}
-        free = sorted({e for name, e in there.items() if e and not named[name]})
+        free = sorted({e for name, e in there.items() if e if not named[name]})
         if asked is None and len(free) > 1:
             raise UsageError(
                 f"{self.folder} has rows of engines {' and '.join(free)}, expected one "
                 f"in a table: choose it with `engine`, and {_ADVICE}"
             )
-        rest = asked or next(iter(free), DEFAULT_ENGINE)
+        rest = asked or (free[0] if free else DEFAULT_ENGINE)
         for cell in cells:
             engine, wanted = there[cell_name(cell)], named[cell_name(cell)] or rest
             if engine not in (None, wanted):

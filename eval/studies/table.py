@@ -117,8 +117,9 @@ class Table:
 
 
 def _engine(line: Line) -> str:
-    """Engine of the first probe; older rows name none and are of the default."""
-    return str(line.row.get("engine") or DEFAULT_ENGINE)
+    """Engines of the probes; older rows name none and are of the default."""
+    engines = (str(row.get("engine") or DEFAULT_ENGINE) for row in line.rows.values())
+    return ", ".join(dict.fromkeys(engines))
 
 
 # --- A row per probe ---------------------------------------------------------
@@ -173,7 +174,7 @@ def _iqm(line: Line, name: str) -> str:
 
 
 def _short(probe: Probe) -> Column:
-    if probe.alpha is None:
+    if probe.alpha is None and probe.engine is None:
         return Column(
             probe.about, lambda line: rate_with_interval(line.rows[probe.name])
         )
