@@ -31,3 +31,8 @@ def by_goal(rows: Sequence[Mapping[str, Any]], name: str) -> NDArray[np.float64]
 def mean_of(rows: Sequence[Mapping[str, Any]], name: str) -> float:
     """Mean of a column."""
     return float(np.mean([row[name] for row in rows]))
+
+
+def engine_in(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Column ``engine`` of a row that sums up these; none where they name no engine."""
+    return {"engine": rows[0]["engine"]} if rows[0].get("engine") else {}

@@ -1,7 +1,11 @@
 """Versions of the packages that decide the bytes of a file."""
 
 import platform
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Mapping
+from importlib import metadata
+from importlib.metadata import PackageNotFoundError
+
+from marl_mm.sim.config import ENGINES, Engine
 
 PACKAGES = (
     "pybullet",
@@ -17,6 +21,18 @@ PACKAGES = (
 )
 
 
+def engine_text(engine: Engine, packages: Mapping[str, str] | None = None) -> str:
+    """An engine with its version, such as "mujoco 4.0.0".
+
+    Args:
+        engine: Name of the engine.
+        packages: Versions by package; default those of now.
+    """
+    package, _ = ENGINES[engine]
+    version = (versions() if packages is None else packages).get(package, "")
+    return f"{engine} {version}".strip()
+
+
 def versions(*others: str) -> dict[str, str]:
     """Versions of Python, of this package, of ``PACKAGES`` and of others, by name."""
     from marl_mm import __version__  # of this code, whatever is installed
@@ -24,7 +40,7 @@ def versions(*others: str) -> dict[str, str]:
     numbers = {"python": platform.python_version(), "marl-mm": __version__}
     for name in (*PACKAGES, *others):
         try:
-            numbers[name] = version(name)
+            numbers[name] = metadata.version(name)
         except PackageNotFoundError:  # a copied folder, not an installed package
             numbers[name] = "unknown"
     return numbers

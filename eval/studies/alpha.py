@@ -15,7 +15,7 @@ from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.episode import Episode
 from marl_mm.eval.goals import goal_set
-from marl_mm.eval.grouping import by_goal, grouped, mean_of
+from marl_mm.eval.grouping import by_goal, engine_in, grouped, mean_of
 from marl_mm.eval.intervals import bootstrap_interval
 from marl_mm.eval.metrics import Row, alphas
 from marl_mm.eval.rows import read_rows, write_csv
@@ -26,6 +26,8 @@ from marl_mm.eval.tables import markdown_table
 from marl_mm.policy import Policy
 from marl_mm.progress import Bar
 from marl_mm.runs.folder import read_config
+from marl_mm.sim.config import engine_overrides
+from marl_mm.versions import engine_text
 
 ABOUT = "What alpha the trained agents choose, and what it is worth."
 """Title."""
@@ -60,12 +62,14 @@ def make_worth(options: StudyOptions, bar: Bar) -> list[Row]:
             run = options.run_folder(cell, seed)
             made_of = read_config(run).to_json()
             changed = {k: made_of[k] for k in ("max_steps",) if k in made_of}
+            changed |= engine_overrides(made_of["engine"])
             task = make_task(made_of["task"], changed)
             policy = load_policy(run / BEST)
             actors: list[tuple[float | str, Policy]] = [(LEARNT, policy)]
             actors += [(alpha, FixedAlpha(policy, alpha)) for alpha in alphas]
             advance = bar(f"{cell[1].name} {seed}", goals * len(actors))
             head: Row = {"setting": cell[1].name, "seed": seed, "task": made_of["task"]}
+            head["engine"] = engine_text(made_of["engine"])
             learnt: list[Episode] = []
             # Goals of seeds 0 and 1 are the runs' own evaluations.
             plans = goal_set(task, goals, seed=2)
@@ -136,6 +140,7 @@ def summarize_worth(rows: Sequence[Row]) -> list[Row]:
                 {
                     "setting": setting,
                     "task": held[0]["task"],
+                    **engine_in(held),
                     "seed": seed,
                     "alpha": alpha,
                     "goals": len(held),

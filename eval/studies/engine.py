@@ -99,11 +99,11 @@ class Engine:
             folder: Folder of the files.
 
         Raises:
-            UsageError: If rows are missing.
+            UsageError: If rows are missing, or of another engine.
         """
         store, seeds = self.options.store, self.options.seeds_of(study)
         with damage_named(f"{store.folder}, rows of {name}", MarlMmError):
-            rows = summarize(study, store, seeds)
+            rows = summarize(study, store, seeds, self.options.engine)
         write_csv(folder / f"{name}.csv", rows)
         if not study.figure:
             return Table(study, rows)
@@ -158,7 +158,8 @@ class Engine:
         options = self.options
         small = options.runs_folder / "datasets" if options.small else None
         pool = options.workers, options.executor
-        datasets = Datasets(small, *pool, self.notify, self.bar, _DECLARED, plan=plan)
+        tools = *pool, self.notify, self.bar, _DECLARED
+        datasets = Datasets(small, *tools, plan=plan, engine=options.engine)
         return missing_jobs(options, studies.values(), datasets)
 
 

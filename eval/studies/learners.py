@@ -29,6 +29,7 @@ from marl_mm.runs.sources import Data
 from marl_mm.runs.training import Offline, Training
 from marl_mm.runs.training import Online as OnlineTraining
 from marl_mm.runs.training import training_of as default_training
+from marl_mm.sim.config import DEFAULT_ENGINE, Engine
 
 _SMALL = {"updates": 120, "episodes": 8, "warm_up": 12, "updates_per_episode": 5}
 """Hyper-parameters with the smoke budget."""
@@ -128,7 +129,11 @@ class Learner:
 
 
 def training_of(
-    source: Data | Online, setting: Setting, small: bool, precision: Precision = "auto"
+    source: Data | Online,
+    setting: Setting,
+    small: bool,
+    precision: Precision = "auto",
+    engine: Engine = DEFAULT_ENGINE,
 ) -> Training:
     """Settings of a cell's runs, without the path of its dataset.
 
@@ -137,6 +142,7 @@ def training_of(
         setting: Algorithm and hyper-parameters.
         small: Whether hardly anything is trained.
         precision: Precision of matrix products of offline runs.
+        engine: Engine of the simulation.
     """
     training: Training
     changes = dict(setting.changes)
@@ -162,6 +168,7 @@ def training_of(
     if small:
         changes |= {k: v for k, v in _SMALL.items() if hasattr(training.config, k)}
         run_settings = {"eval_episodes": 2, "curve_episodes": 2, "max_steps": 4}
+    run_settings["engine"] = engine
     config = replace(training.config, **changes)
     return replace(training, config=config, workers=1, resume=True, **run_settings)
 

@@ -28,7 +28,7 @@ BLOCKS = tuple(
 _MABC = Setting("mabc", "MABC", "mabc")
 _TD3_BC = Setting("td3-bc", "TD3+BC")
 _MATD3_BC = Setting("matd3-bc", "MATD3+BC", "matd3-bc")
-_LEARNERS = (_MABC, _TD3_BC, _MATD3_BC)
+LEARNERS = (_MABC, _TD3_BC, _MATD3_BC)
 
 _FEWER = 100
 """Evaluation goals per run in ``cures``, where settings are only compared with each
@@ -113,15 +113,15 @@ _WITHIN = tuple(
 STUDIES = {
     "offline": beside_the_paper(
         "Table: MABC, TD3+BC and MATD3+BC on the paper's datasets.",
-        tuple(product((*GOOD, PD_30K, *MIXES), _LEARNERS)),
+        tuple(product((*GOOD, PD_30K, *MIXES), LEARNERS)),
     ),
     "tasks": beside_the_paper(
         "Table: the same on SmoothReach-v0 and PreciseReach-v0.",
-        tuple(product(OTHER_TASKS, _LEARNERS)),
+        tuple(product(OTHER_TASKS, LEARNERS)),
     ),
     "blocks": beside_the_paper(
         "Table: the same on 20,000 steps of a script that carries, takes, or both.",
-        tuple(product(BLOCKS, _LEARNERS)),
+        tuple(product(BLOCKS, LEARNERS)),
     ),
     "cures": beside_the_paper(
         "Table: why TD3+BC and MATD3+BC fail, and what cures them.",
@@ -133,12 +133,12 @@ STUDIES = {
     ),
     "held": beside_the_paper(
         "Table: what the learnt alpha is worth against one held.",
-        tuple(product((GOOD_30K, *OTHER_TASKS), _LEARNERS)),
+        tuple(product((GOOD_30K, *OTHER_TASKS), LEARNERS)),
         (LAST, *_HELD),
     ),
     "within": beside_the_paper(
         "Table: how much hangs on the distance that counts as reached.",
-        tuple(product((GOOD_30K, MIXES[1]), _LEARNERS)),
+        tuple(product((GOOD_30K, MIXES[1]), LEARNERS)),
         (LAST, *_WITHIN),
     ),
 }

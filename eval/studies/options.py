@@ -5,9 +5,11 @@ from pathlib import Path
 from typing import Literal
 
 from marl_mm.algorithms.config_checks import Precision
+from marl_mm.envs.registry import make_task
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.study import Cell, Study, cell_name
 from marl_mm.runs.settings import check_positive, check_seeds
+from marl_mm.sim.config import DEFAULT_ENGINE, Engine, engine_overrides
 from marl_mm.workers import Executor
 
 RESULTS = "results"
@@ -20,7 +22,7 @@ class StudyOptions:
 
     runs: Path | None = None
     """Folder of the raw runs, RUNS/SOURCE/SETTING/SEED; missing ones are trained;
-    default runs/studies, or runs/studies-smoke."""
+    default runs/studies, with "-smoke" and "-mujoco" for that budget and engine."""
 
     out: Path | None = None
     """Folder of tables and figures, and in OUT/rows of the evaluations that they are
@@ -36,6 +38,11 @@ class StudyOptions:
 
     precision: Precision = "auto"
     """Precision of matrix products; see "marl-mm train td3-bc --help"."""
+
+    engine: Engine | None = None
+    """Engine of the simulation, bullet or mujoco, where a study names none: of the
+    datasets that are collected, and of all evaluations; default that of the rows in
+    OUT, or bullet."""
 
     workers: int = 1
     """Runs at once; the result does not depend on their number."""
@@ -57,6 +64,7 @@ class StudyOptions:
             UsageError: Naming the option.
         """
         check_positive(workers=self.workers)
+        make_task(overrides=engine_overrides(self.engine))
         if self.seeds is not None:
             check_seeds(self.seeds)
 
@@ -67,10 +75,10 @@ class StudyOptions:
 
     @property
     def runs_folder(self) -> Path:
-        """``runs`` or its default."""
-        return self.runs or Path("runs") / (
-            "studies-smoke" if self.small else "studies"
-        )
+        """``runs`` or its default; the engines' runs are not in one folder."""
+        name = "studies-smoke" if self.small else "studies"
+        other = self.engine not in (None, DEFAULT_ENGINE)
+        return self.runs or Path("runs") / (f"{name}-{self.engine}" if other else name)
 
     @property
     def results(self) -> Path:

@@ -21,6 +21,7 @@ from marl_mm.eval.studies.study import (
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar
 from marl_mm.runs.sources import Datasets
+from marl_mm.sim.config import Engine, engine_of
 
 
 def missing_jobs(
@@ -29,15 +30,19 @@ def missing_jobs(
     """Jobs of the cells of some studies without rows, each cell once; some may be done.
 
     Raises:
-        UsageError: If two settings share a name, or a dataset is missing and
-            has no source to make it from.
+        UsageError: If two settings share a name, a dataset is missing and has no
+            source to make it from, or data or rows are of another engine.
         OtherConfigError: If there are rows or runs that were made with something else.
     """
     jobs: list[Job] = []
     loaded: dict[str, Dataset] = {}
-    for cell, probes, asked in _cells(options, studies):
+    cells = _cells(options, studies)
+    engines = options.store.engines([cell for cell, _, _ in cells], options.engine)
+    for cell, probes, asked in cells:
         source, setting = cell
-        training = training_of(source, setting, options.small, options.precision)
+        engine = engines[cell_name(cell)]
+        how = options.small, options.precision, engine
+        training = training_of(source, setting, *how)
         record = made_of(setting, training)
         seeds = options.store.missing(cell, asked, probes, record)
         if not seeds:
@@ -49,6 +54,7 @@ def missing_jobs(
             loaded[name] = loaded.get(name) or datasets.get(data)
             location = loaded[name].location
             if not datasets.plan:
+                _check_engine(loaded[name], engine)
                 options.store.check_dataset(cell, loaded[name].identity())
         learner = Learner(training, location, setting.library == "sb3")
         runs = {seed: options.run_folder(cell, seed) for seed in seeds}
@@ -60,6 +66,16 @@ def missing_jobs(
             raise OtherConfigError(error.difference, advice) from error
         jobs += [Job(cell, seed, run, learner, probes) for seed, run in runs.items()]
     return jobs
+
+
+def _check_engine(dataset: Dataset, engine: Engine) -> None:
+    """Raise a UsageError for a dataset of another engine than its cell."""
+    given = engine_of(dataset.provenance.overrides)
+    if given != engine:
+        raise UsageError(
+            f"dataset {dataset.location.name} is of engine {given}, expected {engine}: "
+            f"ask for `engine` {given}, and let a Probe's `overrides` name the other"
+        )
 
 
 def by_cell(jobs: Iterable[Job]) -> list[list[Job]]:

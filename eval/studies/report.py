@@ -17,10 +17,10 @@ from marl_mm.eval.bench.tables import (
     offline_speed_table,
 )
 from marl_mm.eval.rows import read_rows
-from marl_mm.eval.studies.alpha import ABOUT, STEPS, WORTH, worth_table
+from marl_mm.eval.studies.alpha import STEPS
 from marl_mm.eval.studies.paper import NOTE
 from marl_mm.eval.studies.table import Table
-from marl_mm.eval.studies.targets import STUDIES
+from marl_mm.eval.studies.targets import COMPARISONS, STUDIES
 from marl_mm.eval.tables import literal_table, markdown_html, markdown_table
 from marl_mm.received import (
     check_regular,
@@ -139,8 +139,10 @@ def _studies(results: Path, folder: Path) -> Iterator[Section]:
         if path := tables.pop(f"{name}.csv", None):
             table = Table(study, read_rows(path))
             yield drawn(name, study.about, name, f"{table.markdown()}\n{NOTE}")
-    if path := tables.pop(WORTH, None):
-        yield drawn("alpha", ABOUT, "alpha", worth_table(read_rows(path)))
+    for name, comparison in COMPARISONS.items():
+        if path := tables.pop(comparison.file, None):
+            text = comparison.markdown(read_rows(path))
+            yield drawn(name, comparison.about, name, text)
     tables.pop(STEPS, None)
     for path in tables.values():
         text = literal_table(read_rows(path))

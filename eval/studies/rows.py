@@ -23,9 +23,18 @@ from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.grouping import grouped
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import as_read, has_rows, read_rows, write_csv
-from marl_mm.eval.studies.study import BEST, LAST, Cell, Probe, cell_name
+from marl_mm.eval.studies.study import (
+    BEST,
+    LAST,
+    Cell,
+    Probe,
+    cell_name,
+    engine_named,
+)
 from marl_mm.files import only_here, write_json
 from marl_mm.received import check_kind, damage_named, read_json
+from marl_mm.sim.config import DEFAULT_ENGINE, ENGINES, Engine
+from marl_mm.versions import engine_text
 
 _ADVICE = "name another folder with `out`"
 """Advice if rows are of runs with another config."""
@@ -95,6 +104,55 @@ class RowStore:
         refuse_other_config(path, record, {**recorded, "probes": there}, _ADVICE)
         pairs = {(row["seed"], row["probe"]) for row in self._rows(cell)}
         return [seed for seed in seeds if not pairs >= set(product([seed], ways))]
+
+    def engines(
+        self, cells: Sequence[Cell], asked: Engine | None
+    ) -> dict[tuple[str, str], Engine]:
+        """Engines of cells, by their names.
+
+        They are what a cell's source names; of the others what is asked for, or else
+        that of the rows there, or the default.
+
+        Raises:
+            UsageError: If a cell's rows are of another engine than that; if those of
+                several cells that name none are of two.
+        """
+        named = {cell_name(cell): engine_named(cell[0]) for cell in cells}
+        there = {cell_name(cell): self._engine(cell) for cell in cells}
+        free = sorted({e for name, e in there.items() if e if not named[name]})
+        if asked is None and len(free) > 1:
+            raise UsageError(
+                f"{self.folder} has rows of engines {' and '.join(free)}, expected one "
+                f"in a table: choose it with `engine`, and {_ADVICE}"
+            )
+        rest = asked or (free[0] if free else DEFAULT_ENGINE)
+        for cell in cells:
+            engine, wanted = there[cell_name(cell)], named[cell_name(cell)] or rest
+            if engine not in (None, wanted):
+                raise UsageError(
+                    f"{self._path(cell, '.csv.xz')} is of engine {engine}, expected "
+                    f"{wanted}: {_ADVICE}, or the rows' engine with `engine`"
+                )
+        return {name: named[name] or rest for name in there}
+
+    def engine_text(self, cell: Cell, engine: Engine) -> str:
+        """An engine with its version when a cell was made; empty in older rows."""
+        record = self._record(cell)
+        return (
+            engine_text(engine, record.get("packages", {}))
+            if "engine" in record
+            else ""
+        )
+
+    def _engine(self, cell: Cell) -> Engine | None:
+        """Engine of a cell's rows; None without rows."""
+        record = self._record(cell)
+        engine = record.get("engine", DEFAULT_ENGINE) if record else None
+        if engine not in (None, *ENGINES):
+            raise MarlMmError(
+                f"{self._path(cell, '.json')} is damaged: engine is {engine!r:.60}"
+            )
+        return engine
 
     def check_dataset(self, cell: Cell, identity: Mapping[str, Any]) -> None:
         """Raise if there are rows of runs that learnt from other data.

@@ -11,7 +11,8 @@ from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.errors import UsageError
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.settings import with_settings
-from marl_mm.runs.sources import Data, Mix, Source
+from marl_mm.runs.sources import Data, Mix, Source, engine_named_by
+from marl_mm.sim.config import Engine
 
 if TYPE_CHECKING:
     from marl_mm.eval.studies.table import Table
@@ -54,6 +55,12 @@ class Online:
 def name_of(source: Data | Online) -> str:
     """Name of a source in rows and tables."""
     return source if isinstance(source, str) else source.name
+
+
+def engine_named(source: Data | Online) -> Engine | None:
+    """Engine that a source names; None where it leaves that open."""
+    data = source.demonstrations if isinstance(source, Online) else source
+    return None if data is None else engine_named_by(data)
 
 
 # --- Settings and probes -----------------------------------------------------
@@ -144,6 +151,12 @@ class Probe:
         if self.alpha is not None and not 0 <= self.alpha <= 1:
             raise UsageError(f"alpha is {self.alpha}, expected a number in [0, 1]")
         make_task(overrides=self.overrides)  # raises
+
+    @property
+    def engine(self) -> Engine | None:
+        """Engine that the overrides name, if they do."""
+        engine: Engine | None = self.overrides.get("simulation", {}).get("engine")
+        return engine
 
     @property
     def way(self) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """From rows to the numbers of tables: a row per probe, or a row per setting."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from marl_mm.eval.intervals import (
 from marl_mm.eval.metrics import Row, count_failures, failures_in_words
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.study import Cell, Study, cell_name
+from marl_mm.sim.config import Engine
 
 LEVELS = (0.70, 0.95)
 """Success rates to which episodes are counted; the paper's own ends at 70 %."""
@@ -36,11 +37,31 @@ class CellRows:
     diverged: str
     """Seeds of runs that diverged, and after how many updates."""
 
+    engines: Mapping[str, str] = field(default_factory=dict)
+    """Engine of each probe with its version; empty where no rows name one."""
 
-def summarize(study: Study, store: RowStore, seeds: Sequence[int]) -> list[Row]:
-    """The rows of a study's table; a UsageError if rows of its cells are missing."""
+
+def summarize(
+    study: Study, store: RowStore, seeds: Sequence[int], engine: Engine | None = None
+) -> list[Row]:
+    """The rows of a study's table.
+
+    Args:
+        study: The study.
+        store: Rows of its cells.
+        seeds: Seeds of the runs.
+        engine: Engine that is asked for; None: that of the rows.
+
+    Raises:
+        UsageError: If rows of its cells are missing, or of another engine.
+    """
     summary: list[Row] = []
+    engines = store.engines(study.cells, engine)
     for cell in study.cells:
+        of_cell = engines[cell_name(cell)]
+        texts = {
+            p.name: store.engine_text(cell, p.engine or of_cell) for p in study.probes
+        }
         by_probe = grouped(store.evaluations(cell, seeds, study.probes), "probe")
         ends = store.diverged(cell)
         cell_rows = CellRows(
@@ -48,6 +69,7 @@ def summarize(study: Study, store: RowStore, seeds: Sequence[int]) -> list[Row]:
             {probe.name: by_probe[probe.name] for probe in study.probes},
             store.curves(cell, seeds),
             ", ".join(f"{seed} after {ends[seed]}" for seed in seeds if seed in ends),
+            {name: text for name, text in texts.items() if text},
         )
         if study.table == "episodes":
             summary.append(row_of_setting(cell_rows))
@@ -67,18 +89,19 @@ def _by_probe(study: Study, cell_rows: CellRows) -> list[Row]:
     held = {p.alpha: cell_rows.probes[p.name] for p in others if p.alpha is not None}
     worth = worth_of_alpha(cell_rows.probes[first.name], held) if held else {}
     return [
-        {**_of_probe(cell_rows.cell, name, rows), **of_runs, **worth}
-        for name, rows in cell_rows.probes.items()
+        {**_of_probe(cell_rows, name), **of_runs, **worth} for name in cell_rows.probes
     ]
 
 
-def _of_probe(cell: Cell, probe: str, rows: Sequence[Row]) -> Row:
-    source, setting = cell_name(cell)
+def _of_probe(cell_rows: CellRows, probe: str) -> Row:
+    source, setting = cell_name(cell_rows.cell)
+    rows, engine = cell_rows.probes[probe], cell_rows.engines.get(probe)
     rates = seed_rates(rows)
     summary: Row = {
         "dataset": source,
         "setting": setting,
         "probe": probe,
+        **({} if engine is None else {"engine": engine}),
         "seeds": len(rates),
         "goals": len(rows) // len(rates),
         **summarize_success(rows, "success"),
@@ -131,7 +154,10 @@ def worth_of_alpha(learnt: Sequence[Row], held: Mapping[float, Sequence[Row]]) -
 def row_of_setting(cell_rows: CellRows) -> Row:
     """Success at the end and at best, and the episodes that it took, of one cell."""
     by_seed = grouped(cell_rows.curves, "seed")
-    row: Row = {"setting": cell_rows.cell[1].name, "seeds": len(by_seed)}
+    row: Row = {"setting": cell_rows.cell[1].name}
+    if cell_rows.engines:
+        row["engine"] = next(iter(cell_rows.engines.values()))
+    row["seeds"] = len(by_seed)
     for probe, goals in cell_rows.probes.items():
         row |= summarize_success(goals, f"success_{probe}")
         row[f"return_{probe}"] = mean_of(goals, "return")

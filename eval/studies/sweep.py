@@ -1,21 +1,20 @@
 """The alpha sweep: its cells are run, in several processes, and drawn."""
 
-import json
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from hashlib import sha256
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.control.config import FORMS, Form
-from marl_mm.envs.registry import config_dict, make_task
+from marl_mm.envs.registry import make_task
 from marl_mm.errors import UsageError
 from marl_mm.eval.grouping import grouped
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.rows import as_read, has_rows, read_rows, write_csv
+from marl_mm.eval.rows import has_rows, read_rows, write_csv
+from marl_mm.eval.studies.cells import run_cells
 from marl_mm.eval.studies.sweep_cells import (
     LONG_EPISODE,
     RUNS,
@@ -30,11 +29,10 @@ from marl_mm.eval.studies.sweep_summary import (
     worth_of_a_rule,
 )
 from marl_mm.files import new_folder, refuse_existing, write_json
-from marl_mm.jit import source_fingerprint
 from marl_mm.progress import Bar
 from marl_mm.runs.settings import check_positive, check_seed
+from marl_mm.sim.config import DEFAULT_ENGINE, Engine, engine_overrides
 from marl_mm.versions import versions
-from marl_mm.workers import ordered_map
 
 RULES = (PdConfig(alpha_rule="direction"), PdConfig(alpha_rule="room"))
 """State-dependent alphas, compared with every fixed one on SmoothReach-v0."""
@@ -74,6 +72,9 @@ class Sweep:
     worth_goals: int = 96
     """Goals for comparing rules with fixed alphas, of the next seed; 0: none."""
 
+    engine: Engine = DEFAULT_ENGINE
+    """Engine of the simulation: bullet or mujoco."""
+
     load_goals: int = 24
     """Goals per mass and alpha, for CarryReach-v0 with 0.1 to 3 kg in the hand; 0:
     none."""
@@ -86,6 +87,7 @@ class Sweep:
         """
         check_positive(goals=self.goals)
         check_seed(self.seed)
+        make_task(overrides=engine_overrides(self.engine))
         for name in ("goals", "worth_goals", "load_goals"):
             if (goals := getattr(self, name)) < 0 or goals % 2:
                 raise UsageError(
@@ -148,8 +150,12 @@ def run_sweep(
     if not resume:
         shutil.rmtree(hidden, ignore_errors=True)
     loads = load_cells(sweep.load_goals, sweep.seed) if sweep.load_goals else []
-    cells, worth = sweep.cells, sweep.worth_cells
-    rows = _run([*cells, *worth, *loads], hidden, workers, bar)
+    cells, worth, loads = (
+        [replace(cell, engine=sweep.engine) for cell in part]
+        for part in (sweep.cells, sweep.worth_cells, loads)
+    )
+    every, shown = [*cells, *worth, *loads], (bar, "sweep-alpha")
+    rows = run_cells(run_cell, every, hidden, workers, shown)
     kept = [row for cell in cells for row in rows[cell] if row["task"] in sweep.tasks]
     kept += [row for cell in worth for row in rows[cell] if row["task"] == SMOOTH]
     with new_folder(sweep.out) as folder:
@@ -185,42 +191,3 @@ def draw_sweep(results: Path, folder: Path) -> dict[str, list[Row]]:
     if loads:
         load_response(loads, folder / "loads.png")
     return tables
-
-
-def _run(
-    cells: Sequence[SweepCell], folder: Path, workers: int, bar: Bar
-) -> dict[SweepCell, list[Row]]:
-    """Rows of cells; those that are finished are kept in a folder."""
-    files = {cell: folder / f"{_fingerprint(cell)}.json" for cell in cells}
-    kept = {cell: _read(file) for cell, file in files.items()}
-    rows = {cell: values for cell, values in kept.items() if values is not None}
-    missing = [cell for cell in cells if cell not in rows]
-    advance = bar("sweep-alpha", len(cells))
-    advance(len(rows), "")
-    try:
-        results = ordered_map(run_cell, missing, workers, ahead=1)
-        for cell, values in zip(missing, results, strict=True):
-            rows[cell] = as_read(values)
-            write_json(files[cell], values)
-            advance(1, f"{cell.task} {cell.form} alpha {cell.pd.alpha:g}")
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(
-            f"interrupted with {len(rows)} of {len(cells)} settings done; "
-            "`resume=True` goes on from there"
-        ) from None
-    return rows
-
-
-def _fingerprint(cell: SweepCell) -> str:
-    """SHA-256 of all that a cell's rows depend on: settings, config, sources."""
-    config = config_dict(make_task(cell.task, cell.overrides))
-    made_of = asdict(cell), config, source_fingerprint(), versions()
-    return sha256(json.dumps(made_of).encode()).hexdigest()
-
-
-def _read(file: Path) -> list[Row] | None:
-    """A finished cell's rows, if they are there."""
-    try:
-        return as_read(json.loads(file.read_text()))
-    except (OSError, ValueError):
-        return None

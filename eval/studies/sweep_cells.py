@@ -20,6 +20,8 @@ from marl_mm.episode import Episode, reward_terms
 from marl_mm.eval.goals import goal_set
 from marl_mm.eval.metrics import Row
 from marl_mm.robot.description import CASTER_X
+from marl_mm.sim.config import DEFAULT_ENGINE, Engine, engine_overrides
+from marl_mm.versions import engine_text
 
 LONG_EPISODE, SHORT_EPISODE = 50, 25
 """Steps of an episode, and steps of the registered tasks' episodes."""
@@ -62,12 +64,21 @@ class SweepCell:
     mass: float | None = None
     """Mass of the load [kg]; None: no load."""
 
+    engine: Engine = DEFAULT_ENGINE
+    """Engine of the simulation."""
+
+    @property
+    def label(self) -> str:
+        """Label in the progress bar."""
+        return f"{self.task} {self.form} alpha {self.pd.alpha:g}"
+
     @property
     def overrides(self) -> dict[str, Any]:
         """Settings of the task that are replaced."""
         settings: dict[str, Any] = {
             "max_steps": self.max_steps,
             "controller": {"form": self.form},
+            **engine_overrides(self.engine),
         }
         if self.mass is not None:
             settings["load"] = {"mass": (self.mass, self.mass)}
@@ -131,6 +142,7 @@ def episode_rows(cell: SweepCell, episode: Episode) -> Iterable[Row]:
     """An episode's row for each task that it serves."""
     info, steps = episode.info, len(episode)
     load = {} if cell.mass is None else {"mass": cell.mass}
+    engine = {"engine": engine_text(cell.engine)}
     for task in RUNS.get(cell.task, (cell.task,)):
         reward = episode.rewards
         if task != cell.task:
@@ -142,6 +154,7 @@ def episode_rows(cell: SweepCell, episode: Episode) -> Iterable[Row]:
         yield {
             "task": task,
             "form": cell.form,
+            **engine,
             "rule": cell.pd.alpha_rule,
             "alpha": cell.pd.alpha,
             "seed": cell.seed,

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from marl_mm.eval.grouping import by_goal, grouped, mean_of
+from marl_mm.eval.grouping import by_goal, engine_in, grouped, mean_of
 from marl_mm.eval.intervals import bootstrap_interval, success_interval
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.studies.sweep_cells import SHORT_EPISODE
@@ -23,6 +23,7 @@ def summarize_cells(rows: Sequence[Row]) -> list[Row]:
         summaries.append(
             {
                 **dict(zip(_KEYS, values, strict=True)),
+                **engine_in(group),
                 "goals": len(group),
                 **{name: mean_of(group, name) for name in ("d_mm", "d_mp", "steps")},
                 "success_25": successes / len(group),
@@ -53,6 +54,7 @@ def worth_of_a_rule(rows: Sequence[Row], task: str) -> list[Row]:
             worth.append(
                 {
                     "task": task,
+                    **engine_in(fixed),
                     "rule": rule,
                     "lowest_alpha": lowest,
                     "fixed_alpha": alpha,
@@ -78,7 +80,8 @@ def summarize_loads(rows: Sequence[Row]) -> list[Row]:
     means = ("success", "steps", "d_mm", "base_jerk_rms", "zmp_span", *GAINED)
     summary = []
     for (mass, alpha), group in cells.items():
-        row: Row = {"mass": mass, "alpha": alpha, "goals": len(group)}
+        row: Row = {"mass": mass, "alpha": alpha, **engine_in(group)}
+        row["goals"] = len(group)
         row |= {name: mean_of(group, name) for name in means}
         for name in GAINED:
             gain, light = (

@@ -17,6 +17,7 @@ from marl_mm.eval.tables import (
     rate_with_deviation,
     rate_with_interval,
 )
+from marl_mm.sim.config import DEFAULT_ENGINE
 
 RETURN = "return [95 %]"
 """Heading of a mean over seeds and goals, with Student's interval over seeds."""
@@ -84,7 +85,9 @@ class Table:
     def markdown(self, leave_out: Sequence[str] = ()) -> str:
         """A line per cell, without the columns of some headings."""
         by_setting = self.study.table == "episodes"
-        every = _OF_EPISODES if by_setting else _of_probes(self.study, self.rows)
+        every = [*_OF_EPISODES] if by_setting else _of_probes(self.study, self.rows)
+        if any("engine" in row for row in self.rows):
+            every.insert(2, Column("engine", _engine))
         columns = [column for column in every if column.head not in leave_out]
         lines = [[column.text(line) for column in columns] for line in self._lines()]
         return markdown_table([column.head for column in columns], lines)
@@ -111,6 +114,12 @@ class Table:
             return text
         data = b64encode(self.figure.read_bytes()).decode()
         return f'{text}\n<img alt="learning curves" src="data:image/png;base64,{data}">'
+
+
+def _engine(line: Line) -> str:
+    """Engines of the probes; older rows name none and are of the default."""
+    engines = (str(row.get("engine") or DEFAULT_ENGINE) for row in line.rows.values())
+    return ", ".join(dict.fromkeys(engines))
 
 
 # --- A row per probe ---------------------------------------------------------
@@ -165,7 +174,7 @@ def _iqm(line: Line, name: str) -> str:
 
 
 def _short(probe: Probe) -> Column:
-    if probe.alpha is None:
+    if probe.alpha is None and probe.engine is None:
         return Column(
             probe.about, lambda line: rate_with_interval(line.rows[probe.name])
         )

@@ -2,20 +2,72 @@
 
 import runpy
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from marl_mm.errors import MarlMmError, UsageError
-from marl_mm.eval.studies import offline, online, paper
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.studies import alpha, engines, offline, online, paper
+from marl_mm.eval.studies.engines_summary import engines_table
 from marl_mm.eval.studies.study import Study
+from marl_mm.progress import Bar
 
-STUDIES = paper.STUDIES | offline.STUDIES | online.STUDIES
+_OF_ONE_ENGINE = paper.STUDIES | offline.STUDIES | online.STUDIES
+
+STUDIES = {**_OF_ONE_ENGINE, "transfer": engines.TRANSFER}
 """Studies by name."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A table that is made by running policies, beside those of studies."""
+
+    about: str
+    """Title."""
+
+    file: str
+    """File of the table."""
+
+    make: Callable[[Any, Bar], list[Row]]
+    """Function of options and a factory of progress bars that runs what is missing,
+    draws, and returns the rows of the table."""
+
+    draw: Callable[[Path, Path], object]
+    """Function that draws from the rows in one folder into another."""
+
+    markdown: Callable[[list[Row]], str]
+    """Function of the rows that returns the table as Markdown."""
+
+    agents: Study | None = None
+    """Study whose runs are compared, and are trained first."""
+
+
+COMPARISONS = {
+    "alpha": Comparison(
+        alpha.ABOUT,
+        alpha.WORTH,
+        alpha.make_worth,
+        alpha.draw_worth,
+        alpha.worth_table,
+        alpha.CHOOSING,
+    ),
+    "engines": Comparison(
+        engines.ABOUT,
+        engines.TABLE,
+        engines.make_engines,
+        engines.draw_engines,
+        engines_table,
+    ),
+}
+"""Comparisons by name."""
 
 GROUPS = {
     "paper": ("table4", "table5", "fig4", "fig5", "fig7", "fig8", "fig9", "fig10"),
-    "all": (*STUDIES, "alpha"),
+    "all": (*_OF_ONE_ENGINE, "alpha"),
 }
-"""Targets by the name of their group; ``alpha`` is the worth of the learnt alpha."""
+"""Targets by the name of their group: those that need one engine only."""
 
 
 def study_of(path: Path, name: str) -> Study:

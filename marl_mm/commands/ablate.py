@@ -12,24 +12,23 @@ from marl_mm.commands.wording import as_options
 from marl_mm.errors import FailedRunsError, MarlMmError, UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import to_json
-from marl_mm.eval.studies.alpha import (
-    ABOUT,
-    CHOOSING,
-    WORTH,
-    draw_worth,
-    make_worth,
-    worth_table,
-)
 from marl_mm.eval.studies.engine import Engine, compare
+from marl_mm.eval.studies.engines import EnginesOptions
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.study import Study
 from marl_mm.eval.studies.sweep import draw_sweep
-from marl_mm.eval.studies.targets import GROUPS, STUDIES, study_of
+from marl_mm.eval.studies.targets import (
+    COMPARISONS,
+    GROUPS,
+    STUDIES,
+    Comparison,
+    study_of,
+)
 from marl_mm.files import refuse_existing
 from marl_mm.progress import progress_bars
 from marl_mm.workers import available_cores
 
-_OF_FILE, _ALPHA = ".py:", "alpha"
+_OF_FILE = ".py:"
 
 _COMMITTED = Path(marl_mm.__file__).parent / "eval" / "results"
 """Folder of the committed results, in a clone."""
@@ -62,32 +61,43 @@ class Ablate(StudyOptions):
     """Print the tables as JSON."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class AblateEngines(Ablate, EnginesOptions):
+    """Compare the engines, running the policies that are missing."""
+
+
+Comparisons = dict[str, Comparison]
+
+
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm ablate``."""
-    target, options, studies = _parsed(arguments)
-    with_alpha = _ALPHA in GROUPS.get(target, (target,)) and _OF_FILE not in target
+    target, options, studies, comparisons = _parsed(arguments)
     if options.datasets is not None or options.settings is not None:
         studies = _parts(studies, options, target)
     if options.check:
-        check_tables(_checks(options, studies, with_alpha))
+        check_tables(_checks(options, studies, comparisons))
         return
     with progress_bars(vanish=True) as bar:
         engine = Engine(options, _notify, bar)
         if options.plan:
-            needed = {_ALPHA: CHOOSING} if with_alpha else {}
-            print(engine.plan(studies | needed), end="")
+            print(engine.plan(studies | _agents(comparisons)), end="")
             return
-        if with_alpha:
-            again = options.overwrite or options.resume
-            refuse_existing(options.results / WORTH, again)
-        tables, failures = _make(engine, studies, with_alpha, quiet=options.json)
+        again = options.overwrite or options.resume
+        for comparison in comparisons.values():
+            refuse_existing(options.results / comparison.file, again)
+        tables, failures = _make(engine, studies, comparisons, quiet=options.json)
     if options.json:
         print(to_json(tables))
     _raise(failures)
 
 
+def _agents(comparisons: Comparisons) -> dict[str, Study]:
+    """Studies whose runs are compared."""
+    return {name: c.agents for name, c in comparisons.items() if c.agents is not None}
+
+
 def _make(
-    engine: Engine, studies: dict[str, Study], with_alpha: bool, quiet: bool
+    engine: Engine, studies: dict[str, Study], comparisons: Comparisons, quiet: bool
 ) -> tuple[dict[str, list[Row]], list[MarlMmError]]:
     """Make what is missing, and print tables as they come; failures stop no others."""
     tables: dict[str, list[Row]] = {}
@@ -99,12 +109,12 @@ def _make(
                 print(f"{table.study.about}\n\n{table.markdown()}")
     except FailedRunsError as error:
         failures.append(error)
-    if with_alpha:
+    for name, comparison in comparisons.items():
         try:
-            engine.make_rows({_ALPHA: CHOOSING})
-            tables[_ALPHA] = make_worth(engine.options, engine.bar)
+            engine.make_rows(_agents({name: comparison}))
+            tables[name] = comparison.make(engine.options, engine.bar)
             if not quiet:
-                print(f"{ABOUT}\n\n{worth_table(tables[_ALPHA])}")
+                print(f"{comparison.about}\n\n{comparison.markdown(tables[name])}")
         except FailedRunsError as error:
             failures.append(error)
     return tables, failures
@@ -122,20 +132,28 @@ def _parts(studies: dict[str, Study], options: Ablate, target: str) -> dict[str,
     return {name if whole else f"{name}-part": part}
 
 
-def _parsed(arguments: Sequence[str]) -> tuple[str, Ablate, dict[str, Study]]:
-    """The target, the options, and the studies that the target stands for."""
+def _parsed(
+    arguments: Sequence[str],
+) -> tuple[str, Ablate, dict[str, Study], Comparisons]:
+    """The target, the options, and what studies and comparisons the target is.
+
+    To check all is to check those of both engines, too.
+    """
     word = arguments[0] if arguments else ""
     if word.endswith(".py"):
         raise UsageError(f"name a study of the file, such as {word}:STUDY")
-    abouts = {name: study.about for name, study in STUDIES.items()} | {
-        _ALPHA: ABOUT,
+    every: dict[str, Study | Comparison] = {**STUDIES, **COMPARISONS}
+    abouts = {name: thing.about for name, thing in every.items()} | {
         "paper": "The paper's own: Tables 4 and 5 and Figs. 4 to 10, in one night.",
-        "all": "Every table and figure.",
+        "all": "Every table and figure but those of both engines.",
     }
     if _OF_FILE in word:
         abouts[word] = "A study of your own."
     target, options = parse_subcommand(
-        {name: Subcommand(Ablate(), about) for name, about in abouts.items()},
+        {
+            name: Subcommand(AblateEngines() if name == "engines" else Ablate(), about)
+            for name, about in abouts.items()
+        },
         "marl-mm ablate",
         "Reproduce figures and tables, training the runs they need. FILE.py:NAME is a "
         "study of your own, an object NAME of class marl_mm.Study.",
@@ -143,9 +161,12 @@ def _parsed(arguments: Sequence[str]) -> tuple[str, Ablate, dict[str, Study]]:
     )
     if _OF_FILE in target:
         path, _, name = target.partition(_OF_FILE)
-        return target, options, {name.lower(): study_of(Path(f"{path}.py"), name)}
+        return target, options, {name.lower(): study_of(Path(f"{path}.py"), name)}, {}
     names = GROUPS.get(target, (target,))
-    return target, options, {name: STUDIES[name] for name in names if name in STUDIES}
+    names = tuple(every) if options.check and target == "all" else names
+    studies = {name: STUDIES[name] for name in names if name in STUDIES}
+    comparisons = {name: COMPARISONS[name] for name in names if name in COMPARISONS}
+    return target, options, studies, comparisons
 
 
 def _notify(text: str) -> None:
@@ -159,10 +180,11 @@ Check = tuple[Path, Callable[[Path], object]]
 
 
 def _checks(
-    options: Ablate, studies: dict[str, Study], with_alpha: bool
+    options: Ablate, studies: dict[str, Study], comparisons: Comparisons
 ) -> Sequence[Check]:
     """Checks of the existing tables."""
-    committed = not (options.out or options.runs or options.small)
+    moved = options.out or options.runs or options.engine
+    committed = not (moved or options.small)
     if committed and _COMMITTED.exists():
         options = replace(options, out=_COMMITTED / "studies")
     results, engine = options.results, Engine(options)
@@ -171,8 +193,11 @@ def _checks(
         for name, study in studies.items()
         if len(studies) == 1 or (results / f"{name}.csv").exists()
     ]
-    if with_alpha and (not studies or (results / WORTH).exists()):
-        checks.append((results, partial(draw_worth, results)))
+    checks += [
+        (results, partial(comparison.draw, results))
+        for comparison in comparisons.values()
+        if not studies or (results / comparison.file).exists()
+    ]
     swept = _COMMITTED / "alpha"
     if committed and len(studies) == len(STUDIES) and swept.exists():
         checks.append((swept, partial(draw_sweep, swept)))

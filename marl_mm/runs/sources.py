@@ -18,6 +18,7 @@ from marl_mm.files import only_here
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.collecting import Collecting, collect_dataset, recorded
 from marl_mm.runs.settings import check_positive, with_settings
+from marl_mm.sim.config import DEFAULT_ENGINE, Engine, engine_of, engine_overrides
 from marl_mm.workers import Executor
 
 FEW = 30
@@ -57,14 +58,18 @@ class Source:
     first: "Source | None" = None
     """Shorter source of the same collector, task and seed that this one begins with."""
 
+    engine: Engine | None = None
+    """Engine of the simulation, bullet or mujoco; default that of the study."""
+
     def __post_init__(self) -> None:
         """Refuse what cannot be collected, and name it."""
-        make_task(self.task)
+        make_task(self.task, engine_overrides(self.engine))
         check_positive(steps=self.steps)
         _ = self.config
         if not self.name:
             words = self.collector, self.task.removesuffix("-v0"), self.steps, self.seed
             parts = [*words, *(f"{k}-{v}" for k, v in self.settings.items())]
+            parts += [self.engine] if self.engine else []
             slug = re.sub(r"[^A-Za-z0-9]+", "-", "-".join(map(str, parts)))
             object.__setattr__(self, "name", slug.strip("-").lower())
 
@@ -102,6 +107,29 @@ def seeded(data: Source | Mix, seed: int) -> Source | Mix:
     return replace(data, seed=seed, parts=parts)
 
 
+def engine_named_by(data: Data) -> Engine | None:
+    """Engine that a declaration names; None where it leaves that open."""
+    if isinstance(data, Mix):
+        return next((source.engine for source, _ in data.parts if source.engine), None)
+    return data.engine if isinstance(data, Source) else None
+
+
+def on_engine(data: Source | Mix, engine: Engine | None) -> Source | Mix:
+    """A declaration, and all that it begins with or is drawn from, on an engine.
+
+    One that names an engine stays. The others' names end in the engine's, if it is not
+    the default.
+    """
+    if engine in (None, DEFAULT_ENGINE) or engine_named_by(data) is not None:
+        return data
+    name = re.sub(r"(-v\d+)?$", rf"-{engine}\1", data.name, count=1)
+    if isinstance(data, Source):
+        first: Any = data.first and on_engine(data.first, engine)
+        return replace(data, engine=engine, name=name, first=first)
+    parts: Any = [(on_engine(source, engine), steps) for source, steps in data.parts]
+    return replace(data, name=name, parts=parts)
+
+
 @dataclass(frozen=True)
 class Datasets:
     """Datasets of sources, in the datasets' root or, of few steps, in a folder."""
@@ -131,6 +159,9 @@ class Datasets:
 
     plan: bool = False
     """Whether nothing is made: the dataset that ships counts for what is missing."""
+
+    engine: Engine | None = None
+    """Engine of sources that name none."""
 
     def get(self, data: Data) -> Dataset:
         """A dataset; what is missing of it is made, but for a plan."""
@@ -185,6 +216,7 @@ class Datasets:
             steps=self._steps(source.steps),
             seed=source.seed,
             task=source.task,
+            engine=source.engine,
             workers=1 if self.small else self.workers,  # few episodes are over at once
             executor=self.executor,
             resume=begun,
@@ -232,9 +264,11 @@ class Datasets:
         if isinstance(data, Mix):
             return _drawn(record) == self._drawn_by(data)
         config = as_json(asdict(data.config))
-        expected = data.task, data.collector, config, self._steps(data.steps)
+        engine = data.engine or DEFAULT_ENGINE
+        expected = data.task, data.collector, config, self._steps(data.steps), engine
         config = as_json(dict(record.collector_config or {}))
-        actual = record.task, record.collector, config, record.steps_asked
+        engine = engine_of(record.overrides)
+        actual = record.task, record.collector, config, record.steps_asked, engine
         return record.complete and actual == expected
 
     def _deed(self, data: Source | Mix) -> str:
@@ -257,8 +291,9 @@ class Datasets:
         return [self._steps(steps) for _, steps in data.parts]
 
     def _declared(self, data: Data) -> Data:
-        """The source that a word is short for, if it is a declared one's."""
-        return self.declared.get(data, data) if isinstance(data, str) else data
+        """The source that a word is short for, if it is one's, on the engine."""
+        data = self.declared.get(data, data) if isinstance(data, str) else data
+        return data if isinstance(data, str) else on_engine(data, self.engine)
 
 
 def _drawn(record: Provenance) -> list[int]:

@@ -1,0 +1,91 @@
+"""Cells of studies that train nothing: each is run once, and its rows are kept."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from marl_mm.envs.registry import config_dict, make_task
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.rows import as_read
+from marl_mm.files import write_json
+from marl_mm.jit import source_fingerprint
+from marl_mm.progress import Bar
+from marl_mm.versions import versions
+from marl_mm.workers import ordered_map
+
+
+class ActedCell(Protocol):
+    """Everything that a cell's rows depend on: a frozen dataclass."""
+
+    @property
+    def task(self) -> str:
+        """Registered name of the task."""
+
+    @property
+    def overrides(self) -> dict[str, Any]:
+        """Settings of the task that are replaced."""
+
+    @property
+    def label(self) -> str:
+        """Label in the progress bar."""
+
+
+C = TypeVar("C", bound=ActedCell)
+
+
+def run_cells(
+    run: Callable[[C], list[Row]],
+    cells: Sequence[C],
+    folder: Path,
+    workers: int,
+    advance_of: tuple[Bar, str],
+) -> dict[C, list[Row]]:
+    """Rows of cells; those that are finished are kept in a folder.
+
+    Args:
+        run: Function of a cell that returns its rows.
+        cells: The cells.
+        folder: Folder of the kept rows, a file per cell.
+        workers: Number of processes.
+        advance_of: Factory of progress bars, and the bar's label.
+
+    Raises:
+        KeyboardInterrupt: After Ctrl-C, saying how to go on.
+    """
+    files = {cell: folder / f"{_fingerprint(cell)}.json" for cell in cells}
+    kept = {cell: _read(file) for cell, file in files.items()}
+    rows = {cell: values for cell, values in kept.items() if values is not None}
+    missing = [cell for cell in cells if cell not in rows]
+    bar, label = advance_of
+    advance = bar(label, len(cells))
+    advance(len(rows), "")
+    try:
+        results = ordered_map(run, missing, workers, ahead=1)
+        for cell, values in zip(missing, results, strict=True):
+            rows[cell] = as_read(values)
+            write_json(files[cell], values)
+            advance(1, cell.label)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"interrupted with {len(rows)} of {len(cells)} settings done; "
+            "`resume=True` goes on from there"
+        ) from None
+    return rows
+
+
+def _fingerprint(cell: Any) -> str:
+    """SHA-256 of all that a cell's rows depend on: settings, config, sources."""
+    config = config_dict(make_task(cell.task, cell.overrides))
+    made_of = asdict(cell), config, source_fingerprint(), versions()
+    return sha256(json.dumps(made_of).encode()).hexdigest()
+
+
+def _read(file: Path) -> list[Row] | None:
+    """A finished cell's rows, if they are there."""
+    try:
+        return as_read(json.loads(file.read_text()))
+    except (OSError, ValueError):
+        return None

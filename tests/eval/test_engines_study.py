@@ -1,0 +1,170 @@
+"""Both engines beside each other: by hand, and from nothing to tables in small."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from marl_mm.cli import main
+from marl_mm.errors import UsageError
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.rows import read_rows
+from marl_mm.eval.studies.engines import TRANSFER, EnginesOptions, contestants
+from marl_mm.eval.studies.engines_summary import (
+    MEASURES,
+    agreement,
+    mean_maximum_rank_violation,
+    paired,
+    pearson,
+)
+
+MUJOCO = {"simulation": {"engine": "mujoco"}}
+
+OWN = """
+from marl_mm.eval.studies import LAST, Probe, Setting, Source, Study
+
+FEW = {"updates": 40, "hidden": (8, 8)}
+SETTING = Setting("few", "few", changes=FEW, goals=2, curve_goals=2)
+ONE = Study("On the engine asked for.", [(Source(steps=30, name="own"), SETTING)])
+SHIPPED = Study("Of the data that ship.", [("good-5k", SETTING)])
+OTHER = Probe("other", "on MuJoCo", overrides={"simulation": {"engine": "mujoco"}})
+BOTH = Study("By name.", [(Source(steps=30, engine="bullet"), SETTING)], (LAST, OTHER))
+"""
+
+
+def test_rank_violations_by_hand() -> None:
+    """The pair (0, 1) has another order: by 0.1 for both, and the third has none."""
+    reference, other = np.array([0.5, 0.6, 0.9]), np.array([0.6, 0.5, 0.9])
+    assert mean_maximum_rank_violation(reference, other) == pytest.approx(0.2 / 3)
+    assert mean_maximum_rank_violation(reference, reference) == 0.0
+    assert mean_maximum_rank_violation(reference, 1 - reference) == pytest.approx(
+        (0.4 + 0.3 + 0.4) / 3
+    )
+    assert pearson(reference, 2 * reference + 1) == pytest.approx(1.0)
+    assert np.isnan(pearson(reference, np.ones(3)))
+
+
+def rows_of(policy: str, engine: str, returns: list[float]) -> list[Row]:
+    same = dict.fromkeys(MEASURES, 1.0)
+    about = {"policy": policy, "engine": engine, "seed": 0}
+    return [
+        {**about, "goal": goal, **same, "return": value}
+        for goal, value in enumerate(returns)
+    ]
+
+
+def test_differences_are_paired_by_goal() -> None:
+    rows = [
+        *rows_of("a", "bullet 1", [1.0, 3.0]),
+        *rows_of("a", "mujoco 2", [1.5, 3.5])[::-1],
+        *rows_of("b", "bullet 1", [0.0, 0.0]),
+        *rows_of("b", "mujoco 2", [0.0, 0.0]),
+    ]
+    first, second = paired("Reach-v0", rows)
+    assert (first["engine"], first["beside"]) == ("bullet 1", "mujoco 2")
+    assert (first["return"], first["return_beside"]) == (2.0, 2.5)
+    assert first["return_difference"] == 0.5
+    assert first["return_difference_interval"] == (0.5, 0.5)
+    assert second["return_difference"] == 0.0
+    success, by_return = agreement([first, second])
+    assert success["measure"] == "success" and np.isnan(success["pearson"])
+    assert by_return["pearson"] == pytest.approx(1.0) and by_return["mmrv"] == 0.0
+
+
+def test_every_task_has_twenty_policies() -> None:
+    for task in ("Reach-v0", "PreciseReach-v0", "GraspReach-v0"):
+        policies = contestants(task, EnginesOptions())
+        names = [policy.name for policy in policies]
+        assert len(names) == len(set(names)) >= 20
+        for policy in policies:
+            assert policy.policy(task, {}).describe() is not None
+
+
+def test_agents_whose_runs_are_there_take_part(tmp_path: Path) -> None:
+    options = EnginesOptions(runs=tmp_path)
+    run = options.run_folder(TRANSFER.cells[0], 0)
+    run.mkdir(parents=True)
+    (run / "checkpoint.pt").touch()
+    *_, agent = contestants("SmoothReach-v0", options)
+    assert agent.name == "mabc-good-10k-bullet"
+    assert agent.settings == (("agent", str(run)),)
+
+
+@pytest.mark.slow
+def test_engines_from_nothing_to_tables(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["ablate", "engines", "--budget", "smoke", "--tasks", "Reach-v0"]
+    runs = ["--runs", str(tmp_path), "--workers", "1"]
+    assert main([*words, *runs]) == 0
+    assert "mujoco 4" in capsys.readouterr().out
+    results = tmp_path / "results"
+    summary = read_rows(results / "engines.csv")
+    assert {row["task"] for row in summary} == {"Reach-v0"}
+    rows = read_rows(results / "rows/engines/Reach-v0.csv.xz")
+    assert len(rows) == 2 * 2 * len(summary)  # engines, goals
+    record = json.loads((results / "rows/engines/Reach-v0.json").read_text())
+    assert "mujoco-core" in record["packages"]
+    before = {path: path.read_bytes() for path in results.rglob("*.csv*")}
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("engines/*")}
+    assert main([*words, *runs]) == 2  # the table exists
+    assert main([*words, *runs, "--resume"]) == 0
+    assert {p: p.stat().st_mtime_ns for p in tmp_path.glob("engines/*")} == kept
+    assert {path: path.read_bytes() for path in results.rglob("*.csv*")} == before
+    assert main(["ablate", "engines", "--runs", str(tmp_path), "--check"]) == 0
+
+
+def test_what_engines_cannot_do_is_told_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ["ablate", "engines", "--runs", str(tmp_path)]
+    for words, complaint in (
+        (["--tasks", "Rech-v0"], "did you mean"),
+        (["--goals", "0"], "goals"),
+        (["--tasks"], "tasks"),
+        (["--check"], "there are no rows in"),
+        (["--engine", "ode"], "ode"),
+    ):
+        assert main([*asked, *words]) == 2, words
+        messages = capsys.readouterr().err
+        assert complaint in messages and messages.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_studies_name_their_engine_and_do_not_mix_it(
+    datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, runs = tmp_path / "own.py", tmp_path / "runs"
+    file.write_text(OWN)
+
+    def ablate(name: str, *words: str) -> tuple[int, str]:
+        small = ["--runs", str(runs), "--seeds", "0", "--workers", "1"]
+        code = main(["ablate", f"{file}:{name}", *small, *words])
+        text = capsys.readouterr()
+        return code, text.out + text.err
+
+    code, text = ablate("ONE", "--engine", "mujoco")
+    assert code == 0 and "| own | few | mujoco 4" in text
+    assert (datasets_home / "marl_mm/reach/own-mujoco-v0").exists()
+    (row,) = read_rows(runs / "results/one.csv")
+    assert row["engine"].startswith("mujoco 4")
+    record = json.loads((runs / "results/rows/own/few.json").read_text())
+    assert record["engine"] == "mujoco" and "mujoco-core" in record["packages"]
+    assert ablate("ONE", "--check")[0] == 0  # of the rows' engine
+    for words in (("--engine", "bullet", "--check"), ("--engine", "bullet")):
+        code, text = ablate("ONE", "--overwrite", *words)
+        assert code == 2 and "is of engine mujoco, expected bullet" in text
+    code, text = ablate("SHIPPED", "--engine", "mujoco")
+    assert code == 2 and "good-5k-v0 is of engine bullet, expected mujoco" in text
+    code, text = ablate("BOTH")
+    assert code == 0
+    last, other = read_rows(runs / "results/both.csv")
+    assert last["engine"].startswith("bullet") and other["engine"].startswith("mujoco")
+
+
+def test_runs_and_results_of_engines_lie_apart() -> None:
+    assert EnginesOptions().runs_folder == Path("runs/studies")
+    assert EnginesOptions(engine="mujoco").runs_folder == Path("runs/studies-mujoco")
+    with pytest.raises(UsageError, match="engine"):
+        EnginesOptions(engine="ode").check_settings()  # type: ignore[arg-type]
