@@ -12,7 +12,7 @@ from marl_mm.eval.metrics import EvaluationRow, episode_row, summarize_direction
 from marl_mm.notebook import html_table
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
-from marl_mm.sim.config import engine_of
+from marl_mm.sim.config import engine_of, to_record
 
 
 @dataclass(frozen=True)
@@ -129,5 +129,5 @@ def evaluate_with(
         reached = sum(row["success"] for row in rows)
         advance(1, f"{reached}/{len(rows)} reached")
     return Evaluation(
-        policy.name, policy.describe(), task, dict(overrides or {}), seed, rows
+        policy.name, policy.describe(), task, to_record(overrides or {}), seed, rows
     )
