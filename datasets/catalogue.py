@@ -13,22 +13,24 @@ from marl_mm.datasets.location import (
     locate,
 )
 from marl_mm.datasets.metadata import read_metadata
+from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import refuse_foreign
 from marl_mm.errors import MarlMmError, UnknownDatasetError, UsageError
 from marl_mm.files import only_here
+from marl_mm.sim.config import RECORDED_ENGINE
 
 _BEGUN = "being collected, or stopped: go on with `marl_mm.collect(..., resume=True)`"
 
 
 def catalogue() -> list[dict[str, Any]]:
-    """A row of id, steps, episodes and a note for each dataset, by id.
+    """A row of id, engine, steps, episodes and a note for each dataset, by id.
 
     The dataset that ships is the last row until its first use.
     """
     under_way = begun()
     rows = [_row(name) for name in known_ids() if name not in under_way]
     rows += [
-        {"id": name, "steps": None, "episodes": count, "note": _BEGUN}
+        {"id": name, "engine": None, "steps": None, "episodes": count, "note": _BEGUN}
         for name, count in under_way.items()
     ]
     rows.sort(key=lambda row: row["id"])
@@ -36,7 +38,8 @@ def catalogue() -> list[dict[str, Any]]:
         arrays = shipped.shipped_arrays()
         note = "ships with marl_mm: written here at its first use"
         counts = {"steps": arrays.steps, "episodes": len(arrays)}
-        rows.append({"id": SHIPPED, **counts, "note": note})
+        row = {"id": SHIPPED, "engine": RECORDED_ENGINE, **counts, "note": note}
+        rows.append(row)
     return rows
 
 
@@ -44,9 +47,11 @@ def _row(name: str) -> dict[str, Any]:
     try:
         record = read_metadata(Location(name, datasets_root() / name))["marl_mm"]
     except MarlMmError as error:
-        return {"id": name, "steps": None, "episodes": None, "note": str(error)}
+        nothing = dict.fromkeys(("engine", "steps", "episodes"))
+        return {"id": name, **nothing, "note": str(error)}
     return {
         "id": name,
+        "engine": Provenance.from_json(record).engine or RECORDED_ENGINE,
         "steps": record["steps"],
         "episodes": record["episodes"],
         "note": "" if record.get("complete") else "of a collection that was stopped",

@@ -106,6 +106,17 @@ class Provenance:
         return cls(**{name: getattr(origin, name) for name in _SHARED}, **more)
 
     @property
+    def engine(self) -> str | None:
+        """Engine of the episodes; None where the record names none."""
+        records: list[Provenance | Origin] = [self, *self.origins.values()]
+        for record in records:
+            for replaced in (record.overrides, record.config):
+                simulation = replaced.get("simulation")
+                if isinstance(simulation, Mapping) and "engine" in simulation:
+                    return str(simulation["engine"])
+        return None
+
+    @property
     def own_origin(self) -> Origin:
         """The record of the collection, of datasets of one collection."""
         return Origin(**{name: getattr(self, name) for name in _SHARED})

@@ -1,7 +1,8 @@
 """Evaluate a policy on a fixed goal set."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from html import escape
 from typing import Any
 
 from marl_mm.envs.registry import make_task
@@ -12,7 +13,8 @@ from marl_mm.eval.metrics import EvaluationRow, episode_row, summarize_direction
 from marl_mm.notebook import html_table
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
-from marl_mm.sim.config import engine_of, to_record
+from marl_mm.sim.config import ENGINES, engine_of, to_record
+from marl_mm.versions import versions
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,14 @@ class Evaluation:
     rows: list[EvaluationRow]
     """Rows, one per episode; see ``episode_row``."""
 
+    engine_version: str = ""
+    """Version of the engine's package; empty in records without it."""
+
+    @property
+    def engine(self) -> str:
+        """Engine with its version, such as "mujoco 4.0.0"."""
+        return f"{engine_of(self.overrides)} {self.engine_version}".strip()
+
     @property
     def summary(self) -> dict[str, dict[str, Any]]:
         """Summaries by direction: ``all``, ``forward``, ``backward``."""
@@ -56,13 +66,16 @@ class Evaluation:
         """The table with intervals, for notebooks."""
         from marl_mm.eval.tables import header, table_rows  # which needs evaluations
 
-        return html_table(table_rows([self]), header())
+        about = escape(f"{self.task}, engine: {self.engine}")
+        return f"{html_table(table_rows([self]), header())}<p>{about}</p>"
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> "Evaluation":
         """The evaluation of a dictionary of ``to_json``."""
         names = ("policy", "policy_config", "task", "overrides", "seed", "episodes")
-        return cls(*(values[name] for name in names))
+        version = str(values.get("engine_version", ""))
+        evaluation = cls(*(values[name] for name in names))
+        return replace(evaluation, engine_version=version)
 
     def to_json(self) -> dict[str, Any]:
         """The evaluation as JSON-serialisable values, the layout of ``eval.json``."""
@@ -73,6 +86,7 @@ class Evaluation:
             "task": self.task,
             "overrides": self.overrides,
             "engine": engine_of(self.overrides),
+            "engine_version": self.engine_version,
             "seed": self.seed,
             "success_rate": everything["success_rate"],
             "interval": everything["interval"],
@@ -128,6 +142,9 @@ def evaluate_with(
         rows.append(episode_row(episode))
         reached = sum(row["success"] for row in rows)
         advance(1, f"{reached}/{len(rows)} reached")
+    replaced = to_record(overrides or {})
+    package, _ = ENGINES[engine_of(replaced)]
+    version = versions()[package]
     return Evaluation(
-        policy.name, policy.describe(), task, to_record(overrides or {}), seed, rows
+        policy.name, policy.describe(), task, replaced, seed, rows, version
     )

@@ -122,6 +122,12 @@ def rate_with_interval(row: Mapping[str, Any], name: str = "success") -> str:
     return f"{rate_with_deviation(row, name)} [{low:.1f}, {high:.1f}]"
 
 
+def engines_of(evaluations: Sequence[Evaluation]) -> str:
+    """Engines of evaluations, with their versions where they are known."""
+    engines = dict.fromkeys(evaluation.engine for evaluation in evaluations)
+    return f"engine: {', '.join(engines)}"
+
+
 def evaluation_markdown(evaluations: Sequence[Evaluation]) -> str:
     """Evaluations as a Markdown table."""
     return markdown_table(header(), table_rows(evaluations))
@@ -145,7 +151,8 @@ def evaluation_table(evaluations: Sequence[Evaluation], width: int = 80) -> Tabl
         max(map(len, column)) + 1 for column in list(zip(heads, *rows, strict=True))[1:]
     )
     room = max(width, 80) - 2 - sum(rest)  # the edges
-    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=_CAPTION)
+    caption = f"{_CAPTION}; {engines_of(evaluations)}"
+    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=caption)
     for column, head in enumerate(heads):
         table.add_column(head, justify="left" if column < 2 else "right", no_wrap=True)
     for name, goals, *numbers in rows:

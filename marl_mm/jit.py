@@ -10,9 +10,15 @@ import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import numba
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+from numba.np.arrayobj import populate_array
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -41,6 +47,42 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
         return compiled
     finally:
         numba.config.CACHE_DIR = previous
+
+
+def on_stack(*shape: int) -> Callable[[], np.ndarray]:
+    """Function that gives compiled code an array of numbers, not yet written.
+
+    The array lies in the caller's frame: it costs nothing, where ``np.empty`` costs 40
+    ns, and ends with the call. Each place in a function has one array, so that a loop
+    gets the same one again.
+
+    Args:
+        shape: Shape of the array.
+    """
+    kind, size = types.Array(types.float64, len(shape), "C"), 8
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def allocate(typing: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            block = ir.ArrayType(ir.DoubleType(), int(np.prod(shape)))
+            array = context.make_array(kind)(context, builder)
+            populate_array(
+                array,
+                builder.bitcast(cgutils.alloca_once(builder, block), array.data.type),
+                [context.get_constant(types.intp, n) for n in shape],
+                [
+                    context.get_constant(types.intp, size * int(np.prod(shape[i:])))
+                    for i in range(1, len(shape) + 1)
+                ],
+                context.get_constant(types.intp, size),
+                None,
+            )
+            return array._getvalue()
+
+        return kind(), generate
+
+    function: Callable[[], np.ndarray] = allocate
+    return function
 
 
 @cache

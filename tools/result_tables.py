@@ -9,6 +9,7 @@ from pathlib import Path
 
 from study_tables import (
     differences_table,
+    engine_differences_table,
     goals_table,
     hindsight_in_words,
     steps_table,
@@ -34,13 +35,18 @@ from marl_mm.eval.bench.tables import (
     data_table,
     offline_speed_table,
 )
+from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies.alpha import worth_table as alpha_worth_table
+from marl_mm.eval.studies.engines import AGREEMENT, TABLE
+from marl_mm.eval.studies.engines_summary import agreement_table
 from marl_mm.eval.studies.offline import BLOCKS
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.table import CRITICS, IQM, RETURN, Table
 from marl_mm.eval.studies.targets import STUDIES
 from marl_mm.eval.tables import markdown_table, rate_with_interval
+from marl_mm.sim.config import RECORDED_ENGINE
+from marl_mm.versions import engine_text
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "eval" / "results"
@@ -117,6 +123,27 @@ def _ablation(name: str, *leave_out: str, dataset: str = "") -> str:
     rows = read_rows(RESULTS / f"studies/{name}.csv")
     study = STUDIES[name].part([dataset] if dataset else None, None)
     return Table(study, rows).markdown(("IQM [%]", *leave_out))
+
+
+def _drawn_from(name: str, draw: Callable[[list[Row]], str]) -> str:
+    """A table of rows that are made in hours, or that they are not made yet."""
+    path = RESULTS / "studies" / name
+    if not path.exists():
+        return "Not run yet.\n"
+    return draw(read_rows(path))
+
+
+def _transfer(rows: list[Row]) -> str:
+    return Table(STUDIES["transfer"], rows).markdown(("IQM [%]", *_NOT_TRANSFERRED))
+
+
+def _simulated() -> str:
+    """The engines of the committed rows of studies that name none in their tables."""
+    records = (json.loads(p.read_text()) for p in RESULTS.glob("studies/rows/*/*.json"))
+    old = [record for record in records if "engine" not in record]
+    packages = [record["packages"] for record in old if "packages" in record]
+    engines = {engine_text(RECORDED_ENGINE, versions) for versions in packages}
+    return f"Tables that name no engine are of {' and '.join(sorted(engines))}.\n"
 
 
 def _over_imitation(name: str) -> str:
@@ -200,6 +227,12 @@ _NOT_NEAR = ("every seed", RETURN, "d_mm [m]", "d_mp [m]", "alpha", *CRITICS.val
 _NOT_HELD = ("every seed", "d_mm [m]", "d_mp [m]", _PAPER, _DIFFERENCE)
 """Columns that do not tell what the second agent is worth."""
 
+_NOT_TRANSFERRED = (
+    *("every seed", _PAPER, _DIFFERENCE, "d_mm [m]", "d_mp [m]", "alpha"),
+    *CRITICS.values(),
+)
+"""Columns that do not tell how agents do on the other engine."""
+
 _NOT_CURED = ("dataset", _PAPER, _DIFFERENCE, "d_mm [m]", "d_mp [m]", "alpha")
 """Columns that tell nothing of why learning fails."""
 
@@ -237,6 +270,10 @@ TABLES: dict[str, Callable[[], str]] = {
     "table5": partial(_ablation, "table5", *_NOT_LONG),
     "cures": partial(_ablation, "cures", *_NOT_CURED, dataset="good-30k"),
     "script": _script,
+    "simulated": _simulated,
+    "transfer": partial(_drawn_from, "transfer.csv", _transfer),
+    "engines-agreement": partial(_drawn_from, AGREEMENT, agreement_table),
+    "engines-differences": partial(_drawn_from, TABLE, engine_differences_table),
     "offline-updates": _offline_updates,
     "goals": goals_table,
 }

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from marl_mm.eval.bench import SB3
+from marl_mm.eval.grouping import grouped
 from marl_mm.eval.intervals import difference_interval, seed_rates, success_interval
 from marl_mm.eval.metrics import Row
+from marl_mm.eval.studies.engines_summary import MEASURES
 from marl_mm.eval.studies.online import CELLS
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.study import Study, cell_name
@@ -68,6 +70,24 @@ def differences_table(study: Study, store: RowStore, baseline: str) -> str:
     ]
     header = ["dataset", "setting", "goals reached [points, 95 %]", RETURN]
     return markdown_table(header, lines)
+
+
+def engine_differences_table(summary: Sequence[Row]) -> str:
+    """What the second engine gives more than the first, a line per task, as Markdown.
+
+    Of the paired differences of all policies the median, the least and the largest.
+    """
+    lines = []
+    for task, rows in grouped(summary, "task").items():
+        line = [task, str(len(rows))]
+        for key, (_, scale, form) in MEASURES.items():
+            values = [scale * row[f"{key}_difference"] for row in rows]
+            ends = float(np.median(values)), min(values), max(values)
+            middle, low, high = (f"{value:+{form}}" for value in ends)
+            line.append(f"{middle} [{low}, {high}]")
+        lines.append(line)
+    heads = [head for head, _, _ in MEASURES.values()]
+    return markdown_table(["task", "policies", *heads], lines)
 
 
 def goals_for(rate: float, half_width: float) -> int:

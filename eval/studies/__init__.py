@@ -1,15 +1,7 @@
 """Studies: settings that learn from sources, compared in tables and figures."""
 
-from marl_mm.eval.studies.study import (
-    BEST,
-    LAST,
-    Curves,
-    Online,
-    Probe,
-    Reported,
-    Setting,
-    Study,
-)
+from marl_mm.eval.studies.shown import Curves, Reported
+from marl_mm.eval.studies.study import BEST, LAST, Online, Probe, Setting, Study
 from marl_mm.runs.sources import Mix, Source
 
 __all__ = [

@@ -3,15 +3,16 @@
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
+import marl_mm
 from marl_mm.envs.registry import config_dict, make_task
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import as_read
 from marl_mm.files import write_json
-from marl_mm.jit import source_fingerprint
 from marl_mm.progress import Bar
 from marl_mm.versions import versions
 from marl_mm.workers import ordered_map
@@ -79,8 +80,19 @@ def run_cells(
 def _fingerprint(cell: Any) -> str:
     """SHA-256 of all that a cell's rows depend on: settings, config, sources."""
     config = config_dict(make_task(cell.task, cell.overrides))
-    made_of = asdict(cell), config, source_fingerprint(), versions()
+    made_of = asdict(cell), config, _sources(), versions()
     return sha256(json.dumps(made_of).encode()).hexdigest()
+
+
+@cache
+def _sources() -> str:
+    """SHA-256 of the sources that decide what an episode is."""
+    package = Path(marl_mm.__file__).parent
+    digest = sha256()
+    for folder in ("collectors", "control", "envs", "robot", "sim"):
+        for path in sorted((package / folder).rglob("*.py")):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def _read(file: Path) -> list[Row] | None:

@@ -17,7 +17,8 @@ from marl_mm.eval.studies.plan import (
     missing_jobs,
     plan_table,
 )
-from marl_mm.eval.studies.study import Curves, Study, cell_name
+from marl_mm.eval.studies.shown import Curves
+from marl_mm.eval.studies.study import Study, cell_name
 from marl_mm.eval.studies.summary import summarize
 from marl_mm.eval.studies.table import Table
 from marl_mm.files import refuse_existing

@@ -5,13 +5,13 @@ from functools import partial
 from itertools import product
 from typing import Any
 
+from marl_mm.eval.studies.shown import Reported
 from marl_mm.eval.studies.study import (
     BEST,
     LAST,
     Cell,
     Online,
     Probe,
-    Reported,
     Setting,
     Study,
     cell_name,

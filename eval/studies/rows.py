@@ -27,12 +27,13 @@ from marl_mm.eval.studies.study import (
     BEST,
     LAST,
     Cell,
+    Online,
     Probe,
     cell_name,
-    engine_named,
 )
 from marl_mm.files import only_here, write_json
 from marl_mm.received import check_kind, damage_named, read_json
+from marl_mm.runs.sources import Data, engine_named_by
 from marl_mm.sim.config import ENGINES, RECORDED_ENGINE, Engine, default_engine
 from marl_mm.versions import engine_text
 
@@ -117,7 +118,7 @@ class RowStore:
             UsageError: If a cell's rows are of another engine than that; if those of
                 several cells that name none are of two.
         """
-        named = {cell_name(cell): engine_named(cell[0]) for cell in cells}
+        named = {cell_name(cell): _engine_named(cell[0]) for cell in cells}
         there = {cell_name(cell): self._engine(cell) for cell in cells}
         free = sorted({e for name, e in there.items() if e if not named[name]})
         if asked is None and len(free) > 1:
@@ -279,6 +280,12 @@ class RowStore:
     def _path(self, cell: Cell, end: str) -> Path:
         source, setting = cell_name(cell)
         return self.folder / source.replace("/", "-") / f"{setting}{end}"
+
+
+def _engine_named(source: Data | Online) -> Engine | None:
+    """Engine that a source names; None where it leaves that open."""
+    data = source.demonstrations if isinstance(source, Online) else source
+    return None if data is None else engine_named_by(data)
 
 
 def _bytes_of(identity: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, Literal
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.errors import UsageError
+from marl_mm.eval.studies.shown import Curves, Reported
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.settings import with_settings
-from marl_mm.runs.sources import Data, Mix, Source, engine_named_by
+from marl_mm.runs.sources import Data, Mix, Source
 from marl_mm.sim.config import Engine
 
 if TYPE_CHECKING:
@@ -55,12 +56,6 @@ class Online:
 def name_of(source: Data | Online) -> str:
     """Name of a source in rows and tables."""
     return source if isinstance(source, str) else source.name
-
-
-def engine_named(source: Data | Online) -> Engine | None:
-    """Engine that a source names; None where it leaves that open."""
-    data = source.demonstrations if isinstance(source, Online) else source
-    return None if data is None else engine_named_by(data)
 
 
 # --- Settings and probes -----------------------------------------------------
@@ -175,34 +170,6 @@ BEST = Probe("best", "at the best checkpoint", checkpoint="best")
 # --- Studies -----------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Reported:
-    """A reported result of a cell, shown beside ours."""
-
-    where: str
-    """Source: a table, figure or section."""
-
-    success: float | None = None
-    """Goals reached, mean over seeds [%]; None where ``words`` has the result."""
-
-    deviation: float | None = None
-    """Standard deviation over seeds [%]."""
-
-    words: str = ""
-    """The result in words."""
-
-    updates: int | None = None
-    """Updates of the reported runs: only runs of as many are compared with them; None:
-    all are."""
-
-    def __str__(self) -> str:
-        text = self.words
-        if self.success is not None:
-            spread = "" if self.deviation is None else f" +- {self.deviation:.2f}"
-            text = f"{self.success:.2f}{spread}"
-        return f"{text} ({self.where})"
-
-
 Cell = tuple[Data | Online, Setting]
 """A line of a table or a curve of a figure: a source and a setting."""
 
@@ -210,29 +177,6 @@ Cell = tuple[Data | Online, Setting]
 def cell_name(cell: Cell) -> tuple[str, str]:
     """Names of a cell's source and setting."""
     return name_of(cell[0]), cell[1].name
-
-
-@dataclass(frozen=True)
-class Curves:
-    """A figure of learning curves: mean and deviation over seeds, a line per cell."""
-
-    value: str = "success_all"
-    """Column of the learning curves that is drawn."""
-
-    label: str = "goals reached [%]"
-    """Name of the axis, with its unit."""
-
-    scale: float = 100.0
-    """Factor of the values."""
-
-    bottom: float | None = -3.0
-    """Lower end of the axis; None shows everything."""
-
-    top: float | None = 103.0
-    """Upper end of the axis; None shows everything."""
-
-    panels: Literal["preset", "task"] = "preset"
-    """Grouping of cells into panels."""
 
 
 @dataclass(frozen=True)

@@ -77,6 +77,8 @@ def main(arguments: Sequence[str]) -> None:
     if options.check:
         check_tables(_checks(options, studies, comparisons))
         return
+    if options.plan and not studies and not _agents(comparisons):
+        raise UsageError(f"--plan counts runs, {target} trains none: leave it out")
     with progress_bars(vanish=True) as bar:
         engine = Engine(options, _notify, bar)
         if options.plan:

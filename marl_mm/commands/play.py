@@ -106,8 +106,9 @@ def main(
     if strip is not None:
         film.strip(strip, overwrite)
     ending = "reached the goal" if film.episode.success else "did not reach the goal"
-    text = f"{written}{film.policy} {ending} in {len(film.episode)} steps"
-    show(episode_row(film.episode), text, json)
+    where = f"{len(film.episode)} steps on {film.engine}"
+    row = {**episode_row(film.episode), "engine": film.engine}
+    show(row, f"{written}{film.policy} {ending} in {where}", json)
 
 
 def _in_words(drift: Drift) -> str:

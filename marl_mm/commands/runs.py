@@ -11,7 +11,7 @@ from marl_mm.errors import CheckpointError, MarlMmError
 from marl_mm.received import damage_named
 from marl_mm.runs.run import Run, find_runs
 
-_COLUMNS = ("algorithm", "task", "dataset", "trained")
+_COLUMNS = ("algorithm", "task", "engine", "dataset", "trained")
 _SCORES = ("success [%]", "95 % interval", "return", "note")
 
 
@@ -54,6 +54,7 @@ def _read(run: Run) -> dict[str, Any]:
     cells = {
         "algorithm": config.algorithm,
         "task": config.task,
+        "engine": config.engine,
         "dataset": config.dataset["id"] if config.dataset else None,
         "trained": f"{done} of {config.settings.get(clock, '?')} {clock}",
     }

@@ -28,7 +28,7 @@ from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.evaluate import task_overrides
 from marl_mm.runs.policies import load_policy, own_engine, own_task
 from marl_mm.runs.settings import check_positive, check_seed
-from marl_mm.sim.config import RATE, Camera, Engine
+from marl_mm.sim.config import RECORDED_ENGINE, RATE, Camera, Engine
 
 Direction = Literal["forward", "backward"]
 
@@ -55,6 +55,9 @@ class Film:
     policy: str
     """Name of the policy."""
 
+    engine: Engine = RECORDED_ENGINE
+    """Engine of the simulation."""
+
     def save(self, path: str | Path, overwrite: bool = False) -> None:
         """Write the film as mp4 or gif, by the name's ending.
 
@@ -79,7 +82,8 @@ class Film:
     def __repr__(self) -> str:
         ending = "reached" if self.episode.success else "did not reach"
         steps = len(self.episode)
-        return f"<Film: {self.policy} {ending} the goal in {steps} steps>"
+        where = f"{steps} steps on {self.engine}"
+        return f"<Film: {self.policy} {ending} the goal in {where}>"
 
     def _repr_html_(self) -> str:
         """The film itself, for notebooks."""
@@ -145,7 +149,7 @@ def play(
         gui,
         progress(f"play {actor.name}", variant.max_steps),
     )
-    return Film(episode, frames, fps, name, actor.name)
+    return Film(episode, frames, fps, name, actor.name, variant.simulation.engine)
 
 
 @dataclass(frozen=True)

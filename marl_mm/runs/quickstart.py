@@ -18,7 +18,7 @@ from marl_mm.envs.rollout import run_episodes
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.eval.figures import alpha_over_time
 from marl_mm.eval.goals import goal_set
-from marl_mm.eval.tables import evaluation_markdown, markdown_table
+from marl_mm.eval.tables import engines_of, evaluation_markdown, markdown_table
 from marl_mm.eval.video import film_both_ways, film_strip, write_video
 from marl_mm.files import new_file, refuse_existing, write_json
 from marl_mm.progress import Bar, silent_bar
@@ -174,6 +174,7 @@ A PD agent collected {dataset["episodes"]} successful episodes, {dataset["steps"
 behind.
 
 {evaluation_markdown(evaluations)}
+{engines_of(evaluations).capitalize()}.
 Success: end-effector within 5 cm of the goal in at most 25 steps of 1 s, with Wilson's
 interval.
 Steps: mean over successes; return: sum of the shared reward; d_mm, d_mp: distance of

@@ -93,6 +93,7 @@ def test_rates_in_sentences_stand_in_the_committed_tables() -> None:
     tables = [
         Table(study, read_rows(results / f"studies/{name}.csv")).markdown()
         for name, study in STUDIES.items()
+        if (results / f"studies/{name}.csv").exists()
     ]
     cells = re.findall(
         rf"{number} \+- {number}(?: \[{number}, {number}\])?", "\n".join(tables)

@@ -36,7 +36,7 @@ def test_online_targets_from_raw_runs(
 ) -> None:
     compared = ["ddpg", "ddpg-her", "maddpg-her", "ddpg-paper", "ddpg-her-paper"]
     assert ablate(runs, tmp_path, "online", "--settings", *compared) == 0
-    assert "| DDPG + HER | Reach-v0 | 1 |" in capsys.readouterr().out
+    assert "| DDPG + HER | Reach-v0 | bullet 3.2.7 | 1 |" in capsys.readouterr().out
     summary = read_rows(tmp_path / "online-part.csv")
     assert [row["setting"] for row in summary] == compared
     cell = tmp_path / "rows/online-Reach-v0/ddpg"

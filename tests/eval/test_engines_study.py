@@ -124,6 +124,7 @@ def test_what_engines_cannot_do_is_told_in_one_line(
         (["--goals", "0"], "goals"),
         (["--tasks"], "tasks"),
         (["--check"], "there are no rows in"),
+        (["--plan"], "--plan counts runs, engines trains none"),
         (["--engine", "ode"], "ode"),
     ):
         assert main([*asked, *words]) == 2, words

@@ -36,12 +36,12 @@ from marl_mm.eval.studies.jobs import Job, do_jobs
 from marl_mm.eval.studies.learners import Learner
 from marl_mm.eval.studies.paper import PAPER, reported
 from marl_mm.eval.studies.rows import RowStore
+from marl_mm.eval.studies.shown import Reported
 from marl_mm.eval.studies.study import (
     BEST,
     LAST,
     Online,
     Probe,
-    Reported,
     Setting,
     Study,
     cell_name,

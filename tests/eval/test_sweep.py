@@ -63,6 +63,13 @@ def test_both_tasks_returns_come_from_one_run() -> None:
     assert run_cell(SMALL) == rows
 
 
+def test_rows_and_tables_name_the_engine_where_rows_do() -> None:
+    rows = run_cell(replace(SMALL, engine="mujoco"))
+    assert {one["engine"] for one in rows} == {"mujoco 4.0.0"}
+    assert {one["engine"] for one in summarize_cells(rows)} == {"mujoco 4.0.0"}
+    assert "engine" not in summarize_cells([row(0.5, "backward")])[0]
+
+
 def test_summary_by_hand() -> None:
     rows = [
         row(0.5, "backward", steps=20, d_mm=0.01, zmp_margin=0.1),

@@ -31,39 +31,38 @@ EXHAUSTED = -2
 
 
 @jit
-def cholesky(matrix: np.ndarray, factor: np.ndarray, size: int) -> None:
-    """Lower factor of a positive definite matrix; tiny pivots are raised."""
-    for j in range(size):
-        pivot = matrix[j, j]
+def cholesky(upper: np.ndarray) -> None:
+    """Factor L of a positive definite matrix A, and L^-1 b, in place.
+
+    Tiny pivots are raised.
+
+    Args:
+        upper: A's upper triangle and b as a last column, shape (n, n + 1); L' and
+            L^-1 b afterwards.
+    """
+    n, width = upper.shape
+    for j in range(n):
+        pivot = upper[j, j]
         for k in range(j):
-            pivot -= factor[j, k] * factor[j, k]
+            pivot -= upper[k, j] * upper[k, j]
         pivot = np.sqrt(max(pivot, 1e-14))
-        factor[j, j] = pivot
-        for i in range(j + 1, size):
-            value = matrix[i, j]
+        upper[j, j] = pivot
+        for i in range(j + 1, width):
+            value = upper[j, i]
             for k in range(j):
-                value -= factor[i, k] * factor[j, k]
-            factor[i, j] = value / pivot
+                value -= upper[k, i] * upper[k, j]
+            upper[j, i] = value / pivot
 
 
 @jit
-def solve_lower(factor: np.ndarray, vector: np.ndarray, size: int) -> None:
-    """L x = b in place."""
-    for i in range(size):
+def solve_upper(upper: np.ndarray, vector: np.ndarray) -> None:
+    """L' x = b in place, given ``cholesky``'s L'."""
+    n = len(vector)
+    for i in range(n - 1, -1, -1):
         value = vector[i]
-        for k in range(i):
-            value -= factor[i, k] * vector[k]
-        vector[i] = value / factor[i, i]
-
-
-@jit
-def solve_upper(factor: np.ndarray, vector: np.ndarray, size: int) -> None:
-    """L' x = b in place, given L."""
-    for i in range(size - 1, -1, -1):
-        value = vector[i]
-        for k in range(i + 1, size):
-            value -= factor[k, i] * vector[k]
-        vector[i] = value / factor[i, i]
+        for k in range(i + 1, n):
+            value -= upper[i, k] * vector[k]
+        vector[i] = value / upper[i, i]
 
 
 @jit

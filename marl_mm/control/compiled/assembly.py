@@ -18,7 +18,7 @@ from marl_mm.control.limits import (
     ZMP,
 )
 from marl_mm.control.records import VARIABLES, Reference
-from marl_mm.jit import jit
+from marl_mm.jit import jit, on_stack
 from marl_mm.robot.description import WHEEL_RADIUS
 from marl_mm.robot.limits import RobotLimits
 from marl_mm.robot.model import ModelTerms, RobotState
@@ -26,6 +26,8 @@ from marl_mm.robot.support import SUPPORT_B, SUPPORT_INWARD_B
 
 TASK_ROWS = 15
 """Rows of all five tasks."""
+
+_vector, _matrix = on_stack(3), on_stack(3, 3)
 
 
 @jit
@@ -67,7 +69,7 @@ def assemble_tasks(
     target[1] = rate * rate * error - 2 * rate * v[2]
 
     position = terms.position_w
-    offset = np.empty(3)
+    offset = _vector()
     for i in range(3):
         offset[i] = reference.ee_position_w[i] - position[i]
     distance = np.sqrt(offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2)
@@ -78,7 +80,8 @@ def assemble_tasks(
         feedback = rate * offset[i] - terms.velocity_w[i]
         target[2 + i] = gains.ee_speed_rate * feedback - terms.bias_acceleration[i]
 
-    turn = _rotation_error(terms.rotation_w, reference.ee_rotation_w)
+    turn = _vector()
+    _write_rotation_error(terms.rotation_w, reference.ee_rotation_w, turn)
     rate = gains.ee_rotation_rate
     for i in range(3):
         feedback = rate * rate * turn[i] - 2 * rate * terms.velocity_w[3 + i]
@@ -91,8 +94,11 @@ def assemble_tasks(
 
 
 @jit
-def _rotation_error(rotation_w: np.ndarray, target_w: np.ndarray) -> np.ndarray:
-    relative = np.zeros((3, 3))
+def _write_rotation_error(
+    rotation_w: np.ndarray, target_w: np.ndarray, vector: np.ndarray
+) -> None:
+    relative = _matrix()
+    relative[:] = 0.0
     for i in range(3):
         for j in range(3):
             for k in range(3):
@@ -108,10 +114,8 @@ def _rotation_error(rotation_w: np.ndarray, target_w: np.ndarray) -> np.ndarray:
     x = scale * (relative[2, 1] - relative[1, 2])
     y = scale * (relative[0, 2] - relative[2, 0])
     z = scale * (relative[1, 0] - relative[0, 1])
-    vector = np.empty(3)
     for i in range(3):
         vector[i] = rotation_w[i, 0] * x + rotation_w[i, 1] * y + rotation_w[i, 2] * z
-    return vector
 
 
 @jit

@@ -10,21 +10,24 @@ from marl_mm.control.compiled.active_set import (
     SOLVED,
     cholesky,
     solve_least_distance,
-    solve_lower,
     solve_upper,
 )
 from marl_mm.control.compiled.assembly import TASK_ROWS
 from marl_mm.control.config import HierarchyConfig
-from marl_mm.control.limits import BOX
+from marl_mm.control.limits import ZMP_ROWS
 from marl_mm.control.priorities import HANDLED
 from marl_mm.control.records import VARIABLES as N
-from marl_mm.jit import jit
+from marl_mm.jit import jit, on_stack
 
 TASK_OF_ROW = np.array([0, 1, 2, 2, 2, 3, 3, 3, 4, 4, 4, 4, 4, 4, 4])
 """Column of the priority matrix that each task row belongs to."""
 
 LEVELS, QPS, FAILURES, CAUSE = range(4)
 """Entries of the counters; CAUSE is the last failed level's code, see active_set."""
+
+_ROWS = ZMP_ROWS.stop
+_vector, _task_vector, _bounds = on_stack(N), on_stack(TASK_ROWS), on_stack(_ROWS)
+_square, _augmented, _columns = on_stack(N, N), on_stack(N, N + 1), on_stack(N, _ROWS)
 
 
 @jit
@@ -46,24 +49,23 @@ def solve_hierarchy(
     """
     limits = len(lower)
     u[:] = 0.0
-    projector = np.eye(N)
-    row = np.empty(N)
-    hessian = np.empty((N, N))
-    factor = np.empty((N, N))
-    gradient = np.empty(N)
-    x = np.empty(N)
-    step = np.empty(N)
-    rows = np.empty((limits, N))
-    low = np.empty(limits)
-    high = np.empty(limits)
+    projector, row, scaled = _square(), _vector(), _vector()
+    upper_hessian, gradient, x, step = _augmented(), _vector(), _vector(), _vector()
+    columns, low, high = _columns(), _bounds(), _bounds()
+    used, value = _bounds(), _bounds()
     order = np.empty(TASK_ROWS, np.int64)
-    share = np.empty(TASK_ROWS)
+    share = _task_vector()
+    for i in range(N):
+        for j in range(N):
+            projector[i, j] = 1.0 if i == j else 0.0
+        for r in range(limits):
+            columns[i, r] = matrix[r, i]
     for level in range(psi.shape[0]):
         count = _handled_rows(psi, level, order, share)
         if count == 0:
             continue
         counters[LEVELS] += 1
-        hessian[:] = 0.0
+        upper_hessian[:] = 0.0
         gradient[:] = 0.0
         for r in range(TASK_ROWS):
             weight = _weight(psi, level, TASK_OF_ROW[r], config)
@@ -74,49 +76,53 @@ def solve_hierarchy(
             for k in range(N):
                 residual -= jacobian[r, k] * u[k]
             for i in range(N):
-                scaled = weight * row[i]
-                gradient[i] -= residual * scaled
-                for j in range(N):
-                    hessian[i, j] += scaled * row[j]
+                scaled[i] = weight * row[i]
+                gradient[i] -= residual * scaled[i]
+            for j in range(N):
+                for i in range(N):
+                    upper_hessian[j, i] += scaled[i] * row[j]
         for i in range(N):
-            hessian[i, i] += config.damping
+            upper_hessian[i, i] += config.damping
         if level > 0:
             for k in range(N):
-                hessian[k, k] += config.rho
+                upper_hessian[k, k] += config.rho
                 for i in range(N):
-                    scaled = config.rho * projector[k, i]
-                    for j in range(N):
-                        hessian[i, j] -= scaled * projector[k, j]
-        cholesky(hessian, factor, N)
-        for j in range(N):
-            x[j] = -gradient[j]
-        solve_lower(factor, x, N)
-        solve_upper(factor, x, N)
+                    scaled[i] = config.rho * projector[k, i]
+                for j in range(N):
+                    for i in range(N):
+                        upper_hessian[j, i] -= scaled[i] * projector[k, j]
+        for i in range(N):
+            upper_hessian[i, N] = -gradient[i]
+        cholesky(upper_hessian)
+        for i in range(N):
+            x[i] = upper_hessian[i, N]
+        solve_upper(upper_hessian, x)
 
         _times_column(projector, x, step)
+        for r in range(limits):
+            used[r] = value[r] = 0.0
+        for j in range(N):
+            for r in range(limits):
+                used[r] += columns[j, r] * u[j]
+                value[r] += columns[j, r] * step[j]
         broken = False
         for i in range(limits):
-            if BOX <= i < BOX + N:
-                used, value = u[i - BOX], step[i - BOX]
-            else:
-                used = value = 0.0
-                for j in range(N):
-                    used += matrix[i, j] * u[j]
-                    value += matrix[i, j] * step[j]
-            low[i], high[i] = lower[i] - used, upper[i] - used
+            low[i], high[i] = lower[i] - used[i], upper[i] - used[i]
             if level > 0:
                 low[i] = min(low[i], 0.0) - config.margin
                 high[i] = max(high[i], 0.0) + config.margin
-            broken |= value > high[i] + config.tolerance
-            broken |= value < low[i] - config.tolerance
+            broken |= value[i] > high[i] + config.tolerance
+            broken |= value[i] < low[i] - config.tolerance
         if broken:
             counters[QPS] += 1
-            for i in range(limits):
-                _times(matrix, i, projector, row)
-                for j in range(N):
-                    rows[i, j] = row[j]
             code = _solve_limited(
-                factor, gradient, rows, low, high, x, config.iterations
+                upper_hessian,
+                matrix,
+                projector,
+                low[:limits],
+                high[:limits],
+                x,
+                config.iterations,
             )
             if code != SOLVED:
                 counters[FAILURES] += 1
@@ -190,33 +196,47 @@ def _weight(psi: np.ndarray, level: int, task: int, config: HierarchyConfig) -> 
 
 @jit
 def _solve_limited(
-    factor: np.ndarray,
-    gradient: np.ndarray,
-    rows: np.ndarray,
+    upper: np.ndarray,
+    matrix: np.ndarray,
+    projector: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
     x: np.ndarray,
     iterations: int,
 ) -> int:
-    """The level's QP as a least-distance problem in y = L' x + L^-1 g."""
+    """The level's QP as a least-distance problem in y = L' x + L^-1 g.
+
+    Args:
+        upper: L' and -L^-1 g, see ``cholesky``.
+        matrix: Rows of the limits on u, shape (m, 9).
+        projector: Projector, from x to u.
+        low: Lower bounds of the limits, shape (m,); those on y afterwards.
+        high: Upper bounds of the limits, shape (m,); those on y afterwards.
+        x: Resulting minimiser.
+        iterations: See ``solve_least_distance``.
+
+    Returns:
+        See ``solve_least_distance``.
+    """
     limits = len(low)
-    shift = gradient.copy()
-    solve_lower(factor, shift, N)
-    columns = np.empty((N, limits))  # of rows L'^-1
+    row = _vector()
+    columns = np.empty((N, limits))  # of the rows on x, times L'^-1
+    for r in range(limits):
+        _times(matrix, r, projector, row)
+        for i in range(N):
+            columns[i, r] = row[i]
     for i in range(N):
-        for r in range(limits):
-            columns[i, r] = rows[r, i]
         for k in range(i):
             for r in range(limits):
-                columns[i, r] -= factor[i, k] * columns[k, r]
+                columns[i, r] -= upper[k, i] * columns[k, r]
         for r in range(limits):
-            columns[i, r] /= factor[i, i]
-            low[r] += columns[i, r] * shift[i]
-            high[r] += columns[i, r] * shift[i]
+            columns[i, r] /= upper[i, i]
+            low[r] -= columns[i, r] * upper[i, N]
+            high[r] -= columns[i, r] * upper[i, N]
     code = solve_least_distance(columns, low, high, x, iterations)
     for j in range(N):
-        x[j] -= shift[j]
-    solve_upper(factor, x, N)
+        x[j] += upper[j, N]
+    solve_upper(upper, x)
     return code
 
 

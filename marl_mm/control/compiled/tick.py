@@ -12,13 +12,18 @@ from marl_mm.control.compiled.assembly import (
 )
 from marl_mm.control.compiled.hierarchy import CAUSE, solve_hierarchy
 from marl_mm.control.config import BRAKING_RATE, Gains, HierarchyConfig, LimitConfig
-from marl_mm.control.limits import BOX, WHEEL_ARM
+from marl_mm.control.limits import BOX, WHEEL_ARM, ZMP_ROWS
 from marl_mm.control.records import VARIABLES as N
 from marl_mm.control.records import Reference
-from marl_mm.jit import jit
+from marl_mm.jit import jit, on_stack
 from marl_mm.robot.description import WHEEL_RADIUS
 from marl_mm.robot.limits import RobotLimits
 from marl_mm.robot.model import ModelTerms, RobotState
+
+_MOST = ZMP_ROWS.stop
+_task_rows, _task_row = on_stack(TASK_ROWS, N), on_stack(TASK_ROWS)
+_limit_rows, _limit_row = on_stack(_MOST, N), on_stack(_MOST)
+_variables = on_stack(N)
 
 
 @jit
@@ -66,15 +71,19 @@ def tick(
     """
     state_, terms_ = RobotState(*state), ModelTerms(*terms)
     robot_ = RobotLimits(*robot)
-    jacobian = np.zeros((TASK_ROWS, N))
-    target = np.zeros(TASK_ROWS)
+    jacobian, target = _task_rows(), _task_row()
+    jacobian[:] = 0.0
     assemble_tasks(
         state_, terms_, Reference(*reference), Gains(*gains), jacobian, target
     )
-    matrix = np.zeros((rows, N))
-    lower, upper = np.zeros(rows), np.zeros(rows)
+    matrix, lower, upper = (
+        _limit_rows()[:rows],
+        _limit_row()[:rows],
+        _limit_row()[:rows],
+    )
+    matrix[:] = 0.0
     assemble_limits(state_, terms_, robot_, LimitConfig(*limits), matrix, lower, upper)
-    part = np.empty(N)
+    part = _variables()
     u[:] = 0.0
     feasible = True
     for m in range(priorities.shape[0]):
