@@ -6,7 +6,7 @@ from typing import Any, get_type_hints
 
 from marl_mm.errors import CheckpointError
 from marl_mm.received import check_kind
-from marl_mm.sim.config import DEFAULT_ENGINE
+from marl_mm.sim.config import RECORDED_ENGINE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +25,7 @@ class RunConfig:
     task: str
     """Registered name of the task of the evaluations."""
 
-    engine: str = DEFAULT_ENGINE
+    engine: str = RECORDED_ENGINE
     """Engine of the simulation; that of version 1 where none is recorded."""
 
     dataset: Mapping[str, str] | None = None

@@ -15,6 +15,7 @@ from marl_mm.errors import DatasetError
 from marl_mm.layout import Layout
 from marl_mm.layout_diff import refuse_other_layout
 from marl_mm.progress import Advance, silent
+from marl_mm.sim.config import as_recorded
 from marl_mm.workers import ordered_map
 
 
@@ -63,7 +64,7 @@ def replay(dataset: Dataset, workers: int = 1) -> Iterator[str | None]:
                 f"episode {number} comes from {origin!r}, which was imported: without "
                 "its seed and settings it cannot be replayed"
             )
-        task = make_task(about.task, about.overrides)
+        task = make_task(about.task, as_recorded(about.overrides))
         refuse_other_layout(f"episode {number}", arrays.layout, about.task, task.layout)
         items.append((task, arrays.episode(number)))
     return ordered_map(_difference, items, workers)

@@ -17,7 +17,7 @@ from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import refuse_foreign
 from marl_mm.errors import MarlMmError, UnknownDatasetError, UsageError
 from marl_mm.files import only_here
-from marl_mm.sim.config import DEFAULT_ENGINE
+from marl_mm.sim.config import RECORDED_ENGINE
 
 _BEGUN = "being collected, or stopped: go on with `marl_mm.collect(..., resume=True)`"
 
@@ -38,7 +38,7 @@ def catalogue() -> list[dict[str, Any]]:
         arrays = shipped.shipped_arrays()
         note = "ships with marl_mm: written here at its first use"
         counts = {"steps": arrays.steps, "episodes": len(arrays)}
-        row = {"id": SHIPPED, "engine": DEFAULT_ENGINE, **counts, "note": note}
+        row = {"id": SHIPPED, "engine": RECORDED_ENGINE, **counts, "note": note}
         rows.append(row)
     return rows
 
@@ -51,7 +51,7 @@ def _row(name: str) -> dict[str, Any]:
         return {"id": name, **nothing, "note": str(error)}
     return {
         "id": name,
-        "engine": Provenance.from_json(record).engine or DEFAULT_ENGINE,
+        "engine": Provenance.from_json(record).engine or RECORDED_ENGINE,
         "steps": record["steps"],
         "episodes": record["episodes"],
         "note": "" if record.get("complete") else "of a collection that was stopped",

@@ -13,7 +13,7 @@ from marl_mm.eval.metrics import EvaluationRow, episode_row, summarize_direction
 from marl_mm.notebook import html_table
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
-from marl_mm.sim.config import ENGINES, engine_of
+from marl_mm.sim.config import ENGINES, engine_of, to_record
 from marl_mm.versions import versions
 
 
@@ -142,7 +142,7 @@ def evaluate_with(
         rows.append(episode_row(episode))
         reached = sum(row["success"] for row in rows)
         advance(1, f"{reached}/{len(rows)} reached")
-    replaced = dict(overrides or {})
+    replaced = to_record(overrides or {})
     package, _ = ENGINES[engine_of(replaced)]
     version = versions()[package]
     return Evaluation(

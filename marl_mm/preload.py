@@ -9,6 +9,7 @@ otherwise write to every page and copy it.
 import ctypes
 import gc
 import json
+import logging
 import os
 import sys
 
@@ -21,7 +22,9 @@ def _load_compiled_code() -> None:
     from marl_mm.envs.core import EpisodeCore
     from marl_mm.envs.registry import make_task
 
+    logging.disable()  # which engine it is says the parent
     core = EpisodeCore(make_task())
+    logging.disable(logging.NOTSET)
     core.reset(np.random.default_rng(0))
     core.step(np.zeros(4))
     core.close()

@@ -8,8 +8,10 @@ import sys
 os.environ.setdefault("PYTHON_CPU_COUNT", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # read where a library starts its threads
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import gymnasium
@@ -27,17 +29,62 @@ from marl_mm.envs.registry import TASKS, make_task
 from marl_mm.envs.task import Task
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import INFO, Episode
+from marl_mm.errors import UsageError
 from marl_mm.eval.metrics import METRICS
 from marl_mm.layout import Layout
 from marl_mm.registry import Registry
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
+from marl_mm.sim.config import is_installed
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 MakeEpisode = Callable[..., Episode]
 OpenWorld = Callable[..., EpisodeCore]
 Situation = tuple[RobotState, ModelTerms, Reference]
+
+
+class _Absent:
+    """PyBullet where it is not installed: a test that uses it is skipped."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        pytest.skip("PyBullet is not installed")
+
+
+if not is_installed("bullet"):
+    absent: Any = ModuleType("marl_mm.sim.engine")
+    absent.pybullet = absent.pybullet_data = _Absent()
+    sys.modules[absent.__name__] = absent
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item: pytest.Item) -> Generator[None]:
+    """A test whose fixtures need PyBullet is skipped where it is not installed."""
+    if item.get_closest_marker("bullet") and not is_installed("bullet"):
+        pytest.skip("PyBullet is not installed")
+    with skipped_without_bullet():
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None]:
+    """So is one that asks for its engine or its pictures itself."""
+    with skipped_without_bullet():
+        return (yield)
+
+
+@contextmanager
+def skipped_without_bullet() -> Iterator[None]:
+    """The package's own error about PyBullet is the reason of a skip."""
+    try:
+        yield
+    except UsageError as error:
+        needs = "pip install pybullet", "use engine 'bullet'"
+        if is_installed("bullet") or not any(word in str(error) for word in needs):
+            raise
+        pytest.skip(str(error))
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -45,7 +45,7 @@ from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.table import CRITICS, IQM, RETURN, Table
 from marl_mm.eval.studies.targets import STUDIES
 from marl_mm.eval.tables import markdown_table, rate_with_interval
-from marl_mm.sim.config import DEFAULT_ENGINE
+from marl_mm.sim.config import RECORDED_ENGINE
 from marl_mm.versions import engine_text
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -142,7 +142,7 @@ def _simulated() -> str:
     records = (json.loads(p.read_text()) for p in RESULTS.glob("studies/rows/*/*.json"))
     old = [record for record in records if "engine" not in record]
     packages = [record["packages"] for record in old if "packages" in record]
-    engines = {engine_text(DEFAULT_ENGINE, versions) for versions in packages}
+    engines = {engine_text(RECORDED_ENGINE, versions) for versions in packages}
     return f"Tables that name no engine are of {' and '.join(sorted(engines))}.\n"
 
 

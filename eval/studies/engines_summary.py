@@ -105,7 +105,7 @@ def mean_maximum_rank_violation(values: np.ndarray, others: np.ndarray) -> float
 
 
 def engines_table(summary: Sequence[Row]) -> str:
-    """A line per task and policy, as Markdown: the first engine, and the difference."""
+    """Both tables as Markdown: the first engine and the difference; the agreement."""
     header = ["task", "policy"]
     for head, _, _ in MEASURES.values():
         header += [head, "difference [95 %]"]
@@ -118,7 +118,8 @@ def engines_table(summary: Sequence[Row]) -> str:
             mean, low, high = (f"{scale * value:+{form}}" for value in bounds)
             line.append(f"{mean} [{low}, {high}]")
         lines.append(line)
-    return f"{_engines(summary)}\n\n{markdown_table(header, lines)}"
+    agreed = agreement_table(agreement(summary))
+    return f"{_engines(summary)}\n\n{markdown_table(header, lines)}\n{agreed}"
 
 
 def agreement_table(rows: Sequence[Row]) -> str:

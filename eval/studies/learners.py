@@ -29,7 +29,7 @@ from marl_mm.runs.sources import Data
 from marl_mm.runs.training import Offline, Training
 from marl_mm.runs.training import Online as OnlineTraining
 from marl_mm.runs.training import training_of as default_training
-from marl_mm.sim.config import DEFAULT_ENGINE, Engine
+from marl_mm.sim.config import RECORDED_ENGINE, Engine
 
 _SMALL = {"updates": 120, "episodes": 8, "warm_up": 12, "updates_per_episode": 5}
 """Hyper-parameters with the smoke budget."""
@@ -133,7 +133,7 @@ def training_of(
     setting: Setting,
     small: bool,
     precision: Precision = "auto",
-    engine: Engine = DEFAULT_ENGINE,
+    engine: Engine = RECORDED_ENGINE,
 ) -> Training:
     """Settings of a cell's runs, without the path of its dataset.
 

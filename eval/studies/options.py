@@ -9,7 +9,7 @@ from marl_mm.envs.registry import make_task
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.study import Cell, Study, cell_name
 from marl_mm.runs.settings import check_positive, check_seeds
-from marl_mm.sim.config import DEFAULT_ENGINE, Engine, engine_overrides
+from marl_mm.sim.config import RECORDED_ENGINE, Engine, default_engine, engine_overrides
 from marl_mm.workers import Executor
 
 RESULTS = "results"
@@ -42,7 +42,7 @@ class StudyOptions:
     engine: Engine | None = None
     """Engine of the simulation, bullet or mujoco, where a study names none: of the
     datasets that are collected, and of all evaluations; default that of the rows in
-    OUT, or bullet."""
+    OUT, or bullet, or mujoco where PyBullet is not installed."""
 
     workers: int = 1
     """Runs at once; the result does not depend on their number."""
@@ -77,8 +77,10 @@ class StudyOptions:
     def runs_folder(self) -> Path:
         """``runs`` or its default; the engines' runs are not in one folder."""
         name = "studies-smoke" if self.small else "studies"
-        other = self.engine not in (None, DEFAULT_ENGINE)
-        return self.runs or Path("runs") / (f"{name}-{self.engine}" if other else name)
+        engine = self.engine or default_engine()
+        return self.runs or Path("runs") / (
+            name if engine == RECORDED_ENGINE else f"{name}-{engine}"
+        )
 
     @property
     def results(self) -> Path:

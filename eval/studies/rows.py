@@ -34,7 +34,7 @@ from marl_mm.eval.studies.study import (
 from marl_mm.files import only_here, write_json
 from marl_mm.received import check_kind, damage_named, read_json
 from marl_mm.runs.sources import Data, engine_named_by
-from marl_mm.sim.config import DEFAULT_ENGINE, ENGINES, Engine
+from marl_mm.sim.config import ENGINES, RECORDED_ENGINE, Engine, default_engine
 from marl_mm.versions import engine_text
 
 _ADVICE = "name another folder with `out`"
@@ -126,7 +126,7 @@ class RowStore:
                 f"{self.folder} has rows of engines {' and '.join(free)}, expected one "
                 f"in a table: choose it with `engine`, and {_ADVICE}"
             )
-        rest = asked or (free[0] if free else DEFAULT_ENGINE)
+        rest = asked or (free[0] if free else default_engine())
         for cell in cells:
             engine, wanted = there[cell_name(cell)], named[cell_name(cell)] or rest
             if engine not in (None, wanted):
@@ -148,7 +148,7 @@ class RowStore:
     def _engine(self, cell: Cell) -> Engine | None:
         """Engine of a cell's rows; None without rows."""
         record = self._record(cell)
-        engine = record.get("engine", DEFAULT_ENGINE) if record else None
+        engine = record.get("engine", RECORDED_ENGINE) if record else None
         if engine not in (None, *ENGINES):
             raise MarlMmError(
                 f"{self._path(cell, '.json')} is damaged: engine is {engine!r:.60}"

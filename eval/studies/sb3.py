@@ -24,7 +24,7 @@ from marl_mm.runs.folder import (
 )
 from marl_mm.runs.learning import curve_point
 from marl_mm.runs.training import Online
-from marl_mm.sim.config import DEFAULT_ENGINE
+from marl_mm.sim.config import default_engine
 from marl_mm.versions import versions
 
 
@@ -124,7 +124,7 @@ def _run_config(training: Online, seed: int) -> RunConfig:
         algorithm=SB3,
         seed=seed,
         task=training.task,
-        engine=training.engine or DEFAULT_ENGINE,
+        engine=training.engine or default_engine(),
         packages=versions("stable-baselines3"),
         settings=_settings(training),
     )

@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +31,7 @@ from marl_mm.eval.studies.sweep_summary import (
 from marl_mm.files import new_folder, refuse_existing, write_json
 from marl_mm.progress import Bar
 from marl_mm.runs.settings import check_positive, check_seed
-from marl_mm.sim.config import DEFAULT_ENGINE, Engine, engine_overrides
+from marl_mm.sim.config import Engine, default_engine, engine_overrides
 from marl_mm.versions import versions
 
 RULES = (PdConfig(alpha_rule="direction"), PdConfig(alpha_rule="room"))
@@ -72,7 +72,7 @@ class Sweep:
     worth_goals: int = 96
     """Goals for comparing rules with fixed alphas, of the next seed; 0: none."""
 
-    engine: Engine = DEFAULT_ENGINE
+    engine: Engine = field(default_factory=default_engine)
     """Engine of the simulation: bullet or mujoco."""
 
     load_goals: int = 24

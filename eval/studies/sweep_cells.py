@@ -7,7 +7,7 @@ of the registered task, which ends after 25. Loads are carried on ``CarryReach-v
 
 from collections.abc import Iterable
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from marl_mm.collectors.pd import PdConfig, PdPolicy
@@ -20,7 +20,7 @@ from marl_mm.episode import Episode, reward_terms
 from marl_mm.eval.goals import goal_set
 from marl_mm.eval.metrics import Row
 from marl_mm.robot.description import CASTER_X
-from marl_mm.sim.config import DEFAULT_ENGINE, Engine, engine_overrides
+from marl_mm.sim.config import Engine, default_engine, engine_overrides
 from marl_mm.versions import engine_text
 
 LONG_EPISODE, SHORT_EPISODE = 50, 25
@@ -64,7 +64,7 @@ class SweepCell:
     mass: float | None = None
     """Mass of the load [kg]; None: no load."""
 
-    engine: Engine = DEFAULT_ENGINE
+    engine: Engine = field(default_factory=default_engine)
     """Engine of the simulation."""
 
     @property

@@ -18,7 +18,7 @@ from marl_mm.eval.tables import (
     rate_with_deviation,
     rate_with_interval,
 )
-from marl_mm.sim.config import DEFAULT_ENGINE
+from marl_mm.sim.config import RECORDED_ENGINE
 
 RETURN = "return [95 %]"
 """Heading of a mean over seeds and goals, with Student's interval over seeds."""
@@ -118,8 +118,8 @@ class Table:
 
 
 def _engine(line: Line) -> str:
-    """Engines of the probes; older rows name none and are of the default."""
-    engines = (str(row.get("engine") or DEFAULT_ENGINE) for row in line.rows.values())
+    """Engines of the probes; older rows name none and are of PyBullet."""
+    engines = (str(row.get("engine") or RECORDED_ENGINE) for row in line.rows.values())
     return ", ".join(dict.fromkeys(engines))
 
 

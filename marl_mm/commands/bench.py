@@ -1,7 +1,7 @@
 """marl-mm bench: what ticks, updates and data cost, and what abuse does."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Annotated, Any
 
 from marl_mm.commands.options import task_help
@@ -11,8 +11,12 @@ from marl_mm.control.config import Form, Solver
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.progress import Bar, progress_bars
 from marl_mm.runs.settings import check_positive, check_seed
-from marl_mm.sim.config import Engine
+from marl_mm.sim.config import ENGINES, Engine, is_installed
 from marl_mm.versions import versions
+
+
+def _installed() -> tuple[Engine, ...]:
+    return tuple(filter(is_installed, ENGINES))
 
 
 @dataclass(frozen=True)
@@ -127,7 +131,7 @@ class BenchEnv(_Bench):
 
     task: Annotated[str, task_help("{}.")] = DEFAULT
 
-    engine: tuple[Engine, ...] = ("bullet", "mujoco")
+    engine: tuple[Engine, ...] = field(default_factory=_installed)
     """Engines to compare; bullet is their reference."""
 
     turns: int = 8
@@ -163,7 +167,7 @@ class BenchLearning(_Bench):
     algorithm: tuple[str, ...] = ("ddpg-her", "maddpg-her")
     """Online algorithms."""
 
-    engine: tuple[Engine, ...] = ("bullet", "mujoco")
+    engine: tuple[Engine, ...] = field(default_factory=_installed)
     """Engines to compare; the first is the others' reference."""
 
     seeds: int = 3

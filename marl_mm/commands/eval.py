@@ -50,7 +50,8 @@ def main(
         seed: Seed of the goals and of random policies.
         task: Registered name of the task.
         max_steps: Steps per episode; default the task's.
-        engine: Engine of the simulation; default the runs' own, or bullet.
+        engine: Engine of the simulation; default the runs' own, or bullet, or
+            mujoco without PyBullet.
         workers: Processes; the result does not depend on their number.
         out: JSON file to write everything to, with a row per episode.
         overwrite: Replace OUT if it exists.

@@ -55,7 +55,8 @@ def main(
         seed: Seed of the goal and of random policies.
         task: Registered name of the task.
         max_steps: Steps of one second until the episode is cut off; default the task's.
-        engine: Engine of the simulation; default the run's own, or bullet.
+        engine: Engine of the simulation; default the run's own, or bullet, or
+            mujoco without PyBullet.
         fps: Frames per second of film and of simulated time.
         gui: Open PyBullet's window instead of writing a film; needs a screen.
         overwrite: Replace what exists.

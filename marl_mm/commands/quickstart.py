@@ -7,7 +7,8 @@ import tyro
 from marl_mm.commands.output import print_evaluations, show
 from marl_mm.commands.parser import command
 from marl_mm.progress import progress_bars
-from marl_mm.runs.quickstart import Quickstart, run_quickstart
+from marl_mm.runs.quickstart import NO_FILM, Quickstart, run_quickstart
+from marl_mm.sim.config import is_installed
 from marl_mm.workers import available_cores
 
 
@@ -33,5 +34,7 @@ def main(
         show(values)
         return
     print_evaluations(evaluations)
+    if not is_installed("bullet"):
+        print(NO_FILM)
     seconds = sum(values["stages_s"].values())
     print(f"{seconds:.0f} s; read {options.out / 'report.md'}")

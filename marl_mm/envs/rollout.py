@@ -18,6 +18,7 @@ from marl_mm.envs.slots import threads_serve
 from marl_mm.envs.task import Task
 from marl_mm.episode import Episode
 from marl_mm.policy import Policy
+from marl_mm.sim.world import check_engine
 from marl_mm.workers import Executor, Pool, Workers, open_pool
 
 Purpose = Literal["collect", "evaluate", "train"]
@@ -100,6 +101,7 @@ class Rollouts:
     def __init__(
         self, task: Task, workers: int = 1, executor: Executor = "local"
     ) -> None:
+        check_engine(task.simulation.engine)
         here = workers == 1 and executor == "local"
         self._core = EpisodeCore(task) if here else None
         self._pool: Pool | None = None

@@ -25,6 +25,7 @@ from marl_mm.envs.slots import (
 from marl_mm.envs.task import Task
 from marl_mm.errors import InvalidActionError, UsageError, WorkerDiedError
 from marl_mm.layout import Layout
+from marl_mm.sim.world import check_engine
 from marl_mm.spaces import action_space, goal_observation_space, state_space
 from marl_mm.workers import available_cores
 
@@ -52,6 +53,7 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
             if not isinstance(number, int | np.integer) or number < 1:
                 raise UsageError(f"{name} is {number!r}, expected an integer >= 1")
         self.task = make_task(task, overrides)
+        check_engine(self.task.simulation.engine)
         self.num_envs, self.render_mode = int(n), render_mode
         self.metadata = {
             **render_metadata(self.task),

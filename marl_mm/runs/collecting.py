@@ -32,7 +32,7 @@ from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.plugins import record
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.settings import check_positive, check_seed, refuse_both
-from marl_mm.sim.config import DEFAULT_ENGINE, Engine, engine_overrides
+from marl_mm.sim.config import RECORDED_ENGINE, Engine, engine_overrides
 from marl_mm.workers import Executor
 
 _STEPS = 10_000
@@ -66,7 +66,8 @@ class Collecting:
     """Steps per episode; default the collector's, where it has some, or the task's."""
 
     engine: Engine | None = None
-    """Engine of the simulation, bullet or mujoco; default bullet."""
+    """Engine of the simulation, bullet or mujoco; default bullet, or mujoco
+    where PyBullet is not installed."""
 
     resume: bool = False
     """Go on where a collection was stopped, or with more steps where it ended. Settings
@@ -245,7 +246,7 @@ class _Collector:
                 "choose another `dataset` or add `overwrite=True`",
             )
         if config := metadata.get("config"):  # version 1 had one engine
-            simulation = {"engine": DEFAULT_ENGINE, **config.get("simulation", {})}
+            simulation = {"engine": RECORDED_ENGINE, **config.get("simulation", {})}
             metadata = {**metadata, "config": {**config, "simulation": simulation}}
         refuse_other_config(location.folder, metadata, self.about.to_json())
 

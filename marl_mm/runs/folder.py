@@ -28,7 +28,7 @@ from marl_mm.plugins import record
 from marl_mm.received import check_kind, damage_named, read_json
 from marl_mm.runs.settings import check_seeds
 from marl_mm.runs.training import Offline, Online, Training
-from marl_mm.sim.config import DEFAULT_ENGINE
+from marl_mm.sim.config import default_engine
 from marl_mm.versions import versions
 
 CONFIG = "config.json"
@@ -139,7 +139,7 @@ def run_config(training: Training, dataset: Dataset | None, seed: int) -> RunCon
         preset=training.preset,
         seed=seed,
         task=task,
-        engine=training.engine or DEFAULT_ENGINE,
+        engine=training.engine or default_engine(),
         dataset=dataset.identity() if dataset else None,
         packages=versions(),
         plugins=record(ALGORITHMS.origin(training.algorithm), TASKS.origin(task)),

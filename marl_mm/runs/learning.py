@@ -37,7 +37,8 @@ from marl_mm.runs.folder import (
 )
 from marl_mm.runs.settings import check_positive
 from marl_mm.runs.training import Offline, Online, Training
-from marl_mm.sim.config import DEFAULT_ENGINE, engine_of
+from marl_mm.sim.config import default_engine, engine_of
+from marl_mm.sim.world import check_engine
 
 T = TypeVar("T", bound=Training)
 
@@ -64,6 +65,7 @@ def check_training(
         OtherConfigError: If a run to resume was made otherwise.
     """
     check_positive(curve_episodes=training.curve_episodes)
+    check_engine(training.engine or default_engine())
     if isinstance(training, Offline):
         assert dataset is not None
         fresh = not all(goes_on(run, training) for run in runs.values())
@@ -158,7 +160,7 @@ def on_engine(training: T, dataset: Dataset | None) -> T:
         UsageError: If demonstrations are of another engine.
     """
     if dataset is None:
-        return replace(training, engine=training.engine or DEFAULT_ENGINE)
+        return replace(training, engine=training.engine or default_engine())
     given = engine_of(dataset.provenance.overrides)
     engine = training.engine or given
     if isinstance(training, Online) and engine != given:

@@ -28,7 +28,7 @@ from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.evaluate import task_overrides
 from marl_mm.runs.policies import load_policy, own_engine, own_task
 from marl_mm.runs.settings import check_positive, check_seed
-from marl_mm.sim.config import DEFAULT_ENGINE, RATE, Camera, Engine
+from marl_mm.sim.config import RATE, RECORDED_ENGINE, Camera, Engine
 
 Direction = Literal["forward", "backward"]
 
@@ -55,7 +55,7 @@ class Film:
     policy: str
     """Name of the policy."""
 
-    engine: Engine = DEFAULT_ENGINE
+    engine: Engine = RECORDED_ENGINE
     """Engine of the simulation."""
 
     def save(self, path: str | Path, overwrite: bool = False) -> None:

@@ -11,7 +11,7 @@ from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.policy import Policy
 from marl_mm.received import read_json
 from marl_mm.runs.settings import with_settings
-from marl_mm.sim.config import DEFAULT_ENGINE, Engine
+from marl_mm.sim.config import RECORDED_ENGINE, Engine, default_engine
 
 AGENT = "pretrained"
 """Name of the agent that ships, which needs no run folder."""
@@ -77,7 +77,7 @@ def own_task(policies: Sequence[Any]) -> str:
     Raises:
         UsageError: If there are several tasks.
     """
-    return _of_runs(policies, "task", DEFAULT)
+    return _of_runs(policies, "task", DEFAULT) or DEFAULT
 
 
 def own_engine(policies: Sequence[Any]) -> Engine:
@@ -89,11 +89,18 @@ def own_engine(policies: Sequence[Any]) -> Engine:
     Raises:
         UsageError: If there are several engines.
     """
-    return cast(Engine, _of_runs(policies, "engine", DEFAULT_ENGINE))
+    engine = _of_runs(policies, "engine", RECORDED_ENGINE)
+    return cast(Engine, engine or default_engine())
 
 
-def _of_runs(policies: Sequence[Any], key: str, default: str) -> str:
-    """What all runs among some policies have in their records."""
+def _of_runs(policies: Sequence[Any], key: str, unnamed: str) -> str | None:
+    """What all runs among some policies have in their records; None without runs.
+
+    Args:
+        policies: Sources as in ``load_policy``.
+        key: Key of the record.
+        unnamed: Value of records without the key.
+    """
     values: dict[str, Any] = {}
     for source in policies:
         if hasattr(source, "act") or source in policy_names():
@@ -105,7 +112,7 @@ def _of_runs(policies: Sequence[Any], key: str, default: str) -> str:
         config = (path.parent if path.is_file() else path) / "config.json"
         if config.exists():
             record = read_json(config, CheckpointError)
-            value = record.get(key, default) if isinstance(record, dict) else None
+            value = record.get(key, unnamed) if isinstance(record, dict) else None
             if not isinstance(value, str):
                 raise CheckpointError(f"{config} is damaged: {key} is {value!r:.60}")
             values[value] = path
@@ -114,4 +121,4 @@ def _of_runs(policies: Sequence[Any], key: str, default: str) -> str:
             f"{name} for {value}" for value, name in sorted(values.items())
         )
         raise UsageError(f"runs for several {key}s, {listed}: choose one with `{key}`")
-    return next(iter(values), default)
+    return next(iter(values), None)

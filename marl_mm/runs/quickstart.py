@@ -28,6 +28,7 @@ from marl_mm.runs.run import Run
 from marl_mm.runs.settings import check_positive, check_seed
 from marl_mm.runs.train import train
 from marl_mm.runs.training import Offline
+from marl_mm.sim.config import is_installed
 
 EXPERT = PdConfig(alpha_rule="room")
 """PD agent whose episodes are collected: alpha falls as the hand runs out of room,
@@ -39,6 +40,10 @@ FPS = 8
 FULL = {"steps": 1_500, "updates": 8_000, "episodes": 100}
 SMALL = {"steps": 1_000, "updates": 8_000, "episodes": 40}
 """Steps of the dataset, updates of the learner, goals of each evaluation."""
+
+_FILM = "![film strip](mabc.png)\n\nFilm: [mabc.mp4](mabc.mp4)"
+
+NO_FILM = "There is no film: PyBullet, which draws it, is not installed."
 
 
 @dataclass(frozen=True)
@@ -65,6 +70,8 @@ def run_quickstart(
     options: Quickstart, progress: Bar = silent_bar
 ) -> tuple[dict[str, Any], list[Evaluation]]:
     """Collect, train, evaluate, and leave a report, figures and a film in a folder.
+
+    Without PyBullet, which draws it, there is no film.
 
     Args:
         options: Size and place.
@@ -137,16 +144,19 @@ def _timed(stages: dict[str, float], name: str) -> Iterator[None]:
 
 
 def _picture(run: Run, options: Quickstart, progress: Bar) -> None:
-    """Alpha over time of learner and expert, a film and a film strip of the learner."""
+    """Alpha over time of learner and expert; film and film strip of the learner."""
     out, task, expert = options.out, make_task(), PdPolicy(EXPERT)
-    advance = progress("film mabc", 2 * task.max_steps)
-    both = film_both_ways(task, run.policy, options.seed, FPS, advance)
-    write_video(out / "mabc.mp4", both.frames, FPS)
-    film_strip(out / "mabc.png", both.strips)
-    beside = [*run_episodes(task, expert, goal_set(task, 2, options.seed))]
-    alpha_over_time(
-        {run.policy.name: both.episodes, expert.name: beside}, out / "alpha.png"
-    )
+    plans = goal_set(task, 2, options.seed)
+    if is_installed("bullet"):  # it draws the pictures
+        advance = progress("film mabc", 2 * task.max_steps)
+        both = film_both_ways(task, run.policy, options.seed, FPS, advance)
+        write_video(out / "mabc.mp4", both.frames, FPS)
+        film_strip(out / "mabc.png", both.strips)
+        episodes = both.episodes
+    else:
+        episodes = [*run_episodes(task, run.policy, plans)]
+    beside = [*run_episodes(task, expert, plans)]
+    alpha_over_time({run.policy.name: episodes, expert.name: beside}, out / "alpha.png")
 
 
 def _report(
@@ -172,9 +182,7 @@ hand and base from their targets at the end of a step; jerk: of the base, rms; a
 stable base ... 0 accurate hand. Means over episodes of each one's mean. The PD agent
 lowers alpha from 1 to {EXPERT.alpha} as the hand nears its own base (rule "room").
 
-![film strip](mabc.png)
-
-Film: [mabc.mp4](mabc.mp4)
+{_FILM if is_installed("bullet") else NO_FILM}
 
 ## Learning curve
 

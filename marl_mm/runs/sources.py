@@ -18,7 +18,13 @@ from marl_mm.files import only_here
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.collecting import Collecting, collect_dataset, recorded
 from marl_mm.runs.settings import check_positive, with_settings
-from marl_mm.sim.config import DEFAULT_ENGINE, Engine, engine_of, engine_overrides
+from marl_mm.sim.config import (
+    RECORDED_ENGINE,
+    Engine,
+    default_engine,
+    engine_of,
+    engine_overrides,
+)
 from marl_mm.workers import Executor
 
 FEW = 30
@@ -118,9 +124,14 @@ def on_engine(data: Source | Mix, engine: Engine | None) -> Source | Mix:
     """A declaration, and all that it begins with or is drawn from, on an engine.
 
     One that names an engine stays. The others' names end in the engine's, if it is not
-    the default.
+    PyBullet, as which one without an engine counts from here on.
+
+    Args:
+        data: The declaration.
+        engine: The engine; None is the default one.
     """
-    if engine in (None, DEFAULT_ENGINE) or engine_named_by(data) is not None:
+    engine = engine or default_engine()
+    if engine == RECORDED_ENGINE or engine_named_by(data) is not None:
         return data
     name = re.sub(r"(-v\d+)?$", rf"-{engine}\1", data.name, count=1)
     if isinstance(data, Source):
@@ -216,7 +227,7 @@ class Datasets:
             steps=self._steps(source.steps),
             seed=source.seed,
             task=source.task,
-            engine=source.engine,
+            engine=source.engine or RECORDED_ENGINE,
             workers=1 if self.small else self.workers,  # few episodes are over at once
             executor=self.executor,
             resume=begun,
@@ -264,7 +275,7 @@ class Datasets:
         if isinstance(data, Mix):
             return _drawn(record) == self._drawn_by(data)
         config = as_json(asdict(data.config))
-        engine = data.engine or DEFAULT_ENGINE
+        engine = data.engine or RECORDED_ENGINE
         expected = data.task, data.collector, config, self._steps(data.steps), engine
         config = as_json(dict(record.collector_config or {}))
         engine = engine_of(record.overrides)

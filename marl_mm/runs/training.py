@@ -49,7 +49,8 @@ class Training:
     """Steps of an episode, of evaluations too; default the task's."""
 
     engine: Engine | None = None
-    """Engine of the simulation, bullet or mujoco; default the dataset's, or bullet."""
+    """Engine of the simulation, bullet or mujoco; default the dataset's, or
+    bullet, or mujoco where PyBullet is not installed."""
 
     workers: int = 1
     """Processes that run episodes, and that train seeds from a dataset. The result does

@@ -1,7 +1,8 @@
 """Settings of simulation and camera; independent of the engine."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import Any, Literal
 
 import numpy as np
@@ -21,12 +22,23 @@ ENGINES: dict[Engine, tuple[str, str]] = {
 """Package, and module in it, of each engine."""
 
 
-DEFAULT_ENGINE: Engine = "bullet"
-"""Engine of the tasks, unless another is asked for; that of version 1."""
+RECORDED_ENGINE: Engine = "bullet"
+"""Engine of records that name none, as those of version 1, on every Python."""
+
+
+def is_installed(engine: Engine) -> bool:
+    """Whether an engine's package is there."""
+    _, module = ENGINES[engine]
+    return find_spec(module) is not None
+
+
+def default_engine() -> Engine:
+    """Engine of the tasks where none is asked for: PyBullet; without it, MuJoCo."""
+    return "bullet" if is_installed("bullet") else "mujoco"
 
 
 def engine_of(overrides: Mapping[str, Any]) -> Engine:
-    """Engine of a task with these fields replaced.
+    """Engine of a record of a task with these fields replaced.
 
     Raises:
         UsageError: If the fields are of another kind.
@@ -34,23 +46,45 @@ def engine_of(overrides: Mapping[str, Any]) -> Engine:
     simulation = overrides.get("simulation", {})
     if not isinstance(simulation, Mapping):
         raise UsageError(f"simulation is {simulation!r:.60}, expected a mapping")
-    engine: Engine = simulation.get("engine", DEFAULT_ENGINE)
+    engine: Engine = simulation.get("engine", RECORDED_ENGINE)
     return engine
 
 
 def engine_overrides(engine: Engine | None) -> dict[str, Any]:
-    """Replaced fields of a task on this engine; none for the default one."""
-    if engine in (None, DEFAULT_ENGINE):
+    """Replaced fields of a task on an engine; None is the default one.
+
+    There are none where a task and its record are on this engine all the same.
+    """
+    engine = engine or default_engine()
+    if engine == RECORDED_ENGINE == default_engine():
         return {}
     return {"simulation": {"engine": engine}}
+
+
+def as_recorded(overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Replaced fields that name the engine of a record, for a task to be on it."""
+    return _on(RECORDED_ENGINE, overrides)
+
+
+def to_record(overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Replaced fields as a record has them, which has to name the engine but one."""
+    default = default_engine()
+    return dict(overrides) if default == RECORDED_ENGINE else _on(default, overrides)
+
+
+def _on(engine: Engine, overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Replaced fields that name this engine if they name none."""
+    simulation = {"engine": engine, **overrides.get("simulation", {})}
+    return {**overrides, "simulation": simulation}
 
 
 @dataclass(frozen=True)
 class SimulationConfig:
     """Engine, and settings of its solver, motors and contacts."""
 
-    engine: Engine = DEFAULT_ENGINE
-    """Engine of the simulation: "bullet" or "mujoco"; the paper has PyBullet."""
+    engine: Engine = field(default_factory=default_engine)
+    """Engine of the simulation: "bullet" or "mujoco"; the paper has PyBullet. Default
+    bullet, or mujoco where PyBullet is not installed."""
 
     solver_iterations: int = 20
     """Iterations of the contact solver; 10, 20 and 50 agree to 0.1 mm."""

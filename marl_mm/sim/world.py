@@ -1,7 +1,9 @@
 """The simulator as the rest of the package sees it, whichever engine computes it."""
 
+import logging
 from collections.abc import Sequence
-from importlib.util import find_spec
+from functools import cache
+from multiprocessing import parent_process
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -9,7 +11,14 @@ import numpy as np
 from marl_mm.errors import UsageError
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.model import RobotState
-from marl_mm.sim.config import ENGINES, Camera, SimulationConfig
+from marl_mm.sim.config import (
+    ENGINES,
+    Camera,
+    Engine,
+    SimulationConfig,
+    default_engine,
+    is_installed,
+)
 from marl_mm.sim.scene import Mark, Scene
 
 if TYPE_CHECKING:  # it loads the library of an engine
@@ -145,12 +154,7 @@ def open_world(
     Raises:
         UsageError: If the engine is not installed or has no such pictures.
     """
-    package, module = ENGINES[config.engine]
-    if find_spec(module) is None:
-        raise UsageError(
-            f"engine {config.engine!r} needs the package {package}, which is not "
-            f"installed: pip install {package}, or choose another engine"
-        )
+    check_engine(config.engine)
     if config.engine == "mujoco":
         from marl_mm.sim.mujoco import MujocoWorld
 
@@ -158,3 +162,29 @@ def open_world(
     from marl_mm.sim.bullet import BulletWorld
 
     return BulletWorld(robot, config, visual, gui)
+
+
+def check_engine(engine: Engine) -> None:
+    """Refuse an engine that is not installed, and say where MuJoCo takes its place.
+
+    It says so on stderr, once in a process, and not in workers.
+
+    Raises:
+        UsageError: If the engine is not installed.
+    """
+    if not is_installed(engine):
+        package, _ = ENGINES[engine]
+        wheels = " (wheels: up to Python 3.11)" if engine == "bullet" else ""
+        raise UsageError(
+            f"engine {engine!r} needs the package {package}, which is not installed: "
+            f"pip install {package}{wheels}, or choose another `engine`"
+        )
+    if engine == default_engine() != "bullet" and parent_process() is None:
+        _say_fallback()
+
+
+@cache
+def _say_fallback() -> None:
+    logging.getLogger("marl_mm").warning(
+        "PyBullet is not installed (wheels: up to Python 3.11): MuJoCo simulates"
+    )

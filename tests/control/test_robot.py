@@ -2,8 +2,6 @@
 
 import numpy as np
 import pinocchio as pin
-import pybullet
-import pybullet_data
 import pytest
 
 from marl_mm.robot.description import RobotConfig, urdf_xml
@@ -11,6 +9,7 @@ from marl_mm.robot.limits import robot_limits
 from marl_mm.robot.model import ACTUATED, RobotModel, RobotState
 from marl_mm.robot.names import ARM_JOINTS, FINGER_JOINTS, GRASP_JOINT, WHEEL_JOINTS
 from marl_mm.robot.support import SUPPORT_B, support_margin
+from marl_mm.sim.engine import pybullet, pybullet_data
 
 JOINTS = WHEEL_JOINTS + ARM_JOINTS + FINGER_JOINTS
 

@@ -98,7 +98,8 @@ def test_a_world_reads_the_robot_that_it_asks_for() -> None:
 
 
 def bullet_of(core: EpisodeCore) -> BulletWorld:
-    assert isinstance(core.drive.world, BulletWorld)
+    if not isinstance(core.drive.world, BulletWorld):
+        pytest.skip("not on PyBullet")
     return core.drive.world
 
 

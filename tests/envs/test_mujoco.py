@@ -183,7 +183,7 @@ def test_bytes_are_the_same_in_processes_and_threads() -> None:
 def test_engines_that_are_not_there_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(UsageError, match="'brax', expected bullet or mujoco"):
         make_task("Reach-v0", {"simulation": {"engine": "brax"}})
-    monkeypatch.setattr("marl_mm.sim.world.find_spec", lambda name: None)
+    monkeypatch.setattr("marl_mm.sim.config.find_spec", lambda name: None)
     with pytest.raises(UsageError, match="needs the package mujoco-core"):
         open_world(RobotConfig(), SimulationConfig(engine="mujoco"))
 

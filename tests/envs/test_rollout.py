@@ -70,7 +70,7 @@ def test_threads_serve_only_where_steps_leave_others_be() -> None:
     for settings, workers, serve in (
         ({"simulation": {"engine": "mujoco"}}, 4, True),
         ({"simulation": {"engine": "mujoco"}}, 5, False),
-        ({}, 2, False),
+        ({"simulation": {"engine": "bullet"}}, 2, False),
         (
             {
                 "simulation": {"engine": "mujoco"},

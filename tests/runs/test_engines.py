@@ -1,6 +1,8 @@
 """The engine stands in every dataset, run and evaluation, and is not mixed."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -96,3 +98,53 @@ def test_what_version_1_began_goes_on(datasets_home: Path, tmp_path: Path) -> No
     assert config.pop("engine") == "bullet"
     (first.folder / "config.json").write_text(json.dumps(config))
     marl_mm.train("td3-bc", "good-5k", out=tmp_path, updates=40, resume=True, **FEW)
+
+
+WITHOUT_BULLET = """
+import sys
+sys.modules["pybullet"] = None
+from marl_mm.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def without_bullet(*words: object) -> subprocess.CompletedProcess[str]:
+    """A command where PyBullet is not installed."""
+    command = [sys.executable, "-c", WITHOUT_BULLET, *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True)
+
+
+@pytest.mark.slow
+def test_mujoco_takes_the_place_of_pybullet_and_says_so_once(
+    datasets_home: Path, tmp_path: Path
+) -> None:
+    ended = without_bullet("collect", "pd", "--steps", 30, "--workers", 1)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stderr.count("PyBullet is not installed") == 1
+    data = load_dataset("pd")
+    assert data.provenance.overrides["simulation"] == {"engine": "mujoco"}
+    words = "--episodes", 2, "--workers", 1, "--json"
+    (result,) = json.loads(without_bullet("eval", "pd", *words).stdout)
+    assert result["engine"] == "mujoco"
+    runs = "--out", tmp_path, "--updates", 20, "--eval-episodes", 2, "--workers", 1
+    ended = without_bullet("train", "mabc", "--dataset", "pd", *runs)
+    assert ended.returncode == 0, ended.stderr
+    assert json.loads((tmp_path / "0/config.json").read_text())["engine"] == "mujoco"
+    assert without_bullet("datasets", "verify", "pd", "--replay").returncode == 0
+
+
+@pytest.mark.slow
+def test_what_needs_pybullet_says_so_in_one_line(
+    datasets_home: Path, tmp_path: Path
+) -> None:
+    verify = "datasets", "verify", "good-5k"
+    assert without_bullet(*verify).returncode == 0
+    film = "play", "pd", "--video", tmp_path / "film.mp4"
+    train = "train", "mabc", "--dataset", "good-5k", "--out", tmp_path / "runs"
+    for words in ((*verify, "--replay"), film, train):
+        ended = without_bullet(*words)
+        assert ended.returncode == 2, ended
+        *_, line = ended.stderr.splitlines()
+        assert line.startswith("marl-mm: "), line
+        assert "pip install pybullet" in line
+    assert not (tmp_path / "runs").exists()
