@@ -199,7 +199,7 @@ def _around(core: EpisodeCore) -> float:
         times[-1] -= process_time() - begun
         return motions
 
-    attempt.follow = timed  # type: ignore[method-assign]
+    attempt.follow = timed  # type: ignore[assignment, method-assign]
     action = np.zeros(len(core.task.layout.action_names))
     for _ in range(_STEPS):
         times.append(0.0)
