@@ -1,19 +1,21 @@
 """Speed of an environment: engines in turns, and where the time of a step goes."""
 
 from collections.abc import Callable, Sequence
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
 
+from marl_mm.control.compiled.tick import tick
+from marl_mm.control.records import VARIABLES
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.vector import TaskVector
 from marl_mm.jit import jit
 from marl_mm.progress import Bar
 from marl_mm.robot.planar import PlanarModel, planar_terms
-from marl_mm.sim.config import Engine, engine_overrides
-from marl_mm.sim.native import advance
+from marl_mm.sim.config import RATE, Engine, engine_overrides
+from marl_mm.sim.native import advance, read
 
 REFERENCE: Engine = "bullet"
 """Engine that the others' speeds are divided by."""
@@ -21,8 +23,11 @@ REFERENCE: Engine = "bullet"
 ALPHAS: dict[str, float | None] = {"random alpha": None, "alpha 1": 1.0}
 """Alphas of the actions; None draws one for each step."""
 
-_REPEATS = 2_000
-"""Number of calls of the compiled model that are timed at once."""
+_REPEATS = 200
+"""Number of calls of a compiled part that are timed at once."""
+
+_STEPS = 20
+"""Number of steps, or of rounds of calls, of which the median time is a part's."""
 
 
 def bench_env(
@@ -35,10 +40,12 @@ def bench_env(
     workers: int,
     bar: Bar,
 ) -> dict[str, Any]:
-    """Environment steps per second of engines that take turns in one process.
+    """Environment steps per second of CPU time of engines that take turns.
 
-    An engine with a compiled step is timed with the loop in Python, too, which a watch
-    of every tick asks for. A vector of environments takes turns with a single one.
+    They run in one process; CPU time does not count what others do meanwhile. An engine
+    with a compiled step is timed with the loop in Python, too, which a watch of every
+    tick asks for. A vector of environments takes turns with a single one, in time as a
+    clock on the wall shows it.
 
     Args:
         task: Registered name of the task.
@@ -128,7 +135,7 @@ def _timed(
     alpha: float | None,
     watch: Callable[[Any], None] | None,
 ) -> float:
-    """Seconds that some steps take; resets of episodes are not counted."""
+    """CPU time of some steps [s]; resets of episodes are not counted."""
     low, high = np.array(core.task.layout.low), np.array(core.task.layout.high)
     seconds, left = 0.0, 0
     for _ in range(steps):
@@ -138,41 +145,79 @@ def _timed(
         action = rng.uniform(low, high)
         if alpha is not None:
             action[core.task.layout.action_names.index("alpha")] = alpha
-        begun = perf_counter()
+        begun = process_time()
         step = core.step(action, watch)
-        seconds += perf_counter() - begun
+        seconds += process_time() - begun
         left = 0 if step.terminated else left - 1
     return seconds
 
 
 def _parts(core: EpisodeCore, steps_per_second: float) -> dict[str, float]:
-    """Times of a compiled tick's parts at the present state [us].
+    """Times of a compiled tick's parts at the present state, alpha 1 [us].
 
     Args:
         core: Environment with a compiled step; its episode is over afterwards.
         steps_per_second: Its speed.
     """
+    core.reset(np.random.default_rng(0))
     drive, model = core.drive, core.drive.model
-    assert drive.world.native and isinstance(model, PlanarModel)
-    bodies, scratch, terms = model.bodies, model.scratch, model.terms
+    native, controller = drive.world.native, drive.controller
+    assert native and isinstance(model, PlanarModel)
+    terms = tuple(model.evaluate(drive.state))
+    posture = drive.state.q[4:].copy()
+    reference = terms[0] + 0.05, terms[1], drive.state.q[:2].copy(), 0.0, 0.03, posture
     parts = {
-        "model": _call_time(_repeat_model, *drive.state, bodies, scratch, terms),
-        "engine": _call_time(_repeat_engine, drive.world.native),
+        "engine": _call_time(_repeat_engine, native),
+        "model": _call_time(
+            _repeat_model, *drive.state, model.bodies, model.scratch, model.terms
+        ),
+        "controller": _call_time(
+            _repeat_controller,
+            tuple(drive.state),
+            terms,
+            reference,
+            controller.numbers,
+            *controller.priorities(1.0),
+            controller.rows,
+        ),
+        "reading": _call_time(_repeat_reading, native, *drive.state),
+        "Python around a step": _around(core) / core.task.ticks_per_step,
     }
-    tick = 1e6 / steps_per_second / core.task.ticks_per_step
-    return {
-        "all": tick,
-        **parts,
-        "controller, and the rest": tick - sum(parts.values()),
-    }
+    whole = 1e6 / steps_per_second / core.task.ticks_per_step
+    return {"all": whole, **parts, "the rest": whole - sum(parts.values())}
+
+
+def _around(core: EpisodeCore) -> float:
+    """Median time of a step without its ticks [us]."""
+    attempt = core.attempt
+    assert attempt is not None
+    follow, times = attempt.follow, list[float]()
+
+    def timed(*arguments: Any) -> Any:
+        begun = process_time()
+        motions = follow(*arguments)
+        times[-1] -= process_time() - begun
+        return motions
+
+    attempt.follow = timed  # type: ignore[assignment, method-assign]
+    action = np.zeros(len(core.task.layout.action_names))
+    for _ in range(_STEPS):
+        times.append(0.0)
+        begun = process_time()
+        core.step(action)
+        times[-1] += process_time() - begun
+    return 1e6 * float(np.median(times))
 
 
 def _call_time(repeat: Callable[..., None], *arguments: Any) -> float:
-    """Time of one of many calls in compiled code [us]."""
+    """Median CPU time of one of many calls in compiled code [us]."""
     repeat(1, *arguments)  # compiles
-    begun = perf_counter()
-    repeat(_REPEATS, *arguments)
-    return 1e6 * (perf_counter() - begun) / _REPEATS
+    times = []
+    for _ in range(_STEPS):
+        begun = process_time()
+        repeat(_REPEATS, *arguments)
+        times.append(1e6 * (process_time() - begun) / _REPEATS)
+    return float(np.median(times))
 
 
 @jit
@@ -187,3 +232,41 @@ def _repeat_model(
 def _repeat_engine(repeats: int, native: Any) -> None:
     for _ in range(repeats):
         advance(native, 0.0, 0.0)
+
+
+@jit
+def _repeat_reading(repeats: int, native: Any, q: np.ndarray, v: np.ndarray) -> None:
+    for _ in range(repeats):
+        read(native, q, v)
+
+
+@jit
+def _repeat_controller(
+    repeats: int,
+    state: Any,
+    terms: Any,
+    reference: Any,
+    numbers: Any,
+    matrices: np.ndarray,
+    shares: np.ndarray,
+    rows: int,
+) -> None:
+    robot, gains, hierarchy, limits = numbers
+    u, torque, counters = np.empty(VARIABLES), np.empty(7), np.zeros(4, np.int64)
+    for _ in range(repeats):
+        tick(
+            state,
+            terms,
+            reference,
+            robot,
+            gains,
+            hierarchy,
+            limits,
+            matrices,
+            shares,
+            rows,
+            float(RATE),
+            u,
+            torque,
+            counters,
+        )

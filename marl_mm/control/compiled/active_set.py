@@ -12,7 +12,8 @@ Rows are passed as columns: loops over all rows then run over neighbouring memor
 
 import numpy as np
 
-from marl_mm.jit import jit
+from marl_mm.control.records import VARIABLES as N
+from marl_mm.jit import jit, on_stack
 
 _VIOLATED = 1e-10
 """Violation above which a row joins the active set."""
@@ -29,6 +30,8 @@ SOLVED = -1
 EXHAUSTED = -2
 """Return value at the iteration limit."""
 
+_vector, _square = on_stack(N), on_stack(N, N)
+
 
 @jit
 def cholesky(upper: np.ndarray) -> None:
@@ -37,17 +40,16 @@ def cholesky(upper: np.ndarray) -> None:
     Tiny pivots are raised.
 
     Args:
-        upper: A's upper triangle and b as a last column, shape (n, n + 1); L' and
+        upper: A's upper triangle and b as a last column, shape (9, 10); L' and
             L^-1 b afterwards.
     """
-    n, width = upper.shape
-    for j in range(n):
+    for j in range(N):
         pivot = upper[j, j]
         for k in range(j):
             pivot -= upper[k, j] * upper[k, j]
         pivot = np.sqrt(max(pivot, 1e-14))
         upper[j, j] = pivot
-        for i in range(j + 1, width):
+        for i in range(j + 1, N + 1):
             value = upper[j, i]
             for k in range(j):
                 value -= upper[k, i] * upper[k, j]
@@ -57,10 +59,9 @@ def cholesky(upper: np.ndarray) -> None:
 @jit
 def solve_upper(upper: np.ndarray, vector: np.ndarray) -> None:
     """L' x = b in place, given ``cholesky``'s L'."""
-    n = len(vector)
-    for i in range(n - 1, -1, -1):
+    for i in range(N - 1, -1, -1):
         value = vector[i]
-        for k in range(i + 1, n):
+        for k in range(i + 1, N):
             value -= upper[i, k] * vector[k]
         vector[i] = value / upper[i, i]
 
@@ -76,7 +77,7 @@ def solve_least_distance(
     """Write the minimiser into ``y``.
 
     Args:
-        columns: Rows of the limits as columns, M', shape (n, m).
+        columns: Rows of the limits as columns, M', shape (n, m), n <= 9.
         lower: Lower bounds, shape (m,).
         upper: Upper bounds, shape (m,).
         y: Resulting minimiser, shape (n,).
@@ -87,14 +88,11 @@ def solve_least_distance(
     """
     n, m = columns.shape
     active = np.empty(n, np.int64)
-    multiplier = np.empty(n)
-    normals = np.empty((n, n))  # of the active rows, inward: N' = Q R
-    basis = np.empty((n, n))  # rows of Q'
-    triangle = np.empty((n, n))  # R
-    normal = np.empty(n)
-    change = np.empty(n)
-    shares = np.empty(n)
-    move = np.empty(n)
+    multiplier, normal, change = _vector(), _vector(), _vector()
+    shares, move = _vector(), _vector()
+    normal[:] = 0.0  # beyond n, too
+    normals = _square()  # of the active rows, inward: N' = Q R
+    basis, triangle = _square(), _square()  # rows of Q', and R
     value = np.zeros(m)
     scale = np.zeros(m)
     for j in range(n):

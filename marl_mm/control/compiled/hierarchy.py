@@ -1,7 +1,7 @@
 """All levels of a priority matrix, compiled: reference/hierarchy.py has the idea.
 
-Innermost loops run along rows, so that they are vectorised, and skip the zeros of rows
-that select one variable.
+Loops over nine variables are unrolled, and the loops around them vectorised; zeros of
+rows that select one variable are skipped.
 """
 
 import numpy as np
@@ -49,7 +49,7 @@ def solve_hierarchy(
     """
     limits = len(lower)
     u[:] = 0.0
-    projector, row, scaled = _square(), _vector(), _vector()
+    projector, row = _square(), _vector()
     upper_hessian, gradient, x, step = _augmented(), _vector(), _vector(), _vector()
     columns, low, high = _columns(), _bounds(), _bounds()
     used, value = _bounds(), _bounds()
@@ -76,21 +76,19 @@ def solve_hierarchy(
             for k in range(N):
                 residual -= jacobian[r, k] * u[k]
             for i in range(N):
-                scaled[i] = weight * row[i]
-                gradient[i] -= residual * scaled[i]
-            for j in range(N):
-                for i in range(N):
-                    upper_hessian[j, i] += scaled[i] * row[j]
+                scaled = weight * row[i]
+                gradient[i] -= residual * scaled
+                for j in range(N):
+                    upper_hessian[j, i] += scaled * row[j]
         for i in range(N):
             upper_hessian[i, i] += config.damping
         if level > 0:
             for k in range(N):
                 upper_hessian[k, k] += config.rho
                 for i in range(N):
-                    scaled[i] = config.rho * projector[k, i]
-                for j in range(N):
-                    for i in range(N):
-                        upper_hessian[j, i] -= scaled[i] * projector[k, j]
+                    scaled = config.rho * projector[k, i]
+                    for j in range(N):
+                        upper_hessian[j, i] -= scaled * projector[k, j]
         for i in range(N):
             upper_hessian[i, N] = -gradient[i]
         cholesky(upper_hessian)
