@@ -65,7 +65,6 @@ def check_training(
         OtherConfigError: If a run to resume was made otherwise.
     """
     check_positive(curve_episodes=training.curve_episodes)
-    check_engine(training.engine or default_engine())
     if isinstance(training, Offline):
         assert dataset is not None
         fresh = not all(goes_on(run, training) for run in runs.values())
@@ -76,6 +75,7 @@ def check_training(
         check_run(run, run_config(training, dataset, seed), training, further)
         if goes_on(run, training):
             _check_end(training, run)
+    check_engine(training.engine or default_engine())
     if isinstance(training, Offline):  # refuses what it cannot learn from
         algorithm_of(training, dataset, list(runs))
 

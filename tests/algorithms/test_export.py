@@ -21,7 +21,7 @@ from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.errors import ExportError
 
 SMALL = (
-    "mabc --dataset good-5k --updates 100 --hidden 8 --curve-every 100 "
+    "mabc --dataset good-5k --engine mujoco --updates 100 --hidden 8 --curve-every 100 "
     "--curve-episodes 1 --eval-episodes 2 --workers 1 --max-steps 5"
 ).split()
 

@@ -342,6 +342,7 @@ def test_eval_compares_policies_on_the_same_goals(
     assert max(row["steps"] for row in pd["episodes"]) == 3
 
 
+@pytest.mark.bullet
 def test_a_policy_of_other_entries_is_refused(capsys: Output) -> None:
     for policy, complaint in (
         ("pretrained", "another layout than the task has: state opening [m] in"),

@@ -192,6 +192,7 @@ def test_a_task_of_ones_own_goes_through_everything(
     env.close()
 
 
+@pytest.mark.bullet
 def test_two_layouts_of_equal_width_never_pass_for_each_other(
     datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -413,6 +414,7 @@ def test_a_metric_is_checked_and_measured(
     assert "metric 'way' is array" in capsys.readouterr().err
 
 
+@pytest.mark.bullet
 def test_nothing_in_a_file_loads_a_plugin(
     datasets_home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -106,6 +106,7 @@ def assert_same(run: Path, algorithm: str) -> None:
             assert value == there[key], key
 
 
+@pytest.mark.bullet
 @pytest.mark.usefixtures("products_of_float32")
 @pytest.mark.parametrize("algorithm", ["mabc", "td3-bc", "matd3-bc"])
 def test_offline_runs_go_on_as_they_did(files: Path, algorithm: str) -> None:
@@ -116,6 +117,7 @@ def test_offline_runs_go_on_as_they_did(files: Path, algorithm: str) -> None:
     assert_same(run, algorithm)
 
 
+@pytest.mark.bullet
 def test_an_online_run_goes_on_as_it_did(files: Path) -> None:
     run = files / "runs" / "maddpg-her"
     words = ["train", "maddpg-her", "--out", str(run), "--resume", "--workers", "1"]
@@ -123,6 +125,7 @@ def test_an_online_run_goes_on_as_it_did(files: Path) -> None:
     assert_same(run, "maddpg-her")
 
 
+@pytest.mark.bullet
 @pytest.mark.parametrize("name", ["mabc", "td3-bc", "matd3-bc", "maddpg-her", "grasp"])
 def test_runs_act_and_evaluate(
     files: Path, name: str, capsys: pytest.CaptureFixture[str]

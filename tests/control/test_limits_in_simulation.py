@@ -180,6 +180,7 @@ def test_base_speed_and_acceleration() -> None:
     assert acceleration.max() < MEASURED * limits.acceleration[0]
 
 
+@pytest.mark.bullet
 def test_base_yaw_rate_and_acceleration() -> None:
     def turn(k: int, rest: Reference) -> Reference:
         return rest._replace(base_heading=3.0 if (k // 480) % 2 == 0 else -0.1)
@@ -224,6 +225,7 @@ def test_keep_out_plane() -> None:
 TOP_HEAVY = RobotConfig(base_mass=40.0, base_com_b=(0.0, 0.0, 0.45))
 
 
+@pytest.mark.bullet
 @pytest.mark.parametrize("on", [False, True])
 def test_zero_moment_point(on: bool) -> None:
     """A light base with a high centre of mass brakes hard, with the arm stretched.
@@ -248,6 +250,7 @@ def test_zero_moment_point(on: bool) -> None:
         assert min(margins) < margin - 0.01
 
 
+@pytest.mark.bullet
 @pytest.mark.parametrize("forward", [1, -1])
 def test_a_base_on_its_nose_or_back_is_seen(forward: int) -> None:
     """With its mass beyond the casters it falls; forward its pitch is positive.

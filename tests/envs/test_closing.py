@@ -45,6 +45,7 @@ MAKERS: dict[str, Callable[[str], Any]] = {
 }
 
 
+@pytest.mark.bullet
 @pytest.mark.parametrize("maker", MAKERS)
 @pytest.mark.parametrize("task", TASKS.names())
 def test_an_environment_that_nothing_refers_to_is_freed(

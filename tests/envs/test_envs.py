@@ -173,6 +173,7 @@ def test_same_seed_same_bytes_twice_in_a_process_and_in_another(
     assert first != hash_of(4, task)
 
 
+@pytest.mark.bullet
 def test_an_empty_world_is_as_it_was_before_there_were_blocks() -> None:
     """The dataset that ships is older; to the last bit where processors round alike."""
     dataset = load_dataset(SHIPPED)

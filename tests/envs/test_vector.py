@@ -308,6 +308,7 @@ def test_wrong_actions_of_agents_are_told() -> None:
     team.close()
 
 
+@pytest.mark.bullet
 def test_a_task_that_stays_in_this_process_is_told(registries: None) -> None:
     @dataclass(frozen=True, kw_only=True)
     class Local(Reach):
@@ -411,6 +412,7 @@ def test_an_interrupt_waits_for_the_step_and_a_reset_goes_on(
     reference.close()
 
 
+@pytest.mark.bullet
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGKILL])
 def test_nothing_is_left_of_a_script_that_is_stopped(tmp_path: Path, kind: int) -> None:
     script = tmp_path / "mine.py"

@@ -164,6 +164,7 @@ def test_studies_name_their_engine_and_do_not_mix_it(
     assert last["engine"].startswith("bullet") and other["engine"].startswith("mujoco")
 
 
+@pytest.mark.bullet
 def test_runs_and_results_of_engines_lie_apart() -> None:
     assert EnginesOptions().runs_folder == Path("runs/studies")
     assert EnginesOptions(engine="mujoco").runs_folder == Path("runs/studies-mujoco")
