@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from importlib import resources
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 from marl_mm.robot.names import ARM_LINKS, FINGER_LINKS, HAND_LINK
@@ -46,6 +47,43 @@ PAD_SIZE = (0.020, 0.014, 0.022)
 
 PAD_Z = 0.0425
 """Position of the pad's centre along the finger [m]; the grasp frame is at 0.045."""
+
+
+HAND_BOX = ((0.064, 0.206, 0.092), (0.0, -0.002, 0.020))
+"""Edges and centre, in the hand's frame, of the box around the hand's mesh [m]."""
+
+
+class Capsule(NamedTuple):
+    """A cylinder with half balls as its ends, in the frame of a link."""
+
+    link: str
+    """Name of the link."""
+
+    start: tuple[float, float, float]
+    """Centre of one ball [m]."""
+
+    end: tuple[float, float, float]
+    """Centre of the other [m]."""
+
+    radius: float
+    """Radius [m]."""
+
+
+ARM_CAPSULES = tuple(
+    Capsule(ARM_LINKS[number], start, end, radius)
+    for number, start, end, radius in (
+        (1, (0.0, 0.0, -0.333), (0.0, 0.0, -0.05), 0.06),
+        (2, (0.0, 0.0, -0.06), (0.0, 0.0, 0.06), 0.06),
+        (3, (0.0, 0.0, -0.22), (0.0, 0.0, -0.07), 0.06),
+        (4, (0.0, 0.0, -0.06), (0.0, 0.0, 0.06), 0.06),
+        (5, (0.0, 0.0, -0.31), (0.0, 0.0, -0.21), 0.06),
+        (5, (0.0, 0.08, -0.20), (0.0, 0.08, -0.06), 0.025),
+        (6, (0.0, 0.0, -0.07), (0.0, 0.0, 0.01), 0.05),
+        (7, (0.0, 0.0, -0.06), (0.0, 0.0, 0.08), 0.04),
+        (7, (0.039, 0.039, 0.082), (0.046, 0.046, 0.082), 0.03),
+    )
+)
+"""Solid shapes of the arm without meshes (franka_description, franka_arm.xacro)."""
 
 
 def urdf_xml(config: RobotConfig, solid: bool = False) -> str:

@@ -107,7 +107,7 @@ class PlanarModel(RobotModel):
             np.array(self._grasp_h.translation),
         )
         self.scratch = new_scratch()
-        self.terms = new_terms()
+        self.terms, self._truth = new_terms(), new_terms()
 
     def carry(self, mass: float, size: tuple[float, float, float]) -> None:
         """See ``RobotModel``."""
@@ -124,8 +124,10 @@ class PlanarModel(RobotModel):
 
     def zmp_b(self, state: RobotState, acceleration: np.ndarray) -> np.ndarray:
         """See ``RobotModel``."""
-        self.evaluate(state)
-        return np.array(zero_moment_point(state.q, self.terms.wrench, acceleration))
+        # Not the terms of ``evaluate``: those hold until its next call.
+        truth = self._truth
+        planar_terms(*state, tuple(self.bodies), tuple(self.scratch), tuple(truth))
+        return np.array(zero_moment_point(state.q, truth.wrench, acceleration))
 
 
 def new_scratch() -> Scratch:

@@ -6,6 +6,7 @@ so the robot starts where they carry its weight.
 
 import ctypes
 from collections.abc import Sequence
+from copy import copy
 from functools import lru_cache
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
@@ -14,16 +15,16 @@ import mujoco
 import numpy as np
 
 from marl_mm.errors import MarlMmError, UsageError
-from marl_mm.robot.description import RobotConfig, urdf_xml
-from marl_mm.robot.model import GRAVITY, RobotState
+from marl_mm.robot.description import RobotConfig
+from marl_mm.robot.model import RobotState
 from marl_mm.robot.names import (
     ARM_JOINTS,
-    BASE_LINK,
-    FINGER_JOINTS,
     GRASP_FRAME,
     WHEEL_JOINTS,
 )
 from marl_mm.sim.config import RATE, Camera, SimulationConfig
+from marl_mm.sim.mujoco_handling import MujocoHandling
+from marl_mm.sim.mujoco_model import handling_model, robot_model
 from marl_mm.sim.native import Native
 from marl_mm.sim.planar import attitude, diverged, planar_state, rim_rates
 from marl_mm.sim.scene import Mark, Scene
@@ -32,101 +33,16 @@ from marl_mm.sim.world import Handling
 if TYPE_CHECKING:
     from marl_mm.sim.bullet import BulletWorld
 
-GROUND = "ground"
-"""Name of the plane."""
-
-IMPEDANCE = {"wheel": 0.995, "caster": 0.95}
-"""Impedance of the contacts with the ground (``solimp``): casters are softer, so that
-the drive wheels carry most of the weight, as in PyBullet."""
-
-CONTACT_TIME = 0.04
-"""Time constant of these contacts (``solref``) [s]; with two steps, 8 ms, the base
-hops."""
-
-IMPEDANCE_RATIO = 5.0
-"""Impedance of friction over that of normal forces (``impratio``)."""
-
-ITERATIONS = 50
-"""Largest number of iterations of the contact solver, which takes 1.2 on average."""
-
-MOTOR_TIME = 2 / RATE
-"""Time constant of the wheels' motors in the model [s]. It has no effect, as their
-reference is written in each step."""
-
 SETTLING = 480
 """Number of steps in which the robot sinks into its contacts before the first start."""
 
 _ORIGIN = (0.0, 0.0, 0.0)
 
-# Its warnings become errors here; it would print them, and append them to a file.
-_log = mujoco.MjLogConfig.get()
-_log.logto_console = _log.logto_file = False
-_log.set()
-
-
-@lru_cache(maxsize=16)
-def _model(robot: RobotConfig, config: SimulationConfig) -> mujoco.MjModel:
-    """The robot on its plane, with locked fingers."""
-    spec = mujoco.MjSpec.from_string(urdf_xml(robot))
-    option = spec.option
-    option.timestep, option.gravity = 1 / RATE, (0, 0, -GRAVITY)
-    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-    option.impratio, option.iterations = IMPEDANCE_RATIO, ITERATIONS
-    off = mujoco.mjtDisableBit
-    option.disableflags |= (
-        off.mjDSBL_SENSOR
-        | off.mjDSBL_ISLAND
-        | off.mjDSBL_MIDPHASE
-        | off.mjDSBL_AUTORESET
-        | off.mjDSBL_EULERDAMP
-    )
-    for name in FINGER_JOINTS:
-        joint = spec.joint(name)
-        finger, way = joint.parent, np.empty(3)
-        mujoco.mju_rotVecQuat(way, joint.axis * robot.initial_finger, finger.quat)
-        finger.pos = finger.pos + way
-        spec.delete(joint)
-    for name in WHEEL_JOINTS:
-        # The motor is dry friction about a moving reference: a bounded force that gives
-        # the wheel its speed within the step, as PyBullet's motor does.
-        joint = spec.joint(name)
-        joint.frictionloss = config.wheel_force
-        joint.solref_friction = (MOTOR_TIME, 1)
-        joint.solimp_friction = (0.9999, 0.9999, 0.001, 0.5, 2)
-    spec.body(BASE_LINK).add_freejoint()
-    spec.body(GRASP_FRAME).add_site(name=GRASP_FRAME)
-    spec.worldbody.add_geom(
-        name=GROUND, type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1)
-    )
-    _touch_ground(spec, config)
-    return spec.compile()
-
-
-def _touch_ground(spec: mujoco.MjSpec, config: SimulationConfig) -> None:
-    """Let wheels and casters touch the ground, and nothing else touch anything."""
-    for number, geom in enumerate(spec.geoms):
-        geom.contype = geom.conaffinity = 0
-        geom.mass = 0.0
-        if geom.type != mujoco.mjtGeom.mjGEOM_SPHERE:
-            continue
-        geom.name = f"{geom.parent.name}_{number}"
-        wheel = geom.parent.name != BASE_LINK
-        impedance = IMPEDANCE["wheel" if wheel else "caster"]
-        spec.add_pair(
-            geomname1=GROUND,
-            geomname2=geom.name,
-            condim=3 if wheel else 1,
-            friction=(config.wheel_friction, config.wheel_friction, 0, 0, 0),
-            solref=(CONTACT_TIME, 1),
-            solimp=(impedance, impedance, 0.001, 0.5, 2),
-        )
-
 
 @lru_cache(maxsize=16)
 def _start(robot: RobotConfig, config: SimulationConfig) -> np.ndarray:
     """Positions of all joints in which the contacts carry the robot at rest."""
-    robot_ = _Robot(_model(robot, config))
+    robot_ = _Robot(robot_model(robot, config))
     for _ in range(SETTLING):
         robot_.joints[:], robot_.rates[:] = robot.initial_joints, 0.0
         mujoco.mj_forward(robot_.model, robot_.data)
@@ -154,6 +70,8 @@ class _Robot:
         self.torque = self.data.qfrc_applied[of_arm]
         self.bias = self.data.qfrc_bias[of_arm]
         self.wheels = [int(model.joint(name).dofadr[0]) for name in WHEEL_JOINTS]
+        fingers = np.flatnonzero(model.dof_frictionloss)[len(self.wheels) :]
+        self.motors = [*self.wheels, *fingers.tolist()]
         self._check_motors()
 
     def native(self) -> Native:
@@ -182,12 +100,17 @@ class _Robot:
             word += size
         return np.ctypeslib.as_array(entry).reshape(1)
 
-    def step(self, target: tuple[float, float]) -> None:
-        """Advance by 1/240 s while the wheels turn at these rates [rad/s]."""
+    def step(self, target: Sequence[float]) -> None:
+        """Advance by 1/240 s while motors have these rates [rad/s], [m/s].
+
+        Args:
+            target: Rates of the wheels, and of the fingers if they are driven.
+        """
         model, data = self.model, self.data
         mujoco.mj_step1(model, data)
-        for row, (wheel, rate) in enumerate(zip(self.wheels, target, strict=True)):
-            data.efc_aref[row] = (rate - data.qvel[wheel]) * RATE
+        for row, rate in enumerate(target):
+            motor = data.qvel[self.motors[row]]
+            data.efc_aref[data.ne + row] = (rate - motor) * RATE
         mujoco.mj_step2(model, data)
 
     def _check_motors(self) -> None:
@@ -195,8 +118,9 @@ class _Robot:
         data = self.data
         mujoco.mj_forward(self.model, data)
         friction = mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
-        kinds, numbers = data.efc_type[:2].tolist(), data.efc_id[:2].tolist()
-        if kinds != [friction] * 2 or numbers != self.wheels:
+        rows = slice(data.ne, data.ne + len(self.motors))
+        kinds, numbers = data.efc_type[rows].tolist(), data.efc_id[rows].tolist()
+        if kinds != [friction] * len(self.motors) or numbers != self.motors:
             raise MarlMmError(
                 f"MuJoCo {mujoco.__version__} orders its constraints otherwise than "
                 f"this package expects: kinds {kinds}, numbers {numbers}"
@@ -242,27 +166,30 @@ class MujocoWorld:
         if gui:
             raise UsageError("engine 'mujoco' has no window: use engine 'bullet'")
         self._puppet = _puppet(robot, config) if visual else None
-        self._robot = _Robot(_model(robot, config))
+        self._configs = robot, config
+        self._plain = self._robot = _Robot(robot_model(robot, config))
         self.native = self._robot.native()
-        self.model, self.data = self._robot.model, self._robot.data
         self._start = _start(robot, config)
+        self._handling: MujocoHandling | None = None
         self._target = 0.0, 0.0
 
     def reset(self, marks: Sequence[Mark] = (), scene: Scene | None = None) -> None:
-        """See ``World``.
-
-        Raises:
-            UsageError: If there is a block.
-        """
+        """See ``World``."""
+        self._handling, self._robot = None, self._plain
         if scene is not None:
-            raise UsageError("engine 'mujoco' has no blocks yet: use engine 'bullet'")
+            self._robot = _Robot(
+                copy(handling_model(*self._configs, scene.grasp == "friction"))
+            )
+        self.native = self._robot.native()
         model, data = self._robot.model, self._robot.data
         mujoco.mj_resetData(model, data)
-        data.qpos[:] = self._start
+        data.qpos[: len(self._start)] = self._start
+        if scene is not None:
+            self._handling = MujocoHandling(model, data, *self._configs, scene)
         self._target = 0.0, 0.0
         mujoco.mj_forward(model, data)
         if self._puppet is not None:
-            self._puppet.reset(marks)
+            self._puppet.reset(marks, scene)
 
     def read(self) -> RobotState:
         """See ``World``."""
@@ -316,12 +243,24 @@ class MujocoWorld:
 
     def step(self) -> None:
         """See ``World``."""
-        self._robot.step(self._target)
+        motor = None if self._handling is None else self._handling.motor()
+        self._robot.step(self._target if motor is None else self._target + motor)
 
     @property
     def handling(self) -> Handling:
-        """See ``World``; there are no blocks."""
-        raise UsageError("engine 'mujoco' has no blocks yet: use engine 'bullet'")
+        """See ``World``."""
+        assert self._handling is not None
+        return self._handling
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """MuJoCo's model of the world."""
+        return self._robot.model
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """MuJoCo's state of the world."""
+        return self._robot.data
 
     def grasp_position_w(self) -> np.ndarray:
         """See ``World``."""

@@ -1,0 +1,204 @@
+"""A block, its stand and the gripper in MuJoCo."""
+
+import mujoco
+import numpy as np
+
+from marl_mm.robot.description import RobotConfig
+from marl_mm.robot.names import ARM_LINKS, FINGER_JOINTS, FINGER_LINKS, HAND_LINK
+from marl_mm.sim.config import RATE, SimulationConfig
+from marl_mm.sim.mujoco_model import BLOCK, GROUND, PARTED, STAND
+from marl_mm.sim.scene import Scene
+from marl_mm.sim.world import Touches
+
+HIDDEN = (0.0, 0.0, -10.0)
+"""Position of a stand that is not there [m]."""
+
+
+class MujocoHandling:
+    """A block, and its stand if it has one, in a robot's world.
+
+    Args:
+        model: A model of ``handling_model`` that nobody shares; the scene's sizes and
+            masses are written into it.
+        data: Its data, with the robot at its start.
+        robot: Travel of the open fingers.
+        config: Settings of the gripper.
+        scene: Block and stand.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        robot: RobotConfig,
+        config: SimulationConfig,
+        scene: Scene,
+    ) -> None:
+        self._model, self._data, self._config, self._scene = model, data, config, scene
+        self._names = [model.geom(number).name for number in range(model.ngeom)]
+        self._fingers = [int(model.joint(name).dofadr[0]) for name in FINGER_JOINTS]
+        self._places = [int(model.joint(name).qposadr[0]) for name in FINGER_JOINTS]
+        self._travel = robot.initial_finger
+        self._body, self._hand = model.body(BLOCK).id, model.body(ARM_LINKS[-1]).id
+        self._weld = model.equality("weld").id
+        self._pads = [model.pair(f"{BLOCK}+{name}").id for name in FINGER_LINKS]
+        self._squeezing = False
+        self._speed = 0.0
+        self._build(scene)
+
+    def _build(self, scene: Scene) -> None:
+        """Write the scene into the model, and put the block in its place."""
+        model, data, block = self._model, self._data, scene.block
+        geom, body = model.geom(BLOCK).id, self._body
+        half = np.divide(block.size, 2)
+        model.geom_size[geom], model.geom_rbound[geom] = half, np.linalg.norm(half)
+        model.body_mass[body] = block.mass
+        squares = np.square(block.size)
+        model.body_inertia[body] = block.mass / 12 * (squares.sum() - squares)
+        for number in range(model.npair):
+            name = model.pair(number).name
+            if name.startswith(f"{BLOCK}+") and model.pair_dim[number] > 1:
+                model.pair_friction[number, :2] = block.friction
+        model.pair_friction[model.pair(f"{GROUND}+{BLOCK}").id, :2] = block.friction
+        stand = model.geom(STAND).id
+        place: tuple[float, ...] = HIDDEN
+        if scene.stand_size is not None:
+            half = np.divide(scene.stand_size, 2)
+            model.geom_size[stand] = half
+            model.geom_rbound[stand] = np.linalg.norm(half)
+            place = (*scene.position_w[:2], scene.stand_size[2] / 2)
+        model.geom_pos[stand] = place
+        self._touch_block(True)
+        start = data.qpos.copy()
+        mujoco.mj_setConst(model, data)
+        mujoco.mj_resetData(model, data)
+        free = int(model.body_jntadr[body])
+        address = int(model.jnt_qposadr[free])
+        start[address : address + 7] = *scene.position_w, 1, 0, 0, 0
+        start[self._places] = (
+            self._travel if scene.stand_size is not None else block.size[0] / 2
+        )
+        data.qpos[:] = start
+        self._drive_fingers(0.0)
+
+    def close_gripper(self) -> None:
+        """See ``Handling``."""
+        if not self._squeezing and not self._data.eq_active[self._weld]:
+            self._drive_fingers(-self._config.grip_speed)
+
+    def open_gripper(self) -> None:
+        """See ``Handling``."""
+        self._squeezing = False
+        self._drive_fingers(self._config.grip_speed)
+
+    def squeeze(self) -> None:
+        """See ``Handling``."""
+        self._drive_fingers(0.0, force=0.0)
+        self._data.qfrc_applied[self._fingers] = -self._config.grip_force
+        self._squeezing = True
+
+    def weld(self) -> None:
+        """See ``Handling``."""
+        model, data = self._model, self._data
+        mujoco.mj_kinematics(model, data)
+        place, turn = data.xpos, data.xquat
+        inverse, way, rotation = np.empty(4), np.empty(3), np.empty(4)
+        mujoco.mju_negQuat(inverse, turn[self._hand])
+        mujoco.mju_rotVecQuat(way, place[self._body] - place[self._hand], inverse)
+        mujoco.mju_mulQuat(rotation, inverse, turn[self._body])
+        # Anchor in the block, position and orientation of the block in the hand.
+        model.eq_data[self._weld, :10] = 0, 0, 0, *way, *rotation
+        data.eq_active[self._weld] = True
+        self._touch_block(False)
+        self._drive_fingers(0.0)
+
+    def unweld(self) -> None:
+        """See ``Handling``."""
+        self._data.eq_active[self._weld] = False
+        self._touch_block(True)
+
+    def opening(self) -> float:
+        """See ``Handling``."""
+        return float(self._data.qpos[self._places].sum())
+
+    @property
+    def stand_w(self) -> tuple[float, float, float]:
+        """See ``Handling``."""
+        x, y, _ = self._scene.position_w
+        size = self._scene.stand_size
+        return x, y, 0.0 if size is None else size[2]
+
+    def block_w(self) -> tuple[np.ndarray, np.ndarray]:
+        """See ``Handling``."""
+        place = self._model.jnt_qposadr[self._model.body_jntadr[self._body]]
+        w, x, y, z = self._data.qpos[place + 3 : place + 7]
+        return self._data.qpos[place : place + 3].copy(), np.array([x, y, z, w])
+
+    def pad_forces(self) -> list[float]:
+        """See ``Handling``."""
+        forces = dict.fromkeys(FINGER_LINKS, 0.0)
+        for first, second, force in self._contacts():
+            if BLOCK in (first, second):
+                other = second if first == BLOCK else first
+                if other in forces:
+                    forces[other] += force
+        return list(forces.values())
+
+    def touches(self) -> Touches:
+        """See ``Handling``."""
+        fingers, stand, ground, collisions = set(), False, False, set()
+        for first, second, _ in self._contacts():
+            pair = {first, second}
+            if BLOCK in pair:
+                (other,) = pair - {BLOCK}
+                if other in FINGER_LINKS:
+                    fingers.add(other)
+                elif other == STAND:
+                    stand = True
+                elif other == GROUND:
+                    ground = True
+                elif other != HAND_LINK:
+                    collisions.add(f"the block and {other}")
+            elif pair & {STAND, GROUND}:
+                thing = STAND if STAND in pair else GROUND
+                (link,) = pair - {thing}
+                if "wheel" not in link and not (
+                    thing == GROUND and link.startswith("base")
+                ):
+                    collisions.add(f"{link} and the {thing}")
+            else:
+                collisions.add(" and ".join(sorted(pair)))
+        return Touches(len(fingers), stand, ground, min(collisions, default=""))
+
+    def motor(self) -> tuple[float, float] | None:
+        """Rates of the fingers' motors [m/s]; None without power."""
+        if self._squeezing:
+            return None
+        left, right = (
+            min(max(self._speed, -travel * RATE), (self._travel - travel) * RATE)
+            for travel in self._data.qpos[self._places].tolist()
+        )
+        return left, right
+
+    def _drive_fingers(self, speed: float, force: float | None = None) -> None:
+        force = self._config.grip_force if force is None else force
+        self._speed = speed
+        self._data.qfrc_applied[self._fingers] = 0.0
+        self._model.dof_frictionloss[self._fingers] = force
+
+    def _contacts(self) -> list[tuple[str, str, float]]:
+        """Links or things in contact, and the normal force [N], above 0."""
+        data, names = self._data, self._names
+        contact = data.contact
+        found = []
+        for pair, row in zip(
+            contact.geom.tolist(), contact.efc_address.tolist(), strict=True
+        ):
+            if row >= 0 and (force := float(data.efc_force[row])) > 0:
+                first, second = (names[geom].split(".")[0] for geom in pair)
+                found.append((first, second, force))
+        return found
+
+    def _touch_block(self, solid: bool) -> None:
+        """Switch the collision of fingers and block on or off."""
+        self._model.pair_margin[self._pads] = 0.0 if solid else PARTED
