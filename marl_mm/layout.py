@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from marl_mm.errors import LayoutError
-from marl_mm.received import is_printable
 
 JOINT_NAME = "joint"
 """Name of the single actor of algorithms without agents."""
@@ -143,6 +142,12 @@ class Layout:
                 f"the agents set {', '.join(sets)}, expected each of "
                 f"{', '.join(self.action_names)} once"
             )
+        for entry in self.state + self.action:
+            if not entry.unit.isprintable():
+                raise LayoutError(
+                    f"entry {entry.name!r} has the unit {entry.unit!a}, expected a "
+                    "word without control characters"
+                )
         for entry in self.action:
             if not -math.inf < entry.low < entry.high < math.inf:
                 raise LayoutError(f"action entry {entry}: expected finite low < high")
@@ -349,8 +354,6 @@ def _entry_to_json(entry: Entry) -> list[Any]:
 def _entry_from_json(
     name: str, unit: str, low: float | None, high: float | None
 ) -> Entry:
-    if not is_printable(str(unit)):
-        raise LayoutError(f"entry {name!r} has the unit {unit!a}, expected a text")
     return Entry(
         str(name),
         str(unit),

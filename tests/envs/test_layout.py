@@ -189,6 +189,7 @@ def test_every_agent_acts_on_what_it_sees_alone(layout: Layout, seed: int) -> No
         ({"state": (*REACH.state, REACH.state[0])}, "'end_effector_x' twice"),
         ({"state": (*REACH.state, Entry("x", "m", 1.0, 0.0))}, "expected low < high"),
         ({"action": (*REACH.action[:3], Entry("alpha"))}, "expected finite low < high"),
+        ({"state": (*REACH.state, Entry("x", "a\nb"))}, r"'x' has the unit 'a\\nb'"),
     ],
 )
 def test_layouts_that_make_no_sense_are_refused(
