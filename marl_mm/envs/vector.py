@@ -53,7 +53,6 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
             if not isinstance(number, int | np.integer) or number < 1:
                 raise UsageError(f"{name} is {number!r}, expected an integer >= 1")
         self.task = make_task(task, overrides)
-        check_engine(self.task.simulation.engine)
         self.num_envs, self.render_mode = int(n), render_mode
         self.metadata = {
             **render_metadata(self.task),
@@ -291,6 +290,7 @@ def _opened(
             "backend is 'threads', but PyBullet simulates or renders, which runs in "
             "one thread only: use 'processes'"
         )
+    check_engine(task.simulation.engine)
     if workers == 1 or backend == "threads":
         return Here(task, n, workers, visual)
     return Apart(task, n, workers, visual)

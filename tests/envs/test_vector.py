@@ -246,7 +246,10 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "a field": ({"overrides": {"steps": 3}}, "unknown field 'steps'"),
     "a mode": ({"render_mode": "human"}, "render_mode is 'human', expected rgb_array"),
     "a backend": ({"backend": "gpu"}, "backend is 'gpu', expected threads or"),
-    "threads of PyBullet": ({"backend": "threads"}, "runs in one thread only"),
+    "threads of PyBullet": (
+        {"backend": "threads", "overrides": {"simulation": {"engine": "bullet"}}},
+        "runs in one thread only",
+    ),
 }
 
 
