@@ -36,7 +36,7 @@ from marl_mm.registry import Registry
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
-from marl_mm.sim.config import is_installed
+from marl_mm.sim.config import ENGINES, is_installed
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 MakeEpisode = Callable[..., Episode]
@@ -162,13 +162,15 @@ def core() -> Iterator[EpisodeCore]:
     core.close()
 
 
-@pytest.fixture
-def open_world() -> Iterator[OpenWorld]:
+@pytest.fixture(params=list(ENGINES))
+def open_world(request: pytest.FixtureRequest) -> Iterator[OpenWorld]:
     """Builds the core of a task, with its load changed; closed after the test."""
     opened: list[EpisodeCore] = []
 
     def build(task: str, **load: Any) -> EpisodeCore:
-        opened.append(EpisodeCore(make_task(task, {"load": load} if load else {})))
+        overrides: dict[str, Any] = {"simulation": {"engine": request.param}}
+        overrides |= {"load": load} if load else {}
+        opened.append(EpisodeCore(make_task(task, overrides)))
         return opened[-1]
 
     yield build

@@ -7,10 +7,12 @@ best, as in a momentum observer.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
 from marl_mm.control.config import Knowledge
+from marl_mm.jit import jit, on_stack
 from marl_mm.robot.model import GRAVITY, ModelTerms, RobotModel, RobotState
 
 SETTLING = 0.25
@@ -19,6 +21,7 @@ SETTLING = 0.25
 MOST = 10.0
 """Largest estimate [kg]: far beyond what the arm carries (3 kg, Franka data sheet)."""
 
+_velocity, _position = on_stack(10), on_stack(3)
 _UP = np.array([0.0, 0.0, GRAVITY])
 
 
@@ -40,6 +43,21 @@ class Payload:
         """Mass of the load in the model [kg]."""
         return self._mass
 
+    @property
+    def true_mass(self) -> float:
+        """Mass of the load in the hand [kg]."""
+        return self._true
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """Edges of the cuboid in the hand [m]."""
+        return self._size
+
+    @property
+    def learns(self) -> bool:
+        """Whether the mass is being estimated."""
+        return self._held and self._knowledge == "estimated"
+
     def hold(self, mass: float, size: tuple[float, float, float]) -> None:
         """Take a load into the hand.
 
@@ -48,7 +66,7 @@ class Payload:
             size: Edges of the cuboid whose inertia it has [m].
         """
         self._held, self._size, self._true = True, size, mass
-        self._set(mass if self._knowledge == "given" else 0.0)
+        self.count(mass if self._knowledge == "given" else 0.0)
 
     @contextmanager
     def revealed(self) -> Iterator[None]:
@@ -62,7 +80,7 @@ class Payload:
     def release(self) -> None:
         """Empty the hand."""
         self._held, self._size, self._true = False, (0.05, 0.05, 0.05), 0.0
-        self._set(0.0)
+        self.count(0.0)
 
     def learn(
         self,
@@ -79,7 +97,7 @@ class Payload:
             torque: Torques of the arm joints during the tick, shape (7,) [N m].
             after: State at its end.
         """
-        if not self._held or self._knowledge != "estimated":
+        if not self.learns:
             return
         change = (after.v - before.v) * self._rate
         unexplained = torque - terms.mass_matrix[3:] @ change - terms.nonlinear[3:]
@@ -88,8 +106,52 @@ class Payload:
         per_kilogram = jacobian[:, 3:].T @ acceleration
         missing = per_kilogram @ unexplained / max(per_kilogram @ per_kilogram, 1e-6)
         mass = self._mass + missing / (SETTLING * self._rate)
-        self._set(float(np.clip(mass, 0.0, MOST)))
+        self.count(float(np.clip(mass, 0.0, MOST)))
 
-    def _set(self, mass: float) -> None:
+    def count(self, mass: float) -> None:
+        """Have this mass in the model from now on [kg]."""
         self._mass = mass
         self._model.carry(mass, self._size)
+
+
+@jit
+def learned(
+    mass: float,
+    rate: float,
+    before: np.ndarray,
+    terms: tuple[Any, ...],
+    torque: np.ndarray,
+    after: np.ndarray,
+) -> float:
+    """The estimate of ``Payload.learn`` after a tick [kg].
+
+    Args:
+        mass: Estimate before it [kg].
+        rate: Ticks per second.
+        before: Velocity at its beginning, shape (10,).
+        terms: ``ModelTerms`` at its beginning.
+        torque: Torques of the arm joints during it, shape (7,) [N m].
+        after: Velocity at its end, shape (10,).
+    """
+    terms_ = ModelTerms(*terms)
+    jacobian, matrix = terms_.jacobian, terms_.mass_matrix
+    change = _velocity()
+    for j in range(10):
+        change[j] = (after[j] - before[j]) * rate
+    acceleration = _position()
+    for k in range(3):
+        acceleration[k] = terms_.bias_acceleration[k] + (GRAVITY if k == 2 else 0.0)
+        for j in range(10):
+            acceleration[k] += jacobian[k, j] * change[j]
+    along = square = 0.0
+    for i in range(7):
+        unexplained = torque[i] - terms_.nonlinear[3 + i]
+        for j in range(10):
+            unexplained -= matrix[3 + i, j] * change[j]
+        per_kilogram = 0.0
+        for k in range(3):
+            per_kilogram += jacobian[k, 3 + i] * acceleration[k]
+        along += per_kilogram * unexplained
+        square += per_kilogram * per_kilogram
+    mass += along / max(square, 1e-6) / (SETTLING * rate)
+    return min(max(mass, 0.0), MOST)

@@ -3,33 +3,34 @@
 ``marl_mm.envs.drive`` has the same loop in Python, which is its reference.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from marl_mm.control.compiled.tick import tick
 from marl_mm.control.limits import WHEEL_ARM
+from marl_mm.control.payload import learned
 from marl_mm.control.records import VARIABLES
 from marl_mm.control.wbc import no_command
 from marl_mm.envs.drive import Drive, Motion
 from marl_mm.envs.order import Order, Track
-from marl_mm.jit import jit
+from marl_mm.jit import jit, on_stack
 from marl_mm.robot.description import WHEEL_RADIUS
 from marl_mm.robot.model import RobotState
-from marl_mm.robot.planar import PlanarModel, planar_terms, zero_moment_point
+from marl_mm.robot.planar import PlanarModel, load_hand, planar_terms, zero_moment_point
 from marl_mm.robot.support import SUPPORT_B, SUPPORT_INWARD_B
 from marl_mm.sim.config import RATE
 from marl_mm.sim.native import Native, advance, read, update_kinematics
 from marl_mm.sim.planar import attitude, rim_rates
 
+_velocity = on_stack(10)
 _attitude, _rim_rates = jit(attitude), jit(rim_rates)
 
 
 def can_follow(drive: Drive, order: Order) -> bool:
     """Whether a robot's step can be one compiled call."""
     solver = drive.controller.config.solver
-    plain = drive.hand is None and solver == "active-set"
-    return plain and isinstance(order.reference_at, Track)
+    return solver == "active-set" and isinstance(order.reference_at, Track)
 
 
 def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
@@ -50,24 +51,43 @@ def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
     assert native and isinstance(model, PlanarModel) and isinstance(track, Track)
     accelerations, looks = np.empty(ticks), np.empty((-(-ticks // every), 5))
     q, v, counts = drive.state.q.copy(), drive.state.v.copy(), np.zeros(2, np.int64)
-    finite = _follow(
-        native,
-        model.bodies,
-        model.scratch,
-        model.terms,
-        track,
-        controller.numbers,
-        *priorities,
-        controller.rows,
-        every,
-        accelerations,
-        looks,
-        q,
-        v,
-        counts,
-    )
-    if not finite:
-        raise no_command(RobotState(q, v), track.target_w, priorities)
+    hand, first = drive.hand, 0
+    load = Load(np.zeros(3), (0.0, 0.0, 0.0), model.empty, model.truth)
+    while first < ticks:
+        last = ticks
+        if hand is not None:
+            last = min(ticks, first + hand.ticks_to_look)
+            payload = hand.payload
+            load.masses[:] = payload.mass, payload.true_mass, payload.learns
+            load = load._replace(size=payload.size)
+        finite = _follow(
+            native,
+            model.bodies,
+            model.scratch,
+            model.terms,
+            load,
+            track,
+            controller.numbers,
+            *priorities,
+            controller.rows,
+            first,
+            last,
+            every,
+            accelerations,
+            looks,
+            q,
+            v,
+            counts,
+        )
+        if not finite:
+            raise no_command(RobotState(q, v), track.target_w, priorities)
+        if not np.isfinite(v).all():
+            break  # ``read`` says what diverged
+        if hand is not None:
+            if payload.learns:
+                payload.count(load.masses[0].item())
+            hand.wait(last - first, model.terms.position_w)
+        first = last
     drive.state = drive.world.read()
     margins, tilts, pitches, slips, errors = looks.T.tolist()
     return Motion(
@@ -81,17 +101,37 @@ def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
     )
 
 
+class Load(NamedTuple):
+    """A load in the hand."""
+
+    masses: np.ndarray
+    """Mass in the model and true one [kg], and 1 where the first is estimated, shape
+    (3,)."""
+
+    size: tuple[float, float, float]
+    """Edges of the cuboid [m]."""
+
+    empty: tuple[Any, ...]
+    """Mass, centre of mass and inertia of the empty hand."""
+
+    truth: Any
+    """Memory for ``ModelTerms`` with the true mass."""
+
+
 @jit
 def _follow(
     native: Native,
     bodies: Any,
     scratch: Any,
     terms: Any,
+    load: Load,
     track: Track,
     numbers: tuple[Any, ...],
     matrices: np.ndarray,
     shares: np.ndarray,
     rows: int,
+    first: int,
+    last: int,
     every: int,
     accelerations: np.ndarray,
     looks: np.ndarray,
@@ -108,7 +148,8 @@ def _follow(
     """
     robot, gains, hierarchy, limits = numbers
     u, torque, counters = np.empty(VARIABLES), np.empty(7), np.empty(4, np.int64)
-    for k in range(accelerations.shape[0]):
+    before = _velocity()
+    for k in range(first, last):
         planar_terms(q, v, bodies, scratch, terms)
         steer = min(
             max(track.heading_gain * q[1], -track.heading_limit), track.heading_limit
@@ -141,25 +182,42 @@ def _follow(
         if not finite:
             return False
         if k % every == 0:
-            _look(native, terms, q, v, u, looks[k // every])
+            wrench = terms[7]
+            if load.masses[1] != load.masses[0]:
+                load_hand(bodies, load.empty, load.masses[1], load.size)
+                planar_terms(q, v, bodies, scratch, load.truth)
+                load_hand(bodies, load.empty, load.masses[0], load.size)
+                wrench = load.truth[7]
+            _look(native, terms, wrench, q, v, u, looks[k // every])
         accelerations[k] = u[0]
         if counters[2] > 0:
             counts[0] += counters[2]
             counts[1] += not feasible
         native.torque[:] = torque
+        before[:] = v
         left, right = _rim_rates(forward, turning)
         advance(native, left, right)
         if not read(native, q, v):
             break
+        if load.masses[2]:
+            mass = learned(load.masses[0], float(RATE), before, terms, torque, v)
+            load.masses[0] = mass
+            load_hand(bodies, load.empty, mass, load.size)
     return True
 
 
 @jit
 def _look(
-    native: Native, terms: Any, q: np.ndarray, v: np.ndarray, u: np.ndarray, to: Any
+    native: Native,
+    terms: Any,
+    wrench: np.ndarray,
+    q: np.ndarray,
+    v: np.ndarray,
+    u: np.ndarray,
+    to: Any,
 ) -> None:
     """Write what ``Drive.look`` measures, shape (5,)."""
-    x, y = zero_moment_point(q, terms[7], u)
+    x, y = zero_moment_point(q, wrench, u)
     margin = np.inf
     for e in range(SUPPORT_B.shape[0]):
         ahead = (x - SUPPORT_B[e, 0]) * SUPPORT_INWARD_B[e, 0]

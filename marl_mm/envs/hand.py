@@ -95,9 +95,23 @@ class Hand:
     ) -> None:
         """Process a tick of the robot; see ``Payload.learn``."""
         self.payload.learn(before, terms, torque, after)
-        self._ticks += 1
+        self.wait(1, terms.position_w)
+
+    @property
+    def ticks_to_look(self) -> int:
+        """Number of ticks until the next look at contacts, 1 or more."""
+        return LOOK_EVERY - self._ticks % LOOK_EVERY
+
+    def wait(self, ticks: int, grasp_w: np.ndarray) -> None:
+        """Count ticks up to the next look, and look then.
+
+        Args:
+            ticks: Number of ticks, at most ``ticks_to_look``.
+            grasp_w: Grasp point before the last of them, shape (3,) [m].
+        """
+        self._ticks += ticks
         if self._ticks % LOOK_EVERY == 0 and not self.failure:
-            self._look(terms.position_w)
+            self._look(grasp_w)
 
     def _look(self, grasp_w: np.ndarray) -> None:
         touches = self._handling.touches()

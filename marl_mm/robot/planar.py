@@ -106,16 +106,21 @@ class PlanarModel(RobotModel):
             np.array(self._grasp_h.rotation, order="C"),
             np.array(self._grasp_h.translation),
         )
+        self.empty = (
+            self.bodies.mass[HAND].item(),
+            self.bodies.com[HAND].copy(),
+            self.bodies.inertia[HAND].copy(),
+        )
         self.scratch = new_scratch()
-        self.terms, self._truth = new_terms(), new_terms()
+        self.terms = new_terms()
+        self.truth = new_terms()
+        """Memory for the terms of ``zmp_b``: those of ``evaluate`` hold until its next
+        call."""
 
     def carry(self, mass: float, size: tuple[float, float, float]) -> None:
         """See ``RobotModel``."""
         super().carry(mass, size)
-        hand = self.pinocchio.inertias[self._hand]
-        self.bodies.mass[HAND] = hand.mass
-        self.bodies.com[HAND] = hand.lever
-        self.bodies.inertia[HAND] = hand.inertia
+        load_hand(tuple(self.bodies), self.empty, mass, size)
 
     def evaluate(self, state: RobotState) -> ModelTerms:
         """See ``RobotModel``."""
@@ -124,8 +129,7 @@ class PlanarModel(RobotModel):
 
     def zmp_b(self, state: RobotState, acceleration: np.ndarray) -> np.ndarray:
         """See ``RobotModel``."""
-        # Not the terms of ``evaluate``: those hold until its next call.
-        truth = self._truth
+        truth = self.truth
         planar_terms(*state, tuple(self.bodies), tuple(self.scratch), tuple(truth))
         return np.array(zero_moment_point(state.q, truth.wrench, acceleration))
 
@@ -141,6 +145,40 @@ def new_terms() -> ModelTerms:
     shapes = (3,), (3, 3), (6,), (6, 10), (6,), (10, 10), (10,), (6, 11)
     terms = ModelTerms(*(np.zeros(shape) for shape in shapes))
     return terms._replace(rotation_w=np.zeros((3, 3), order="F"))
+
+
+@jit
+def load_hand(
+    bodies: tuple[Any, ...],
+    empty: tuple[Any, ...],
+    mass: float,
+    size: tuple[float, float, float],
+) -> None:
+    """Count a load at the grasp point as part of the hand.
+
+    Args:
+        bodies: ``Bodies``, whose hand is written.
+        empty: Mass, centre of mass and inertia of the empty hand.
+        mass: Mass of the load [kg]; 0 empties the hand.
+        size: Edges of the cuboid whose inertia it has [m].
+    """
+    bodies_ = Bodies(*bodies)
+    empty_mass, empty_com, empty_inertia = empty
+    total, turn = empty_mass + mass, bodies_.grasp_rotation
+    way = vector(bodies_.grasp_place - empty_com)
+    shared, square = empty_mass * mass / total, dot(way, way)
+    squares = dot(size, size)
+    bodies_.mass[HAND] = total
+    for i in range(3):
+        bodies_.com[HAND, i] = empty_com[i] + mass / total * way[i]
+        for j in range(3):
+            value = empty_inertia[i, j] - shared * way[i] * way[j]
+            if i == j:
+                value += shared * square
+            for k in range(3):
+                own = mass / 12 * (squares - size[k] * size[k])
+                value += turn[i, k] * own * turn[j, k]
+            bodies_.inertia[HAND, i, j] = value
 
 
 @jit

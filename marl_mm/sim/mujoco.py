@@ -73,20 +73,29 @@ class _Robot:
         fingers = np.flatnonzero(model.dof_frictionloss)[len(self.wheels) :]
         self.motors = [*self.wheels, *fingers.tolist()]
         self._check_motors()
+        self._aref = self._pointer(self.data.efc_aref)
 
-    def native(self) -> Native:
+    def native(self, handling: MujocoHandling | None = None) -> Native:
         """The robot as compiled code sees it."""
         data = self.data
+        hand: tuple[np.ndarray, ...] = (
+            np.array([0, len(self.wheels)]),
+            np.zeros((2, 2), np.int64),
+            np.zeros(2),
+        )
+        if handling is not None:
+            hand = handling.rows, handling.fingers, handling.grip
         return Native(
             self.model._address,
             data._address,
-            self._pointer(data.efc_aref),
+            self._aref,
             data.qpos,
             data.qvel,
             self.torque,
             data.site(GRASP_FRAME).xpos,
             np.array(self.first),
             np.array(self.wheels),
+            *hand,
         )
 
     def _pointer(self, array: np.ndarray) -> np.ndarray:
@@ -180,12 +189,12 @@ class MujocoWorld:
             self._robot = _Robot(
                 copy(handling_model(*self._configs, scene.grasp == "friction"))
             )
-        self.native = self._robot.native()
         model, data = self._robot.model, self._robot.data
         mujoco.mj_resetData(model, data)
         data.qpos[: len(self._start)] = self._start
         if scene is not None:
             self._handling = MujocoHandling(model, data, *self._configs, scene)
+        self.native = self._robot.native(self._handling)
         self._target = 0.0, 0.0
         mujoco.mj_forward(model, data)
         if self._puppet is not None:
@@ -243,8 +252,8 @@ class MujocoWorld:
 
     def step(self) -> None:
         """See ``World``."""
-        motor = None if self._handling is None else self._handling.motor()
-        self._robot.step(self._target if motor is None else self._target + motor)
+        fingers = [] if self._handling is None else self._handling.motor()
+        self._robot.step([*self._target, *fingers])
 
     @property
     def handling(self) -> Handling:

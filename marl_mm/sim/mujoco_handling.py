@@ -38,12 +38,14 @@ class MujocoHandling:
         self._names = [model.geom(number).name for number in range(model.ngeom)]
         self._fingers = [int(model.joint(name).dofadr[0]) for name in FINGER_JOINTS]
         self._places = [int(model.joint(name).qposadr[0]) for name in FINGER_JOINTS]
-        self._travel = robot.initial_finger
         self._body, self._hand = model.body(BLOCK).id, model.body(ARM_LINKS[-1]).id
         self._weld = model.equality("weld").id
         self._pads = [model.pair(f"{BLOCK}+{name}").id for name in FINGER_LINKS]
-        self._squeezing = False
-        self._speed = 0.0
+        self.rows = np.zeros(2, np.int64)
+        """See ``Native``; so are the next two."""
+
+        self.fingers = np.array([self._places, self._fingers])
+        self.grip = np.array([0.0, robot.initial_finger])
         self._build(scene)
 
     def _build(self, scene: Scene) -> None:
@@ -76,26 +78,23 @@ class MujocoHandling:
         address = int(model.jnt_qposadr[free])
         start[address : address + 7] = *scene.position_w, 1, 0, 0, 0
         start[self._places] = (
-            self._travel if scene.stand_size is not None else block.size[0] / 2
+            self.grip[1] if scene.stand_size is not None else block.size[0] / 2
         )
         data.qpos[:] = start
         self._drive_fingers(0.0)
 
     def close_gripper(self) -> None:
         """See ``Handling``."""
-        if not self._squeezing and not self._data.eq_active[self._weld]:
+        if not self._data.eq_active[self._weld]:
             self._drive_fingers(-self._config.grip_speed)
 
     def open_gripper(self) -> None:
         """See ``Handling``."""
-        self._squeezing = False
         self._drive_fingers(self._config.grip_speed)
 
     def squeeze(self) -> None:
-        """See ``Handling``."""
-        self._drive_fingers(0.0, force=0.0)
-        self._data.qfrc_applied[self._fingers] = -self._config.grip_force
-        self._squeezing = True
+        """See ``Handling``; a motor that is held back presses with all its force."""
+        self.close_gripper()
 
     def weld(self) -> None:
         """See ``Handling``."""
@@ -116,6 +115,7 @@ class MujocoHandling:
         """See ``Handling``."""
         self._data.eq_active[self._weld] = False
         self._touch_block(True)
+        self._drive_fingers(self.grip[0])
 
     def opening(self) -> float:
         """See ``Handling``."""
@@ -170,21 +170,17 @@ class MujocoHandling:
                 collisions.add(" and ".join(sorted(pair)))
         return Touches(len(fingers), stand, ground, min(collisions, default=""))
 
-    def motor(self) -> tuple[float, float] | None:
-        """Rates of the fingers' motors [m/s]; None without power."""
-        if self._squeezing:
-            return None
-        left, right = (
-            min(max(self._speed, -travel * RATE), (self._travel - travel) * RATE)
-            for travel in self._data.qpos[self._places].tolist()
-        )
-        return left, right
+    def motor(self) -> list[float]:
+        """Rates of the fingers' motors [m/s]."""
+        speed, most = self.grip.tolist()
+        travels = self._data.qpos[self._places].tolist()
+        return [min(max(speed, -x * RATE), (most - x) * RATE) for x in travels]
 
-    def _drive_fingers(self, speed: float, force: float | None = None) -> None:
-        force = self._config.grip_force if force is None else force
-        self._speed = speed
-        self._data.qfrc_applied[self._fingers] = 0.0
-        self._model.dof_frictionloss[self._fingers] = force
+    def _drive_fingers(self, speed: float) -> None:
+        """Have both fingers slide outward at this speed [m/s] from now on."""
+        self.grip[0] = speed
+        gear, weld = 1, 6 * int(self._data.eq_active[self._weld])
+        self.rows[:] = gear + weld, 4
 
     def _contacts(self) -> list[tuple[str, str, float]]:
         """Links or things in contact, and the normal force [N], above 0."""

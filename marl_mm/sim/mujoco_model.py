@@ -105,7 +105,6 @@ def handling_model(
         spec.option.impratio, spec.option.noslip_iterations = HELD_RATIO, NO_SLIP
     for name in FINGER_JOINTS:
         _drive(spec.joint(name), config.grip_force)
-        spec.joint(name).limited = mujoco.mjtLimited.mjLIMITED_FALSE  # motors stop
     couple = spec.add_equality(
         name="gear",
         type=mujoco.mjtEq.mjEQ_JOINT,

@@ -29,7 +29,7 @@ class Native(NamedTuple):
 
     motors: np.ndarray
     """Word of the ``mjData`` that points to the constraints' reference accelerations,
-    the first two of which are those of the wheels, shape (1,), uint64."""
+    shape (1,), uint64."""
 
     qpos: np.ndarray
     """Positions of the joints: place and quaternion w, x, y, z of the base first."""
@@ -49,6 +49,16 @@ class Native(NamedTuple):
 
     wheels: np.ndarray
     """Places of the left and the right wheel in ``qvel``, shape (2,)."""
+
+    rows: np.ndarray
+    """Number of constraints before those of the motors, and number of motors: those of
+    the wheels, and of the fingers where there is a block, shape (2,)."""
+
+    fingers: np.ndarray
+    """Places of the fingers in ``qpos`` and in ``qvel``, shape (2, 2)."""
+
+    grip: np.ndarray
+    """Speed [m/s] and largest travel [m] of each finger, shape (2,)."""
 
 
 def _load() -> None:
@@ -93,8 +103,16 @@ def advance(native: Native, left: float, right: float) -> None:
     """
     _begin_step(native.model, native.data)
     motors, qvel, wheels = native.motors[0], native.qvel, native.wheels
-    _write(motors, 0, (left - qvel[wheels[0]]) * RATE)
-    _write(motors, 1, (right - qvel[wheels[1]]) * RATE)
+    row, count = native.rows
+    _write(motors, row, (left - qvel[wheels[0]]) * RATE)
+    _write(motors, row + 1, (right - qvel[wheels[1]]) * RATE)
+    for finger in range(count - 2):
+        travel = native.qpos[native.fingers[0, finger]]
+        rate = min(
+            max(native.grip[0], -travel * RATE), (native.grip[1] - travel) * RATE
+        )
+        rate -= qvel[native.fingers[1, finger]]
+        _write(motors, row + 2 + finger, rate * RATE)
     _end_step(native.model, native.data)
 
 
