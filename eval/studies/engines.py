@@ -229,7 +229,14 @@ def run_cell(cell: EngineCell) -> list[Row]:
 class EnginesOptions(StudyOptions):
     """Settings of the comparison of the engines."""
 
-    tasks: tuple[str, ...] = ("Reach-v0", "SmoothReach-v0", "PreciseReach-v0")
+    tasks: tuple[str, ...] = (
+        "Reach-v0",
+        "SmoothReach-v0",
+        "PreciseReach-v0",
+        "CarryReach-v0",
+        "Grasp-v0",
+        "GraspReach-v0",
+    )
     """Registered names of the tasks."""
 
     goals: int = 200

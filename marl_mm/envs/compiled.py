@@ -15,9 +15,10 @@ from marl_mm.control.wbc import no_command
 from marl_mm.envs.drive import Drive, Motion
 from marl_mm.envs.order import Order, Track
 from marl_mm.jit import jit, on_stack
+from marl_mm.robot.bodies import load_hand
 from marl_mm.robot.description import WHEEL_RADIUS
 from marl_mm.robot.model import RobotState
-from marl_mm.robot.planar import PlanarModel, load_hand, planar_terms, zero_moment_point
+from marl_mm.robot.planar import PlanarModel, planar_terms, zero_moment_point
 from marl_mm.robot.support import SUPPORT_B, SUPPORT_INWARD_B
 from marl_mm.sim.config import RATE
 from marl_mm.sim.native import Native, advance, read, update_kinematics

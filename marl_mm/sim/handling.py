@@ -101,6 +101,19 @@ class BulletHandling:
         )
         return np.array(place), np.array(turn)
 
+    def pose(self, place_w: np.ndarray, turn: np.ndarray, travel: float) -> None:
+        """Put block and fingers somewhere, to draw them there.
+
+        Args:
+            place_w: Centre of the block, shape (3,) [m].
+            turn: Orientation of the block: x, y, z, w.
+            travel: Travel of each finger [m].
+        """
+        pybullet.resetBasePositionAndOrientation(
+            self._block, place_w, turn, physicsClientId=self._client
+        )
+        self._put_fingers(travel)
+
     def weld(self) -> None:
         """Fix the block to the hand where it is now, and the fingers."""
         hand = pybullet.getLinkState(

@@ -153,7 +153,7 @@ def _puppet(robot: RobotConfig, config: SimulationConfig) -> "BulletWorld":
 
 
 class MujocoWorld:
-    """One robot on a plane, without blocks; see ``World``.
+    """One robot on a plane; see ``World``.
 
     Args:
         robot: Mass properties and start posture.
@@ -282,6 +282,10 @@ class MujocoWorld:
         assert self._puppet is not None
         place, (w, x, y, z) = np.split(self.data.qpos[:7], [3])
         self._puppet.pose(place.tolist(), (x, y, z, w), self._robot.joints.tolist())
+        if self._handling is not None:
+            self._puppet.handling.pose(
+                *self._handling.block_w(), self._handling.opening() / 2
+            )
         return self._puppet.render(camera)
 
     def close(self) -> None:

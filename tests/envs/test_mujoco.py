@@ -140,7 +140,7 @@ def test_the_compiled_step_is_the_loop_in_python(
     for seed in range(2):
         looped = episode(core, seed, core.task.max_steps, ticks.append)
         compiled = episode(core, seed, core.task.max_steps)
-        assert np.abs(compiled - looped).max() <= 1e-12
+        np.testing.assert_allclose(compiled, looped, rtol=1e-12, atol=1e-12)
     assert len(ticks) == 2 * core.task.max_steps * core.task.ticks_per_step
 
 
@@ -202,14 +202,15 @@ def test_engines_that_are_not_there_are_told(monkeypatch: pytest.MonkeyPatch) ->
         open_world(RobotConfig(), SimulationConfig(engine="mujoco"))
 
 
-def test_it_is_drawn_where_it_is() -> None:
+@pytest.mark.parametrize("task", ["Reach-v0", "Grasp-v0"])
+def test_it_is_drawn_where_it_is(task: str) -> None:
     """By PyBullet, whose own robot looks the same in the same place."""
     pictures = []
     for overrides in (MUJOCO, {}):
-        core = EpisodeCore(make_task("Reach-v0", overrides), visual=True)
+        core = EpisodeCore(make_task(task, overrides), visual=True)
         core.reset(np.random.default_rng(0))
         pictures.append(core.render(core.task.camera))
-        core.step(np.array([1.0, 0.5, 0.0, 0.0]))
+        core.step(np.resize([1.0, 0.5, 0.0, 0.0], len(core.task.layout.action)))
         pictures.append(core.render(core.task.camera))
         core.close()
     before, after, *usual = (picture.astype(float) for picture in pictures)
