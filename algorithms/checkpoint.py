@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from io import BytesIO
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import torch
@@ -123,6 +124,8 @@ def read_checkpoint(path: Path, algorithm: str | None = None) -> dict[str, Any]:
         _check_values(checkpoint)
     except Exception as error:  # torch raises whatever its unpickler met
         reason = (str(error).splitlines() or [type(error).__name__])[0]
+        if isinstance(error, UnpicklingError):
+            reason = "it holds other Python objects than numbers, texts and tensors"
         raise CheckpointError(
             f"{file} is damaged ({reason:.80}){_way_out(file)}"
         ) from error

@@ -86,6 +86,8 @@ def _check_pickle(content: bytes) -> None:
     marks: list[int] = []
     for operation, argument, _ in pickletools.genops(content):
         name = operation.name
+        if name == "PROTO" and argument != 2:
+            raise ValueError(f"a pickle of protocol {argument}, torch writes 2")
         if name == "MARK":
             marks.append(len(stack))
         elif "PUT" in name:

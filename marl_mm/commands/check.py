@@ -18,7 +18,7 @@ from marl_mm.commands.parser import command
 from marl_mm.contracts import algorithms, collectors, learners, metrics, tasks
 from marl_mm.contracts.claims import Claim, Finding, examine
 from marl_mm.contracts.episodes import short
-from marl_mm.contracts.files import kind_of
+from marl_mm.contracts.files import KINDS, kind_of
 from marl_mm.contracts.fuzz import file_claims
 from marl_mm.datasets.dataset import existing
 from marl_mm.envs.registry import DEFAULT, TASKS
@@ -62,8 +62,9 @@ def main(
     claim does not hold.
 
     Args:
-        what: Plug-ins, FILE.py or module; names of what is registered; files, folders
-            or ids of datasets.
+        what: Plug-ins, FILE.py or module, which are run; names of what is registered;
+            files, folders or ids of datasets, which are not. A folder with such files
+            is never taken for a module.
         task: Task of collectors and metrics.
         mutations: Number of times that a copy of each file is damaged at random, partly
             with its checksums computed anew, and has to be refused, or read without
@@ -129,10 +130,13 @@ def _subjects(what: str, task: str, mutations: int, seed: int) -> Iterator[Subje
 def _file(what: str) -> Path | None:
     """The file, folder or dataset of a name; None if it can only be a plug-in."""
     path = Path(what)
-    if path.suffix == ".py" or (path / "__init__.py").exists():
+    if path.suffix == ".py":
         return None
+    package = (path / "__init__.py").exists() and not any(
+        kind.fits(path) for kind in KINDS
+    )
     if path.exists():
-        return path
+        return None if package else path
     folder = existing(what).folder
     return folder if folder.exists() else None
 

@@ -88,7 +88,7 @@ def _update(digest: Any, value: Any) -> None:
 
 
 def _read_dataset(path: Path) -> Any:
-    location = locate(str(path))
+    location = locate(str(path.absolute()))  # a plain word would be an id
     if problems := verify(location):
         raise DatasetError("; ".join(problems))
     dataset = load_dataset(location)

@@ -1062,8 +1062,8 @@ ALGORITHMS_MISTAKEN: list[tuple[learners.Candidate, Broken]] = [
         planted(Mabc, config=SetConfig(), name="planted-SetConfig"),
         {
             NAMES: "frozenset is not JSON serializable",
-            RESUMES: "Weights only load failed",
-            CHECKPOINT: "Weights only load failed",
+            RESUMES: "other Python objects than numbers",
+            CHECKPOINT: "other Python objects than numbers",
         },
     ),
 ]

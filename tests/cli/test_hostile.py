@@ -255,6 +255,39 @@ def test_checkpoints_that_would_do_harm_are_refused(
     assert match in error and error.count("\n") == 1
 
 
+class Called:
+    """An object whose pickle calls a function."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, ("called",)
+
+
+@pytest.mark.parametrize("protocol", [2, 4])
+def test_a_pickled_object_is_refused_in_one_line(
+    tmp_path: Path, capsys: Output, monkeypatch: pytest.MonkeyPatch, protocol: int
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    torch.save({"state": Called()}, FILE, pickle_protocol=protocol)
+    assert main(["eval", FILE, "--episodes", "2"]) == 1
+    error = capsys.readouterr().err
+    reason = {2: "other Python objects than numbers", 4: "a pickle of protocol 4"}
+    assert reason[protocol] in error and error.count("\n") == 1
+    assert not Path("called").exists()
+
+
+@pytest.mark.slow
+def test_a_dataset_that_is_a_package_too_is_only_read(
+    good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Output
+) -> None:
+    """By a plain word, which may also be the name of a module."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    shutil.copytree(good / "dataset", "stranger")
+    Path("stranger/__init__.py").write_text("import os; os.mkdir('called')")
+    assert main(["check", "stranger"]) == 0, capsys.readouterr().out
+    assert not Path("called").exists()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("key", ["step", "actors", "actor_learners", "batches"])
 def test_a_run_whose_checkpoint_lacks_a_part_is_not_resumed(
