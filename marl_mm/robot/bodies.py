@@ -68,6 +68,6 @@ def load_hand(
             if i == j:
                 value += shared * square
             for k in range(3):
-                own = mass / 12 * (squares - size[k] * size[k])
-                value += turn[i, k] * own * turn[j, k]
+                moment = mass / 12 * (squares - size[k] * size[k])
+                value += turn[i, k] * moment * turn[j, k]
             bodies_.inertia[HAND, i, j] = value

@@ -4,7 +4,13 @@ import mujoco
 import numpy as np
 
 from marl_mm.robot.description import RobotConfig
-from marl_mm.robot.names import ARM_LINKS, FINGER_JOINTS, FINGER_LINKS, HAND_LINK
+from marl_mm.robot.names import (
+    ARM_LINKS,
+    BASE_LINK,
+    FINGER_JOINTS,
+    FINGER_LINKS,
+    HAND_LINK,
+)
 from marl_mm.sim.config import RATE, SimulationConfig
 from marl_mm.sim.mujoco_model import BLOCK, GROUND, PARTED, STAND
 from marl_mm.sim.scene import Scene
@@ -21,7 +27,7 @@ class MujocoHandling:
         model: A model of ``handling_model`` that nobody shares; the scene's sizes and
             masses are written into it.
         data: Its data, with the robot at its start.
-        robot: Travel of the open fingers.
+        robot: Start posture, with the travel of the open fingers.
         config: Settings of the gripper.
         scene: Block and stand.
     """
@@ -162,9 +168,8 @@ class MujocoHandling:
             elif pair & {STAND, GROUND}:
                 thing = STAND if STAND in pair else GROUND
                 (link,) = pair - {thing}
-                if "wheel" not in link and not (
-                    thing == GROUND and link.startswith("base")
-                ):
+                rolls = "wheel" in link or link.startswith(f"{BASE_LINK}_")
+                if not rolls:
                     collisions.add(f"{link} and the {thing}")
             else:
                 collisions.add(" and ".join(sorted(pair)))
