@@ -51,6 +51,7 @@ def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
     native = drive.world.native
     assert native and isinstance(model, PlanarModel) and isinstance(track, Track)
     accelerations, looks = np.empty(ticks), np.empty((-(-ticks // every), 5))
+    path, hand_w = np.empty((ticks, 11)), np.empty((ticks, 3))
     q, v, counts = drive.state.q.copy(), drive.state.v.copy(), np.zeros(2, np.int64)
     hand, first = drive.hand, 0
     load = Load(np.zeros(3), (0.0, 0.0, 0.0), model.empty, model.truth)
@@ -75,6 +76,8 @@ def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
             last,
             every,
             accelerations,
+            path,
+            hand_w,
             looks,
             q,
             v,
@@ -93,6 +96,8 @@ def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
     margins, tilts, pitches, slips, errors = looks.T.tolist()
     return Motion(
         accelerations,
+        path,
+        hand_w,
         min(margins),
         max(tilts),
         max(pitches, key=abs),
@@ -135,6 +140,8 @@ def _follow(
     last: int,
     every: int,
     accelerations: np.ndarray,
+    path: np.ndarray,
+    hand_w: np.ndarray,
     looks: np.ndarray,
     q: np.ndarray,
     v: np.ndarray,
@@ -142,7 +149,7 @@ def _follow(
 ) -> bool:
     """All ticks, or those before the simulation diverges.
 
-    Arguments are those of ``follow``, with results in the last five.
+    Arguments are those of ``follow``, with results in the last seven.
 
     Returns:
         Whether all commands were finite; else q and v are the state without one.
@@ -190,7 +197,8 @@ def _follow(
                 load_hand(bodies, load.empty, load.masses[0], load.size)
                 wrench = load.truth[7]
             _look(native, terms, wrench, q, v, u, looks[k // every])
-        accelerations[k] = u[0]
+        accelerations[k], path[k] = u[0], q
+        hand_w[k] = terms[0]
         if counters[2] > 0:
             counts[0] += counters[2]
             counts[1] += not feasible

@@ -5,7 +5,7 @@ so the robot starts where they carry its weight.
 """
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from functools import lru_cache
 from importlib.util import find_spec
@@ -276,6 +276,11 @@ class MujocoWorld:
         data = self._robot.data
         mujoco.mj_kinematics(self._robot.model, data)  # of the state after the step
         return np.array(data.site(GRASP_FRAME).xpos)
+
+    def move_marks(self, places: Mapping[int, Sequence[float]]) -> None:
+        """See ``World``."""
+        if self._puppet is not None:
+            self._puppet.move_marks(places)
 
     def render(self, camera: Camera) -> np.ndarray:
         """See ``World``."""

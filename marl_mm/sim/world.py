@@ -1,7 +1,7 @@
 """The simulator as the rest of the package sees it, whichever engine computes it."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from multiprocessing import parent_process
 from typing import TYPE_CHECKING, NamedTuple, Protocol
@@ -129,6 +129,13 @@ class World(Protocol):
 
     def grasp_position_w(self) -> np.ndarray:
         """Position of the end-effector in the simulation, shape (3,) [m]."""
+
+    def move_marks(self, places: Mapping[int, Sequence[float]]) -> None:
+        """Move drawings of a world with visuals.
+
+        Args:
+            places: Position of the centre [m], by the mark's number in ``reset``.
+        """
 
     def render(self, camera: Camera) -> np.ndarray:
         """Image, shape (height, width, 3), uint8."""
