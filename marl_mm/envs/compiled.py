@@ -6,6 +6,7 @@
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
 
 from marl_mm.control.compiled.tick import tick
 from marl_mm.control.limits import WHEEL_ARM
@@ -24,7 +25,8 @@ from marl_mm.sim.config import RATE
 from marl_mm.sim.native import Native, advance, read, update_kinematics
 from marl_mm.sim.planar import attitude, rim_rates
 
-_velocity = on_stack(10)
+_velocity, _acceleration = on_stack(10), on_stack(VARIABLES)
+_counters = on_stack(4, number=types.int64)
 _attitude, _rim_rates = jit(attitude), jit(rim_rates)
 
 
@@ -155,7 +157,7 @@ def _follow(
         Whether all commands were finite; else q and v are the state without one.
     """
     robot, gains, hierarchy, limits = numbers
-    u, torque, counters = np.empty(VARIABLES), np.empty(7), np.empty(4, np.int64)
+    u, torque, counters = _acceleration(), native.torque, _counters()
     before = _velocity()
     for k in range(first, last):
         planar_terms(q, v, bodies, scratch, terms)
@@ -202,8 +204,8 @@ def _follow(
         if counters[2] > 0:
             counts[0] += counters[2]
             counts[1] += not feasible
-        native.torque[:] = torque
-        before[:] = v
+        for j in range(10):
+            before[j] = v[j]
         left, right = _rim_rates(forward, turning)
         advance(native, left, right)
         if not read(native, q, v):

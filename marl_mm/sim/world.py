@@ -171,10 +171,16 @@ def open_world(
     return BulletWorld(robot, config, visual, gui)
 
 
-def check_engine(engine: Engine) -> None:
+def check_engine(
+    engine: Engine, otherwise: str = ", or choose another `engine`"
+) -> None:
     """Refuse an engine that is not installed, and say where MuJoCo takes its place.
 
     It says so on stderr, once in a process, and not in workers.
+
+    Args:
+        engine: The engine.
+        otherwise: End of the message: what else there is to do, if anything.
 
     Raises:
         UsageError: If the engine is not installed.
@@ -184,7 +190,7 @@ def check_engine(engine: Engine) -> None:
         wheels = " (wheels: up to Python 3.11)" if engine == "bullet" else ""
         raise UsageError(
             f"engine {engine!r} needs the package {package}, which is not installed: "
-            f"pip install {package}{wheels}, or choose another `engine`"
+            f"pip install {package}{wheels}{otherwise}"
         )
     if engine == default_engine() != "bullet" and parent_process() is None:
         _say_fallback()
