@@ -199,8 +199,9 @@ def _follow(
                 load_hand(bodies, load.empty, load.masses[0], load.size)
                 wrench = load.truth[7]
             _look(native, terms, wrench, q, v, u, looks[k // every])
-        accelerations[k], path[k] = u[0], q
-        hand_w[k] = terms[0]
+        accelerations[k] = u[0]
+        _copy(q, path[k])
+        _copy(terms[0], hand_w[k])
         if counters[2] > 0:
             counts[0] += counters[2]
             counts[1] += not feasible
@@ -215,6 +216,13 @@ def _follow(
             load.masses[0] = mass
             load_hand(bodies, load.empty, mass, load.size)
     return True
+
+
+@jit
+def _copy(numbers: np.ndarray, to: Any) -> None:
+    """Copy numbers, as an assignment would allocate memory."""
+    for i in range(len(numbers)):
+        to[i] = numbers[i]
 
 
 @jit

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from marl_mm.control.config import ControllerConfig
+from marl_mm.declared import ADDED
 from marl_mm.envs.order import Order
 from marl_mm.envs.terms import goal_distance
 from marl_mm.episode import FAILED, GOAL_INFO, MOTION_INFO
@@ -83,7 +84,7 @@ class ScriptConfig:
     alpha: float = 0.0
     """Alpha that the expert sets: 0 accurate hand ... 1 stable base."""
 
-    convention: str = ""
+    convention: str = field(default="", metadata=ADDED)
     """Way of a task that has several, such as "over" or "under" of Bar; empty is the
     first."""
 
@@ -260,6 +261,18 @@ class Task(ABC):
         return goal_distance(achieved, desired)
 
     # --- Expert --------------------------------------------------------------
+
+    def check_script(self, script: ScriptConfig) -> None:
+        """Raise for a convention that the task does not have.
+
+        Raises:
+            UsageError: If it is none of ``conventions``.
+        """
+        if script.convention and script.convention not in self.conventions:
+            name = type(self).__name__
+            choices = f"expected {' or '.join(self.conventions)}"
+            expected = choices if self.conventions else f"and {name} has none"
+            raise UsageError(f"convention is {script.convention!r}, {expected}")
 
     def expert(self, state: Values, script: ScriptConfig) -> Values:
         """Joint action by name of a scripted expert without memory.

@@ -152,8 +152,8 @@ class Tray(HazardTask):
     def observe(self, attempt: Attempt) -> Values:
         """Joint state of hand and base, and the cup."""
         cup: Cup = attempt.memory.drawn
-        swing = hypot(*cup.motion[0], *(cup.motion[1] / (2 * pi * self.frequency)))
-        own = {LEVEL.name: cup.level, SLOSH.name: swing}
+        amplitude = hypot(*cup.motion[0], *(cup.motion[1] / (2 * pi * self.frequency)))
+        own = {LEVEL.name: cup.level, SLOSH.name: amplitude}
         return {**super().observe(attempt), **own}
 
     def harm(self, course: Course, motion: "Motion") -> tuple[str, dict[str, float]]:
@@ -162,7 +162,7 @@ class Tray(HazardTask):
         path = np.concatenate([cup.place, motion.hand_w])
         cup.place = path[-2:].copy()
         rim = self.rim_dry + (self.rim_full - self.rim_dry) * cup.level
-        peak = _swing(path, cup.motion, 2 * pi * self.frequency, self.damping)
+        peak = swing(path, cup.motion, 2 * pi * self.frequency, self.damping)
         cup.level = max(cup.level - self.leak, 0.0)
         reason = ""
         if peak > rim:
@@ -182,7 +182,7 @@ class Tray(HazardTask):
 
 
 @jit
-def _swing(path: np.ndarray, motion: np.ndarray, rate: float, damping: float) -> float:
+def swing(path: np.ndarray, motion: np.ndarray, rate: float, damping: float) -> float:
     """Move the liquid along the hand's path; its largest displacement [m].
 
     Args:
