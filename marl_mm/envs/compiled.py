@@ -6,6 +6,7 @@
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
 
 from marl_mm.control.compiled.along import reference_on
 from marl_mm.control.compiled.tick import tick
@@ -25,7 +26,8 @@ from marl_mm.sim.config import RATE
 from marl_mm.sim.native import Native, advance, read, update_kinematics
 from marl_mm.sim.planar import attitude, rim_rates
 
-_velocity = on_stack(10)
+_velocity, _acceleration = on_stack(10), on_stack(VARIABLES)
+_counters = on_stack(4, number=types.int64)
 _attitude, _rim_rates = jit(attitude), jit(rim_rates)
 
 
@@ -52,6 +54,7 @@ def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
     native = drive.world.native
     assert native and isinstance(model, PlanarModel) and isinstance(track, Track)
     accelerations, looks = np.empty(ticks), np.empty((-(-ticks // every), 5))
+    path, hand_w = np.empty((ticks, 11)), np.empty((ticks, 3))
     q, v, counts = drive.state.q.copy(), drive.state.v.copy(), np.zeros(2, np.int64)
     hand, first = drive.hand, 0
     load = Load(np.zeros(3), (0.0, 0.0, 0.0), model.empty, model.truth)
@@ -76,6 +79,8 @@ def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
             last,
             every,
             accelerations,
+            path,
+            hand_w,
             looks,
             q,
             v,
@@ -94,6 +99,8 @@ def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
     margins, tilts, pitches, slips, errors = looks.T.tolist()
     return Motion(
         accelerations,
+        path,
+        hand_w,
         min(margins),
         max(tilts),
         max(pitches, key=abs),
@@ -136,6 +143,8 @@ def _follow(
     last: int,
     every: int,
     accelerations: np.ndarray,
+    path: np.ndarray,
+    hand_w: np.ndarray,
     looks: np.ndarray,
     q: np.ndarray,
     v: np.ndarray,
@@ -143,13 +152,13 @@ def _follow(
 ) -> bool:
     """All ticks, or those before the simulation diverges.
 
-    Arguments are those of ``follow``, with results in the last five.
+    Arguments are those of ``follow``, with results in the last seven.
 
     Returns:
         Whether all commands were finite; else q and v are the state without one.
     """
     robot, gains, hierarchy, limits = numbers
-    u, torque, counters = np.empty(VARIABLES), np.empty(7), np.empty(4, np.int64)
+    u, torque, counters = _acceleration(), native.torque, _counters()
     before = _velocity()
     for k in range(first, last):
         planar_terms(q, v, bodies, scratch, terms)
@@ -181,11 +190,13 @@ def _follow(
                 wrench = load.truth[7]
             _look(native, terms, wrench, q, v, u, looks[k // every])
         accelerations[k] = u[0]
+        _copy(q, path[k])
+        _copy(terms[0], hand_w[k])
         if counters[2] > 0:
             counts[0] += counters[2]
             counts[1] += not feasible
-        native.torque[:] = torque
-        before[:] = v
+        for j in range(10):
+            before[j] = v[j]
         left, right = _rim_rates(forward, turning)
         advance(native, left, right)
         if not read(native, q, v):
@@ -195,6 +206,13 @@ def _follow(
             load.masses[0] = mass
             load_hand(bodies, load.empty, mass, load.size)
     return True
+
+
+@jit
+def _copy(numbers: np.ndarray, to: Any) -> None:
+    """Copy numbers, as an assignment would allocate memory."""
+    for i in range(len(numbers)):
+        to[i] = numbers[i]
 
 
 @jit

@@ -1,7 +1,7 @@
 """Tasks of one hand: the actions steer the hand, and the base follows slowly."""
 
 from abc import ABC
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -72,6 +72,15 @@ class Course:
 
     plan: BasePlan
     """Plan of the base in the last step."""
+
+    drawn: Any = None
+    """What the seed drew beside the goal; None without such things."""
+
+    failure: str = ""
+    """Reason of the failure; empty without one."""
+
+    measured: dict[str, float] = field(default_factory=dict)
+    """Step numbers of what was drawn, by name."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -58,6 +58,12 @@ class Motion(NamedTuple):
     base_acceleration: np.ndarray
     """Commanded forward acceleration of the base, shape (ticks,) [m/s^2]."""
 
+    q: np.ndarray
+    """Configuration before each tick, as in ``RobotState``, shape (ticks, 11)."""
+
+    hand_w: np.ndarray
+    """Position of the model's end-effector before each tick, shape (ticks, 3) [m]."""
+
     zmp_margin: float
     """Least distance of the zero-moment point to the support polygon's edge [m]."""
 
@@ -230,6 +236,7 @@ class _Step:
         self._drive, self._every = drive, every
         self._command_at = drive.controller.along(*order)
         self._accelerations = np.empty(ticks)
+        self._q, self._hand_w = np.empty((ticks, 11)), np.empty((ticks, 3))
         self._looks: list[tuple[float, float, float, float, float]] = []
         self._failures = self._safe = 0
 
@@ -242,6 +249,7 @@ class _Step:
         if k % self._every == 0:
             self._looks.append(drive.look(state, terms.position_w, command))
         self._accelerations[k] = command.acceleration[0]
+        self._q[k], self._hand_w[k] = state.q, terms.position_w
         world.command(*command.base_speed, command.torque)
         world.step()
         if command.failures:
@@ -257,6 +265,8 @@ class _Step:
         margins, tilts, pitches, slips, errors = zip(*self._looks, strict=True)
         return Motion(
             self._accelerations,
+            self._q,
+            self._hand_w,
             min(margins),
             max(tilts),
             max(pitches, key=abs),

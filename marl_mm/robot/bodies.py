@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from marl_mm.jit import jit
-from marl_mm.robot.vectors import dot, vector
+from marl_mm.robot.vectors import added, dot, scaled, vector
 
 BODIES = 8
 """Number of bodies: the base and the seven links of the arm."""
@@ -57,7 +57,7 @@ def load_hand(
     bodies_ = Bodies(*bodies)
     empty_mass, empty_com, empty_inertia = empty
     total, turn = empty_mass + mass, bodies_.grasp_rotation
-    way = vector(bodies_.grasp_place - empty_com)
+    way = added(vector(bodies_.grasp_place), scaled(-1.0, vector(empty_com)))
     shared, square = empty_mass * mass / total, dot(way, way)
     squares = dot(size, size)
     bodies_.mass[HAND] = total

@@ -2,7 +2,7 @@
 
 import os
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -116,8 +116,7 @@ class BulletWorld:
             self._handling = BulletHandling(
                 client, self._robot, links, self._ground, config, scene, self._visual
             )
-        for mark in marks if self._visual else ():
-            self._draw(mark)
+        self._marks = [self._draw(mark) for mark in marks if self._visual]
 
     def read(self) -> RobotState:
         """See ``World``."""
@@ -222,6 +221,13 @@ class BulletWorld:
         )
         for index, angle in zip(self._arm, joints, strict=True):
             pybullet.resetJointState(robot, index, angle, 0, physicsClientId=client)
+
+    def move_marks(self, places: Mapping[int, Sequence[float]]) -> None:
+        """See ``World``."""
+        for number, place_w in places.items() if self._visual else ():
+            pybullet.resetBasePositionAndOrientation(
+                self._marks[number], place_w, (0, 0, 0, 1), physicsClientId=self._client
+            )
 
     def render(self, camera: Camera) -> np.ndarray:
         """Image by PyBullet's CPU renderer, shape (height, width, 3), uint8."""
@@ -351,7 +357,7 @@ class BulletWorld:
             physicsClientId=client,
         )
 
-    def _draw(self, mark: Mark) -> None:
+    def _draw(self, mark: Mark) -> int:
         size: dict[str, Any] = {"radius": mark.size[0]}
         kind = pybullet.GEOM_SPHERE
         if len(mark.size) == 3:
@@ -359,9 +365,10 @@ class BulletWorld:
         shape = pybullet.createVisualShape(
             kind, rgbaColor=mark.color, physicsClientId=self._client, **size
         )
-        pybullet.createMultiBody(
+        number: int = pybullet.createMultiBody(
             0,
             baseVisualShapeIndex=shape,
             basePosition=mark.position_w,
             physicsClientId=self._client,
         )
+        return number

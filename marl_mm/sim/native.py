@@ -4,11 +4,12 @@ They need no interpreter, so that a whole step of the environment is one compile
 without the GIL.
 """
 
-from importlib.util import find_spec
+import ctypes
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
+import mujoco
 import numpy as np
 from numba import types
 from numba.extending import intrinsic
@@ -62,10 +63,14 @@ class Native(NamedTuple):
 
 
 def _load() -> None:
-    spec = find_spec("mujoco")
-    assert spec is not None and spec.origin is not None
-    (library,) = Path(spec.origin).parent.glob("libmujoco.so*")
+    """Let compiled code call MuJoCo, and MuJoCo no clock.
+
+    Its Python package has it read a clock before and after each stage of a step, which
+    takes 0.7 us a step; nothing here reads ``mjData.timer``.
+    """
+    (library,) = Path(mujoco.__file__).parent.glob("libmujoco.so*")
     llvm.load_library_permanently(str(library))
+    ctypes.c_void_p.in_dll(ctypes.CDLL(str(library)), "mjcb_time").value = None
 
 
 _load()

@@ -11,7 +11,9 @@ Rows are passed as columns: loops over all rows then run over neighbouring memor
 """
 
 import numpy as np
+from numba import types
 
+from marl_mm.control.limits import ZMP_ROWS
 from marl_mm.control.records import VARIABLES as N
 from marl_mm.jit import jit, on_stack
 
@@ -30,7 +32,8 @@ SOLVED = -1
 EXHAUSTED = -2
 """Return value at the iteration limit."""
 
-_vector, _square = on_stack(N), on_stack(N, N)
+_vector, _square, _bounds = on_stack(N), on_stack(N, N), on_stack(ZMP_ROWS.stop)
+_numbers = on_stack(N, number=types.int64)
 
 
 @jit
@@ -77,8 +80,8 @@ def solve_least_distance(
     """Write the minimiser into ``y``.
 
     Args:
-        columns: Rows of the limits as columns, M', shape (n, m), n <= 9.
-        lower: Lower bounds, shape (m,).
+        columns: Rows of the limits as columns, M', shape (n, m or more), n <= 9.
+        lower: Lower bounds, shape (m,), m <= 28.
         upper: Upper bounds, shape (m,).
         y: Resulting minimiser, shape (n,).
         iterations: Limit of steps, each of which adds or drops a row.
@@ -86,15 +89,15 @@ def solve_least_distance(
     Returns:
         SOLVED, EXHAUSTED, or the row that contradicts those met before it.
     """
-    n, m = columns.shape
-    active = np.empty(n, np.int64)
+    n, m = len(columns), len(lower)
+    active = _numbers()
     multiplier, normal, change = _vector(), _vector(), _vector()
     shares, move = _vector(), _vector()
     normal[:] = 0.0  # beyond n, too
     normals = _square()  # of the active rows, inward: N' = Q R
     basis, triangle = _square(), _square()  # rows of Q', and R
-    value = np.zeros(m)
-    scale = np.zeros(m)
+    value, scale = _bounds()[:m], _bounds()[:m]
+    value[:] = scale[:] = 0.0
     for j in range(n):
         for i in range(m):
             scale[i] += columns[j, i] * columns[j, i]
@@ -149,7 +152,8 @@ def solve_least_distance(
             count -= 1
             for a in range(leaving, count):
                 active[a], multiplier[a] = active[a + 1], multiplier[a + 1]
-                normals[a] = normals[a + 1]
+                for j in range(n):
+                    normals[a, j] = normals[a + 1, j]
             for a in range(leaving, count):
                 left = _project(normals[a], basis, a, move, shares)
                 _append(normals[a], left, move, shares, a, normals, basis, triangle)

@@ -5,6 +5,7 @@ rows that select one variable are skipped.
 """
 
 import numpy as np
+from numba import types
 
 from marl_mm.control.compiled.active_set import (
     SOLVED,
@@ -27,6 +28,7 @@ LEVELS, QPS, FAILURES, CAUSE = range(4)
 
 _ROWS = ZMP_ROWS.stop
 _vector, _task_vector, _bounds = on_stack(N), on_stack(TASK_ROWS), on_stack(_ROWS)
+_task_numbers = on_stack(TASK_ROWS, number=types.int64)
 _square, _augmented, _columns = on_stack(N, N), on_stack(N, N + 1), on_stack(N, _ROWS)
 
 
@@ -53,8 +55,7 @@ def solve_hierarchy(
     upper_hessian, gradient, x, step = _augmented(), _vector(), _vector(), _vector()
     columns, low, high = _columns(), _bounds(), _bounds()
     used, value = _bounds(), _bounds()
-    order = np.empty(TASK_ROWS, np.int64)
-    share = _task_vector()
+    order, share = _task_numbers(), _task_vector()
     for i in range(N):
         for j in range(N):
             projector[i, j] = 1.0 if i == j else 0.0
@@ -218,7 +219,7 @@ def _solve_limited(
     """
     limits = len(low)
     row = _vector()
-    columns = np.empty((N, limits))  # of the rows on x, times L'^-1
+    columns = _columns()  # of the rows on x, times L'^-1
     for r in range(limits):
         _times(matrix, r, projector, row)
         for i in range(N):

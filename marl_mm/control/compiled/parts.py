@@ -4,14 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from marl_mm.control.compiled.assembly import (
-    TASK_ROWS,
-    assemble_limits,
-    assemble_tasks,
-)
+from marl_mm.control.compiled.assembly import assemble_limits, assemble_tasks
 from marl_mm.control.compiled.hierarchy import solve_hierarchy
 from marl_mm.control.config import Gains, HierarchyConfig, LimitConfig
-from marl_mm.control.records import VARIABLES as N
 from marl_mm.control.records import Reference
 from marl_mm.jit import jit
 from marl_mm.robot.limits import RobotLimits
@@ -26,19 +21,23 @@ def repeat_assembly(
     robot: tuple[Any, ...],
     gains: tuple[Any, ...],
     limits: tuple[Any, ...],
-    rows: int,
+    jacobian: np.ndarray,
+    target: np.ndarray,
+    matrix: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
     repeats: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Rows of all tasks and limits; arguments as those of ``tick``."""
-    jacobian, target = np.zeros((TASK_ROWS, N)), np.zeros(TASK_ROWS)
-    matrix, lower, upper = np.zeros((rows, N)), np.zeros(rows), np.zeros(rows)
+) -> None:
+    """Write the rows of all tasks and limits, which are zero before.
+
+    Arguments are those of ``tick``, ``assemble_tasks`` and ``assemble_limits``.
+    """
     state_, terms_ = RobotState(*state), ModelTerms(*terms)
     reference_, robot_ = Reference(*reference), RobotLimits(*robot)
     gains_, limits_ = Gains(*gains), LimitConfig(*limits)
     for _ in range(repeats):
         assemble_tasks(state_, terms_, reference_, gains_, jacobian, target)
         assemble_limits(state_, terms_, robot_, limits_, matrix, lower, upper)
-    return jacobian, target, matrix, lower, upper
 
 
 @jit
@@ -50,10 +49,11 @@ def repeat_levels(
     upper: np.ndarray,
     priorities: np.ndarray,
     hierarchy: tuple[Any, ...],
+    u: np.ndarray,
+    counters: np.ndarray,
     repeats: int,
-) -> np.ndarray:
-    """All levels of all hierarchies."""
-    u, counters = np.zeros(N), np.zeros(4, np.int64)
+) -> None:
+    """All levels of all hierarchies; arguments are those of ``solve_hierarchy``."""
     config = HierarchyConfig(*hierarchy)
     for _ in range(repeats):
         for m in range(priorities.shape[0]):
@@ -68,4 +68,3 @@ def repeat_levels(
                 u,
                 counters,
             )
-    return u
