@@ -40,7 +40,7 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
     """``numba.njit`` with a cache on disk, keyed by all sources.
 
     The function may allocate no memory: without numba's counts of references, which
-    are atomic, a tick takes 1.4 us less. Arrays come from the caller or ``on_stack``.
+    are atomic, a tick takes 1 us less. Arrays come from the caller or ``on_stack``.
     It becomes a part of its compiled callers: passing records of arrays to it takes
     longer than the planar model itself.
     """
