@@ -16,6 +16,7 @@ from marl_mm.layout import Layout
 from marl_mm.layout_diff import refuse_other_layout
 from marl_mm.progress import Advance, silent
 from marl_mm.sim.config import as_recorded
+from marl_mm.sim.world import check_engine
 from marl_mm.workers import ordered_map
 
 
@@ -53,6 +54,7 @@ def replay(dataset: Dataset, workers: int = 1) -> Iterator[str | None]:
 
     Raises:
         DatasetError: If episodes were imported, so that their origin is unknown.
+        UsageError: If the engine that simulated them is not installed.
     """
     arrays, origins = dataset.arrays, dataset.provenance.origins
     items = []
@@ -65,6 +67,7 @@ def replay(dataset: Dataset, workers: int = 1) -> Iterator[str | None]:
                 "its seed and settings it cannot be replayed"
             )
         task = make_task(about.task, as_recorded(about.overrides))
+        check_engine(task.simulation.engine, "; no other engine repeats its episodes")
         refuse_other_layout(f"episode {number}", arrays.layout, about.task, task.layout)
         items.append((task, arrays.episode(number)))
     return ordered_map(_difference, items, workers)

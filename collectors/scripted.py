@@ -1,11 +1,11 @@
 """The scripted collector: the task's own expert."""
 
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from marl_mm.collectors.registry import COLLECTORS, Collector, successes
+from marl_mm.declared import as_record
 from marl_mm.envs.task import ScriptConfig, Task
 from marl_mm.layout import Layout
 from marl_mm.layout_diff import refuse_other_layout
@@ -17,16 +17,20 @@ class ScriptedPolicy:
     Args:
         config: Settings of the expert.
         task: Task whose expert acts.
+
+    Raises:
+        UsageError: If the task has no such convention.
     """
 
     name = "scripted"
 
     def __init__(self, config: ScriptConfig, task: Task) -> None:
+        task.check_script(config)
         self.config, self._task = config, task
 
     def describe(self) -> dict[str, Any]:
         """The config."""
-        return asdict(self.config)
+        return as_record(self.config)
 
     def begin(self, rng: np.random.Generator, layout: Layout) -> None:
         """Check the layout; the expert has no memory."""

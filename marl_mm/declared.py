@@ -1,9 +1,14 @@
 """Checks of dataclasses of settings, whose fields become options and records."""
 
 from collections.abc import Iterable
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, asdict, fields, is_dataclass
+from types import MappingProxyType
+from typing import Any
 
 from marl_mm.errors import UsageError
+
+ADDED = MappingProxyType({"added": True})
+"""Metadata of a field that records of version 1 lack."""
 
 
 def defaults(kind: type) -> dict[str, object]:
@@ -24,6 +29,18 @@ def defaults(kind: type) -> dict[str, object]:
             name = f"{kind.__name__}.{field.name}"
             raise UsageError(f"{name} has no default: give it one")
     return values
+
+
+def as_record(settings: Any) -> dict[str, Any]:
+    """Fields of a dataclass for records, nested as it is.
+
+    What is ``ADDED`` is left out at its default: the record is as it was before.
+    """
+    record = asdict(settings)
+    for field in fields(settings):
+        if field.metadata == ADDED and record[field.name] == field.default:
+            del record[field.name]
+    return record
 
 
 def check_settings(

@@ -38,7 +38,7 @@ from marl_mm.eval.bench.tables import (
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies.alpha import worth_table as alpha_worth_table
-from marl_mm.eval.studies.engines import AGREEMENT, TABLE
+from marl_mm.eval.studies.engines import AGREEMENT, FIGURE, TABLE
 from marl_mm.eval.studies.engines_summary import agreement_table
 from marl_mm.eval.studies.offline import BLOCKS
 from marl_mm.eval.studies.rows import RowStore
@@ -131,6 +131,15 @@ def _drawn_from(name: str, draw: Callable[[list[Row]], str]) -> str:
     if not path.exists():
         return "Not run yet.\n"
     return draw(read_rows(path))
+
+
+def _engines_figure() -> str:
+    """The figure of policies on both engines, or that they are not run yet."""
+    name = f"studies/{FIGURE}"
+    if not (RESULTS / name).exists():
+        return "Not run yet.\n"
+    about = "Goals that policies reach on one engine against the other, by task"
+    return f"![{about}](../../eval/results/{name})\n"
 
 
 def _transfer(rows: list[Row]) -> str:
@@ -272,6 +281,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "script": _script,
     "simulated": _simulated,
     "transfer": partial(_drawn_from, "transfer.csv", _transfer),
+    "engines-figure": _engines_figure,
     "engines-agreement": partial(_drawn_from, AGREEMENT, agreement_table),
     "engines-differences": partial(_drawn_from, TABLE, engine_differences_table),
     "offline-updates": _offline_updates,

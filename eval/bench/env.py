@@ -71,7 +71,7 @@ def bench_env(
         for label, alpha in ALPHAS.items():
             for kind, (core, watch) in kinds.items():
                 rng = np.random.default_rng([seed, max(turn, 0)])
-                seconds = _timed(core, rng, steps, alpha, watch)
+                seconds = timed(core, rng, steps, alpha, watch)
                 if turn >= 0:
                     speeds[label][kind].append(steps / seconds)
                     advance(1, kind)
@@ -128,14 +128,22 @@ def _speed_up(
     return float(np.median(ratios))
 
 
-def _timed(
+def timed(
     core: EpisodeCore,
     rng: np.random.Generator,
     steps: int,
-    alpha: float | None,
-    watch: Callable[[Any], None] | None,
+    alpha: float | None = None,
+    watch: Callable[[Any], None] | None = None,
 ) -> float:
-    """CPU time of some steps [s]; resets of episodes are not counted."""
+    """CPU time of some steps with random actions [s]; resets are not counted.
+
+    Args:
+        core: The environment.
+        rng: Stream of episodes and actions.
+        steps: Number of steps.
+        alpha: Alpha of all actions; None: random, too.
+        watch: Function that is called after each tick, in the loop in Python.
+    """
     low, high = np.array(core.task.layout.low), np.array(core.task.layout.high)
     seconds, left = 0.0, 0
     for _ in range(steps):

@@ -56,9 +56,7 @@ def run_cells(
     Raises:
         KeyboardInterrupt: After Ctrl-C, saying how to go on.
     """
-    files = {cell: folder / f"{_fingerprint(cell)}.json" for cell in cells}
-    kept = {cell: _read(file) for cell, file in files.items()}
-    rows = {cell: values for cell, values in kept.items() if values is not None}
+    rows = kept_rows(cells, folder)
     missing = [cell for cell in cells if cell not in rows]
     bar, label = advance_of
     advance = bar(label, len(cells))
@@ -67,7 +65,7 @@ def run_cells(
         results = ordered_map(run, missing, workers, ahead=1)
         for cell, values in zip(missing, results, strict=True):
             rows[cell] = as_read(values)
-            write_json(files[cell], values)
+            write_json(_file(cell, folder), values)
             advance(1, cell.label)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
@@ -77,11 +75,17 @@ def run_cells(
     return rows
 
 
-def _fingerprint(cell: Any) -> str:
-    """SHA-256 of all that a cell's rows depend on: settings, config, sources."""
+def kept_rows(cells: Sequence[C], folder: Path) -> dict[C, list[Row]]:
+    """Rows of the cells that are finished; arguments are those of ``run_cells``."""
+    kept = {cell: _read(_file(cell, folder)) for cell in cells}
+    return {cell: rows for cell, rows in kept.items() if rows is not None}
+
+
+def _file(cell: Any, folder: Path) -> Path:
+    """File named by the SHA-256 of all that rows depend on: settings, sources."""
     config = config_dict(make_task(cell.task, cell.overrides))
     made_of = asdict(cell), config, _sources(), versions()
-    return sha256(json.dumps(made_of).encode()).hexdigest()
+    return folder / f"{sha256(json.dumps(made_of).encode()).hexdigest()}.json"
 
 
 @cache

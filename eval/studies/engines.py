@@ -41,6 +41,9 @@ ABOUT = "Policies on both engines, on the same goals, and how far the engines ag
 TABLE, AGREEMENT = "engines.csv", "engines_agreement.csv"
 """Files of the tables: a row per task and policy, and a row per task and measure."""
 
+FIGURE = "engines.png"
+"""File of the figure: a point per task and policy."""
+
 _NAMES: Mapping[Engine, str] = {"bullet": "PyBullet", "mujoco": "MuJoCo"}
 
 TRANSFER = Study(
@@ -242,6 +245,11 @@ class EnginesOptions(StudyOptions):
     goals: int = 200
     """Number of goals of each policy, task and engine, the same on both."""
 
+    @property
+    def cells_folder(self) -> Path:
+        """Folder of the policies' rows."""
+        return self.runs_folder / "engines"
+
     def check_settings(self) -> None:
         """Raise for options that make no sense.
 
@@ -267,11 +275,11 @@ def make_engines(options: EnginesOptions, bar: Bar) -> list[Row]:
         KeyboardInterrupt: After Ctrl-C; finished policies are kept.
     """
     options.check_settings()
-    cells = [cell for task in options.tasks for cell in _cells(task, options)]
+    cells = [cell for task in options.tasks for cell in cells_of(task, options)]
     for task, engine in product(options.tasks, ENGINES):  # before any work is done
         _check_task(task, engine)
-    folder = options.runs_folder / "engines"
-    rows = run_cells(run_cell, cells, folder, options.workers, (bar, "engines"))
+    folder, pool = options.cells_folder, options.workers
+    rows = run_cells(run_cell, cells, folder, pool, (bar, "engines"))
     for task in options.tasks:
         of_task = [cell for cell in cells if cell.task == task]
         made_of = {
@@ -286,7 +294,8 @@ def make_engines(options: EnginesOptions, bar: Bar) -> list[Row]:
     return draw_engines(options.results, options.results)
 
 
-def _cells(task: str, options: EnginesOptions) -> list[EngineCell]:
+def cells_of(task: str, options: EnginesOptions) -> list[EngineCell]:
+    """Cells of a task: every policy on every engine."""
     every = contestants(task, options)
     goals, max_steps = (2, 4) if options.small else (options.goals, None)
     return [
@@ -316,7 +325,7 @@ def _rows_folder(results: Path) -> Path:
 
 
 def draw_engines(results: Path, folder: Path) -> list[Row]:
-    """Write both tables into a folder, from rows in another.
+    """Write tables and figure into a folder, from rows in another.
 
     Returns:
         Rows of the table of policies.
@@ -324,6 +333,8 @@ def draw_engines(results: Path, folder: Path) -> list[Row]:
     Raises:
         UsageError: If there are no rows.
     """
+    from marl_mm.eval.studies.figures import engines_figure  # imports matplotlib
+
     paths = sorted(_rows_folder(results).glob("*.csv.xz"))
     if not paths:
         raise UsageError(f"there are no rows in {_rows_folder(results)} to draw from")
@@ -331,4 +342,5 @@ def draw_engines(results: Path, folder: Path) -> list[Row]:
     summary = [row for task, rows in tables.items() for row in paired(task, rows)]
     write_csv(folder / TABLE, summary)
     write_csv(folder / AGREEMENT, agreement(summary))
+    engines_figure(summary, folder / FIGURE)
     return summary

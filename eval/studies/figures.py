@@ -1,6 +1,7 @@
 """Learning curves of a study, as the paper draws them; the learnt alpha."""
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,45 @@ def alpha_figure(
     axes[0][0].legend(frameon=False)
     axes[1][0].legend(frameon=False)
     save_small(figure, path)
+
+
+def engines_figure(summary: Sequence[Row], path: Path) -> None:
+    """Success on one engine against the other, a panel per task, a point per policy.
+
+    Args:
+        summary: Rows of ``engines_summary.paired``.
+        path: File of the PNG.
+    """
+    tasks = grouped(summary, "task")
+    looks = dict(zip(_kinds(summary), product("o^sv", PAPER_COLORS), strict=False))
+    columns = min(3, len(tasks))
+    lines = -(-len(tasks) // columns)
+    figure = Figure(figsize=(3.2 * columns, 3.4 * lines), layout="constrained")
+    axes: Any = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True)
+    for axis in axes.flat[len(tasks) :]:
+        axis.remove()
+    for axis, (task, rows) in zip(axes.flat, tasks.items(), strict=False):
+        axis.plot((0, 100), (0, 100), color="#8a8a8a", lw=1)
+        for kind, group in _kinds(rows).items():
+            shape, color = looks[kind]
+            first, other = (
+                [100 * row[key] for row in group]
+                for key in ("success", "success_beside")
+            )
+            axis.plot(first, other, shape, ms=4, color=color, label=kind)
+        axis.set(title=task, aspect="equal")
+        axis.legend(frameon=False, fontsize=8)
+    figure.supxlabel(f"goals reached on {summary[0]['engine']} [%]", fontsize=10)
+    figure.supylabel(f"goals reached on {summary[0]['beside']} [%]", fontsize=10)
+    save_small(figure, path)
+
+
+def _kinds(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Rows by the first word of the policies' names, such as pd or medium."""
+    kinds: dict[str, list[Row]] = {}
+    for row in rows:
+        kinds.setdefault(row["policy"].partition("-")[0], []).append(row)
+    return kinds
 
 
 def _with_spread(

@@ -10,6 +10,7 @@ from typing import Any
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.studies import alpha, engines, offline, online, paper
+from marl_mm.eval.studies.engines_plan import plan_engines
 from marl_mm.eval.studies.engines_summary import engines_table
 from marl_mm.eval.studies.study import Study
 from marl_mm.progress import Bar
@@ -43,6 +44,9 @@ class Comparison:
     agents: Study | None = None
     """Study whose runs are compared, and are trained first."""
 
+    plan: Callable[[Any, Bar], str] | None = None
+    """Function of options and a factory of progress bars that says what is missing."""
+
 
 COMPARISONS = {
     "alpha": Comparison(
@@ -59,6 +63,7 @@ COMPARISONS = {
         engines.make_engines,
         engines.draw_engines,
         engines_table,
+        plan=plan_engines,
     ),
 }
 """Comparisons by name."""

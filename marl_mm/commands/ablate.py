@@ -50,8 +50,9 @@ class Ablate(StudyOptions):
     """Runs at once; the result does not depend on their number."""
 
     plan: bool = False
-    """Only print which runs are missing, and about how long they will take. Datasets
-    that are missing, too, are named; to collect them is not counted."""
+    """Only print which runs are missing, or policies of engines, and about how long
+    they will take. Datasets that are missing, too, are named; to collect them is not
+    counted."""
 
     check: bool = False
     """Only say whether tables in OUT, in a clone by default the committed ones, are
@@ -77,12 +78,13 @@ def main(arguments: Sequence[str]) -> None:
     if options.check:
         check_tables(_checks(options, studies, comparisons))
         return
-    if options.plan and not studies and not _agents(comparisons):
-        raise UsageError(f"--plan counts runs, {target} trains none: leave it out")
     with progress_bars(vanish=True) as bar:
         engine = Engine(options, _notify, bar)
         if options.plan:
-            print(engine.plan(studies | _agents(comparisons)), end="")
+            counted = studies | _agents(comparisons)
+            plans = [engine.plan(counted)] if counted else []
+            plans += [c.plan(options, bar) for c in comparisons.values() if c.plan]
+            print("\n".join(plans), end="")
             return
         again = options.overwrite or options.resume
         for comparison in comparisons.values():

@@ -8,13 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
+from marl_mm.control.compiled.along import reference_on
 from marl_mm.control.compiled.tick import tick
 from marl_mm.control.limits import WHEEL_ARM
 from marl_mm.control.payload import learned
-from marl_mm.control.records import VARIABLES
+from marl_mm.control.records import VARIABLES, Track
 from marl_mm.control.wbc import no_command
 from marl_mm.envs.drive import Drive, Motion
-from marl_mm.envs.order import Order, Track
+from marl_mm.envs.order import Order
 from marl_mm.jit import jit, on_stack
 from marl_mm.robot.bodies import load_hand
 from marl_mm.robot.description import WHEEL_RADIUS
@@ -53,6 +54,7 @@ def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
     native = drive.world.native
     assert native and isinstance(model, PlanarModel) and isinstance(track, Track)
     accelerations, looks = np.empty(ticks), np.empty((-(-ticks // every), 5))
+    path, hand_w = np.empty((ticks, 11)), np.empty((ticks, 3))
     q, v, counts = drive.state.q.copy(), drive.state.v.copy(), np.zeros(2, np.int64)
     hand, first = drive.hand, 0
     load = Load(np.zeros(3), (0.0, 0.0, 0.0), model.empty, model.truth)
@@ -77,6 +79,8 @@ def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
             last,
             every,
             accelerations,
+            path,
+            hand_w,
             looks,
             q,
             v,
@@ -95,6 +99,8 @@ def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
     margins, tilts, pitches, slips, errors = looks.T.tolist()
     return Motion(
         accelerations,
+        path,
+        hand_w,
         min(margins),
         max(tilts),
         max(pitches, key=abs),
@@ -137,6 +143,8 @@ def _follow(
     last: int,
     every: int,
     accelerations: np.ndarray,
+    path: np.ndarray,
+    hand_w: np.ndarray,
     looks: np.ndarray,
     q: np.ndarray,
     v: np.ndarray,
@@ -144,7 +152,7 @@ def _follow(
 ) -> bool:
     """All ticks, or those before the simulation diverges.
 
-    Arguments are those of ``follow``, with results in the last five.
+    Arguments are those of ``follow``, with results in the last seven.
 
     Returns:
         Whether all commands were finite; else q and v are the state without one.
@@ -154,22 +162,11 @@ def _follow(
     before = _velocity()
     for k in range(first, last):
         planar_terms(q, v, bodies, scratch, terms)
-        steer = min(
-            max(track.heading_gain * q[1], -track.heading_limit), track.heading_limit
-        )
-        reference = (
-            track.target_w,
-            track.rotation_w,
-            track.points[k],
-            -track.direction * steer,
-            track.speed,
-            track.posture,
-        )
         counters[:] = 0
         feasible, finite, forward, turning = tick(
             (q, v),
             terms,
-            reference,
+            reference_on(track, k, q),
             robot,
             gains,
             hierarchy,
@@ -193,6 +190,8 @@ def _follow(
                 wrench = load.truth[7]
             _look(native, terms, wrench, q, v, u, looks[k // every])
         accelerations[k] = u[0]
+        _copy(q, path[k])
+        _copy(terms[0], hand_w[k])
         if counters[2] > 0:
             counts[0] += counters[2]
             counts[1] += not feasible
@@ -207,6 +206,13 @@ def _follow(
             load.masses[0] = mass
             load_hand(bodies, load.empty, mass, load.size)
     return True
+
+
+@jit
+def _copy(numbers: np.ndarray, to: Any) -> None:
+    """Copy numbers, as an assignment would allocate memory."""
+    for i in range(len(numbers)):
+        to[i] = numbers[i]
 
 
 @jit

@@ -136,6 +136,7 @@ class EpisodeCore:
         named = dict(zip(task.layout.action_names, action.tolist(), strict=True))
         motions = attempt.follow(task.act(attempt, named), watch)
         attempt.steps += 1
+        task.at_step(attempt, motions)
         info, reason = task.measure(attempt), task.failure(attempt)
         return self._judged(attempt, info | motion_info(motions), reason)
 
@@ -146,6 +147,9 @@ class EpisodeCore:
             UsageError: After ``close()``.
         """
         self.check_open()
+        moved = self.task.moved_marks(self.attempt) if self.attempt else ()
+        for drive, marks in zip(self.drives, moved, strict=False):
+            drive.world.move_marks(marks)
         return np.hstack([drive.world.render(camera) for drive in self.drives])
 
     def starts(self) -> np.ndarray:

@@ -1,12 +1,13 @@
 """Tasks of one hand: the actions steer the hand, and the base follows slowly."""
 
 from abc import ABC
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from marl_mm.envs.order import Order, Track
+from marl_mm.control.records import Track
+from marl_mm.envs.order import Order
 from marl_mm.envs.task import Attempt, Task, Values
 from marl_mm.envs.terms import goal_distance
 from marl_mm.errors import UsageError
@@ -71,6 +72,15 @@ class Course:
 
     plan: BasePlan
     """Plan of the base in the last step."""
+
+    drawn: Any = None
+    """What the seed drew beside the goal; None without such things."""
+
+    failure: str = ""
+    """Reason of the failure; empty without one."""
+
+    measured: dict[str, float] = field(default_factory=dict)
+    """Step numbers of what was drawn, by name."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,9 +13,15 @@ from marl_mm.errors import UsageError
 from marl_mm.layout import Layout
 from marl_mm.registry import Registry
 
+KINDS = (
+    *("reach", "carry", "grasp"),
+    *("quiet_zone", "gate", "tray", "moving_reach", "bar"),
+)
+"""Names of the files of built-in tasks."""
+
 TASKS: Registry[Task] = Registry(
     "task",
-    [f"marl_mm.envs.tasks.{kind}" for kind in ("reach", "carry", "grasp")],
+    [f"marl_mm.envs.tasks.{kind}" for kind in KINDS],
     of=Task,
 )
 """All tasks by name."""

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from marl_mm.control.config import ControllerConfig
+from marl_mm.declared import ADDED
 from marl_mm.envs.order import Order
 from marl_mm.envs.terms import goal_distance
 from marl_mm.episode import FAILED, GOAL_INFO, MOTION_INFO
 from marl_mm.errors import UsageError
 from marl_mm.layout import Layout
 from marl_mm.robot.description import RobotConfig
-from marl_mm.sim.config import Camera, SimulationConfig
+from marl_mm.sim.config import RATE, Camera, SimulationConfig
 
 if TYPE_CHECKING:  # a task's parameters load without the simulator
     from marl_mm.envs.drive import Drive, Motion, Tick, Watch
@@ -83,6 +84,10 @@ class ScriptConfig:
     alpha: float = 0.0
     """Alpha that the expert sets: 0 accurate hand ... 1 stable base."""
 
+    convention: str = field(default="", metadata=ADDED)
+    """Way of a task that has several, such as "over" or "under" of Bar; empty is the
+    first."""
+
     kp: float = 10.0
     """Gain from distance to action [1/m]; 10 asks for the target within 0.1 m."""
 
@@ -116,6 +121,9 @@ class Task(ABC):
     fails: ClassVar[bool] = False
     """Whether an episode can end in failure."""
 
+    conventions: ClassVar[tuple[str, ...]] = ()
+    """Names of the ways of the expert, where the agents have to agree on one."""
+
     camera: ClassVar[Camera] = Camera()
     """Camera of pictures and films."""
 
@@ -141,6 +149,11 @@ class Task(ABC):
         for name in ("max_steps", "ticks_per_step", "look_every"):
             if getattr(self, name) < 1:
                 raise UsageError(f"{name} is {getattr(self, name)}, expected >= 1")
+
+    @property
+    def seconds_per_step(self) -> float:
+        """Duration of a step [s]."""
+        return self.ticks_per_step / RATE
 
     @property
     def info(self) -> dict[str, str]:
@@ -191,6 +204,11 @@ class Task(ABC):
     def at_tick(self, attempt: Attempt, tick: "Tick") -> None:  # noqa: B027
         """See a tick of a robot; called only for tasks that override it."""
 
+    def at_step(  # noqa: B027
+        self, attempt: Attempt, motions: "Sequence[Motion]"
+    ) -> None:
+        """See a step's motion of each robot, tick by tick, before it is measured."""
+
     @abstractmethod
     def observe(self, attempt: Attempt) -> Values:
         """Joint state by name, without the goal."""
@@ -202,6 +220,14 @@ class Task(ABC):
     def failure(self, attempt: Attempt) -> str:
         """Reason of the episode's failure; empty without one."""
         return ""
+
+    def moved_marks(self, attempt: Attempt) -> Sequence[Mapping[int, Sequence[float]]]:
+        """Where marks are now that do not stay where they were, for pictures.
+
+        Returns:
+            For each robot the positions [m], by the mark's number in its world.
+        """
+        return ()
 
     # --- Reward --------------------------------------------------------------
 
@@ -235,6 +261,18 @@ class Task(ABC):
         return goal_distance(achieved, desired)
 
     # --- Expert --------------------------------------------------------------
+
+    def check_script(self, script: ScriptConfig) -> None:
+        """Raise for a convention that the task does not have.
+
+        Raises:
+            UsageError: If it is none of ``conventions``.
+        """
+        if script.convention and script.convention not in self.conventions:
+            name = type(self).__name__
+            choices = f"expected {' or '.join(self.conventions)}"
+            expected = choices if self.conventions else f"and {name} has none"
+            raise UsageError(f"convention is {script.convention!r}, {expected}")
 
     def expert(self, state: Values, script: ScriptConfig) -> Values:
         """Joint action by name of a scripted expert without memory.

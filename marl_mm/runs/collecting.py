@@ -2,7 +2,7 @@
 
 import shutil
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from marl_mm.collectors.collect import Collection, collect
@@ -16,6 +16,7 @@ from marl_mm.datasets.location import Location
 from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Origin, Provenance
 from marl_mm.datasets.storage import refuse_foreign, write_dataset
+from marl_mm.declared import as_record
 from marl_mm.envs.registry import DEFAULT, TASKS, config_dict, make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.episode import Episode
@@ -140,7 +141,7 @@ class _Collector:
             overrides=overrides,
             config=config_dict(self.task),
             collector=name,
-            collector_config=asdict(config),
+            collector_config=as_record(config),
             seed=options.seed,
             plugins=record(COLLECTORS.origin(name), TASKS.origin(options.task)),
             weights=self.policy.describe().get("weights"),

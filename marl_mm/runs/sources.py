@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import SHIPPED, Location, locate
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.recipe import Part, mix, write_mix
+from marl_mm.declared import as_record
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.errors import DatasetError, UnknownDatasetError, UsageError
 from marl_mm.files import only_here
@@ -274,7 +275,7 @@ class Datasets:
             return False
         if isinstance(data, Mix):
             return _drawn(record) == self._drawn_by(data)
-        config = as_json(asdict(data.config))
+        config = as_json(as_record(data.config))
         engine = data.engine or RECORDED_ENGINE
         expected = data.task, data.collector, config, self._steps(data.steps), engine
         config = as_json(dict(record.collector_config or {}))

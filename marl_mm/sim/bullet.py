@@ -2,7 +2,7 @@
 
 import os
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -96,7 +96,10 @@ class BulletWorld:
     def reset(self, marks: Sequence[Mark] = (), scene: Scene | None = None) -> None:
         """See ``World``."""
         client, config = self._client, self._config
-        pybullet.resetSimulation(physicsClientId=client)
+        # A list of the few bodies is faster than a tree. With blocks it would order the
+        # contacts in another way, and change last bits.
+        broadphase = 0 if scene else pybullet.RESET_USE_SIMPLE_BROADPHASE
+        pybullet.resetSimulation(flags=broadphase, physicsClientId=client)
         pybullet.setGravity(0, 0, -GRAVITY, physicsClientId=client)
         pybullet.setTimeStep(1 / RATE, physicsClientId=client)
         friction = scene is not None and scene.grasp == "friction"
@@ -113,17 +116,15 @@ class BulletWorld:
             self._handling = BulletHandling(
                 client, self._robot, links, self._ground, config, scene, self._visual
             )
-        for mark in marks if self._visual else ():
-            self._draw(mark)
+        self._marks = [self._draw(mark) for mark in marks if self._visual]
 
     def read(self) -> RobotState:
         """See ``World``."""
         client, robot = self._client, self._robot
-        joints = pybullet.getJointStates(robot, self._arm, physicsClientId=client)
-        place, turn = pybullet.getBasePositionAndOrientation(
-            robot, physicsClientId=client
-        )
-        linear, angular = pybullet.getBaseVelocity(robot, physicsClientId=client)
+        # By position: each keyword would cost 0.1 us.
+        joints = pybullet.getJointStates(robot, self._arm, client)
+        place, turn = pybullet.getBasePositionAndOrientation(robot, client)
+        linear, angular = pybullet.getBaseVelocity(robot, client)
         arm, rates, _, _ = zip(*joints, strict=True)
         q, v = np.empty(11), np.empty(10)
         com_b = self._com_b
@@ -175,7 +176,7 @@ class BulletWorld:
         """See ``World``."""
         if self._handling is not None:
             self._handling.tick()
-        pybullet.stepSimulation(physicsClientId=self._client)
+        pybullet.stepSimulation(self._client)
 
     native = None
     """See ``World``."""
@@ -220,6 +221,13 @@ class BulletWorld:
         )
         for index, angle in zip(self._arm, joints, strict=True):
             pybullet.resetJointState(robot, index, angle, 0, physicsClientId=client)
+
+    def move_marks(self, places: Mapping[int, Sequence[float]]) -> None:
+        """See ``World``."""
+        for number, place_w in places.items() if self._visual else ():
+            pybullet.resetBasePositionAndOrientation(
+                self._marks[number], place_w, (0, 0, 0, 1), physicsClientId=self._client
+            )
 
     def render(self, camera: Camera) -> np.ndarray:
         """Image by PyBullet's CPU renderer, shape (height, width, 3), uint8."""
@@ -349,7 +357,7 @@ class BulletWorld:
             physicsClientId=client,
         )
 
-    def _draw(self, mark: Mark) -> None:
+    def _draw(self, mark: Mark) -> int:
         size: dict[str, Any] = {"radius": mark.size[0]}
         kind = pybullet.GEOM_SPHERE
         if len(mark.size) == 3:
@@ -357,9 +365,10 @@ class BulletWorld:
         shape = pybullet.createVisualShape(
             kind, rgbaColor=mark.color, physicsClientId=self._client, **size
         )
-        pybullet.createMultiBody(
+        number: int = pybullet.createMultiBody(
             0,
             baseVisualShapeIndex=shape,
             basePosition=mark.position_w,
             physicsClientId=self._client,
         )
+        return number

@@ -5,7 +5,7 @@ so the robot starts where they carry its weight.
 """
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from functools import lru_cache
 from importlib.util import find_spec
@@ -36,18 +36,27 @@ if TYPE_CHECKING:
 SETTLING = 480
 """Number of steps in which the robot sinks into its contacts before the first start."""
 
+UPRIGHT = 0.01
+"""Largest tilt after it [rad]; a robot that stands has less than 0.001."""
+
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
 @lru_cache(maxsize=16)
 def _start(robot: RobotConfig, config: SimulationConfig) -> np.ndarray:
-    """Positions of all joints in which the contacts carry the robot at rest."""
+    """Positions of all joints in which the contacts carry the robot at rest.
+
+    A robot that does not stand starts upright, before it falls.
+    """
     robot_ = _Robot(robot_model(robot, config))
     for _ in range(SETTLING):
         robot_.joints[:], robot_.rates[:] = robot.initial_joints, 0.0
         mujoco.mj_forward(robot_.model, robot_.data)
         robot_.torque[:] = robot_.bias
         robot_.step((0.0, 0.0))
+    w, x, y, z = robot_.data.qpos[3:7].tolist()
+    if np.hypot(*attitude((x, y, z, w))) > UPRIGHT:
+        mujoco.mj_resetData(robot_.model, robot_.data)
     robot_.joints[:] = robot.initial_joints
     start: np.ndarray = robot_.data.qpos.copy()
     start[:2] = 0.0
@@ -276,6 +285,11 @@ class MujocoWorld:
         data = self._robot.data
         mujoco.mj_kinematics(self._robot.model, data)  # of the state after the step
         return np.array(data.site(GRASP_FRAME).xpos)
+
+    def move_marks(self, places: Mapping[int, Sequence[float]]) -> None:
+        """See ``World``."""
+        if self._puppet is not None:
+            self._puppet.move_marks(places)
 
     def render(self, camera: Camera) -> np.ndarray:
         """See ``World``."""

@@ -24,6 +24,12 @@ Color = tuple[float, float, float, float]
 RED: Color = (0.90, 0.25, 0.15, 1.0)
 """Colour of goals."""
 
+YELLOW: Color = (0.95, 0.80, 0.15, 0.6)
+"""Colour of hazards."""
+
+GREY: Color = (0.35, 0.35, 0.4, 1.0)
+"""Colour of things that are carried."""
+
 
 @dataclass(frozen=True)
 class Mark:

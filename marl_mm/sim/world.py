@@ -1,7 +1,7 @@
 """The simulator as the rest of the package sees it, whichever engine computes it."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from multiprocessing import parent_process
 from typing import TYPE_CHECKING, NamedTuple, Protocol
@@ -130,6 +130,13 @@ class World(Protocol):
     def grasp_position_w(self) -> np.ndarray:
         """Position of the end-effector in the simulation, shape (3,) [m]."""
 
+    def move_marks(self, places: Mapping[int, Sequence[float]]) -> None:
+        """Move drawings of a world with visuals.
+
+        Args:
+            places: Position of the centre [m], by the mark's number in ``reset``.
+        """
+
     def render(self, camera: Camera) -> np.ndarray:
         """Image, shape (height, width, 3), uint8."""
 
@@ -164,10 +171,16 @@ def open_world(
     return BulletWorld(robot, config, visual, gui)
 
 
-def check_engine(engine: Engine) -> None:
+def check_engine(
+    engine: Engine, otherwise: str = ", or choose another `engine`"
+) -> None:
     """Refuse an engine that is not installed, and say where MuJoCo takes its place.
 
     It says so on stderr, once in a process, and not in workers.
+
+    Args:
+        engine: The engine.
+        otherwise: End of the message: what else there is to do, if anything.
 
     Raises:
         UsageError: If the engine is not installed.
@@ -177,7 +190,7 @@ def check_engine(engine: Engine) -> None:
         wheels = " (wheels: up to Python 3.11)" if engine == "bullet" else ""
         raise UsageError(
             f"engine {engine!r} needs the package {package}, which is not installed: "
-            f"pip install {package}{wheels}, or choose another `engine`"
+            f"pip install {package}{wheels}{otherwise}"
         )
     if engine == default_engine() != "bullet" and parent_process() is None:
         _say_fallback()

@@ -105,6 +105,48 @@ def test_it_stands_and_drives_on_all_its_wheels() -> None:
     assert forces.sum() == pytest.approx(world.model.body_mass.sum() * 9.81, rel=0.05)
 
 
+def test_an_arm_at_work_takes_no_drive_wheel_off_the_ground() -> None:
+    """Reach-v0 by its script: all wheels press, casters are unloaded at times."""
+    core = opened()
+    world, task = core.drive.world, core.task
+    assert isinstance(world, MujocoWorld)
+    wheels: list[float] = []
+    tilts: list[float] = []
+
+    def watch(tick: Tick) -> None:
+        points, forces = world.ground_forces()
+        _, left, _ = world.data.xmat[1].reshape(3, 3).T
+        aside = np.abs((points - world.data.qpos[:3]) @ left)
+        wheels.append(min(forces[aside > 0.21]))
+        tilts.append(float(np.hypot(*world.attitude())))
+
+    for seed in (0, 1):
+        episode(core, seed, 6, watch)
+    assert len(wheels) == 2 * 6 * task.ticks_per_step
+    assert min(wheels) > 100 and max(tilts) < 1e-3
+
+
+def test_no_block_falls_from_a_hand_at_rest() -> None:
+    """Of any load; it creeps in the first second, by less than 0.2 mm, and no more."""
+    core = opened("CarryReach-v0")
+    world, still = core.drive.world, np.array([0.0, 0.0, 0.0, 1.0])
+
+    def place() -> np.ndarray:
+        block_w, _ = world.handling.block_w()
+        way: np.ndarray = block_w - world.grasp_position_w()
+        return way
+
+    for seed in range(4):
+        core.reset(np.random.default_rng(seed))
+        places = [place()]
+        for _ in range(5):
+            step = core.step(still)
+            places.append(place())
+            assert core.drive.hand and core.drive.hand.held and not step.info["reason"]
+        first, *later = np.linalg.norm(np.diff(places, axis=0), axis=1)
+        assert first < 2e-4 and max(later) < 1e-5
+
+
 def test_it_stays_where_it_starts() -> None:
     core = opened()
     core.reset(np.random.default_rng(0))

@@ -240,8 +240,9 @@ def test_numbers_of_one_robot_are_its_own() -> None:
 
 
 def test_of_several_robots_the_worst_counts_and_failures_add_up() -> None:
-    calm = Motion(np.zeros(24), 0.2, 0.01, 0.01, 0.1, 0.001, 1, 2)
-    wild = Motion(np.ones(24), 0.1, 0.03, -0.03, 0.3, 0.004, 3, 4)
+    path = np.empty(0)
+    calm = Motion(np.zeros(24), path, path, 0.2, 0.01, 0.01, 0.1, 0.001, 1, 2)
+    wild = Motion(np.ones(24), path, path, 0.1, 0.03, -0.03, 0.3, 0.004, 3, 4)
     info = motion_info([calm, wild])
     assert (info["zmp_margin"], info["tilt"], info["base_pitch"]) == (0.1, 0.03, -0.03)
     assert (info["wheel_slip"], info["model_ee_error"]) == (0.3, 0.004)

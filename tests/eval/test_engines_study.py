@@ -5,11 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from marl_mm.cli import main
 from marl_mm.errors import UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows
+from marl_mm.eval.studies import figures
 from marl_mm.eval.studies.engines import TRANSFER, EnginesOptions, contestants
 from marl_mm.eval.studies.engines_summary import (
     MEASURES,
@@ -91,6 +93,61 @@ def test_agents_whose_runs_are_there_take_part(tmp_path: Path) -> None:
     assert agent.settings == (("agent", str(run)),)
 
 
+def test_a_plan_counts_policies_and_runs_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Hours are in proportion to goals, and in inverse to workers."""
+
+    def lines(*words: str) -> list[list[str]]:
+        asked = ["ablate", "engines", "--plan", "--tasks", "Reach-v0", "--runs"]
+        assert main([*asked, str(tmp_path / "runs"), *words]) == 0
+        text = capsys.readouterr().out.strip().splitlines()
+        assert not (tmp_path / "runs").exists()
+        return [[word.strip() for word in line.split("|")[1:-1]] for line in text]
+
+    head, _, bullet, mujoco, every = lines("--goals", "20000", "--workers", "1")
+    assert head[2:] == ["policies missing", "hours at most, 1 at once"]
+    assert (bullet[:3], mujoco[:3]) == (
+        ["Reach-v0", "bullet", "24 of 24"],
+        ["Reach-v0", "mujoco", "24 of 24"],
+    )
+    assert every[:3] == ["all", "", "48 of 48"]
+    assert float(every[3]) == pytest.approx(float(bullet[3]) + float(mujoco[3]), 0.01)
+    assert float(bullet[3]) > 2 * float(mujoco[3])
+    head, _, fewer, *_ = lines("--goals", "5000", "--workers", "2")
+    assert head[3] == "hours at most, 2 at once"
+    assert float(fewer[3]) == pytest.approx(float(bullet[3]) / 8, 0.5)
+    *_, small = lines("--budget", "smoke")
+    assert small == ["all", "", "6 of 6"]  # nothing is timed
+
+
+def test_a_figure_has_a_panel_per_task_and_a_point_per_policy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(
+        figures, "save_small", lambda figure, path: drawn.append(figure)
+    )
+    shares = {"pd-kp2": (0.5, 0.6), "pd-kp5": (1.0, 0.9), "random": (0.0, 0.0)}
+    about = {"engine": "bullet 1", "beside": "mujoco 2"}
+    summary: list[Row] = [
+        {"task": task, "policy": name, **about, "success": one, "success_beside": other}
+        for task in ("Reach-v0", "Grasp-v0", "CarryReach-v0", "GraspReach-v0")
+        for name, (one, other) in shares.items()
+    ]
+    figures.engines_figure(summary, tmp_path / "engines.png")
+    (figure,) = drawn
+    titles = [axis.get_title() for axis in figure.axes]
+    assert titles == ["Reach-v0", "Grasp-v0", "CarryReach-v0", "GraspReach-v0"]
+    for axis in figure.axes:
+        equal, *kinds = axis.lines
+        points = {
+            str(k.get_label()): np.asarray(k.get_xydata()).tolist() for k in kinds
+        }
+        assert np.asarray(equal.get_xydata()).tolist() == [[0, 0], [100, 100]]
+        assert points == {"pd": [[50, 60], [100, 90]], "random": [[0, 0]]}
+
+
 @pytest.mark.slow
 def test_engines_from_nothing_to_tables(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -106,6 +163,12 @@ def test_engines_from_nothing_to_tables(
     assert len(rows) == 2 * 2 * len(summary)  # engines, goals
     record = json.loads((results / "rows/engines/Reach-v0.json").read_text())
     assert "mujoco-core" in record["packages"]
+    assert (results / "engines.png").stat().st_size > 1000
+    assert main([*words, *runs, "--plan"]) == 0
+    plan = capsys.readouterr().out
+    policies = len(summary)
+    assert plan.count(f"| 0 of {policies} |") == 2  # an engine each
+    assert f"| all |  | 0 of {2 * policies} |" in plan
     before = {path: path.read_bytes() for path in results.rglob("*.csv*")}
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("engines/*")}
     assert main([*words, *runs]) == 2  # the table exists
@@ -124,7 +187,7 @@ def test_what_engines_cannot_do_is_told_in_one_line(
         (["--goals", "0"], "goals"),
         (["--tasks"], "tasks"),
         (["--check"], "there are no rows in"),
-        (["--plan"], "--plan counts runs, engines trains none"),
+        (["--plan", "--goals", "0"], "goals"),
         (["--engine", "ode"], "ode"),
     ):
         assert main([*asked, *words]) == 2, words

@@ -147,4 +147,6 @@ def test_what_needs_pybullet_says_so_in_one_line(
         *_, line = ended.stderr.splitlines()
         assert line.startswith("marl-mm: "), line
         assert "pip install pybullet" in line
+        # ``verify`` and ``play`` have no such option, or no other engine to name.
+        assert ("--engine" in line) == ("train" in words), line
     assert not (tmp_path / "runs").exists()

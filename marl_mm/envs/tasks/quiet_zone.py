@@ -1,0 +1,150 @@
+"""QuietZone: bring the end-effector to a goal behind, and be quiet where it counts."""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, Course, names
+from marl_mm.envs.hazard import (
+    HazardTask,
+    Interval,
+    check_intervals,
+)
+from marl_mm.envs.registry import register_task
+from marl_mm.envs.task import Attempt, ScriptConfig, Values
+from marl_mm.envs.tasks.reach import steer
+from marl_mm.errors import UsageError
+from marl_mm.layout import Agent, Entry, Layout
+from marl_mm.sim.config import Camera
+from marl_mm.sim.scene import YELLOW, Mark
+
+if TYPE_CHECKING:
+    from marl_mm.envs.drive import Motion
+
+ZONES = tuple(
+    Entry(f"zone_{number}_{end}", "m") for number in (1, 2) for end in ("near", "far")
+)
+"""Where the base enters and leaves each zone, x in the world; with one zone both are
+the same."""
+
+LAYOUT = Layout(
+    (*HAND, *BASE, MODE, *ZONES, *GOAL),
+    (*DELTA, ALPHA),
+    (
+        Agent("end_effector", names(*HAND, *BASE, *GOAL), names(*DELTA)),
+        Agent("balance", names(*HAND, *BASE, MODE, *ZONES), names(ALPHA)),
+    ),
+    compared=names(*HAND),
+    desired=names(*GOAL),
+)
+"""Layout of QuietZone: one agent sees the goal, the other one the zones."""
+
+BRAKING = 0.15
+"""Way in which a base at alpha 0 comes to rest at alpha 1: a step of each [m]."""
+
+_PAIRS = tuple(zip(GOAL, HAND, strict=True))
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuietZone(HazardTask):
+    """Parameters of goals, zones and reward."""
+
+    about = "Reach a goal behind, with a base that is quiet within zones."
+    layout = LAYOUT
+    camera = Camera(target_w=(-0.4, 0.0, 0.3), distance=3.2, pitch=-28.0)
+    own_info: ClassVar[dict[str, str]] = {
+        **HazardTask.own_info,
+        "zone_acceleration": "largest acceleration of the base within a zone [m/s^2]",
+    }
+
+    max_steps: int = 26
+    """Number of steps until truncation: too few for a base that is always quiet."""
+
+    goal_x: Interval = (-0.9, -0.8)
+    """Interval of x of goals, world [m]."""
+
+    zones: int = 1
+    """Number of zones, 1 or 2."""
+
+    zone_x: Interval = (-0.75, -0.25)
+    """Interval of x in which the zones lie, of the base, world [m]."""
+
+    zone_length: Interval = (0.1, 0.2)
+    """Interval of the length of each zone [m]."""
+
+    zone_limit: float = 0.15
+    """Largest commanded acceleration of the base within a zone [m/s^2]."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_intervals(self, "zone_x", "zone_length")
+        if self.zones not in (1, 2):
+            raise UsageError(f"zones is {self.zones}, expected 1 or 2")
+        (far, near), longest = self.zone_x, self.zone_length[1]
+        end = self.goal_x[1] - self.stand_off
+        if not -BRAKING >= near >= far >= end:
+            raise UsageError(
+                f"zone_x is {far:g} to {near:g}, expected within {end:g} to "
+                f"{-BRAKING:g} m: behind the base's start, before its end"
+            )
+        if self.zones * (longest + BRAKING) > near - far + BRAKING:
+            raise UsageError(
+                f"{self.zones} zones of {longest:g} m do not fit into zone_x, {far:g} "
+                f"to {near:g} m, with {BRAKING:g} m between them"
+            )
+
+    def draw(self, rng: np.random.Generator) -> np.ndarray:
+        """Ends of the zones, near and far, shape (zones, 2), nearest first [m]."""
+        far, near = self.zone_x
+        room = (near - far + BRAKING) / self.zones - BRAKING
+        drawn = []
+        for number in range(self.zones):
+            length = rng.uniform(*self.zone_length)
+            start = near - number * (room + BRAKING) - rng.uniform(0.0, room - length)
+            drawn.append((start, start - length))
+        return np.array(drawn)
+
+    def marks(self, hazard: np.ndarray) -> list[Mark]:
+        """The zones on the floor."""
+        return [
+            Mark(((near + far) / 2, 0.0, 0.002), (near - far, 1.6, 0.004), YELLOW)
+            for near, far in hazard.tolist()
+        ]
+
+    def observe(self, attempt: Attempt) -> Values:
+        """Joint state of hand and base, and the zones."""
+        ends = np.resize(attempt.memory.drawn, len(ZONES)).tolist()
+        return {
+            **super().observe(attempt),
+            **dict(zip(names(*ZONES), ends, strict=True)),
+        }
+
+    def harm(self, course: Course, motion: "Motion") -> tuple[str, dict[str, float]]:
+        """A base that accelerates too much within a zone."""
+        x = motion.q[:, :1]
+        inside = ((x < course.drawn[:, 0]) & (x > course.drawn[:, 1])).any(axis=1)
+        felt = np.abs(motion.base_acceleration[inside]).max(initial=0.0)
+        reason = "the base was not quiet in a zone" if felt > self.zone_limit else ""
+        return reason, {"zone_acceleration": float(felt)}
+
+    def expert(self, state: Values, script: ScriptConfig) -> Values:
+        """Steer straight to the goal; alpha is 1 where the base has to be quiet."""
+        way = np.array([state[g.name] - state[h.name] for g, h in _PAIRS])
+        ends = np.array([state[entry.name] for entry in ZONES]).reshape(-1, 2)
+        x = state["base_x"]
+        quiet = ((x < ends[:, 0] + BRAKING) & (x > ends[:, 1])).any()
+        return steer(script.kp * way) | {ALPHA.name: 1.0 if quiet else script.alpha}
+
+
+_MEDIUM = QuietZone()
+
+register_task(
+    "QuietZone-easy-v0",
+    replace(_MEDIUM, zone_length=(0.08, 0.12), zone_limit=0.2, max_steps=25),
+)
+register_task("QuietZone-v0", _MEDIUM)
+register_task(
+    "QuietZone-hard-v0",
+    replace(_MEDIUM, zones=2, zone_length=(0.08, 0.15), zone_limit=0.1, max_steps=28),
+)

@@ -1,0 +1,312 @@
+"""Tasks in which the team decides: what fails in them, and that experts do not."""
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from math import exp, pi, sqrt
+from typing import Any
+
+import numpy as np
+import pytest
+
+from marl_mm.cli import main
+from marl_mm.envs.core import EpisodeCore
+from marl_mm.envs.drive import Tick
+from marl_mm.envs.registry import TASKS, make_task
+from marl_mm.envs.rollout import EpisodePlan, episode_seed, run_episode
+from marl_mm.envs.task import ScriptConfig, Values
+from marl_mm.envs.tasks.tray import Cup, Tray, swing
+from marl_mm.episode import Episode
+from marl_mm.errors import UsageError
+from marl_mm.layout import Layout
+
+MUJOCO = {"simulation": {"engine": "mujoco"}}
+KINDS = ("QuietZone", "Gate", "Tray", "MovingReach", "Bar")
+LEVELS = [f"{kind}{level}-v0" for kind in KINDS for level in ("-easy", "", "-hard")]
+SIDED = ("left", "right")
+
+Change = Callable[[dict[str, float], Values], Any]
+
+
+class Changed:
+    """The task's expert, whose actions a function changes."""
+
+    name = "changed"
+
+    def __init__(self, task: str, change: Change | None = None) -> None:
+        self._task, self._change = TASKS.get(task), change
+
+    def describe(self) -> dict[str, Any]:
+        return {}
+
+    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
+        pass
+
+    def act(self, state: np.ndarray) -> np.ndarray:
+        layout = self._task.layout
+        seen = dict(zip(layout.state_names, state.tolist(), strict=True))
+        action = dict(self._task.expert(seen, ScriptConfig()))
+        if self._change is not None:
+            self._change(action, seen)
+        return np.array([action[name] for name in layout.action_names], np.float32)
+
+
+def episodes(
+    task: str, number: int, change: Change | None = None, **overrides: Any
+) -> Iterator[Episode]:
+    with closing(EpisodeCore(make_task(task, MUJOCO | overrides))) as core:
+        for i in range(number):
+            plan = EpisodePlan(i, episode_seed(11, i, "evaluate"))
+            yield run_episode(core, Changed(task, change), plan)
+
+
+def held(alpha: float) -> Change:
+    def change(action: dict[str, float], seen: Values) -> None:
+        action |= {name: alpha for name in action if name.endswith("alpha")}
+
+    return change
+
+
+def reasons(task: str, change: Change, number: int = 3) -> set[str | None]:
+    return {episode.reason for episode in episodes(task, number, change)}
+
+
+@pytest.mark.parametrize("task", LEVELS)
+def test_the_expert_reaches_goals_of_every_level(task: str) -> None:
+    assert all(episode.success for episode in episodes(task, 3))
+
+
+@pytest.mark.slow
+@pytest.mark.bullet
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_expert_reaches_goals_on_pybullet(kind: str) -> None:
+    bullet = {"engine": "bullet"}
+    run = episodes(f"{kind}-v0", 2, simulation=bullet)
+    assert all(episode.success for episode in run)
+
+
+def test_scenes_follow_from_the_seed_and_differ() -> None:
+    for kind in KINDS:
+        starts = [e.states[0] for e in episodes(f"{kind}-v0", 2)]
+        again = [e.states[0] for e in episodes(f"{kind}-v0", 2)]
+        np.testing.assert_array_equal(starts, again)
+        assert not np.array_equal(*starts)
+
+
+def test_a_team_of_the_paper_sees_what_its_layout_says() -> None:
+    """No agent but the one that has to tell sees what decides."""
+    secrets = {
+        "QuietZone-v0": ("zone_1_near", "balance"),
+        "Gate-v0": ("gate_y", "end_effector"),
+        "Tray-v0": ("level", "balance"),
+        "MovingReach-v0": ("goal_rate", "balance"),
+    }
+    for task, (entry, knows) in secrets.items():
+        seers = [a.name for a in TASKS.get(task).layout.team if entry in a.sees]
+        assert seers == [knows]
+
+
+# --- QuietZone ---------------------------------------------------------------
+
+
+def test_a_zone_is_broken_in_a_hurry_and_passed_too_late_at_rest() -> None:
+    task = "QuietZone-v0"
+    for alpha in (0.0, 0.5):
+        assert reasons(task, held(alpha)) == {"the base was not quiet in a zone"}
+    late = list(episodes(task, 3, held(1.0)))
+    assert all(episode.truncated[-1] and not episode.failed.any() for episode in late)
+
+
+def test_zone_acceleration_is_that_of_the_ticks_within() -> None:
+    core = EpisodeCore(make_task("QuietZone-v0", MUJOCO | {"zone_limit": 9.0}))
+    ticks: list[Tick] = []
+    with closing(core):
+        state = core.reset(np.random.default_rng(0))
+        near, far = state[7:9]
+        felt: list[float] = []
+        while not felt or core.attempt.steps < 14:  # type: ignore[union-attr]
+            ticks.clear()
+            step = core.step(np.array([-1.0, 0.0, 0.0, 0.3]), ticks.append)
+            within = [
+                abs(tick.command.acceleration[0])
+                for tick in ticks
+                if far < tick.state.q[0] < near
+            ]
+            felt.append(max(within, default=0.0))
+            assert step.info["zone_acceleration"] == felt[-1]
+    assert max(felt) > 0.5 and felt[0] == 0.0
+
+
+# --- Gate --------------------------------------------------------------------
+
+
+def test_the_hand_touches_the_wall_beside_the_window_or_with_a_stable_base() -> None:
+    def aside(action: dict[str, float], seen: Values) -> None:
+        if 0 > seen["gate_distance"] > -0.2:
+            action["delta_y"] = -action["delta_y"]
+
+    touched = {"the hand touched the wall"}
+    assert reasons("Gate-v0", aside) == touched
+    assert reasons("Gate-v0", held(1.0)) == touched
+    assert reasons("Gate-v0", held(0.0)) == {"the base was not quiet before the wall"}
+
+
+def test_the_window_has_a_roof() -> None:
+    def over(action: dict[str, float], seen: Values) -> None:
+        height = 1.0 if seen["end_effector_z"] < 0.8 else 0.0
+        action |= {"delta_x": 1.0, "delta_y": 0.0, "delta_z": height}
+
+    assert reasons("Gate-v0", over) == {"the hand touched the wall"}
+
+
+# --- Tray --------------------------------------------------------------------
+
+
+def test_the_liquid_moves_as_a_damped_spring_that_is_pushed() -> None:
+    """A hand that sets off at once: the exact solution, to the step of 1/240 s."""
+    task, ticks, speed = Tray(damping=0.1), 240, 0.3
+    rate = 2 * pi * task.frequency
+    own = rate * sqrt(1 - task.damping**2)
+    time = np.arange(1, ticks) / 240
+    exact = -speed / own * np.exp(-task.damping * rate * time) * np.sin(own * time)
+    still = np.zeros((3, 3))
+    x = np.concatenate([still[:, 0], speed * np.arange(1, ticks + 1) / 240])
+    path = np.stack([x, 0 * x, 0 * x], axis=1)
+    cup, swings = Cup(0.5, np.zeros((2, 2)), np.empty((0, 3))), []
+    for k in range(3, ticks + 2):
+        swing(path[k - 2 : k + 1], cup.motion, rate, task.damping)
+        swings.append(cup.motion[0, 0])
+    np.testing.assert_allclose(swings, exact, atol=0.03 * speed / own)
+    assert exp(-task.damping * rate) < 0.5  # it has mostly died away
+
+
+def test_a_full_cup_spills_in_a_hurry_and_a_low_one_is_dry_by_caution() -> None:
+    full: dict[str, Any] = {"level": (0.9, 1.0)}
+    low: dict[str, Any] = {"level": (0.45, 0.5)}
+    hurry = episodes("Tray-v0", 3, held(0.0), **full)
+    assert {episode.reason for episode in hurry} == {"the cup spilled"}
+    caution = episodes("Tray-v0", 3, held(0.6), **low)
+    assert {episode.reason for episode in caution} == {"the cup is dry"}
+    for levels in (full, low):
+        assert all(e.success for e in episodes("Tray-v0", 3, **levels))
+
+
+# --- MovingReach -------------------------------------------------------------
+
+
+def test_the_goal_stays_on_its_circle_at_its_speed() -> None:
+    (episode,) = episodes("MovingReach-v0", 1, held(0.5))
+    names = episode.layout.state_names
+    goal, centre = (
+        episode.states[:, [names.index(f"{of}_{axis}") for axis in "xyz"]]
+        for of in ("goal", "circle")
+    )
+    task = TASKS.get("MovingReach-v0")
+    radius = np.linalg.norm(goal - centre, axis=1)
+    np.testing.assert_allclose(radius, task.radius)  # type: ignore[attr-defined]
+    way = np.linalg.norm(np.diff(goal, axis=0), axis=1)
+    rate = abs(episode.states[0, names.index("goal_rate")])
+    chord = 2 * np.sin(rate / 2) * task.radius  # type: ignore[attr-defined]
+    np.testing.assert_allclose(way, chord)
+
+
+def test_three_seconds_in_a_row_near_the_goal_end_the_episode() -> None:
+    for episode in episodes("MovingReach-v0", 3):
+        near = episode.states[1:, episode.layout.state_names.index("seconds_near")]
+        assert near[-3:].tolist() == [1.0, 2.0, 3.0]
+        assert ((episode.info["gap"] < 0.025) == (near > 0)).all()
+
+
+# --- Bar ---------------------------------------------------------------------
+
+
+def agreed(*conventions: str) -> Change:
+    """Each robot by the convention of its place."""
+
+    def change(action: dict[str, float], seen: Values) -> None:
+        task = TASKS.get("Bar-v0")
+        for side, convention in zip(SIDED, conventions, strict=True):
+            own = task.expert(seen, ScriptConfig(convention=convention))
+            action |= {n: value for n, value in own.items() if n.startswith(side)}
+
+    return change
+
+
+def test_teams_of_one_convention_pass_the_beam_and_mixed_ones_do_not() -> None:
+    for convention in ("over", "under"):
+        change = agreed(convention, convention)
+        for episode in episodes("Bar-v0", 3, change):
+            assert episode.success
+            names = episode.layout.state_names
+            x, z = (episode.states[:, names.index(n)] for n in ("bar_x", "bar_z"))
+            beam_x, beam_z = (
+                episode.states[0, names.index(n)] for n in ("beam_x", "beam_z")
+            )
+            above = z[np.abs(x - beam_x).argmin()] > beam_z
+            assert above == (convention == "over")
+    for mixed in (("over", "under"), ("under", "over")):
+        assert reasons("Bar-v0", agreed(*mixed)) == {"the bar tilted"}
+
+
+def test_a_bar_that_goes_straight_on_touches_the_beam() -> None:
+    def straight(action: dict[str, float], seen: Values) -> None:
+        for side in SIDED:
+            action[f"{side}_delta_z"] = 0.0
+
+    assert reasons("Bar-v0", straight) == {"the bar touched the beam"}
+
+
+def test_a_robot_that_waits_drops_the_bar() -> None:
+    def waits(action: dict[str, float], seen: Values) -> None:
+        action["right_delta_x"] = 0.0
+
+    assert reasons("Bar-v0", waits, 1) == {"the bar tilted"}
+
+
+def test_agents_see_the_other_hand_a_step_late() -> None:
+    (episode,) = episodes("Bar-v0", 1)
+    names = episode.layout.state_names
+    for side in SIDED:
+        hand, late = (
+            episode.states[:, [names.index(f"{side}_{of}_{axis}") for axis in "xyz"]]
+            for of in ("end_effector", "late")
+        )
+        np.testing.assert_array_equal(late[1:], hand[:-1])
+
+
+# --- Bad input ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("task", "fields", "error"),
+    [
+        ("QuietZone-v0", {"zone_x": (-2.0, -1.8)}, "zone_x is -2 to -1.8, expected"),
+        ("QuietZone-v0", {"zone_x": (-0.3, 0.1)}, "zone_x is -0.3 to 0.1, expected"),
+        ("QuietZone-v0", {"zone_length": (0.1, 0.6)}, "do not fit into zone_x"),
+        ("QuietZone-v0", {"zones": 3}, "zones is 3, expected 1 or 2"),
+        ("Gate-v0", {"wall_x": (1.9, 2.0)}, "a wall at 1.9 to 2.2 m is not between"),
+        ("Gate-v0", {"wall_x": (0.6, 0.6)}, "a wall at 0.6 to 0.8 m is not between"),
+        ("Gate-v0", {"window_slope": (0.5, 2.0)}, "window_slope is 0.5 to 2"),
+        ("Tray-v0", {"goal_x": (-2.0, -2.0)}, "is dry after 10 steps, in which"),
+        ("Tray-v0", {"level": (0.5, 1.5)}, "level is 0.5 to 1.5, expected within"),
+        ("MovingReach-v0", {"speed": (0.1, 0.5)}, "which a hand follows"),
+        ("MovingReach-v0", {"speed": (0.1, 0.05)}, "expected the smaller first"),
+        ("Bar-v0", {"beam_x": (-0.5, 0.3)}, "expected between goals and start"),
+    ],
+)
+def test_scenes_that_nobody_can_solve_are_refused_with_numbers(
+    task: str, fields: dict[str, Any], error: str
+) -> None:
+    with pytest.raises(UsageError, match=error):
+        make_task(task, fields)
+
+
+def test_other_levels_and_conventions_are_told_the_nearest(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["play", "scripted", "--task", "Gate-hrd-v0", "--strip", "x.png"]) == 2
+    assert "Gate-hard-v0" in capsys.readouterr().err
+    collect = ["collect", "scripted", "--task"]
+    assert main([*collect, "Bar-v0", "--convention", "ovr"]) == 2
+    assert "convention is 'ovr', expected over or under" in capsys.readouterr().err
+    assert main([*collect, "Reach-v0", "--convention", "over"]) == 2
+    assert "convention is 'over', and Reach has none" in capsys.readouterr().err
