@@ -1,10 +1,14 @@
 """Inputs and output of the controller: reference, priorities and command."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
 from marl_mm.control.limits import LIMIT_NAMES
+from marl_mm.errors import UsageError
+
+if TYPE_CHECKING:  # a task's parameters load without the model
+    from marl_mm.robot.model import RobotState
 
 VARIABLES = 9
 """Number of variables u: base forward [m/s^2], base yaw [rad/s^2], seven arm joints
@@ -31,6 +35,68 @@ class Reference(NamedTuple):
 
     posture: np.ndarray
     """Posture that the arm returns to, shape (7,) [rad]."""
+
+
+class ReferenceAt(Protocol):
+    """Function of a tick's number and the robot's state."""
+
+    def __call__(self, k: int, state: "RobotState", /) -> Reference:
+        """Reference of the controller's tasks."""
+
+
+class Track(NamedTuple):
+    """Reference of a hand that holds a target while the base follows a straight line.
+
+    It is a ``ReferenceAt`` in numbers, which compiled code reads, too.
+    """
+
+    target_w: np.ndarray
+    """Target of the end-effector, shape (3,) [m]."""
+
+    rotation_w: np.ndarray
+    """Target axes of the end-effector as columns, shape (3, 3)."""
+
+    points: np.ndarray
+    """Position of the base's plan after each tick, shape (ticks, 2) [m]."""
+
+    heading_gain: float
+    """Gain of the heading that steers a base back to y = 0 [rad/m]."""
+
+    heading_limit: float
+    """Largest heading [rad]."""
+
+    direction: float
+    """Direction of travel: -1 backward, 0 standing, 1 forward."""
+
+    speed: float
+    """Speed of the base's plan along the heading [m/s]."""
+
+    posture: np.ndarray
+    """Posture that the arm returns to, shape (7,) [rad]."""
+
+    def __call__(self, k: int, state: "RobotState") -> Reference:
+        """Reference at a tick."""
+        return reference_along(self, k, state.q)
+
+
+def reference_along(track: Track, k: int, q: np.ndarray) -> Reference:
+    """Reference of a track at tick k and configuration q, shape (11,).
+
+    Raises:
+        UsageError: If the track has no point for the tick.
+    """
+    if k >= len(track.points):  # compiled code would read what lies behind them
+        raise UsageError("a track has fewer points than its step has ticks")
+    steer = track.heading_gain * float(q[1])
+    steer = min(max(steer, -track.heading_limit), track.heading_limit)
+    return Reference(
+        track.target_w,
+        track.rotation_w,
+        track.points[k],
+        -track.direction * steer,
+        track.speed,
+        track.posture,
+    )
 
 
 class Priorities(NamedTuple):

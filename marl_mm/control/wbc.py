@@ -5,12 +5,13 @@ Variables u, shape (9,): base forward [m/s^2], base yaw [rad/s^2], seven arm joi
 priorities: 1 a stable base first, 0 an accurate hand (Eq. 4).
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from marl_mm.control.compiled.along import packed, tick_along
 from marl_mm.control.compiled.tick import tick
 from marl_mm.control.config import ControllerConfig, Gains, HierarchyConfig, LimitConfig
 from marl_mm.control.limits import row_count
@@ -20,7 +21,14 @@ from marl_mm.control.priorities import (
     priority_matrix,
     stability_share,
 )
-from marl_mm.control.records import VARIABLES, Command, Priorities, Reference
+from marl_mm.control.records import (
+    VARIABLES,
+    Command,
+    Priorities,
+    Reference,
+    ReferenceAt,
+    Track,
+)
 from marl_mm.errors import NonFiniteStateError, UsageError
 from marl_mm.robot.limits import RobotLimits
 from marl_mm.robot.model import ModelTerms, RobotState
@@ -63,6 +71,9 @@ class WholeBodyController:
             tuple(self._limits),
         )
         self.numbers: tuple[Any, Any, Any, Any] = numbers
+        self._packed = packed(
+            (*robot, *self._gains, *self._hierarchy, *self._limits, self._rate)
+        )
 
     def tick(
         self, state: RobotState, terms: ModelTerms, reference: Reference, alpha: float
@@ -103,11 +114,7 @@ class WholeBodyController:
         Raises:
             NonFiniteStateError: If the state holds, or the solution would hold, a NaN.
         """
-        if self._limits.zmp and not terms.wrench.any():
-            raise UsageError(
-                "limits.zmp is on, but the model gives no wrench: "
-                "RobotModel(config, balance=True)"
-            )
+        self._check_wrench(terms)
         if self.config.solver == "active-set":
             command, finite = self._compiled(state, terms, reference, priorities)
         else:
@@ -116,6 +123,42 @@ class WholeBodyController:
         if not finite:
             raise no_command(state, reference.ee_position_w, priorities)
         return command
+
+    def along(
+        self, reference_at: ReferenceAt, priorities: Priorities
+    ) -> Callable[[int, RobotState, ModelTerms], Command]:
+        """``solve`` for many ticks: a function of tick, state and the model's terms.
+
+        It is faster where the reference is a ``Track``.
+
+        Args:
+            reference_at: Reference of the tasks at a tick and state.
+            priorities: Priorities of the tasks.
+        """
+        track = reference_at
+        if self.config.solver != "active-set" or not isinstance(track, Track):
+            return lambda k, state, terms: self.solve(
+                state, terms, reference_at(k, state), priorities
+            )
+        line = packed(track._replace(points=np.empty(0)))
+        unchanging = self._packed, line, track.points, *priorities
+
+        def command(k: int, state: RobotState, terms: ModelTerms) -> Command:
+            self._check_wrench(terms)
+            u, torque = np.empty(VARIABLES), np.empty(7)
+            finite, rest = tick_along(*state, *terms, k, *unchanging, u, torque)
+            if not finite:
+                raise no_command(state, track.target_w, priorities)
+            return Command(u, torque, *rest)
+
+        return command
+
+    def _check_wrench(self, terms: ModelTerms) -> None:
+        if self._limits.zmp and not terms.wrench.any():
+            raise UsageError(
+                "limits.zmp is on, but the model gives no wrench: "
+                "RobotModel(config, balance=True)"
+            )
 
     def _compiled(
         self,

@@ -8,13 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
+from marl_mm.control.compiled.along import reference_on
 from marl_mm.control.compiled.tick import tick
 from marl_mm.control.limits import WHEEL_ARM
 from marl_mm.control.payload import learned
-from marl_mm.control.records import VARIABLES
+from marl_mm.control.records import VARIABLES, Track
 from marl_mm.control.wbc import no_command
 from marl_mm.envs.drive import Drive, Motion
-from marl_mm.envs.order import Order, Track
+from marl_mm.envs.order import Order
 from marl_mm.jit import jit, on_stack
 from marl_mm.robot.bodies import load_hand
 from marl_mm.robot.description import WHEEL_RADIUS
@@ -161,22 +162,11 @@ def _follow(
     before = _velocity()
     for k in range(first, last):
         planar_terms(q, v, bodies, scratch, terms)
-        steer = min(
-            max(track.heading_gain * q[1], -track.heading_limit), track.heading_limit
-        )
-        reference = (
-            track.target_w,
-            track.rotation_w,
-            track.points[k],
-            -track.direction * steer,
-            track.speed,
-            track.posture,
-        )
         counters[:] = 0
         feasible, finite, forward, turning = tick(
             (q, v),
             terms,
-            reference,
+            reference_on(track, k, q),
             robot,
             gains,
             hierarchy,

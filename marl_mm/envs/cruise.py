@@ -6,7 +6,8 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from marl_mm.envs.order import Order, Track
+from marl_mm.control.records import Track
+from marl_mm.envs.order import Order
 from marl_mm.envs.task import Attempt, Task, Values
 from marl_mm.envs.terms import goal_distance
 from marl_mm.errors import UsageError

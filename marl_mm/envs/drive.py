@@ -12,10 +12,10 @@ import numpy as np
 
 from marl_mm.control.config import ControllerConfig, Knowledge
 from marl_mm.control.limits import WHEEL_ARM
-from marl_mm.control.records import Command, Priorities
+from marl_mm.control.records import Command, Priorities, ReferenceAt
 from marl_mm.control.wbc import WholeBodyController
 from marl_mm.envs.hand import Hand
-from marl_mm.envs.order import Order, ReferenceAt
+from marl_mm.envs.order import Order
 from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig
 from marl_mm.robot.limits import robot_limits
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
@@ -233,21 +233,19 @@ class _Step:
     """One robot's step, tick by tick."""
 
     def __init__(self, drive: Drive, order: Order, ticks: int, every: int) -> None:
-        self._drive, self._order, self._every = drive, order, every
+        self._drive, self._every = drive, every
+        self._command_at = drive.controller.along(*order)
         self._accelerations = np.empty(ticks)
         self._q, self._hand_w = np.empty((ticks, 11)), np.empty((ticks, 3))
         self._looks: list[tuple[float, float, float, float, float]] = []
         self._failures = self._safe = 0
 
     def tick(self, k: int, number: int, watch: Watch | None) -> None:
-        """One tick: model, reference, controller, simulator, hand, in that order."""
+        """One tick: model, controller, simulator, hand, in that order."""
         drive = self._drive
         state, world = drive.state, drive.world
         terms = drive.model.evaluate(state)
-        reference = self._order.reference_at(k, state)
-        command = drive.controller.solve(
-            state, terms, reference, self._order.priorities
-        )
+        command = self._command_at(k, state, terms)
         if k % self._every == 0:
             self._looks.append(drive.look(state, terms.position_w, command))
         self._accelerations[k] = command.acceleration[0]

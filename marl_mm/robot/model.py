@@ -85,6 +85,8 @@ class RobotModel:
         self._model = pin.buildReducedModel(full, locked, home)
         self._data = self._model.createData()
         self._frame = self._model.getFrameId(GRASP_FRAME)
+        placement = self._data.oMf[self._frame]
+        self._pose = placement.translation, placement.rotation  # views of the data
         self._no_acceleration = np.zeros(self._model.nv)
         self._mass = pin.computeTotalMass(self._model)
         grasp = self._model.frames[self._frame]
@@ -120,11 +122,10 @@ class RobotModel:
             self._evaluate_ground(state)
         pin.forwardKinematics(model, data, q, v, self._no_acceleration)
         pin.computeJointJacobians(model, data)
-        placement = pin.updateFramePlacement(model, data, frame)
+        pin.updateFramePlacement(model, data, frame)
         acceleration = pin.getFrameClassicalAcceleration(model, data, frame, _WORLD)
         return ModelTerms(  # by position: keywords would cost 0.5 us
-            placement.translation,
-            placement.rotation,
+            *self._pose,
             pin.getFrameVelocity(model, data, frame, _WORLD).vector,
             pin.getFrameJacobian(model, data, frame, _WORLD),
             acceleration.vector,
@@ -154,10 +155,12 @@ class RobotModel:
         """
         full = np.zeros(self._model.nv)
         full[ACTUATED] = acceleration
-        data, q = self._data, state.q
-        pin.computeCentroidalMomentumTimeVariation(self._model, data, q, state.v, full)
-        com, force, moment = data.com[0], data.dhg.linear, data.dhg.angular
-        vertical = self._mass * GRAVITY + force[2]
-        x = com[0] - (com[2] * force[0] + moment[1]) / vertical - q[0]
-        y = com[1] - (com[2] * force[1] - moment[0]) / vertical - q[1]
-        return np.array([q[2] * x + q[3] * y, -q[3] * x + q[2] * y])
+        model, data = self._model, self._data
+        pin.computeCentroidalMomentumTimeVariation(model, data, *state, full)
+        x, y, z = data.com[0].tolist()
+        (fx, fy, fz), (mx, my, _) = data.dhg.linear.tolist(), data.dhg.angular.tolist()
+        vertical = self._mass * GRAVITY + fz
+        base_x, base_y, cos, sin = state.q[:4].tolist()
+        x = x - (z * fx + my) / vertical - base_x
+        y = y - (z * fy - mx) / vertical - base_y
+        return np.array([cos * x + sin * y, -sin * x + cos * y])

@@ -26,4 +26,5 @@ _OFFSET_B = (SUPPORT_B * SUPPORT_INWARD_B).sum(axis=1)
 
 def support_margin(point_b: np.ndarray) -> float:
     """Distance of a ground point to the support polygon's edge, inside positive [m]."""
-    return float((SUPPORT_INWARD_B @ point_b - _OFFSET_B).min())
+    margin: float = min((SUPPORT_INWARD_B @ point_b - _OFFSET_B).tolist())
+    return margin

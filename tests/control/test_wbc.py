@@ -18,7 +18,7 @@ from marl_mm.control.config import (
     LimitConfig,
     Solver,
 )
-from marl_mm.control.records import Reference
+from marl_mm.control.records import Reference, Track
 from marl_mm.control.wbc import WholeBodyController
 from marl_mm.errors import NonFiniteStateError, UsageError
 from marl_mm.robot.description import RobotConfig
@@ -45,6 +45,48 @@ def test_both_solvers_give_the_same_command(
         np.testing.assert_allclose(one.torque, other.torque, atol=1e-3)
         np.testing.assert_allclose(one.base_speed, other.base_speed, atol=1e-6)
         assert one.levels == other.levels
+
+
+@pytest.mark.parametrize("solver", ["active-set", "proxqp"])
+@pytest.mark.parametrize("zmp", [False, True])
+@pytest.mark.parametrize("form", FORMS)
+def test_commands_along_a_track_are_those_of_solve_to_the_last_bit(
+    form: Form, zmp: bool, solver: Solver, limits: RobotLimits
+) -> None:
+    config = ControllerConfig(form=form, solver=solver, limits=LimitConfig(zmp=zmp))
+    controller = WholeBodyController(limits, config)
+    model, rng = RobotModel(RobotConfig(), balance=True), np.random.default_rng(4)
+    for _ in range(100 if solver == "active-set" else 2):
+        turn, joints = rng.uniform(-1, 1), rng.uniform(limits.lower, limits.upper)
+        q = np.array([*rng.normal(size=2), np.cos(turn), np.sin(turn), *joints])
+        state = RobotState(q, rng.normal(size=10))
+        terms = model.evaluate(state)
+        target_w, points = (
+            terms.position_w + rng.normal(0, 0.1, 3),
+            rng.normal(0, 1, (3, 2)),
+        )
+        rotation_w = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        track = Track(
+            target_w, rotation_w, points, 0.5, 0.3, -1.0, 0.1, rng.normal(size=7)
+        )
+        priorities = controller.priorities(rng.uniform())
+        command = controller.along(track, priorities)(2, state, terms)
+        expected = controller.solve(state, terms, track(2, state), priorities)
+        for name, value in command._asdict().items():
+            np.testing.assert_array_equal(value, getattr(expected, name), name)
+
+
+def test_a_track_that_ends_before_its_step_is_refused(
+    situation: Draw, limits: RobotLimits
+) -> None:
+    state, terms, reference = situation(np.random.default_rng(0))
+    (target_w, rotation_w, point, _, speed, posture) = reference
+    track = Track(target_w, rotation_w, point[None], 0.5, 0.3, 1.0, speed, posture)
+    controller = WholeBodyController(limits, ControllerConfig())
+    command_at = controller.along(track, controller.priorities(0.5))
+    assert command_at(0, state, terms).failures == 0
+    with pytest.raises(UsageError, match="fewer points"):
+        command_at(1, state, terms)
 
 
 def test_blend_is_the_mix_of_the_two_ends(situation: Draw, limits: RobotLimits) -> None:
