@@ -5,7 +5,7 @@ import inspect
 import json
 import lzma
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from functools import partial
 from typing import Any
@@ -306,7 +306,7 @@ def _sizes(task: Task) -> str:
     return f"{len(task.layout.state)}, {len(task.layout.action)}"
 
 
-PAGES = {
+PAGES: dict[str, Callable[[], str]] = {
     "reference/tasks/index.md": _tasks_index,
     **{f"reference/tasks/{name}.md": partial(_task_page, name) for name in SHOWN},
 }
