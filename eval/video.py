@@ -229,7 +229,9 @@ def film_strip(path: Path, rows: Strips) -> None:
 def draw_film_strip(file: Path | IO[bytes], rows: Strips) -> None:
     """``film_strip`` into an open file, or a path."""
     columns = max(len(pictures) for _, pictures in rows)
-    figure = Figure(figsize=(2.6 * columns, 2.0 * len(rows)), layout="constrained")
+    high, wide, _ = rows[0][1][0][1].shape
+    size = 2.6 * (wide / high / 1.5) * columns, 2.0 * len(rows)
+    figure = Figure(figsize=size, layout="constrained")
     axes: Any = figure.subplots(len(rows), columns, squeeze=False)
     for line, (label, pictures) in zip(axes, rows, strict=True):
         for axis in line:

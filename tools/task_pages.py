@@ -69,13 +69,15 @@ def _task_page(name: str) -> str:
     if name in STRIPS:
         picture, actor = STRIPS[name], "the script"
         words, more = f"scripted --task {name}", ""
+        for way in task.conventions[1:]:
+            more = f", and with `--scripted.convention {way}`"
     results = _task_results(name)
     parts = [
         f"# {name}\n",
         " ".join((f"**{_aim(name)}**", _ends(task), *_best(name))) + "\n",
         f"![Film strip: {actor} at work](../../images/{picture})\n",
-        f"Film strip of {actor}. Try it: `marl-mm play {words} --video FILE.mp4`"
-        f"{more}.\n",
+        f"Film strip of {actor}, on PyBullet{_worlds(task)}. Try it: `marl-mm play "
+        f"{words} --video FILE.mp4`{more}.\n",
         *_team(task),
         *_levels(name),
         "## What is seen\n",
@@ -89,10 +91,15 @@ def _task_page(name: str) -> str:
         "## Numbers\n",
         f"Fields of `{type(task).__module__}.{type(task).__name__}` that are not its "
         "defaults: " + (_changed(task) or "none") + ". Replace any of them: "
-        f'`gymnasium.make("marl_mm/{name}", overrides={{...}})`.\n',
+        f'`gymnasium.make("marl_mm/{name}", overrides={{...}})`, and of many at once '
+        f'`marl_mm.make_vec("{name}", 8, overrides={{...}})`.\n',
         *(["## Results\n", results] if results else []),
     ]
     return "\n".join(parts)
+
+
+def _worlds(task: Task) -> str:
+    return "; each picture shows the world of every robot" * (task.robots > 1)
 
 
 def _aim(name: str) -> str:

@@ -7,19 +7,31 @@ from typing import Annotated, Any
 import tyro
 
 from marl_mm.collectors.registry import COLLECTORS
-from marl_mm.envs.registry import TASKS
+from marl_mm.envs.registry import LEVELS, TASKS
 from marl_mm.runs.policies import AGENT
 from marl_mm.workers import available_cores
 
 CORES: Any = available_cores
 """Default of numbers of processes, for ``parser.command``."""
 
-_REGISTERED = " or ".join((", ".join(TASKS.names()[:-1]), TASKS.names()[-1]))
+
+def _registered() -> str:
+    """Names of tasks; those of a kind in three levels as KIND[-easy|-hard]-v0."""
+    names = TASKS.names()
+    levels = {n: {n.removesuffix("-v0") + end for end in LEVELS} for n in names}
+    kinds = [n for n in names if levels[n] <= {*names}]
+    told = {level for kind in kinds for level in levels[kind]}
+    words = [
+        n.replace("-v0", "[-easy|-hard]-v0") if n in kinds else n
+        for n in names
+        if n not in told
+    ]
+    return " or ".join((", ".join(words[:-1]), words[-1]))
 
 
 def task_help(text: str) -> Any:
     """Help of an option with a task's name; {} stands for the registered names."""
-    return tyro.conf.arg(help=text.format(_REGISTERED))
+    return tyro.conf.arg(help=text.format(_registered()))
 
 
 OwnTask = Annotated[str | None, task_help("{}; default the runs' own, or Reach-v0.")]

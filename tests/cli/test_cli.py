@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -20,6 +21,7 @@ from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
+from marl_mm.envs.registry import TASKS
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
 from marl_mm.runs.policies import own_task
@@ -66,6 +68,18 @@ def one_line(output: Output) -> str:
 def test_every_command_has_help(name: str, capsys: Output) -> None:
     assert run(name, "--help") == 0
     assert "usage: marl-mm " + name in capsys.readouterr().out
+
+
+def test_a_help_tells_every_task_once(capsys: Output) -> None:
+    """Those of a kind in three levels as KIND[-easy|-hard]-v0."""
+    assert run("check", "--help") == 0
+    words = re.findall(r"(\w+)(?:\[(\S+)\])?-v0(?!\))", capsys.readouterr().out)
+    told = [
+        f"{kind}{level}-v0"
+        for kind, levels in words
+        for level in {"", *levels.split("|")}
+    ]
+    assert sorted(told) == sorted(TASKS.names())
 
 
 @pytest.mark.parametrize("command", ["", "train", "train mabc", "bench", "algorithms"])

@@ -3,11 +3,11 @@
 Each robot has two agents, which see their own robot, the beam, and where the other
 robot's hand was a step ago. The hands see the goal, too. An episode fails if the bar
 tilts by more than ``largest_tilt``, if the hands are not the bar's length apart, to
-within ``largest_stretch``, or if the bar touches the beam.
+within ``largest_stretch``, if the bar touches the beam, or if an arm collides.
 
 Over the beam is as good as under it, if both robots go the same way. A team of which
 the halves go by different conventions tilts the bar, and the mean of both touches the
-beam. The script goes over, or under by ``--convention under``. Alpha decides little
+beam. The script goes over, or by its convention ``under`` below. Alpha decides little
 here: the script sets it to 0.
 """
 
@@ -112,7 +112,7 @@ class Bar(CruiseTask):
 
     about = "Two robots carry a bar to a goal behind: both over a beam, or both under."
     layout = LAYOUT
-    camera = Camera(target_w=(0.1, 0.1, 0.5), distance=2.6, yaw=45.0, pitch=-35.0)
+    camera = Camera(target_w=(0.0, 0.0, 0.5), distance=2.0, yaw=-75.0, pitch=-16.0)
     robots = 2
     fails: ClassVar[bool] = True
     conventions = ("over", "under")

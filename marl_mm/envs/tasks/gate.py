@@ -8,8 +8,8 @@ which goes aside at a slant.
 
 At alpha 0 the base breaks the quiet floor as it sets off; at alpha 1 the hand is not
 accurate enough for the window. So alpha has to fall at the wall. The script steers to
-the window, along its middle line and to the goal, at alpha 1 up to the wall and 0 from
-there on.
+the window, along its middle line and to the goal, at alpha 1 while the floor is quiet
+and 0 from there on.
 """
 
 from dataclasses import dataclass, replace
@@ -75,7 +75,7 @@ class Gate(HazardTask):
 
     about = "Reach a goal through a narrow window, after a way on a quiet floor."
     layout = LAYOUT
-    camera = Camera(target_w=(1.0, 0.0, 0.4), distance=3.2, yaw=40.0, pitch=-35.0)
+    camera = Camera(target_w=(1.1, 0.0, 0.4), distance=2.4, yaw=40.0, pitch=-35.0)
     own_info: ClassVar[dict[str, str]] = {
         **HazardTask.own_info,
         "floor_acceleration": "largest acceleration of the base where the floor is "

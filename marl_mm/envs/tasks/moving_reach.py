@@ -31,6 +31,7 @@ from marl_mm.envs.task import Attempt, ScriptConfig, Terms, Values
 from marl_mm.envs.tasks.reach import steer
 from marl_mm.errors import UsageError
 from marl_mm.layout import Agent, Entry, Layout
+from marl_mm.sim.config import Camera
 from marl_mm.sim.scene import Mark
 
 if TYPE_CHECKING:
@@ -91,6 +92,7 @@ class MovingReach(CruiseTask):
 
     about = "Follow a goal that moves on a circle, for three seconds."
     layout = LAYOUT
+    camera = Camera(target_w=(0.5, 0.0, 0.5), distance=2.1, yaw=40.0, pitch=-20.0)
     needs: ClassVar[tuple[str, ...]] = ("gap",)
     own_info: ClassVar[dict[str, str]] = {
         **CruiseTask.own_info,

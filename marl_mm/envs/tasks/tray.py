@@ -25,7 +25,7 @@ from marl_mm.envs.tasks.reach import steer
 from marl_mm.errors import UsageError
 from marl_mm.jit import jit
 from marl_mm.layout import Agent, Entry, Layout
-from marl_mm.sim.config import RATE
+from marl_mm.sim.config import RATE, Camera
 from marl_mm.sim.scene import YELLOW, Mark
 
 if TYPE_CHECKING:
@@ -89,6 +89,7 @@ class Tray(HazardTask):
 
     about = "Bring a leaking cup to a goal behind: slowly while full, soon when not."
     layout = LAYOUT
+    camera = Camera(target_w=(0.2, 0.0, 0.5), distance=1.9, yaw=30.0, pitch=-25.0)
     own_info: ClassVar[dict[str, str]] = {
         **HazardTask.own_info,
         "slosh_peak": "largest displacement of the liquid within the step [m]",
