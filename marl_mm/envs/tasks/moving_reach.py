@@ -81,6 +81,7 @@ class MovingReach(CruiseTask):
 
     about = "Follow a goal that moves on a circle, for three seconds."
     layout = LAYOUT
+    hidden: ClassVar[dict[str, float]] = {RATE.name: 0.0}
     needs: ClassVar[tuple[str, ...]] = ("gap",)
     own_info: ClassVar[dict[str, str]] = {
         **CruiseTask.own_info,

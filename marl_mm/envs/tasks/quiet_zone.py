@@ -52,6 +52,7 @@ class QuietZone(HazardTask):
 
     about = "Reach a goal behind, with a base that is quiet within zones."
     layout = LAYOUT
+    hidden = dict.fromkeys(names(*ZONES), 9.0)
     camera = Camera(target_w=(-0.4, 0.0, 0.3), distance=3.2, pitch=-28.0)
     own_info: ClassVar[dict[str, str]] = {
         **HazardTask.own_info,

@@ -78,6 +78,7 @@ class Tray(HazardTask):
 
     about = "Bring a leaking cup to a goal behind: slowly while full, soon when not."
     layout = LAYOUT
+    hidden: ClassVar[dict[str, float]] = {LEVEL.name: 0.7}
     own_info: ClassVar[dict[str, str]] = {
         **HazardTask.own_info,
         "slosh_peak": "largest displacement of the liquid within the step [m]",
