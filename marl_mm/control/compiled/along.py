@@ -8,17 +8,20 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+from numba import types
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from marl_mm.control.compiled.tick import tick
 from marl_mm.control.config import Gains, HierarchyConfig, LimitConfig
 from marl_mm.control.limits import ROWS, ZMP_ROWS
 from marl_mm.control.records import Track, reference_along
-from marl_mm.jit import jit
+from marl_mm.jit import jit, on_stack
 
 _GAINS, _HIERARCHY, _LIMITS = (
     len(record._fields) for record in (Gains, HierarchyConfig, LimitConfig)
 )
+
+_counters = on_stack(4, number=types.int64)
 
 reference_on = jit(reference_along)
 """``reference_along`` for compiled code."""
@@ -93,7 +96,8 @@ def tick_along(
         line[15],
         line[16:],
     )
-    counters = np.zeros(4, np.int64)
+    counters = _counters()
+    counters[:] = 0
     feasible, finite, forward, turning = tick(
         (q, v),
         (

@@ -1,7 +1,8 @@
 """All levels of a priority matrix, compiled: reference/hierarchy.py has the idea.
 
-Loops over nine variables are unrolled, and the loops around them vectorised; zeros of
-rows that select one variable are skipped.
+Loops over nine variables are unrolled, and the loops around them vectorised, for which
+the projector is kept with its transpose; zeros of rows that select one variable are
+skipped.
 """
 
 import numpy as np
@@ -29,7 +30,8 @@ LEVELS, QPS, FAILURES, CAUSE = range(4)
 _ROWS = ZMP_ROWS.stop
 _vector, _task_vector, _bounds = on_stack(N), on_stack(TASK_ROWS), on_stack(_ROWS)
 _task_numbers = on_stack(TASK_ROWS, number=types.int64)
-_square, _augmented, _columns = on_stack(N, N), on_stack(N, N + 1), on_stack(N, _ROWS)
+# Rows as long as whole cache lines, of which only the first columns are used.
+_square, _augmented, _columns = on_stack(N, 16), on_stack(N, 16), on_stack(N, 32)
 
 
 @jit
@@ -51,14 +53,14 @@ def solve_hierarchy(
     """
     limits = len(lower)
     u[:] = 0.0
-    projector, row = _square(), _vector()
+    projector, transposed, row = _square(), _square(), _vector()
     upper_hessian, gradient, x, step = _augmented(), _vector(), _vector(), _vector()
     columns, low, high = _columns(), _bounds(), _bounds()
     used, value = _bounds(), _bounds()
     order, share = _task_numbers(), _task_vector()
     for i in range(N):
         for j in range(N):
-            projector[i, j] = 1.0 if i == j else 0.0
+            projector[i, j] = transposed[i, j] = 1.0 if i == j else 0.0
         for r in range(limits):
             columns[i, r] = matrix[r, i]
     for level in range(psi.shape[0]):
@@ -97,7 +99,7 @@ def solve_hierarchy(
             x[i] = upper_hessian[i, N]
         solve_upper(upper_hessian, x)
 
-        _times_column(projector, x, step)
+        _times_column(transposed, x, step)
         for r in range(limits):
             used[r] = value[r] = 0.0
         for j in range(N):
@@ -129,13 +131,13 @@ def solve_hierarchy(
                 if level == 0:
                     return False
                 x[:] = 0.0
-            _times_column(projector, x, step)
+            _times_column(transposed, x, step)
         for i in range(N):
             u[i] += step[i]
         if level < psi.shape[0] - 1:
             for a in range(count):
                 _times(jacobian, order[a], projector, row)
-                _deflate(projector, row, share[a], config.projector_damping)
+                _deflate(projector, transposed, row, share[a], config.projector_damping)
     return True
 
 
@@ -154,13 +156,13 @@ def _times(
 
 
 @jit
-def _times_column(projector: np.ndarray, x: np.ndarray, result: np.ndarray) -> None:
-    """The projector times a column."""
+def _times_column(transposed: np.ndarray, x: np.ndarray, result: np.ndarray) -> None:
+    """The projector, given its transpose, times a column."""
     for i in range(N):
-        value = 0.0
-        for j in range(N):
-            value += projector[i, j] * x[j]
-        result[i] = value
+        result[i] = 0.0
+    for j in range(N):
+        for i in range(N):
+            result[i] += transposed[j, i] * x[j]
 
 
 @jit
@@ -241,16 +243,23 @@ def _solve_limited(
 
 @jit
 def _deflate(
-    projector: np.ndarray, row: np.ndarray, share: float, damping: float
+    projector: np.ndarray,
+    transposed: np.ndarray,
+    row: np.ndarray,
+    share: float,
+    damping: float,
 ) -> None:
-    """P (I - share a a' / (a'a + damping)) in place."""
-    square = damping
+    """P (I - share a a' / (a'a + damping)) in place, and its transpose."""
+    square, direction, column = damping, _vector(), _vector()
     for j in range(N):
         square += row[j] * row[j]
+        direction[j] = row[j]
+    _times_column(transposed, direction, column)
     for i in range(N):
-        dot = 0.0
+        column[i] *= share / square
+    for i in range(N):
         for j in range(N):
-            dot += projector[i, j] * row[j]
-        dot *= share / square
+            projector[i, j] -= column[i] * direction[j]
+    for i in range(N):
         for j in range(N):
-            projector[i, j] -= dot * row[j]
+            transposed[i, j] -= direction[i] * column[j]
