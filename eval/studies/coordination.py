@@ -30,7 +30,7 @@ ABOUT = "Teams that lack something, beside their experts: what coordination is w
 TABLE, WORTH = "coordination.csv", "coordination_worth.csv"
 """Files of the tables: a row per task and team, and a row per task."""
 
-KINDS = ("QuietZone", "Gate", "Tray", "MovingReach", "Bar")
+KINDS = ("QuietZone", "Gate", "Tray", "MovingReach", "Bar", "Course")
 """Tasks in which the team decides, without their level."""
 
 LEVELS = ("-easy", "", "-hard")

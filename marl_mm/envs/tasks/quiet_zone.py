@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, Course, names
+from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, Targets, names
 from marl_mm.envs.hazard import (
     HazardTask,
     Interval,
@@ -121,10 +121,11 @@ class QuietZone(HazardTask):
             **dict(zip(names(*ZONES), ends, strict=True)),
         }
 
-    def harm(self, course: Course, motion: "Motion") -> tuple[str, dict[str, float]]:
+    def harm(self, targets: Targets, motion: "Motion") -> tuple[str, dict[str, float]]:
         """A base that accelerates too much within a zone."""
+        near, far = targets.drawn.T
         x = motion.q[:, :1]
-        inside = ((x < course.drawn[:, 0]) & (x > course.drawn[:, 1])).any(axis=1)
+        inside = ((x < near) & (x > far)).any(axis=1)
         felt = np.abs(motion.base_acceleration[inside]).max(initial=0.0)
         reason = "the base was not quiet in a zone" if felt > self.zone_limit else ""
         return reason, {"zone_acceleration": float(felt)}
