@@ -26,6 +26,10 @@ TASKS: Registry[Task] = Registry(
 )
 """All tasks by name."""
 
+LEVELS = ("-easy-v0", "-hard-v0")
+"""Endings of names of the easy and the hard level of a kind of task in three levels; of
+the medium one it is only -v0."""
+
 DEFAULT = "Reach-v0"
 """Name of the default task."""
 

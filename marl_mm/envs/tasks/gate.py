@@ -1,4 +1,16 @@
-"""Gate: bring the end-effector through a window in a thick wall to a goal beyond."""
+"""Gate: bring the end-effector through a window in a thick wall to a goal beyond.
+
+The hand's agent sees window and goal, the balance agent only how far the wall is from
+the hand. As long as that is more than ``quiet_until``, the floor is quiet: an episode
+fails if the base is told to accelerate by more than ``quiet_limit``. Within the wall it
+fails if the finger tips are further than ``clearance`` from the middle of the window,
+which goes aside at a slant.
+
+At alpha 0 the base breaks the quiet floor as it sets off; at alpha 1 the hand is not
+accurate enough for the window. So alpha has to fall at the wall. The script steers to
+the window, along its middle line and to the goal, at alpha 1 up to the wall and 0 from
+there on.
+"""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, NamedTuple

@@ -1,4 +1,14 @@
-"""QuietZone: bring the end-effector to a goal behind, and be quiet where it counts."""
+"""QuietZone: bring the end-effector to a goal behind, and be quiet where it counts.
+
+The hand's agent sees the goal, the balance agent the zones: stripes of the floor in
+which the base has to be quiet. An episode fails at a tick at which the base is in a
+zone and is told to accelerate by more than ``zone_limit``.
+
+At alpha 0 the base keeps up with the hand and breaks every zone; at alpha 1 it is quiet
+everywhere, and too late. So alpha has to rise before a zone and to fall behind it.
+The script steers straight to the goal by steps of full length, and sets alpha to 1 from
+15 cm before a zone to its end.
+"""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar

@@ -1,4 +1,15 @@
-"""Tray: bring a leaking cup to a goal behind, before it is dry, without a spill."""
+"""Tray: bring a leaking cup to a goal behind, before it is dry, without a spill.
+
+The hand's agent sees the goal, the balance agent the cup: its level, which falls by
+``leak`` a step, and how far the liquid swings. The hand's acceleration drives the
+liquid at every tick. An episode fails if it passes the rim, which is near in a full
+cup, or if the cup is dry.
+
+So a full cup needs short steps and a low one long steps, and the agent that makes them
+does not see which it is: it sees alpha of the last step, by which the balance agent can
+tell. The script's balance sets alpha to 0.6 of the level, and its hand makes the steps
+that such a level allows. Teams may agree on other signals.
+"""
 
 from dataclasses import dataclass, replace
 from math import hypot, pi
