@@ -11,6 +11,7 @@ from pathlib import Path
 from drawings import DRAWINGS
 from reference_pages import PAGES
 from result_tables import TABLES
+from task_pages import PAGES as TASK_PAGES
 
 from marl_mm.files import new_file
 
@@ -29,7 +30,10 @@ def filled(text: str) -> str:
 
 def pages() -> dict[Path, str]:
     """Every page that is made, or has tables, as it should be."""
-    made = {ROOT / "docs" / name: make() for name, make in (PAGES | DRAWINGS).items()}
+    made = {
+        ROOT / "docs" / name: make()
+        for name, make in (PAGES | TASK_PAGES | DRAWINGS).items()
+    }
     written = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
     made |= {p: p.read_text() for p in written if p not in made}
     return {path: filled(text) for path, text in made.items()}

@@ -1,10 +1,8 @@
-"""Reference pages, made of the registries and the committed results."""
+"""Reference pages of algorithms and datasets, made of registries and results."""
 
 import ast
 import inspect
-import json
-import lzma
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from functools import partial
 from pathlib import Path
@@ -15,40 +13,14 @@ from drawings import CURVES
 from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm
 from marl_mm.datasets.card import card_markdown
 from marl_mm.datasets.dataset import load_dataset
-from marl_mm.envs.registry import TASKS
-from marl_mm.envs.task import Task
-from marl_mm.envs.tasks.carry import Carry
-from marl_mm.envs.tasks.grasp import Grasp
-from marl_mm.envs.tasks.reach import Reach
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.tables import markdown_table, rate_with_interval
-from marl_mm.layout import Entry, Layout
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "eval/results"
 Row = dict[str, Any]
 
-# --- Tasks -------------------------------------------------------------------
-
-WHAT = {
-    "Reach-v0": "The paper's task: bring the hand to within 5 cm of a goal ahead of the "
-    "robot or behind it.",
-    "SmoothReach-v0": "Reach, where the base's jerk costs, so that alpha matters.",
-    "PreciseReach-v0": "Reach to within 2 cm, from a start that eight random steps made.",
-    "CarryReach-v0": "Reach with a block of unknown mass, up to 3 kg, in the hand.",
-    "Grasp-v0": "Lift a block 10 cm, and hold it off its stand for a second.",
-    "GraspReach-v0": "Take a block from its stand, and bring it to a goal as in Reach.",
-}
-"""What there is to do, by task."""
-
-STRIPS = {
-    "SmoothReach-v0": "smooth-reach.png",
-    "PreciseReach-v0": "precise-reach.png",
-    "CarryReach-v0": "carry-reach.png",
-    "Grasp-v0": "grasp.png",
-    "GraspReach-v0": "grasp-reach.png",
-}
-"""Film strip of the script by task; Reach-v0 shows the pretrained agent's."""
+# --- Committed results -------------------------------------------------------
 
 DATA = {
     "smooth-30k": "SmoothReach-v0",
@@ -71,116 +43,7 @@ NAMES = {
 """Names of algorithms as papers write them."""
 
 
-def _task_page(name: str) -> str:
-    task = TASKS.get(name)
-    picture, actor = "reach.png", "the pretrained agent on Reach-v0"
-    words, more = "pretrained", ", and with `--direction forward`"
-    if name in STRIPS:
-        picture, actor = STRIPS[name], "the script"
-        words, more = f"scripted --task {name}", ""
-    parts = [
-        f"# {name}\n",
-        f"**{WHAT[name]}** {_ends(task)} {_best(name)}\n",
-        f"![Film strip: {actor} at work](../../images/{picture})\n",
-        f"Film strip of {actor}. Try it: `marl-mm play {words} --video FILE.mp4`"
-        f"{more}.\n",
-        "## What is seen\n",
-        _entries(task.layout, task.layout.state, "sees"),
-        "Compared with the goal: "
-        f"{_listed(task.layout.compared)} with {_listed(task.layout.desired)}.\n",
-        "## What is set\n",
-        _entries(task.layout, task.layout.action, "sets"),
-        "## Reward\n",
-        _reward(task),
-        "## Numbers\n",
-        f"Fields of `{type(task).__module__}.{type(task).__name__}` that are not its "
-        "defaults: " + (_changed(task) or "none") + ". Replace any of them: "
-        f'`gymnasium.make("marl_mm/{name}", overrides={{...}})`.\n',
-        "## Results\n",
-        _task_results(name),
-    ]
-    return "\n".join(parts)
-
-
-def _ends(task: Task) -> str:
-    failed = ", when it fails" * task.fails
-    return (
-        f"An episode ends when the goal is reached{failed}, or after {task.max_steps} "
-        "steps of 1 s."
-    )
-
-
-def _best(name: str) -> str:
-    offline = [
-        row
-        for row in _offline_rows()
-        if _task_of(row) == name and row["setting"] in NAMES
-    ]
-    best = max(offline, key=lambda row: float(row["success"]))
-    online = [row for row in _online_rows() if row["task"] == name]
-    learnt = max((float(row["success_last"]) for row in online), default=None)
-    text = (
-        f"Learnt from data, {NAMES[best['setting']]} reaches {100 * best['success']:.1f} "
-        "% of its goals"
-    )
-    if learnt is None:
-        return f"{text}; it was not tried online."
-    return f"{text}; learnt online, {100 * learnt:.1f} %."
-
-
-def _entries(layout: Layout, entries: Sequence[Entry], verb: str) -> str:
-    rows = [
-        (
-            f"`{entry.name}`",
-            "" if entry.unit == "1" else entry.unit,
-            f"[{entry.low:g}, {entry.high:g}]" if abs(entry.low) < 1e9 else "",
-            ", ".join(a.name for a in layout.team if entry.name in getattr(a, verb)),
-        )
-        for entry in entries
-    ]
-    who = "seen by" if verb == "sees" else "set by"
-    return markdown_table(("entry", "unit", "bounds", who), rows)
-
-
-def _listed(names: Iterable[str]) -> str:
-    return ", ".join(f"`{name}`" for name in names)
-
-
-def _reward(task: Task) -> str:
-    assert isinstance(task, Reach)
-    jerk = f", less {task.jerk_weight:g} of the base's rms jerk within the step [m/s^3]"
-    text = (
-        f"{task.goal_reward:g} where the goal is reached, to within "
-        f"{100 * task.success_distance:g} cm at the end of a step; else minus the "
-        f"distance [m]. Less {task.ee_error_weight:g} d_mm and "
-        f"{task.base_error_weight:g} d_mp, how far hand and base are from their targets "
-        f"at the step's end [m]{jerk if task.jerk_weight else ''} (paper, Eq. 6 to 9). "
-        "The agents share it.\n"
-    )
-    if not isinstance(task, Carry):
-        return text
-    return (
-        f"{text}\nA failure ends the episode and brings {task.load.failure_reward:g}: "
-        f"{'a missed grasp, ' * isinstance(task, Grasp)}a drop, a collision, or a block out of reach. "
-        '`info["reason"]` says which. Nothing but friction holds the block; '
-        '`{"load": {"grasp": "weld"}}` fixes it to the hand instead, 1.3 times the '
-        "steps per second. The policy does not see what a block weighs; the controller "
-        "weighs it by the joints' torques "
-        '(`{"load": {"knowledge": "given"}}` tells it).\n'
-    )
-
-
-def _changed(task: Task) -> str:
-    changed = [
-        f"`{item.name}` {getattr(task, item.name)}"
-        for item in fields(task)
-        if not is_dataclass(getattr(task, item.name))
-        and getattr(task, item.name) != getattr(type(task)(), item.name)
-    ]
-    return ", ".join(changed)
-
-
-def _offline_rows() -> list[Row]:
+def offline_rows() -> list[Row]:
     """Rows of the last checkpoints of tuned runs, on every dataset."""
     rows = [
         row
@@ -190,7 +53,8 @@ def _offline_rows() -> list[Row]:
     return [row for row in rows if row["probe"] == "last"]
 
 
-def _online_rows() -> list[Row]:
+def online_rows() -> list[Row]:
+    """Rows of online learning by this package's algorithms, with its task."""
     from marl_mm.eval.studies.online import CELLS
 
     rows = []
@@ -202,64 +66,9 @@ def _online_rows() -> list[Row]:
     return rows
 
 
-def _task_of(row: Row) -> str:
+def task_of(row: Row) -> str:
+    """Name of the task whose dataset a row of offline learning is about."""
     return DATA.get(row["dataset"], "Reach-v0")
-
-
-def _task_results(name: str) -> str:
-    rows = []
-    path = RESULTS / f"script/{name}.json.xz"
-    if path.exists():
-        (evaluation,) = json.loads(lzma.decompress(path.read_bytes()))
-        summary = evaluation["summary"]["all"]
-        low, high = (100 * bound for bound in evaluation["interval"])
-        reached = f"{100 * evaluation['success_rate']:.1f} [{low:.1f}, {high:.1f}]"
-        rows.append(("the script", "", reached, f"{summary['return']:.2f}"))
-    for row in _offline_rows():
-        if _task_of(row) == name:
-            rows.append(
-                (
-                    NAMES[row["setting"]],
-                    f"from {row['dataset']}",
-                    rate_with_interval(row),
-                    f"{row['return']:.2f}",
-                )
-            )
-    for row in _online_rows():
-        departures = (
-            row["setting"].count("-") > 1 and "demonstrations" not in (row["setting"])
-        )
-        if row["task"] == name and not departures:
-            reached = rate_with_interval(row, "success_last")
-            who = f"online, {row['episodes']} episodes"
-            rows.append((row["about"], who, reached, f"{row['return_last']:.2f}"))
-    header = ("policy", "learnt", "goals reached [%]", "return")
-    return (
-        markdown_table(header, rows)
-        + "\nThree seeds, 200 goals, last checkpoint, 95 % intervals; [what they mean]"
-        "(../../results/index.md).\n"
-    )
-
-
-def _tasks_index() -> str:
-    rows = [
-        (f"[{name}]({name}.md)", WHAT[name], str(task.max_steps), _sizes(task))
-        for name, task in TASKS.items()
-    ]
-    header = ("task", "aim", "steps", "state, action")
-    return (
-        "# Tasks\n\nSix tasks of one robot, each a Gymnasium goal environment "
-        "`marl_mm/TASK` and a PettingZoo parallel one, `parallel_env(TASK)`. "
-        "The first three differ in numbers only; the others have a block. "
-        "Start with `Reach-v0`; compare algorithms on `SmoothReach-v0`, "
-        "`PreciseReach-v0` and `GraspReach-v0`, which still separate them.\n\n"
-        + markdown_table(header, rows)
-        + "\n## Blocks and stands\n\n<!-- drawn -->\n<!-- /drawn -->\n"
-    )
-
-
-def _sizes(task: Task) -> str:
-    return f"{len(task.layout.state)}, {len(task.layout.action)}"
 
 
 # --- Algorithms --------------------------------------------------------------
@@ -324,7 +133,7 @@ def _algorithm_page(name: str) -> str:
 
 def _headline(name: str) -> str:
     if ALGORITHMS.get(name).online:
-        rows = [row for row in _online_rows() if row["setting"] == name]
+        rows = [row for row in online_rows() if row["setting"] == name]
         if not rows:
             return "No results of it are committed."
         (row,) = rows
@@ -332,7 +141,7 @@ def _headline(name: str) -> str:
             f"On `Reach-v0` it reaches {100 * row['success_last']:.1f} % of goals in the "
             f"end, and 70 % of them after {row['to_70']:.0f} episodes."
         )
-    rows = [row for row in _offline_rows() if row["setting"] == name]
+    rows = [row for row in offline_rows() if row["setting"] == name]
     good = next(row for row in rows if row["dataset"] == "good-30k")
     worst = min(rows, key=lambda row: float(row["success"]))
     return (
@@ -344,7 +153,7 @@ def _headline(name: str) -> str:
 
 def _departures(algorithm: Algorithm) -> str:
     tuned, paper = algorithm.presets[TUNED], algorithm.presets[PAPER]
-    documented = _field_texts(type(tuned))
+    documented = field_texts(type(tuned))
     rows = [
         (f"`{item.name}`", *values, documented[item.name])
         for item in fields(tuned)
@@ -366,7 +175,7 @@ def _departures(algorithm: Algorithm) -> str:
 
 def _hyper_parameters(algorithm: Algorithm) -> str:
     config = algorithm.presets[TUNED]
-    documented = _field_texts(type(config))
+    documented = field_texts(type(config))
     rows = [
         (f"`{item.name}`", str(getattr(config, item.name)), documented[item.name])
         for item in fields(config)
@@ -374,7 +183,7 @@ def _hyper_parameters(algorithm: Algorithm) -> str:
     return markdown_table(("field", "default", "meaning"), rows)
 
 
-def _field_texts(kind: type) -> dict[str, str]:
+def field_texts(kind: type) -> dict[str, str]:
     """Docstrings that stand under the fields of a dataclass and of its bases."""
     texts: dict[str, str] = {}
     for base in reversed(kind.__mro__):
@@ -403,7 +212,7 @@ def _algorithm_results(name: str) -> str:
                 f"{row['to_70']:.0f}" if row["to_70"] == row["to_70"] else "-",
                 f"{row['return_last']:.2f}",
             )
-            for row in _online_rows()
+            for row in online_rows()
             if row["algorithm"] == name
         ]
         if not rows:
@@ -416,11 +225,11 @@ def _algorithm_results(name: str) -> str:
     lines = [
         (
             row["dataset"],
-            _task_of(row),
+            task_of(row),
             rate_with_interval(row),
             f"{row['return']:.2f}",
         )
-        for row in _offline_rows()
+        for row in offline_rows()
         if row["setting"] == name
     ]
     table = markdown_table(("dataset", "task", "goals reached [%]", "return"), lines)
@@ -469,11 +278,6 @@ def _dataset_page(name: str) -> str:
 
 
 PAGES: dict[str, Callable[[], str]] = {
-    "reference/tasks/index.md": _tasks_index,
-    **{
-        f"reference/tasks/{name}.md": partial(_task_page, name)
-        for name in TASKS.names()
-    },
     "reference/algorithms/index.md": _algorithms_index,
     **{
         f"reference/algorithms/{name}.md": partial(_algorithm_page, name)

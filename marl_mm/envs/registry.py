@@ -15,7 +15,7 @@ from marl_mm.registry import Registry
 
 KINDS = (
     *("reach", "carry", "grasp"),
-    *("quiet_zone", "gate", "tray", "moving_reach", "bar"),
+    *("quiet_zone", "gate", "tray", "moving_reach", "bar", "course"),
 )
 """Names of the files of built-in tasks."""
 
@@ -25,6 +25,10 @@ TASKS: Registry[Task] = Registry(
     of=Task,
 )
 """All tasks by name."""
+
+LEVELS = ("-easy-v0", "-hard-v0")
+"""Endings of names of the easy and the hard level of a kind of task in three levels; of
+the medium one it is only -v0."""
 
 DEFAULT = "Reach-v0"
 """Name of the default task."""

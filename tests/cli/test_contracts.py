@@ -42,7 +42,7 @@ from marl_mm.contracts.claims import Claim, Finding, examine
 from marl_mm.contracts.episodes import short
 from marl_mm.envs.cruise import ALPHA
 from marl_mm.envs.order import Order
-from marl_mm.envs.registry import TASKS, register_task
+from marl_mm.envs.registry import LEVELS, TASKS, register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Task, Terms, Values
 from marl_mm.envs.tasks.carry import Carry
 from marl_mm.envs.tasks.reach import Reach
@@ -60,10 +60,6 @@ Broken = dict[str, str]
 
 
 pytestmark = pytest.mark.usefixtures("registries")
-
-
-LEVELS = ("-easy-v0", "-hard-v0")
-"""Ends of names of tasks that are another one with other numbers."""
 
 
 def built_in(kind: Registry[Any]) -> list[str]:

@@ -75,6 +75,20 @@ def test_learning_is_timed_to_the_episodes_of_training(
     assert result["ddpg-her: times the seconds of mujoco"] == {}
 
 
+def test_learning_is_compared_in_all_and_by_the_episode(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By hand: 10 s for 100 episodes, and 4 s for 50."""
+    clock = iter([0.0, 10.0, 10.0, 14.0])
+    monkeypatch.setattr(learning, "perf_counter", lambda: next(clock))
+    monkeypatch.setattr(learning, "_learn", lambda *g: 100 if "bullet" in g else 50)
+    engines: list[Engine] = ["bullet", "mujoco"]
+    result = bench_learning("Reach-v0", ["ddpg-her"], engines, [0], 2, silent_bar)
+    for unit, ratio in (("seconds", 0.4), ("seconds an episode", 0.8)):
+        compared = result[f"ddpg-her: times the {unit} of bullet"]
+        assert compared == {"mujoco": pytest.approx(ratio)}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("form", ["blend", "rhp"])
 def test_abuse_in_closed_loop_keeps_the_limits(form: Form) -> None:

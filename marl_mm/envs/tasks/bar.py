@@ -1,4 +1,15 @@
-"""Bar: two robots carry a bar past a beam between them, over it or under it."""
+"""Bar: two robots carry a bar past a beam between them, over it or under it.
+
+Each robot has two agents, which see their own robot, the beam, and where the other
+robot's hand was a step ago. The hands see the goal, too. An episode fails if the bar
+tilts by more than ``largest_tilt``, if the hands are not the bar's length apart, to
+within ``largest_stretch``, or if the bar touches the beam.
+
+Over the beam is as good as under it, if both robots go the same way. A team of which
+the halves go by different conventions tilts the bar, and the mean of both touches the
+beam. The script goes over, or under by ``--convention under``. Alpha decides little
+here: the script sets it to 0.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,14 @@
-"""MovingReach: follow a goal that moves on a circle."""
+"""MovingReach: follow a goal that moves on a circle.
+
+The hand's agent sees where the goal is and the circle's centre, the balance agent how
+fast the goal moves and which way round. The goal is reached after ``seconds`` steps in
+a row at whose ends the hand is within ``near_distance`` of it. Nothing fails.
+
+A hand that steers to where the goal is comes too late. Where the goal will be depends
+on a rate that only the other agent sees; the hand sees alpha of the last step, by which
+the balance agent can tell. The script's alpha is 0.5 for a goal at rest and 0 or 1 for
+the fastest, by its way round, and its hand steers to where such a goal is next.
+"""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -81,6 +91,7 @@ class MovingReach(CruiseTask):
 
     about = "Follow a goal that moves on a circle, for three seconds."
     layout = LAYOUT
+    hidden: ClassVar[dict[str, float]] = {RATE.name: 0.0}
     needs: ClassVar[tuple[str, ...]] = ("gap",)
     own_info: ClassVar[dict[str, str]] = {
         **CruiseTask.own_info,

@@ -1,4 +1,15 @@
-"""Tray: bring a leaking cup to a goal behind, before it is dry, without a spill."""
+"""Tray: bring a leaking cup to a goal behind, before it is dry, without a spill.
+
+The hand's agent sees the goal, the balance agent the cup: its level, which falls by
+``leak`` a step, and how far the liquid swings. The hand's acceleration drives the
+liquid at every tick. An episode fails if it passes the rim, which is near in a full
+cup, or if the cup is dry.
+
+So a full cup needs short steps and a low one long steps, and the agent that makes them
+does not see which it is: it sees alpha of the last step, by which the balance agent can
+tell. The script's balance sets alpha to 0.6 of the level, and its hand makes the steps
+that such a level allows. Teams may agree on other signals.
+"""
 
 from dataclasses import dataclass, replace
 from math import hypot, pi
@@ -6,7 +17,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, Course, names
+from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, Targets, names
 from marl_mm.envs.hazard import HazardTask, Interval, check_intervals
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Values
@@ -78,6 +89,7 @@ class Tray(HazardTask):
 
     about = "Bring a leaking cup to a goal behind: slowly while full, soon when not."
     layout = LAYOUT
+    hidden: ClassVar[dict[str, float]] = {LEVEL.name: 0.7}
     own_info: ClassVar[dict[str, str]] = {
         **HazardTask.own_info,
         "slosh_peak": "largest displacement of the liquid within the step [m]",
@@ -156,9 +168,9 @@ class Tray(HazardTask):
         own = {LEVEL.name: cup.level, SLOSH.name: amplitude}
         return {**super().observe(attempt), **own}
 
-    def harm(self, course: Course, motion: "Motion") -> tuple[str, dict[str, float]]:
+    def harm(self, targets: Targets, motion: "Motion") -> tuple[str, dict[str, float]]:
         """A spill, or a cup that is dry."""
-        cup: Cup = course.drawn
+        cup: Cup = targets.drawn
         path = np.concatenate([cup.place, motion.hand_w])
         cup.place = path[-2:].copy()
         rim = self.rim_dry + (self.rim_full - self.rim_dry) * cup.level
