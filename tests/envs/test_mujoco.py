@@ -234,9 +234,10 @@ def test_bytes_are_the_same_in_processes_and_threads() -> None:
 
 
 def test_no_clock_is_read() -> None:
-    core = opened()
-    episode(core, 0, 1)
-    timer = core.drive.world.data.timer
+    world = MujocoWorld(RobotConfig(), SimulationConfig())
+    world.reset()
+    world.step()
+    timer = world.data.timer
     assert timer.number.any() and not timer.duration.any()
 
 
