@@ -13,15 +13,18 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import marl_mm
+from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.datasets.location import Location
+from marl_mm.datasets.metadata import read_metadata
 from marl_mm.declared import as_record
 from marl_mm.envs.registry import config_dict, make_task
 from marl_mm.errors import DatasetError, UsageError
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.received import read_json
 from marl_mm.registry import Registry
-from marl_mm.runs.collect import collect
+from marl_mm.runs.collecting import Collecting, collect_dataset
+from marl_mm.runs.settings import with_values
 from marl_mm.runs.sources import Datasets, Notify, Source, silence
 from marl_mm.sim.config import engine_of, engine_overrides
 from marl_mm.versions import engine_text, versions
@@ -145,18 +148,22 @@ class Built:
         }
 
     @property
+    def differs(self) -> tuple[str, ...]:
+        """Names of the numbers that are not those on record."""
+        row, recorded = self.row, self.recorded or {}
+        return tuple(name for name, value in recorded.items() if row[name] != value)
+
+    @property
     def verdict(self) -> str:
         """Whether it is what is on record, in words."""
         if self.recorded is None:
-            return "is not on record yet"
-        differing = [k for k, v in self.recorded.items() if self.row[k] != v]
-        if not differing:
-            return "is the dataset on record, to the bit"
-        engine = self.recorded["engine"]
+            return "not on record yet"
+        if not self.differs:
+            return "the dataset on record, to the bit"
         return (
-            f"is not the dataset on record: {', '.join(differing)} differ; that was "
-            f"made with {engine}, this one with {self.row['engine']}, and other "
-            "processors may give other last bits"
+            f"not the dataset on record: {', '.join(self.differs)} differ; that was "
+            f"made with {self.recorded['engine']}, this one with {self.row['engine']}, "
+            "and other processors may give other last bits"
         )
 
 
@@ -239,21 +246,21 @@ def rebuild(
     known = {"task", "collector", "collector_config", "overrides", "seed", "steps"}
     if missing := sorted(known - made_of.keys()):
         raise DatasetError(f"{card} lacks {', '.join(missing)} in made_of")
-    overrides = dict(made_of["overrides"])
+    collector, overrides = made_of["collector"], made_of["overrides"]
+    default = COLLECTORS.get(collector).config()
     with TemporaryDirectory() as folder:
-        data = collect(
-            made_of["collector"],
-            task=made_of["task"],
-            dataset=Path(folder, Location(values["id"], Path()).id.replace("/", "-")),
-            progress=progress,
+        location = Location(str(values.get("id")), Path(folder, "rebuilt"))
+        collecting = Collecting(
             steps=made_of["steps"],
             seed=made_of["seed"],
+            task=made_of["task"],
             engine=engine_of(overrides),
             max_steps=overrides.get("max_steps"),
             workers=workers,
-            **made_of["collector_config"],
         )
-        return expected, str(data.metadata["marl_mm"]["data_sha256"])
+        config = with_values(default, made_of["collector_config"])
+        collect_dataset(location, collector, config, collecting, bar=progress)
+        return expected, str(read_metadata(location)["marl_mm"]["data_sha256"])
 
 
 def differing_packages(card: str | Path) -> Sequence[str]:
