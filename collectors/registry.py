@@ -56,7 +56,7 @@ COLLECTORS: Registry[Collector] = Registry(
     "collector",
     [
         f"marl_mm.collectors.{name}"
-        for name in ("pretrained", "pd", "medium", "random", "scripted")
+        for name in ("pretrained", "pd", "medium", "random", "scripted", "varied")
     ],
     of=Collector,
     taken=("paper",),  # marl-mm collect paper: all of the paper's datasets

@@ -50,6 +50,8 @@ def card(dataset: "Dataset") -> dict[str, Any]:
         "seed": record.get("seed"),
         "complete": record.get("complete"),
         "recipe": record.get("recipe"),
+        "made_of": _made_of(record),
+        "data_sha256": record.get("data_sha256"),
         "attempts": record.get("attempts"),
         "rejected": _rejected(record),
         "steps": arrays.steps,
@@ -61,6 +63,18 @@ def card(dataset: "Dataset") -> dict[str, Any]:
         **_alphas(arrays),
         "coverage": coverage(arrays),
         "sources": _sources(arrays),
+    }
+
+
+def _made_of(record: dict[str, Any]) -> dict[str, Any] | None:
+    """What a collection is repeated by; None of other datasets."""
+    if record.get("steps_asked") is None or record.get("recipe") is not None:
+        return None
+    names = ("task", "overrides", "collector", "collector_config", "seed", "packages")
+    return {
+        **{name: record.get(name) or {} for name in names if name != "seed"},
+        "seed": record.get("seed"),
+        "steps": record["steps_asked"],
     }
 
 

@@ -17,7 +17,13 @@ from marl_mm.control.compiled.assembly import TASK_ROWS
 from marl_mm.control.compiled.parts import repeat_assembly, repeat_levels
 from marl_mm.control.config import ControllerConfig
 from marl_mm.control.limits import UNBOUNDED
-from marl_mm.control.records import VARIABLES, Priorities, Reference
+from marl_mm.control.records import (
+    VARIABLES,
+    Command,
+    Priorities,
+    Reference,
+    ReferenceAt,
+)
 from marl_mm.control.wbc import WholeBodyController
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.drive import Drive
@@ -127,7 +133,7 @@ class _Clocks:
     def __init__(self, drive: Drive) -> None:
         self._parts = {
             "model": (drive.model, "evaluate"),
-            "solve": (drive.controller, "solve"),
+            "solve": (drive.controller, "along"),
             "command": (drive.world, "command"),
             "simulation": (drive.world, "step"),
             "read": (drive.world, "read"),
@@ -138,8 +144,12 @@ class _Clocks:
     def running(self, samples: list[Sample]) -> Iterator[None]:
         """Time every call inside the block; keep some of the controller's inputs."""
         for name, (part, method) in self._parts.items():
-            keep = samples if name == "solve" else None
-            timed = _timed(getattr(part, method), self.times[name], keep)
+            called, times = getattr(part, method), self.times[name]
+            timed = (
+                _timed_along(called, times, samples)
+                if name == "solve"
+                else _timed(called, times)
+            )
             setattr(part, method, timed)
         try:
             yield
@@ -148,20 +158,36 @@ class _Clocks:
                 delattr(part, method)
 
 
-def _timed(
-    method: Callable[..., Any], times: list[float], keep: list[Sample] | None
-) -> Callable[..., Any]:
+def _timed(method: Callable[..., Any], times: list[float]) -> Callable[..., Any]:
     def timed(*arguments: Any) -> Any:
         begin = perf_counter()
         result = method(*arguments)
         times.append(perf_counter() - begin)
-        if keep is not None and len(times) % _SAMPLED == 0:
-            state, terms, reference, priorities = arguments
-            kept_terms = ModelTerms(*(array.copy(order="K") for array in terms))
-            keep.append(Sample(state, kept_terms, reference, priorities))
         return result
 
     return timed
+
+
+def _timed_along(
+    along: Callable[..., Any], times: list[float], keep: list[Sample]
+) -> Callable[..., Any]:
+    """``along`` whose functions are timed, with some of their inputs kept."""
+
+    def timed_along(reference_at: ReferenceAt, priorities: Priorities) -> Any:
+        command_at = _timed(along(reference_at, priorities), times)
+
+        def sampled(k: int, state: RobotState, terms: ModelTerms) -> Command:
+            command: Command = command_at(k, state, terms)
+            if len(times) % _SAMPLED == 0:
+                kept_terms = ModelTerms(*(array.copy(order="K") for array in terms))
+                keep.append(
+                    Sample(state, kept_terms, reference_at(k, state), priorities)
+                )
+            return command
+
+        return sampled
+
+    return timed_along
 
 
 def _action(rng: np.random.Generator) -> np.ndarray:

@@ -187,6 +187,9 @@ def _parts(core: EpisodeCore, steps_per_second: float) -> dict[str, float]:
             controller.numbers,
             *controller.priorities(1.0),
             controller.rows,
+            np.empty(VARIABLES),
+            np.empty(7),
+            np.zeros(4, np.int64),
         ),
         "reading": _call_time(_repeat_reading, native, *drive.state),
         "Python around a step": _around(core) / core.task.ticks_per_step,
@@ -258,9 +261,11 @@ def _repeat_controller(
     matrices: np.ndarray,
     shares: np.ndarray,
     rows: int,
+    u: np.ndarray,
+    torque: np.ndarray,
+    counters: np.ndarray,
 ) -> None:
     robot, gains, hierarchy, limits = numbers
-    u, torque, counters = np.empty(VARIABLES), np.empty(7), np.zeros(4, np.int64)
     for _ in range(repeats):
         tick(
             state,

@@ -6,12 +6,12 @@ from dataclasses import asdict
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, cast
 
 import marl_mm
 from marl_mm.envs.registry import config_dict, make_task
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.rows import as_read
+from marl_mm.eval.rows import as_read, write_csv
 from marl_mm.files import write_json
 from marl_mm.progress import Bar
 from marl_mm.versions import versions
@@ -73,6 +73,19 @@ def run_cells(
             "`resume=True` goes on from there"
         ) from None
     return rows
+
+
+def write_cells(path: Path, cells: Sequence[C], rows: dict[C, list[Row]]) -> None:
+    """Write the rows of a task's cells, and what they are made of.
+
+    Args:
+        path: Path without its ending: ``.csv.xz`` and ``.json``.
+        cells: Cells of the task.
+        rows: Rows by cell.
+    """
+    about = [asdict(cast(Any, cell)) for cell in cells]
+    write_json(path.with_suffix(".json"), {"cells": about, "packages": versions()})
+    write_csv(path.with_suffix(".csv.xz"), [row for c in cells for row in rows[c]])
 
 
 def kept_rows(cells: Sequence[C], folder: Path) -> dict[C, list[Row]]:

@@ -6,7 +6,7 @@ agents from datasets of each engine and evaluates them on both: a 2 x 2 table.
 
 from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -16,24 +16,23 @@ import numpy as np
 from marl_mm.algorithms.checkpoint import FILE
 from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.envs.core import EpisodeCore
-from marl_mm.envs.registry import DEFAULT, TASKS, make_task
+from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import evaluate
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows, write_csv
-from marl_mm.eval.studies.cells import run_cells
+from marl_mm.eval.studies.cells import run_cells, write_cells
 from marl_mm.eval.studies.engines_summary import agreement, paired
 from marl_mm.eval.studies.offline import LEARNERS
-from marl_mm.eval.studies.options import StudyOptions
+from marl_mm.eval.studies.options import PolicyOptions, StudyOptions
 from marl_mm.eval.studies.study import Probe, Study
-from marl_mm.files import write_json
 from marl_mm.layout import Layout
 from marl_mm.policy import Policy
 from marl_mm.progress import Bar
-from marl_mm.runs.settings import check_positive, with_settings
+from marl_mm.runs.settings import with_settings
 from marl_mm.runs.sources import Source
 from marl_mm.sim.config import ENGINES, Engine
-from marl_mm.versions import engine_text, versions
+from marl_mm.versions import engine_text
 
 ABOUT = "Policies on both engines, on the same goals, and how far the engines agree."
 """Title."""
@@ -229,7 +228,7 @@ def run_cell(cell: EngineCell) -> list[Row]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class EnginesOptions(StudyOptions):
+class EnginesOptions(PolicyOptions):
     """Settings of the comparison of the engines."""
 
     tasks: tuple[str, ...] = (
@@ -242,26 +241,10 @@ class EnginesOptions(StudyOptions):
     )
     """Registered names of the tasks."""
 
-    goals: int = 200
-    """Number of goals of each policy, task and engine, the same on both."""
-
     @property
     def cells_folder(self) -> Path:
         """Folder of the policies' rows."""
         return self.runs_folder / "engines"
-
-    def check_settings(self) -> None:
-        """Raise for options that make no sense.
-
-        Raises:
-            UsageError: Naming the option.
-        """
-        super().check_settings()
-        check_positive(goals=self.goals)
-        if not self.tasks:
-            raise UsageError(f"`tasks` is empty, expected some of {TASKS.names()}")
-        for task in self.tasks:
-            TASKS.get(task)
 
 
 def make_engines(options: EnginesOptions, bar: Bar) -> list[Row]:
@@ -277,20 +260,12 @@ def make_engines(options: EnginesOptions, bar: Bar) -> list[Row]:
     options.check_settings()
     cells = [cell for task in options.tasks for cell in cells_of(task, options)]
     for task, engine in product(options.tasks, ENGINES):  # before any work is done
-        _check_task(task, engine)
+        check_task(task, engine)
     folder, pool = options.cells_folder, options.workers
     rows = run_cells(run_cell, cells, folder, pool, (bar, "engines"))
     for task in options.tasks:
         of_task = [cell for cell in cells if cell.task == task]
-        made_of = {
-            "goals": of_task[0].goals,
-            "policies": [asdict(c.contestant) for c in of_task[:: len(ENGINES)]],
-            "packages": versions(),
-        }
-        path = _rows_folder(options.results) / task
-        write_json(path.with_suffix(".json"), made_of)
-        kept = [row for cell in of_task for row in rows[cell]]
-        write_csv(path.with_suffix(".csv.xz"), kept)
+        write_cells(_rows_folder(options.results) / task, of_task, rows)
     return draw_engines(options.results, options.results)
 
 
@@ -313,7 +288,7 @@ def _weights(contestant: Contestant) -> str:
     return str(policy.describe().get("weights", ""))
 
 
-def _check_task(task: str, engine: Engine) -> None:
+def check_task(task: str, engine: Engine) -> None:
     """Raise a UsageError where an engine is not installed, or lacks the task."""
     variant = make_task(task, {"simulation": {"engine": engine}})
     with closing(EpisodeCore(variant)) as core:

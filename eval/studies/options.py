@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Literal
 
 from marl_mm.algorithms.config_checks import Precision
-from marl_mm.envs.registry import make_task
+from marl_mm.envs.registry import TASKS, make_task
+from marl_mm.errors import UsageError
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.study import Cell, Study, cell_name
 from marl_mm.runs.settings import check_positive, check_seeds
@@ -101,3 +102,27 @@ class StudyOptions:
     def seeds_of(self, study: Study) -> tuple[int, ...]:
         """``seeds``, or the study's."""
         return tuple(range(study.seeds)) if self.seeds is None else self.seeds
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyOptions(StudyOptions):
+    """Settings of studies that train nothing: they run policies in tasks."""
+
+    tasks: tuple[str, ...] = ()
+    """Registered names of the tasks."""
+
+    goals: int = 200
+    """Number of goals of each policy and task, the same for all policies."""
+
+    def check_settings(self) -> None:
+        """Raise for options that make no sense.
+
+        Raises:
+            UsageError: Naming the option.
+        """
+        super().check_settings()
+        check_positive(goals=self.goals)
+        if not self.tasks:
+            raise UsageError(f"`tasks` is empty, expected some of {TASKS.names()}")
+        for task in self.tasks:
+            TASKS.get(task)

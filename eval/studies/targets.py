@@ -9,7 +9,7 @@ from typing import Any
 
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.studies import alpha, engines, offline, online, paper
+from marl_mm.eval.studies import alpha, coordination, engines, offline, online, paper
 from marl_mm.eval.studies.engines_plan import plan_engines
 from marl_mm.eval.studies.engines_summary import engines_table
 from marl_mm.eval.studies.study import Study
@@ -64,6 +64,13 @@ COMPARISONS = {
         engines.draw_engines,
         engines_table,
         plan=plan_engines,
+    ),
+    "coordination": Comparison(
+        coordination.ABOUT,
+        coordination.TABLE,
+        coordination.make_coordination,
+        coordination.draw_coordination,
+        coordination.coordination_table,
     ),
 }
 """Comparisons by name."""

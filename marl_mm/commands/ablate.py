@@ -12,6 +12,7 @@ from marl_mm.commands.wording import as_options
 from marl_mm.errors import FailedRunsError, MarlMmError, UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import to_json
+from marl_mm.eval.studies.coordination import CoordinationOptions
 from marl_mm.eval.studies.engine import Engine, compare
 from marl_mm.eval.studies.engines import EnginesOptions
 from marl_mm.eval.studies.options import StudyOptions
@@ -65,6 +66,15 @@ class Ablate(StudyOptions):
 @dataclass(frozen=True, kw_only=True)
 class AblateEngines(Ablate, EnginesOptions):
     """Compare the engines, running the policies that are missing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AblateCoordination(Ablate, CoordinationOptions):
+    """Compare teams, running those that are missing."""
+
+
+_OPTIONS = {"engines": AblateEngines(), "coordination": AblateCoordination()}
+"""Options of targets that have others than all have."""
 
 
 Comparisons = dict[str, Comparison]
@@ -155,7 +165,7 @@ def _parsed(
         abouts[word] = "A study of your own."
     target, options = parse_subcommand(
         {
-            name: Subcommand(AblateEngines() if name == "engines" else Ablate(), about)
+            name: Subcommand(_OPTIONS.get(name, Ablate()), about)
             for name, about in abouts.items()
         },
         "marl-mm ablate",

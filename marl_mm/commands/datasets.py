@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from marl_mm.commands.datasets_build import build_named, list_named, rebuild_card
 from marl_mm.commands.datasets_make import (
     make_filtered,
     make_imported,
@@ -179,6 +180,9 @@ def main(arguments: Sequence[str]) -> None:
         "export": _export,
         "import": make_imported,
         "delete": _delete,
+        "build": build_named,
+        "catalogue": list_named,
+        "rebuild": rebuild_card,
     }
     about = "List, show, check datasets; make new ones of them."
     _, call = parse_subcommand(functions, "marl-mm datasets", about, arguments)

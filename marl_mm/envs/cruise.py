@@ -58,7 +58,7 @@ class BasePlan(NamedTuple):
 
 
 @dataclass
-class Course:
+class Targets:
     """Targets of hand and base."""
 
     rotation_w: np.ndarray
@@ -142,7 +142,7 @@ class CruiseTask(Task, ABC):
         hand_w = self.hand_w(attempt)
         rotation_w = np.ascontiguousarray(start.rotation_w).copy()
         still = BasePlan(0.0, 0.0, 0.0)
-        attempt.memory = Course(rotation_w, self.initial_alpha, hand_w, still)
+        attempt.memory = Targets(rotation_w, self.initial_alpha, hand_w, still)
 
     def hold(self, attempt: Attempt, target_w: np.ndarray) -> None:
         """Hold the hand at a position, shape (3,) [m], for one unseen step."""
@@ -167,27 +167,27 @@ class CruiseTask(Task, ABC):
 
     def act(self, attempt: Attempt, action: Values) -> list[Order]:
         """Move the hand's target, and plan the base towards its place behind it."""
-        course: Course = attempt.memory
+        targets: Targets = attempt.memory
         way = np.array([action[entry.name] for entry in DELTA])
-        course.target_w = self.hand_w(attempt) + self.action_scale * way
-        course.alpha = float(action[ALPHA.name])
-        course.plan = self._plan_base(attempt)
+        targets.target_w = self.hand_w(attempt) + self.action_scale * way
+        targets.alpha = float(action[ALPHA.name])
+        targets.plan = self._plan_base(attempt)
         return [self._order(attempt)]
 
     def observe(self, attempt: Attempt) -> Values:
         """Hand, base and control mode, by name."""
-        course: Course = attempt.memory
+        targets: Targets = attempt.memory
         state = attempt.drives[0].state
-        seen = *self.hand_w(attempt), state.q[0], state.q[1], state.yaw, course.alpha
+        seen = *self.hand_w(attempt), state.q[0], state.q[1], state.yaw, targets.alpha
         return dict(zip(names(*HAND, *BASE, MODE), seen, strict=True))
 
     def measure(self, attempt: Attempt) -> dict[str, Any]:
         """Distances of hand and base to their targets [m]."""
-        course: Course = attempt.memory
+        targets: Targets = attempt.memory
         base_w = attempt.drives[0].state.q[:2]
         return {
-            "d_mm": float(goal_distance(course.target_w, self.hand_w(attempt))),
-            "d_mp": float(goal_distance(course.plan.points(1)[0], base_w)),
+            "d_mm": float(goal_distance(targets.target_w, self.hand_w(attempt))),
+            "d_mp": float(goal_distance(targets.plan.points(1)[0], base_w)),
         }
 
     def _plan_base(self, attempt: Attempt) -> BasePlan:
@@ -201,11 +201,11 @@ class CruiseTask(Task, ABC):
         )
 
     def _order(self, attempt: Attempt) -> Order:
-        course: Course = attempt.memory
-        plan, ticks = course.plan, self.ticks_per_step
+        targets: Targets = attempt.memory
+        plan, ticks = targets.plan, self.ticks_per_step
         track = Track(
-            course.target_w,
-            course.rotation_w,
+            targets.target_w,
+            targets.rotation_w,
             plan.points(ticks),
             self.heading_gain,
             self.heading_limit,
@@ -213,4 +213,4 @@ class CruiseTask(Task, ABC):
             plan.advance * RATE / ticks,
             np.array(self.robot.initial_joints),
         )
-        return Order(track, attempt.drives[0].controller.priorities(course.alpha))
+        return Order(track, attempt.drives[0].controller.priorities(targets.alpha))

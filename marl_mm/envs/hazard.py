@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from marl_mm.envs.cruise import Course, CruiseTask
+from marl_mm.envs.cruise import CruiseTask, Targets
 from marl_mm.envs.task import Attempt, Terms
 from marl_mm.episode import FAILED
 from marl_mm.errors import UsageError
@@ -68,11 +68,11 @@ class HazardTask(CruiseTask):
         """Drawings of the hazards."""
 
     @abstractmethod
-    def harm(self, course: Course, motion: "Motion") -> tuple[str, dict[str, float]]:
+    def harm(self, targets: Targets, motion: "Motion") -> tuple[str, dict[str, float]]:
         """What went wrong in a step, empty if nothing did, and its step numbers.
 
         Args:
-            course: Targets, and hazards of the episode.
+            targets: Targets, and hazards of the episode.
             motion: Motion of the robot in the step.
         """
 
@@ -92,10 +92,10 @@ class HazardTask(CruiseTask):
 
     def at_step(self, attempt: Attempt, motions: "Sequence[Motion]") -> None:
         """Look for what went wrong; the first failure counts."""
-        course: Course = attempt.memory
+        targets: Targets = attempt.memory
         (motion,) = motions
-        reason, course.measured = self.harm(course, motion)
-        course.failure = course.failure or reason
+        reason, targets.measured = self.harm(targets, motion)
+        targets.failure = targets.failure or reason
 
     def measure(self, attempt: Attempt) -> dict[str, Any]:
         """Distances of hand and base to their targets [m], and the hazards' numbers."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from marl_mm.control.config import Knowledge
 from marl_mm.errors import UsageError
-from marl_mm.sim.scene import Block, Grasp
+from marl_mm.sim.scene import Block, Grasp, Scene
 
 Interval = tuple[float, float]
 
@@ -115,6 +115,16 @@ class StandConfig(LoadConfig):
                 f"load.hold_ticks is {self.hold_ticks} and load.lift {self.lift}, "
                 "expected >= 0, and lift <= 0.5"
             )
+
+    def draw_scene(self, rng: np.random.Generator) -> Scene:
+        """Draw a block on its stand."""
+        block = self.draw(rng)
+        x, y, height = (
+            float(rng.uniform(*interval))
+            for interval in (self.stand_x, self.stand_y, self.stand_height)
+        )
+        stand = self.stand_edge, self.stand_edge, height
+        return Scene(block, (x, y, height + block.size[2] / 2), stand, self.grasp)
 
 
 def in_reach(block_w: tuple[float, float, float], travel: float) -> bool:

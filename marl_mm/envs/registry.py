@@ -15,7 +15,7 @@ from marl_mm.registry import Registry
 
 KINDS = (
     *("reach", "carry", "grasp"),
-    *("quiet_zone", "gate", "tray", "moving_reach", "bar"),
+    *("quiet_zone", "gate", "tray", "moving_reach", "bar", "course"),
 )
 """Names of the files of built-in tasks."""
 

@@ -124,6 +124,10 @@ class Task(ABC):
     conventions: ClassVar[tuple[str, ...]] = ()
     """Names of the ways of the expert, where the agents have to agree on one."""
 
+    hidden: ClassVar[Mapping[str, float]] = {}
+    """Entries of the state that one agent alone sees and that decide, with values that
+    tell nothing."""
+
     camera: ClassVar[Camera] = Camera()
     """Camera of pictures and films."""
 

@@ -233,6 +233,14 @@ def test_bytes_are_the_same_in_processes_and_threads() -> None:
         assert rows.tobytes() == episode(core, seed, 6).tobytes()
 
 
+def test_no_clock_is_read() -> None:
+    world = MujocoWorld(RobotConfig(), SimulationConfig())
+    world.reset()
+    world.step()
+    timer = world.data.timer
+    assert timer.number.any() and not timer.duration.any()
+
+
 # --- What it cannot ----------------------------------------------------------
 
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
-from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, Course, names
+from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, Targets, names
 from marl_mm.envs.hazard import HazardTask, Interval, check_intervals
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Values
@@ -64,6 +64,51 @@ class Window(NamedTuple):
     z: float
     slope: float
 
+    def error(self, hand_w: np.ndarray, thickness: float) -> float:
+        """Largest distance along y or z from the window's middle within the wall [m].
+
+        Args:
+            hand_w: Positions of the hand, shape (n, 3) [m].
+            thickness: Way through the wall [m].
+        """
+        x, y, z = hand_w.T
+        ahead = x - self.x
+        within = (ahead > 0) & (ahead < thickness)
+        aside = np.abs(y - self.y - self.slope * ahead)
+        error = np.maximum(aside, np.abs(z - self.z))[within]
+        return float(error.max(initial=0.0))
+
+    def walls(self, thickness: float, clearance: float) -> list[Mark]:
+        """Drawings of the wall on both sides of the window, in slices.
+
+        Args:
+            thickness: Way through the wall [m].
+            clearance: Half width of the window for the finger tips [m].
+        """
+        count, wide = 8, 0.3
+        deep = thickness / count
+        marks = []
+        for ahead in (np.arange(count) + 0.5) * deep:
+            for side in (-1, 1):
+                aside = side * (clearance + 0.02 + wide / 2)
+                middle = self.y + self.slope * ahead + aside
+                place = float(self.x + ahead), float(middle), self.z / 2
+                marks.append(Mark(place, (deep, wide, self.z), YELLOW))
+        return marks
+
+    def way(self, hand: np.ndarray, step: float) -> np.ndarray:
+        """The script's next displacement of the hand to the window or within it.
+
+        Args:
+            hand: Position of the hand before or in the wall, shape (3,) [m].
+            step: Way ahead in a step [m].
+        """
+        middle = np.array([self.x, self.y, self.z])
+        ahead, along = hand[0] - self.x, np.array([1.0, self.slope, 0.0])
+        if ahead > -2 * AIM and np.abs(hand - middle - ahead * along).max() < AIM:
+            return np.asarray(middle + (ahead + step) * along - hand)
+        return np.asarray(middle - AIM * along - hand)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Gate(HazardTask):
@@ -75,6 +120,7 @@ class Gate(HazardTask):
 
     about = "Reach a goal through a narrow window, after a way on a quiet floor."
     layout = LAYOUT
+    hidden: ClassVar[dict[str, float]] = {DISTANCE.name: 9.0}
     camera = Camera(target_w=(1.1, 0.0, 0.4), distance=2.4, yaw=40.0, pitch=-35.0)
     own_info: ClassVar[dict[str, str]] = {
         **HazardTask.own_info,
@@ -142,16 +188,7 @@ class Gate(HazardTask):
 
     def marks(self, hazard: Window) -> list[Mark]:
         """Walls on both sides of the window, in slices."""
-        x, y, z, slope = hazard
-        count, wide = 8, 0.3
-        deep = self.wall_thickness / count
-        marks = []
-        for ahead in (np.arange(count) + 0.5) * deep:
-            for side in (-1, 1):
-                middle = y + slope * ahead + side * (self.clearance + 0.02 + wide / 2)
-                place = float(x + ahead), float(middle), z / 2
-                marks.append(Mark(place, (deep, wide, z), YELLOW))
-        return marks
+        return hazard.walls(self.wall_thickness, self.clearance)
 
     def observe(self, attempt: Attempt) -> Values:
         """Joint state of hand and base, the window, and the distance to the wall."""
@@ -160,15 +197,12 @@ class Gate(HazardTask):
         own = dict(zip(names(*GATE, DISTANCE), (*window, distance), strict=True))
         return {**seen, **own}
 
-    def harm(self, course: Course, motion: "Motion") -> tuple[str, dict[str, float]]:
+    def harm(self, targets: Targets, motion: "Motion") -> tuple[str, dict[str, float]]:
         """An acceleration on the quiet floor, or a touch of the wall."""
-        window, (x, y, z) = course.drawn, motion.hand_w.T
-        before = x < window.x - self.quiet_until
+        window: Window = targets.drawn
+        before = motion.hand_w[:, 0] < window.x - self.quiet_until
         felt = np.abs(motion.base_acceleration[before]).max(initial=0.0)
-        ahead = x - window.x
-        within = (ahead > 0) & (ahead < self.wall_thickness)
-        aside = np.abs(y - window.y - window.slope * ahead)
-        error = np.maximum(aside, np.abs(z - window.z))[within].max(initial=0.0)
+        error = window.error(motion.hand_w, self.wall_thickness)
         reason = ""
         if felt > self.quiet_limit:
             reason = "the base was not quiet before the wall"
@@ -176,7 +210,7 @@ class Gate(HazardTask):
             reason = "the hand touched the wall"
         return reason, {
             "floor_acceleration": float(felt),
-            "window_error": float(error),
+            "window_error": error,
         }
 
     def expert(self, state: Values, script: ScriptConfig) -> Values:
@@ -186,14 +220,9 @@ class Gate(HazardTask):
             for entries in (HAND, GOAL)
         )
         window = Window(*(state[name] for name in names(*GATE)))
-        middle = np.array([window.x, window.y, window.z])
-        ahead, along = hand[0] - window.x, np.array([1.0, window.slope, 0.0])
-        if ahead > self.wall_thickness:
-            way = goal - hand
-        elif ahead > -2 * AIM and np.abs(hand - middle - ahead * along).max() < AIM:
-            way = middle + (ahead + self.action_scale) * along - hand
-        else:
-            way = middle - AIM * along - hand
+        beyond = hand[0] > window.x + self.wall_thickness
+        way = window.way(hand, self.action_scale)
+        way = goal - hand if beyond else way
         quiet = state[DISTANCE.name] > self.quiet_until
         alpha = 1.0 if quiet else script.alpha
         return steer(script.kp * way) | {ALPHA.name: alpha}

@@ -15,7 +15,7 @@ from marl_mm.envs.tasks.carry import GOAL_SIZE, Carry
 from marl_mm.envs.tasks.reach import Reach, steer
 from marl_mm.errors import UsageError
 from marl_mm.layout import Agent, Entry, Layout
-from marl_mm.sim.scene import Mark, Scene
+from marl_mm.sim.scene import Mark
 
 OPENING = Entry("opening", "m", -0.1, 0.1)
 """Distance between the finger tips; the hand opens to 0.08."""
@@ -50,6 +50,19 @@ LAYOUT = Layout(
 the gripper's opening; both agents see whether the block is held."""
 
 
+def handled(attempt: Attempt, holds: bool) -> dict[str, float]:
+    """The state's entries of hand, block and stand."""
+    handling = attempt.drives[0].world.handling
+    seen = handling.opening(), holds, *handling.block_w()[0], *handling.stand_w
+    return dict(zip(names(OPENING, HELD, *BLOCK, *STAND), seen, strict=True))
+
+
+def holds_clear(attempt: Attempt, ticks: int) -> bool:
+    """Whether the block has been held, clear of its stand, for so many ticks."""
+    hand = attempt.drives[0].hand
+    return hand is not None and hand.held and hand.clear_ticks >= ticks
+
+
 @dataclass(frozen=True, kw_only=True)
 class Grasp(Carry):
     """Parameters of goals, reward, block and stand."""
@@ -76,23 +89,16 @@ class Grasp(Carry):
         """Draw goal, block and stand, and open the hand."""
         drawn = np.array(self._draw_goal(rng, ahead=bool(rng.random() < 0.5)))
         load = self.load
-        block = load.draw(rng)
-        x, y, height = (
-            float(rng.uniform(*interval))
-            for interval in (load.stand_x, load.stand_y, load.stand_height)
-        )
-        block_w = x, y, height + block.size[2] / 2
+        scene = load.draw_scene(rng)
         if load.lift:
-            drawn = np.array(block_w)
+            drawn = np.array(scene.position_w)
             drawn[2] += load.lift
-        stand = load.stand_edge, load.stand_edge, height
-        scene = Scene(block, block_w, stand, load.grasp)
         attempt.goal = drawn if goal is None else goal
         goal_mark = Mark(tuple(attempt.goal.tolist()), (GOAL_SIZE,))
         self.place(attempt, (goal_mark,), scene)
         hand = attempt.drives[0].handle(scene, load.knowledge)
         hand.grip(False)
-        if not in_reach(block_w, travel=self.action_scale * self.max_steps):
+        if not in_reach(scene.position_w, travel=self.action_scale * self.max_steps):
             hand.lose_reach()
         self.wander(attempt, rng)
 
@@ -111,18 +117,11 @@ class Grasp(Carry):
 
     def observe(self, attempt: Attempt) -> Values:
         """Joint state of Reach, and opening, block and stand."""
-        handling = attempt.drives[0].world.handling
-        seen = handling.opening(), self.holds(attempt), *handling.block_w()[0]
-        entries = names(OPENING, HELD, *BLOCK, *STAND)
-        own = dict(zip(entries, (*seen, *handling.stand_w), strict=True))
-        return {**super().observe(attempt), **own}
+        return {**super().observe(attempt), **handled(attempt, self.holds(attempt))}
 
     def holds(self, attempt: Attempt) -> bool:
         """Whether the block has been held, clear of its stand, for long enough."""
-        hand = attempt.drives[0].hand
-        return (
-            hand is not None and hand.held and hand.clear_ticks >= self.load.hold_ticks
-        )
+        return holds_clear(attempt, self.load.hold_ticks)
 
     def reached(
         self, achieved: np.ndarray, desired: np.ndarray, terms: Terms

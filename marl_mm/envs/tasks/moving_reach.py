@@ -92,6 +92,7 @@ class MovingReach(CruiseTask):
 
     about = "Follow a goal that moves on a circle, for three seconds."
     layout = LAYOUT
+    hidden: ClassVar[dict[str, float]] = {RATE.name: 0.0}
     camera = Camera(target_w=(0.5, 0.0, 0.5), distance=2.1, yaw=40.0, pitch=-20.0)
     needs: ClassVar[tuple[str, ...]] = ("gap",)
     own_info: ClassVar[dict[str, str]] = {

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, Course, names
+from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, Targets, names
 from marl_mm.envs.hazard import (
     HazardTask,
     Interval,
@@ -62,6 +62,7 @@ class QuietZone(HazardTask):
 
     about = "Reach a goal behind, with a base that is quiet within zones."
     layout = LAYOUT
+    hidden = dict.fromkeys(names(*ZONES), 9.0)
     camera = Camera(target_w=(-0.4, 0.0, 0.3), distance=2.7, pitch=-28.0)
     own_info: ClassVar[dict[str, str]] = {
         **HazardTask.own_info,
@@ -130,10 +131,11 @@ class QuietZone(HazardTask):
             **dict(zip(names(*ZONES), ends, strict=True)),
         }
 
-    def harm(self, course: Course, motion: "Motion") -> tuple[str, dict[str, float]]:
+    def harm(self, targets: Targets, motion: "Motion") -> tuple[str, dict[str, float]]:
         """A base that accelerates too much within a zone."""
+        near, far = targets.drawn.T
         x = motion.q[:, :1]
-        inside = ((x < course.drawn[:, 0]) & (x > course.drawn[:, 1])).any(axis=1)
+        inside = ((x < near) & (x > far)).any(axis=1)
         felt = np.abs(motion.base_acceleration[inside]).max(initial=0.0)
         reason = "the base was not quiet in a zone" if felt > self.zone_limit else ""
         return reason, {"zone_acceleration": float(felt)}

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, Course, names
+from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, Targets, names
 from marl_mm.envs.hazard import HazardTask, Interval, check_intervals
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Values
@@ -89,6 +89,7 @@ class Tray(HazardTask):
 
     about = "Bring a leaking cup to a goal behind: slowly while full, soon when not."
     layout = LAYOUT
+    hidden: ClassVar[dict[str, float]] = {LEVEL.name: 0.7}
     camera = Camera(target_w=(0.2, 0.0, 0.5), distance=1.9, yaw=30.0, pitch=-25.0)
     own_info: ClassVar[dict[str, str]] = {
         **HazardTask.own_info,
@@ -168,9 +169,9 @@ class Tray(HazardTask):
         own = {LEVEL.name: cup.level, SLOSH.name: amplitude}
         return {**super().observe(attempt), **own}
 
-    def harm(self, course: Course, motion: "Motion") -> tuple[str, dict[str, float]]:
+    def harm(self, targets: Targets, motion: "Motion") -> tuple[str, dict[str, float]]:
         """A spill, or a cup that is dry."""
-        cup: Cup = course.drawn
+        cup: Cup = targets.drawn
         path = np.concatenate([cup.place, motion.hand_w])
         cup.place = path[-2:].copy()
         rim = self.rim_dry + (self.rim_full - self.rim_dry) * cup.level

@@ -1,0 +1,374 @@
+"""Course: take a block, cross a quiet zone, pass a gate, deliver it, and come back."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from marl_mm.envs.cruise import (
+    ALPHA,
+    BASE,
+    DELTA,
+    HAND,
+    MODE,
+    CruiseTask,
+    Targets,
+    names,
+)
+from marl_mm.envs.grasping import LIFT, grasping
+from marl_mm.envs.hazard import Interval, check_intervals
+from marl_mm.envs.load import StandConfig
+from marl_mm.envs.order import Order
+from marl_mm.envs.registry import register_task
+from marl_mm.envs.task import Attempt, ScriptConfig, Terms, Values
+from marl_mm.envs.tasks.gate import AIM, DISTANCE, GATE, Window
+from marl_mm.envs.tasks.grasp import (
+    BLOCK,
+    GRIP,
+    HELD,
+    OPENING,
+    STAND,
+    handled,
+    holds_clear,
+)
+from marl_mm.envs.tasks.reach import steer
+from marl_mm.episode import FAILED
+from marl_mm.errors import UsageError
+from marl_mm.layout import Agent, Entry, Layout
+from marl_mm.sim.config import Camera
+from marl_mm.sim.scene import YELLOW, Mark
+
+if TYPE_CHECKING:
+    from marl_mm.envs.drive import Motion
+
+STAGES = ("take", "cross", "pass", "deliver", "return")
+"""Names of the sub-goals, in order."""
+
+ZONE = (Entry("zone_near", "m"), Entry("zone_far", "m"))
+"""Where the base enters and leaves the quiet zone, x in the world."""
+
+BIN = tuple(Entry(f"bin_{axis}", "m") for axis in "xyz")
+"""Place over the bin at which the block is let go, world frame."""
+
+STAGE = Entry("stage", "1", 0.0, len(STAGES))
+"""Number of sub-goals reached."""
+
+WANTED = Entry("stages_wanted", "1", 0.0)
+"""Number that ends the episode."""
+
+LAYOUT = Layout(
+    (
+        *(*HAND, *BASE, MODE, OPENING, HELD, *BLOCK, *STAND),
+        *(*ZONE, *GATE, DISTANCE, *BIN, STAGE, WANTED),
+    ),
+    (*DELTA, GRIP, ALPHA),
+    (
+        Agent(
+            "end_effector",
+            names(*HAND, *BASE, OPENING, HELD, *BLOCK, *STAND, *GATE, *BIN, STAGE),
+            names(*DELTA, GRIP),
+        ),
+        Agent("balance", names(*BASE, MODE, *ZONE, DISTANCE, STAGE), names(ALPHA)),
+    ),
+    compared=names(STAGE),
+    desired=names(WANTED),
+)
+"""Layout of Course: one agent sees block, window and bin, the other one the zone and
+how far the wall is. Both see how far the team has come."""
+
+BRAKING = 0.15
+"""Way in which a base at alpha 0 comes to rest at alpha 1: a step of each [m]."""
+
+
+class Track(NamedTuple):
+    """What an episode has on its way."""
+
+    zone: np.ndarray
+    """Near and far end of the quiet zone, shape (2,) [m]."""
+
+    window: Window
+    """Window in the wall."""
+
+    bin_w: np.ndarray
+    """Place over the bin, shape (3,) [m]."""
+
+
+@dataclass
+class Way(Targets):
+    """Targets, and how far the team has come."""
+
+    stage: int = 0
+    """Number of sub-goals reached."""
+
+    points: int = 0
+    """Number of sub-goals reached in the last step."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Course(CruiseTask):
+    """Parameters of block, zone, wall, bin and reward."""
+
+    about = "Take a block, cross a quiet zone, pass a gate, deliver it, and come back."
+    layout = LAYOUT
+    fails: ClassVar[bool] = True
+    needs: ClassVar[tuple[str, ...]] = ("points",)
+    hidden: ClassVar[dict[str, float]] = {
+        **dict.fromkeys(names(*ZONE), -9.0),
+        DISTANCE.name: 9.0,
+    }
+    camera = Camera(target_w=(1.2, 0.0, 0.4), distance=4.2, yaw=30.0, pitch=-35.0)
+    own_info: ClassVar[dict[str, str]] = {
+        **CruiseTask.own_info,
+        "points": "number of sub-goals reached in the step",
+        "zone_acceleration": "largest acceleration of the base in the zone [m/s^2]",
+        "window_error": "largest distance along y or z from the middle of the window "
+        "within the wall [m]",
+    }
+
+    max_steps: int = 75
+    """Number of steps until truncation: too few for a stable base all the way."""
+
+    load: StandConfig = field(default_factory=lambda: StandConfig(mass=(0.05, 1.0)))
+    """Intervals of the block and its stand."""
+
+    zone_x: Interval = (0.5, 1.1)
+    """Interval of x in which the zone lies, of the base, world [m]."""
+
+    zone_length: Interval = (0.3, 0.4)
+    """Interval of the length of the zone [m]."""
+
+    zone_limit: float = 0.15
+    """Largest commanded acceleration of the base within the zone [m/s^2]."""
+
+    wall_x: Interval = (3.4, 3.6)
+    """Interval of x of the wall's near side, world [m]."""
+
+    wall_thickness: float = 0.2
+    """Way through the wall along x [m]."""
+
+    window_y: Interval = (-0.05, 0.05)
+    """Interval of y of the window's middle at the near side, world [m]."""
+
+    window_z: Interval = (0.57, 0.63)
+    """Interval of z of the window's middle, world [m]."""
+
+    window_slope: Interval = (0.5, 0.8)
+    """Interval of the window's way aside per way ahead, to either side."""
+
+    clearance: float = 0.025
+    """Half width and half height of the window, for the finger tips [m]."""
+
+    bin_x: Interval = (3.95, 4.05)
+    """Interval of x of the bin, world [m]."""
+
+    bin_y: Interval = (-0.1, 0.1)
+    """Interval of y of the bin, world [m]."""
+
+    bin_z: float = 0.6
+    """Height at which the block is let go over the bin [m]."""
+
+    success_distance: float = 0.05
+    """Distance of the block to its place over the bin at which it is delivered [m]."""
+
+    failure_reward: float = -1.0
+    """Reward of a failure."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_intervals(self, "zone_x", "zone_length", "wall_x", "window_y", "window_z")
+        check_intervals(self, "window_slope", "bin_x", "bin_y")
+        near, far = self.zone_x
+        if self.zone_length[1] > far - near or near < BRAKING:
+            raise UsageError(
+                f"a zone of {self.zone_length[1]:g} m does not fit into zone_x, "
+                f"{near:g} to {far:g} m, at least {BRAKING:g} m from the start"
+            )
+        end = self.wall_x[1] + self.wall_thickness
+        if not far + self.stand_off < self.wall_x[0] <= end < self.bin_x[0]:
+            raise UsageError(
+                f"a wall at {self.wall_x[0]:g} to {end:g} m is not between zone and "
+                f"bin at {self.bin_x[0]:g} m"
+            )
+        if not (self.success_distance > 0 and self.failure_reward < 0):
+            raise UsageError(
+                f"success_distance is {self.success_distance}, failure_reward "
+                f"{self.failure_reward}, expected > 0 and < 0"
+            )
+
+    @property
+    def highest_return(self) -> float:
+        """A point for each sub-goal."""
+        return float(len(STAGES))
+
+    # --- The episode ---------------------------------------------------------
+
+    def begin(
+        self, attempt: Attempt, rng: np.random.Generator, goal: np.ndarray | None
+    ) -> None:
+        """Draw block, zone, window and bin, and open the hand."""
+        scene, track = self.load.draw_scene(rng), self._draw(rng)
+        wanted = np.array([float(len(STAGES))])
+        attempt.goal = wanted if goal is None else goal
+        near, far = track.zone.tolist()
+        marks = (
+            Mark(tuple(track.bin_w.tolist()), (0.02,)),
+            Mark(((near + far) / 2, 0.0, 0.002), (far - near, 1.2, 0.004), YELLOW),
+            *track.window.walls(self.wall_thickness, self.clearance),
+        )
+        self.place(attempt, marks, scene)
+        attempt.memory = Way(**vars(attempt.memory) | {"drawn": track})
+        attempt.drives[0].handle(scene, self.load.knowledge).grip(False)
+        self.wander(attempt, rng)
+
+    def _draw(self, rng: np.random.Generator) -> Track:
+        length = rng.uniform(*self.zone_length)
+        near = rng.uniform(self.zone_x[0], self.zone_x[1] - length)
+        intervals = self.wall_x, self.window_y, self.window_z, self.window_slope
+        x, y, z, slope = (rng.uniform(*interval) for interval in intervals)
+        window = Window(x, y, z, slope if rng.random() < 0.5 else -slope)
+        bin_w = np.array([rng.uniform(*self.bin_x), rng.uniform(*self.bin_y)])
+        return Track(
+            np.array([near, near + length]), window, np.append(bin_w, self.bin_z)
+        )
+
+    def act(self, attempt: Attempt, action: Values) -> list[Order]:
+        """Close or open the hand, and move it as in Reach."""
+        way: Way = attempt.memory
+        hand, closes = attempt.drives[0].hand, action[GRIP.name] > 0
+        way.points = 0
+        if hand is not None:
+            if hand.held and not closes and self._over_bin(attempt):
+                self._reach(way, "deliver")
+            hand.grip(closes)
+        return super().act(attempt, action)
+
+    def at_step(self, attempt: Attempt, motions: "Sequence[Motion]") -> None:
+        """Look which sub-goal was reached, and what went wrong."""
+        way, (motion,) = attempt.memory, motions
+        track: Track = way.drawn
+        near, far = track.zone
+        x = motion.q[:, 0]
+        inside = (x > near) & (x < far)
+        felt = float(np.abs(motion.base_acceleration[inside]).max(initial=0.0))
+        error = track.window.error(motion.hand_w, self.wall_thickness)
+        if felt > self.zone_limit:
+            way.failure = way.failure or "the base was not quiet in the zone"
+        elif error > self.clearance:
+            way.failure = way.failure or "the hand touched the wall"
+        beyond = track.window.x + self.wall_thickness
+        if holds_clear(attempt, self.load.hold_ticks):
+            self._reach(way, "take")
+            if attempt.drives[0].state.q[0] > far:
+                self._reach(way, "cross")
+            if self.hand_w(attempt)[0] > beyond:
+                self._reach(way, "pass")
+        elif way.stage == len(STAGES) - 1 and self.hand_w(attempt)[0] < track.window.x:
+            self._reach(way, "return")
+        way.measured = {
+            "points": float(way.points),
+            "zone_acceleration": felt,
+            "window_error": error,
+        }
+
+    def _over_bin(self, attempt: Attempt) -> bool:
+        block_w, _ = attempt.drives[0].world.handling.block_w()
+        gap = np.linalg.norm(block_w - attempt.memory.drawn.bin_w)
+        return bool(gap < self.success_distance)
+
+    def _reach(self, way: Way, name: str) -> None:
+        """Count a sub-goal if it is the next one."""
+        if STAGES[way.stage : way.stage + 1] == (name,):
+            way.stage += 1
+            way.points += 1
+
+    def observe(self, attempt: Attempt) -> Values:
+        """Joint state of hand, base and block, and what is on the way."""
+        way: Way = attempt.memory
+        track: Track = way.drawn
+        seen = {
+            **super().observe(attempt),
+            **handled(attempt, holds_clear(attempt, self.load.hold_ticks)),
+        }
+        distance = track.window.x - seen[HAND[0].name]
+        ahead = *track.zone, *track.window, distance, *track.bin_w, way.stage
+        entries = names(*ZONE, *GATE, DISTANCE, *BIN, STAGE)
+        return {**seen, **dict(zip(entries, ahead, strict=True))}
+
+    def measure(self, attempt: Attempt) -> dict[str, Any]:
+        """Distances of hand and base to their targets [m], and the way's numbers."""
+        return {**super().measure(attempt), **attempt.memory.measured}
+
+    def failure(self, attempt: Attempt) -> str:
+        """What went wrong on the way, or with a block that is not delivered yet."""
+        way, hand = attempt.memory, attempt.drives[0].hand
+        delivered = way.stage > STAGES.index("deliver")
+        lost = "" if hand is None or delivered else hand.failure
+        return str(way.failure or lost)
+
+    # --- Reward --------------------------------------------------------------
+
+    def reached(
+        self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
+    ) -> np.ndarray:
+        """Whether as many sub-goals are reached as wanted."""
+        return np.asarray(achieved >= desired)[..., 0]
+
+    def reward(
+        self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
+    ) -> np.ndarray:
+        """A point for each sub-goal of the step, or the reward of a failure."""
+        points = np.asarray(terms["points"], np.float64)
+        return np.where(terms[FAILED].astype(bool), self.failure_reward, points)
+
+    # --- Expert --------------------------------------------------------------
+
+    def expert(self, state: Values, script: ScriptConfig) -> Values:
+        """Sub-goal by sub-goal; alpha is 1 where the base has to be quiet."""
+        hand, block, stand, bin_w = (
+            np.array([state[entry.name] for entry in entries])
+            for entries in (HAND, BLOCK, STAND, BIN)
+        )
+        window = Window(*(state[name] for name in names(*GATE)))
+        stage, closes = round(state[STAGE.name]), True
+        if stage == STAGES.index("take"):
+            up = stand + np.array([0.0, 0.0, LIFT])
+            way, closes = grasping(hand, block, stand, up, state[OPENING.name])
+        elif stage < STAGES.index("deliver"):
+            way = window.way(hand, self.action_scale)
+        elif stage == STAGES.index("deliver"):
+            way = bin_w - block
+            closes = bool(np.linalg.norm(way) > self.success_distance / 2)
+        else:
+            way, closes = self._back(hand, window), False
+        near, far = (state[entry.name] for entry in ZONE)
+        quiet = near - BRAKING < state["base_x"] < far
+        return {
+            **steer(script.kp * way),
+            GRIP.name: 1.0 if closes else -1.0,
+            ALPHA.name: 1.0 if quiet else script.alpha,
+        }
+
+    def _back(self, hand: np.ndarray, window: Window) -> np.ndarray:
+        """Displacement to the window's far side, and back through it."""
+        along = np.array([1.0, window.slope, 0.0])
+        middle = np.array([window.x, window.y, window.z])
+        behind = self.wall_thickness + AIM
+        ahead = hand[0] - window.x
+        on_way = np.abs(hand - middle - ahead * along).max() < AIM
+        if on_way and ahead < behind + AIM:
+            return np.asarray(middle + (ahead - self.action_scale) * along - hand)
+        return np.asarray(middle + behind * along - hand)
+
+
+_MEDIUM = Course()
+
+register_task(
+    "Course-easy-v0",
+    replace(_MEDIUM, zone_limit=0.2, clearance=0.035, window_slope=(0.3, 0.5)),
+)
+register_task("Course-v0", _MEDIUM)
+register_task(
+    "Course-hard-v0",
+    replace(_MEDIUM, zone_limit=0.1, clearance=0.02, window_slope=(0.7, 1.0)),
+)

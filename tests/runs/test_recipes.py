@@ -1,0 +1,132 @@
+"""Named datasets: recipes that give the same bytes, and say when they do not."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import marl_mm
+from marl_mm.cli import main
+from marl_mm.datasets.card import keep_card
+from marl_mm.errors import DatasetError, UsageError
+from marl_mm.runs import recipes
+from marl_mm.runs.recipes import AXES, RECIPES, Recipe, build, rebuild, recorded
+from marl_mm.runs.sources import Source
+
+SMALL = "small-noisy"
+
+
+@pytest.fixture
+def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A recipe of few steps, and a folder for datasets and for the record."""
+    record = tmp_path / "recipes.json"
+    record.write_text("{}")
+    monkeypatch.setattr(recipes, "RECORD", record)
+    settings = {"noise": 0.2, "noise_memory": 0.5}
+    source = Source(
+        *("varied", "MovingReach-v0", 60), 3, settings, "marl_mm/small/noisy-v0"
+    )
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "datasets"))
+    recipe = Recipe(axis="noisy", source=replace(source, engine="mujoco"))
+    RECIPES.add(SMALL, recipe)
+    yield record
+    RECIPES._things.pop(SMALL)
+    RECIPES._origins.pop(SMALL)
+
+
+def put(record: Path, **changes: Any) -> None:
+    row = build(SMALL).row | changes
+    record.write_text(json.dumps({SMALL: row}))
+
+
+def test_every_recipe_is_of_a_kind_on_an_engine_and_of_some_size() -> None:
+    assert len(RECIPES.names()) >= 24
+    for name, recipe in RECIPES.items():
+        assert recipe.axis in AXES and recipe.source.engine == "mujoco"
+        assert 10_000 <= recipe.source.steps <= 50_000
+        assert recipe.name == name
+    prints = [recipe.fingerprint for _, recipe in RECIPES.items()]
+    assert len(set(prints)) == len(prints)
+
+
+def test_records_are_of_the_recipes_as_they_are_now() -> None:
+    for name, row in recorded().items():
+        assert row["recipe"] == RECIPES.get(name).fingerprint, f"{name}: build it anew"
+        assert row["steps"] >= RECIPES.get(name).source.steps
+
+
+def test_a_fingerprint_counts_every_setting() -> None:
+    recipe = RECIPES.get("tray-noisy")
+    source = recipe.source
+    changed = (
+        replace(source, seed=1),
+        replace(source, steps=20_001),
+        replace(source, task="Tray-hard-v0"),
+        replace(source, engine="bullet"),
+        replace(source, settings={**source.settings, "noise": 0.11}),
+    )
+    prints = {replace(recipe, source=other).fingerprint for other in changed}
+    assert len(prints) == len(changed) and recipe.fingerprint not in prints
+
+
+def test_a_build_is_what_is_on_record_or_says_what_differs(
+    small: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert build(SMALL).verdict == "not on record yet"
+    put(small)
+    assert main(["datasets", "build", SMALL, "--workers", "1"]) == 0
+    assert "the dataset on record, to the bit" in capsys.readouterr().out
+    put(small, data_sha256="0" * 64)
+    assert main(["datasets", "build", SMALL, "--workers", "1"]) == 1
+    told = capsys.readouterr()
+    assert "data_sha256 differ; that was made with mujoco" in told.out
+    assert f"not as on record: {SMALL}" in told.err
+
+
+def test_cards_are_rebuilt_to_the_bit_by_any_number_of_workers(
+    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = build(SMALL).dataset
+    keep_card(data)
+    card = data.location.folder / "card.json"
+    for workers in (1, 2):
+        expected, actual = rebuild(card, workers=workers)
+        assert expected == actual == data.metadata["marl_mm"]["data_sha256"]
+    values = json.loads(card.read_text())
+    values["made_of"]["seed"] += 1
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps(values))
+    assert main(["datasets", "rebuild", str(other), "--workers", "1"]) == 1
+    assert "packages that differ: none" in capsys.readouterr().err
+
+
+def test_what_cannot_be_built_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["datasets", "build", "tray-noisi"]) == 2
+    assert "did you mean tray-noisy?" in capsys.readouterr().err
+    assert main(["datasets", "build"]) == 2
+    assert "name a recipe: quiet-zone-expert" in capsys.readouterr().err
+    shipped = marl_mm.load_dataset("good-5k")
+    keep_card(shipped)
+    with pytest.raises((DatasetError, UsageError), match="only collected datasets"):
+        rebuild(_without(shipped.location.folder / "card.json", tmp_path, "made_of"))
+    with pytest.raises(DatasetError, match="lacks seed in made_of"):
+        rebuild(_without(shipped.location.folder / "card.json", tmp_path, "seed"))
+
+
+def _without(card: Path, folder: Path, name: str) -> Path:
+    values = json.loads(card.read_text())
+    values.pop(name, None)
+    made_of = values.get("made_of") or dict.fromkeys(
+        ("task", "collector", "collector_config", "overrides", "steps")
+    )
+    made_of.pop(name, None)
+    path = folder / "card.json"
+    path.write_text(
+        json.dumps(values | ({"made_of": made_of} if name == "seed" else {}))
+    )
+    return path
