@@ -32,7 +32,7 @@ _SOURCES = (
     "sim/native.py",
     "sim/planar.py",
     "envs/compiled.py",
-    "envs/tasks/tray.py",
+    "envs/slosh.py",
 )
 """Patterns of all sources of compiled code, relative to the package."""
 

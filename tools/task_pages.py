@@ -22,6 +22,7 @@ from reference_pages import (
 from marl_mm.envs.registry import LEVELS, TASKS
 from marl_mm.envs.task import Task
 from marl_mm.envs.tasks.carry import Carry
+from marl_mm.envs.tasks.course import Course
 from marl_mm.envs.tasks.grasp import Grasp
 from marl_mm.envs.tasks.moving_reach import MovingReach
 from marl_mm.envs.tasks.reach import Reach
@@ -58,6 +59,7 @@ STRIPS = {
     "Tray-v0": "tray.png",
     "MovingReach-v0": "moving-reach.png",
     "Bar-v0": "bar.png",
+    "Course-v0": "course.png",
 }
 """Film strip of the script by task; Reach-v0 shows the pretrained agent's."""
 
@@ -211,10 +213,17 @@ def _reward(task: Task) -> str:
 
 
 def _reward_of_team(task: Any) -> str:
+    failures = ", ".join(f'"{reason}"' for reason in _reasons(task))
+    if isinstance(task, Course):
+        return (
+            f"A point for each of the {task.highest_return:g} sub-goals that is reached "
+            "in the step; the last one ends the episode. The agents share it.\n\n"
+            f"A failure ends the episode and brings {task.failure_reward:g}: {failures}, "
+            'or what went wrong with the block. `info["reason"]` says which.\n'
+        )
     where = f"{task.goal_reward:g} where the goal is reached"
     if isinstance(task, MovingReach):
         return f"{where}; else minus the distance to it [m]. The agents share it.\n"
-    failures = ", ".join(f'"{reason}"' for reason in _reasons(task))
     return (
         f"{where}, to within {100 * task.success_distance:g} cm at the end of a step; "
         "else minus the distance [m]. The agents share it.\n\n"
@@ -224,11 +233,13 @@ def _reward_of_team(task: Any) -> str:
 
 
 def _reasons(task: Task) -> Iterator[str]:
-    """Strings that the task's file assigns to ``reason``."""
+    """Strings that the task's file assigns to what is called reason or failure."""
     for node in ast.walk(
         ast.parse(inspect.getsource(sys.modules[type(task).__module__]))
     ):
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "reason":
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]).endswith(
+            ("reason", "failure")
+        ):
             for part in ast.walk(node.value):
                 if isinstance(part, ast.Constant) and part.value:
                     yield str(part.value)

@@ -13,8 +13,9 @@ from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.drive import Tick
 from marl_mm.envs.registry import TASKS, make_task
 from marl_mm.envs.rollout import EpisodePlan, episode_seed, run_episode
+from marl_mm.envs.slosh import swing
 from marl_mm.envs.task import ScriptConfig, Values
-from marl_mm.envs.tasks.tray import Cup, Tray, swing
+from marl_mm.envs.tasks.tray import Cup, Tray
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
 from marl_mm.layout import Layout

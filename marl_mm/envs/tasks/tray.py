@@ -23,9 +23,8 @@ from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Values
 from marl_mm.envs.tasks.reach import steer
 from marl_mm.errors import UsageError
-from marl_mm.jit import jit
 from marl_mm.layout import Agent, Entry, Layout
-from marl_mm.sim.config import RATE, Camera
+from marl_mm.sim.config import Camera
 from marl_mm.sim.scene import YELLOW, Mark
 
 if TYPE_CHECKING:
@@ -171,6 +170,8 @@ class Tray(HazardTask):
 
     def harm(self, targets: Targets, motion: "Motion") -> tuple[str, dict[str, float]]:
         """A spill, or a cup that is dry."""
+        from marl_mm.envs.slosh import swing  # numba is not needed before a step
+
         cup: Cup = targets.drawn
         path = np.concatenate([cup.place, motion.hand_w])
         cup.place = path[-2:].copy()
@@ -192,27 +193,6 @@ class Tray(HazardTask):
         way = script.kp * np.array([state[g.name] - state[h.name] for g, h in _PAIRS])
         way *= min(1.0, longest / max(float(np.linalg.norm(way)), longest))
         return steer(way) | {ALPHA.name: FULL_ALPHA * state[LEVEL.name]}
-
-
-@jit
-def swing(path: np.ndarray, motion: np.ndarray, rate: float, damping: float) -> float:
-    """Move the liquid along the hand's path; its largest displacement [m].
-
-    Args:
-        path: Positions of the hand at ticks, shape (n, 3) [m].
-        motion: Displacement and velocity of the liquid, shape (2, 2), which change.
-        rate: Natural angular frequency [rad/s].
-        damping: Damping ratio.
-    """
-    peak = 0.0
-    for k in range(2, len(path)):
-        for axis in range(2):
-            push = path[k, axis] - 2 * path[k - 1, axis] + path[k - 2, axis]
-            pull = rate * rate * motion[0, axis] + 2 * damping * rate * motion[1, axis]
-            motion[1, axis] -= push * RATE + pull / RATE
-            motion[0, axis] += motion[1, axis] / RATE
-        peak = max(peak, np.hypot(motion[0, 0], motion[0, 1]))
-    return peak
 
 
 _MEDIUM = Tray()
