@@ -20,8 +20,8 @@ from sweep_tables import (
     load_table,
     response_table,
     responses,
-    worth_table,
 )
+from sweep_tables import worth_table as sweep_worth_table
 
 from marl_mm.cli import COMMANDS, LISTS
 from marl_mm.envs.load import StandConfig
@@ -38,6 +38,13 @@ from marl_mm.eval.bench.tables import (
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies.alpha import worth_table as alpha_worth_table
+from marl_mm.eval.studies.coordination import TABLE as TEAMS
+from marl_mm.eval.studies.coordination import (
+    WORTH,
+    coordination_table,
+    levels_table,
+    worth_table,
+)
 from marl_mm.eval.studies.engines import AGREEMENT, FIGURE, TABLE
 from marl_mm.eval.studies.engines_summary import agreement_table
 from marl_mm.eval.studies.offline import BLOCKS
@@ -45,6 +52,7 @@ from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.table import CRITICS, IQM, RETURN, Table
 from marl_mm.eval.studies.targets import STUDIES
 from marl_mm.eval.tables import markdown_table, rate_with_interval
+from marl_mm.runs.recipes import catalogue_rows
 from marl_mm.sim.config import RECORDED_ENGINE
 from marl_mm.versions import engine_text
 
@@ -61,7 +69,7 @@ def _responses() -> str:
 
 
 def _worth() -> str:
-    return worth_table(read_rows(RESULTS / "alpha/worth.csv"))
+    return sweep_worth_table(read_rows(RESULTS / "alpha/worth.csv"))
 
 
 def _loads() -> str:
@@ -140,6 +148,24 @@ def _engines_figure() -> str:
         return "Not run yet.\n"
     about = "Goals that policies reach on one engine against the other, by task"
     return f"![{about}](../../eval/results/{name})\n"
+
+
+def _recipes() -> str:
+    """Named datasets, and what they are, as Markdown."""
+    lines = []
+    for row in catalogue_rows():
+        reached, sha = row["success"], row["data_sha256"]
+        lines.append(
+            (
+                f"`{row['name']}`",
+                row["data"],
+                *("" if row[k] is None else str(row[k]) for k in ("steps", "episodes")),
+                "" if reached is None else f"{100 * reached:.1f}",
+                f"`{sha[:12]}`" if sha else "not on record yet",
+            )
+        )
+    header = ("name", "data", "steps", "episodes", "reached [%]", "SHA-256")
+    return markdown_table(header, lines)
 
 
 def _transfer(rows: list[Row]) -> str:
@@ -284,6 +310,10 @@ TABLES: dict[str, Callable[[], str]] = {
     "engines-figure": _engines_figure,
     "engines-agreement": partial(_drawn_from, AGREEMENT, agreement_table),
     "engines-differences": partial(_drawn_from, TABLE, engine_differences_table),
+    "coordination-worth": partial(_drawn_from, WORTH, worth_table),
+    "coordination-teams": partial(_drawn_from, TEAMS, coordination_table),
+    "coordination-levels": partial(_drawn_from, TEAMS, levels_table),
+    "recipes": _recipes,
     "offline-updates": _offline_updates,
     "goals": goals_table,
 }

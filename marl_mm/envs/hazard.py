@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from marl_mm.envs.cruise import CruiseTask, Targets
-from marl_mm.envs.task import Attempt, Terms
+from marl_mm.envs.cruise import GOAL, CruiseTask, Targets, names
+from marl_mm.envs.task import Attempt, ScriptConfig, Terms
 from marl_mm.episode import FAILED
 from marl_mm.errors import UsageError
 from marl_mm.sim.scene import Mark
@@ -37,6 +37,10 @@ class HazardTask(CruiseTask):
     success_distance: float = 0.05
     """Distance to the goal at a step's end below which it is reached, which ends the
     episode [m]."""
+
+    halves: bool = False
+    """Whether an episode is half of the way only, drawn: to a goal half way, or from
+    there on, after unseen steps of the script."""
 
     goal_reward: float = 10.0
     """Reward for reaching the goal, instead of minus the distance."""
@@ -85,10 +89,24 @@ class HazardTask(CruiseTask):
         intervals = self.goal_x, self.goal_y, self.goal_z
         drawn = np.array([rng.uniform(*interval) for interval in intervals])
         hazard = self.draw(rng)
-        attempt.goal = drawn if goal is None else goal
+        first = self.halves and rng.random() < 0.5
+        half_way = (attempt.drives[0].start_w() + drawn) / 2
+        attempt.goal = (half_way if first else drawn) if goal is None else goal
         self.place(attempt, (Mark(tuple(attempt.goal.tolist())), *self.marks(hazard)))
         attempt.memory.drawn = hazard
+        if self.halves and not first:
+            self._go_half_way(attempt, drawn)
         self.wander(attempt, rng)
+
+    def _go_half_way(self, attempt: Attempt, goal_w: np.ndarray) -> None:
+        """Let the script take the first half of the way to a goal, unseen."""
+        goal = dict(zip(names(*GOAL), goal_w.tolist(), strict=True))
+        whole = self.distance(self.hand_w(attempt), goal_w)
+        for _ in range(self.max_steps):
+            if self.distance(self.hand_w(attempt), goal_w) < whole / 2:
+                return
+            action = self.expert({**self.observe(attempt), **goal}, ScriptConfig())
+            self.at_step(attempt, attempt.follow(self.act(attempt, action)))
 
     def at_step(self, attempt: Attempt, motions: "Sequence[Motion]") -> None:
         """Look for what went wrong; the first failure counts."""

@@ -39,6 +39,7 @@ AXES = {
     "rare": "noise that leaves 2 to 5 % of the episodes to reach the goal",
     "one-bad": "one agent of the team acts at random, another one in each episode",
     "conventions": "each episode by one of the task's conventions",
+    "stitch": "the script on halves of the way, for tests on the whole of it",
     "narrow": "the script on the easy level, for tests on the others",
 }
 """What is asked of algorithms by each kind of data, by its name."""
@@ -81,7 +82,8 @@ RECIPES: Registry[Recipe] = Registry("recipe", [], of=Recipe)
 def _add(task: str, axis: str, steps: int, **settings: Any) -> None:
     kind, *_ = task.split("-")
     folder = "".join(f"-{c.lower()}" if c.isupper() else c for c in kind).strip("-")
-    collector = "scripted" if axis in ("expert", "narrow") else "varied"
+    scripted = axis in ("expert", "stitch", "narrow")
+    collector = "scripted" if scripted else "varied"
     source = Source(
         collector,
         task,
@@ -113,6 +115,8 @@ for _kind, (_noisy, _explore, _rare) in _NOISES.items():
     _add(f"{_kind}-v0", "rare", 20_000, noise=_rare)
     _add(f"{_kind}-v0", "one-bad", 20_000, one_random=True)
     _add(f"{_kind}-easy-v0", "narrow", 10_000)
+for _kind in ("QuietZone", "Gate"):
+    _add(f"{_kind}-halves-v0", "stitch", 10_000)
 _add("Bar-v0", "expert", 10_000)
 _add("Bar-v0", "conventions", 10_000, any_convention=True)
 _add("Bar-v0", "noisy", 10_000, noise=0.06, noise_memory=_SLOW, any_convention=True)

@@ -87,7 +87,9 @@ def test_what_is_built_in_comes_in_one_order_whatever_was_imported_first() -> No
         for kind, name in (("collectors", "COLLECTORS"),)
         for first in ("collectors.random", "collectors.scripted", "registry")
     }
-    assert outputs == {f"pretrained pd medium random scripted {{'{BUILT_IN}'}}\n"}
+    assert outputs == {
+        f"pretrained pd medium random scripted varied {{'{BUILT_IN}'}}\n"
+    }
 
 
 def test_gymnasium_knows_every_task() -> None:

@@ -110,6 +110,21 @@ def test_a_team_of_the_paper_sees_what_its_layout_says() -> None:
         assert seers == [knows]
 
 
+@pytest.mark.parametrize("kind", ["QuietZone", "Gate"])
+def test_halves_are_the_first_or_the_second_and_both_are_drawn(kind: str) -> None:
+    starts = set()
+    for episode in episodes(f"{kind}-halves-v0", 6):
+        assert episode.success
+        layout = episode.layout
+        x = episode.states[:, layout.state_names.index("end_effector_x")]
+        goal = episode.states[0, layout.state_names.index("goal_x")]
+        begun = abs(x[0] - 0.647) > 0.3
+        starts.add(begun)
+        whole = TASKS.get(f"{kind}-v0").goal_x  # type: ignore[attr-defined]
+        assert (whole[0] <= goal <= whole[1]) == begun
+    assert starts == {True, False}
+
+
 # --- QuietZone ---------------------------------------------------------------
 
 

@@ -221,8 +221,10 @@ class Gate(HazardTask):
         )
         window = Window(*(state[name] for name in names(*GATE)))
         beyond = hand[0] > window.x + self.wall_thickness
-        way = window.way(hand, self.action_scale)
-        way = goal - hand if beyond else way
+        before = goal[0] < window.x  # half way
+        way = goal - hand
+        if not (beyond or before):
+            way = window.way(hand, self.action_scale)
         quiet = state[DISTANCE.name] > self.quiet_until
         alpha = 1.0 if quiet else script.alpha
         return steer(script.kp * way) | {ALPHA.name: alpha}
@@ -239,3 +241,4 @@ register_task(
     "Gate-hard-v0",
     replace(_MEDIUM, clearance=0.02, window_slope=(0.7, 1.0), quiet_limit=0.2),
 )
+register_task("Gate-halves-v0", replace(_MEDIUM, halves=True))

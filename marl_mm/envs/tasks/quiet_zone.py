@@ -160,3 +160,4 @@ register_task(
     "QuietZone-hard-v0",
     replace(_MEDIUM, zones=2, zone_length=(0.08, 0.15), zone_limit=0.1, max_steps=28),
 )
+register_task("QuietZone-halves-v0", replace(_MEDIUM, halves=True))
