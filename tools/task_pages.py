@@ -19,7 +19,7 @@ from reference_pages import (
     task_of,
 )
 
-from marl_mm.envs.registry import LEVELS, TASKS
+from marl_mm.envs.registry import TASKS, kind_of
 from marl_mm.envs.task import Task
 from marl_mm.envs.tasks.carry import Carry
 from marl_mm.envs.tasks.course import Course
@@ -30,12 +30,11 @@ from marl_mm.eval.tables import markdown_table, rate_with_interval
 from marl_mm.layout import Entry, Layout
 from marl_mm.registry import BUILT_IN
 
-SHOWN = [
-    name
-    for name in TASKS.names()
-    if TASKS.origin(name) == BUILT_IN and not name.endswith(LEVELS)
-]
-"""Tasks that have a page: built-in ones, and of a kind in three levels the medium."""
+OURS = [name for name in TASKS.names() if TASKS.origin(name) == BUILT_IN]
+"""Built-in tasks, without those of installed plug-ins."""
+
+SHOWN = [name for name in OURS if kind_of(name) == name]
+"""Tasks that have a page: of a kind in several levels the medium one."""
 
 WHAT = {
     "Reach-v0": "The paper's task: bring the hand to within 5 cm of a goal ahead of the "
@@ -119,25 +118,23 @@ def _team(task: Task) -> Iterator[str]:
 
 def _levels(name: str) -> Iterator[str]:
     """Fields of the levels of a kind of task that differ, if it has levels."""
-    easy, hard = (name.removesuffix("-v0") + end for end in LEVELS)
-    if easy not in TASKS.names():
+    levels = {level: TASKS.get(level) for level in OURS if kind_of(level) == name}
+    if len(levels) == 1:
         return
-    levels = [TASKS.get(level) for level in (easy, name, hard)]
-    texts = field_texts(type(levels[0]))
+    texts = field_texts(type(levels[name]))
     rows = []
-    for item in fields(levels[0]):
-        values = [_in_words(getattr(task, item.name)) for task in levels]
+    for item in fields(levels[name]):
+        values = [_in_words(getattr(task, item.name)) for task in levels.values()]
         if len(set(values)) > 1 or item.name == "max_steps":
             rows.append((f"`{item.name}`", *values, texts[item.name]))
     yield "## Levels\n"
-    header = ("field", *(f"`{level}`" for level in (easy, name, hard)), "meaning")
-    yield markdown_table(header, rows)
+    yield markdown_table(("field", *(f"`{n}`" for n in levels), "meaning"), rows)
 
 
 def _in_words(value: Any) -> str:
     if isinstance(value, tuple):
         return " to ".join(f"{end:g}" for end in value)
-    return str(value)
+    return {False: "no", True: "yes"}[value] if isinstance(value, bool) else str(value)
 
 
 def _ends(task: Task) -> str:

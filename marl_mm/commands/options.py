@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import tyro
 
 from marl_mm.collectors.registry import COLLECTORS
-from marl_mm.envs.registry import LEVELS, TASKS
+from marl_mm.envs.registry import TASKS, kind_of
 from marl_mm.runs.policies import AGENT
 from marl_mm.workers import available_cores
 
@@ -16,15 +16,15 @@ CORES: Any = available_cores
 
 
 def _registered() -> str:
-    """Names of tasks; those of a kind in three levels as KIND[-easy|-hard]-v0."""
-    names = TASKS.names()
-    levels = {n: {n.removesuffix("-v0") + end for end in LEVELS} for n in names}
-    kinds = [n for n in names if levels[n] <= {*names}]
-    told = {level for kind in kinds for level in levels[kind]}
+    """Names of tasks; those of a kind in several levels as KIND[-easy|-hard]-v0."""
+    levels: dict[str, list[str]] = {}
+    for name in TASKS.names():
+        kind = levels.setdefault(kind_of(name), [])
+        if kind_of(name) != name:
+            kind.append(name[name.index("-") :].removesuffix("-v0"))
     words = [
-        n.replace("-v0", "[-easy|-hard]-v0") if n in kinds else n
-        for n in names
-        if n not in told
+        kind.replace("-v0", f"[{'|'.join(ends)}]-v0") if ends else kind
+        for kind, ends in levels.items()
     ]
     return " or ".join((", ".join(words[:-1]), words[-1]))
 

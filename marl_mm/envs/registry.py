@@ -26,10 +26,6 @@ TASKS: Registry[Task] = Registry(
 )
 """All tasks by name."""
 
-LEVELS = ("-easy-v0", "-hard-v0")
-"""Endings of names of the easy and the hard level of a kind of task in three levels; of
-the medium one it is only -v0."""
-
 DEFAULT = "Reach-v0"
 """Name of the default task."""
 
@@ -52,6 +48,15 @@ def register_task(name: str, task: Task) -> None:
         entry_point="marl_mm.envs.goal_env:GoalEnv",
         kwargs={"task": name},
     )
+
+
+def kind_of(name: str) -> str:
+    """Name of the task of which another one is a level or the like.
+
+    It is Gate-v0 of Gate-easy-v0 and Gate-v0; a task that has no such name is its own.
+    """
+    kind, dash, _ = name.removesuffix("-v0").partition("-")
+    return f"{kind}-v0" if dash and f"{kind}-v0" in TASKS else name
 
 
 def make_task(name: str = DEFAULT, overrides: Mapping[str, Any] | None = None) -> Task:
