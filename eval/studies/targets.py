@@ -9,15 +9,27 @@ from typing import Any
 
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.studies import alpha, coordination, engines, offline, online, paper
+from marl_mm.eval.studies import (
+    alpha,
+    coordination,
+    engines,
+    offline,
+    online,
+    paper,
+    separation,
+)
 from marl_mm.eval.studies.engines_plan import plan_engines
 from marl_mm.eval.studies.engines_summary import engines_table
 from marl_mm.eval.studies.study import Study
 from marl_mm.progress import Bar
 
-_OF_ONE_ENGINE = paper.STUDIES | offline.STUDIES | online.STUDIES
+_OF_THE_PAPERS_TASKS = paper.STUDIES | offline.STUDIES | online.STUDIES
 
-STUDIES = {**_OF_ONE_ENGINE, "transfer": engines.TRANSFER}
+STUDIES = {
+    **_OF_THE_PAPERS_TASKS,
+    "transfer": engines.TRANSFER,
+    "separation": separation.SEPARATION,
+}
 """Studies by name."""
 
 
@@ -77,9 +89,9 @@ COMPARISONS = {
 
 GROUPS = {
     "paper": ("table4", "table5", "fig4", "fig5", "fig7", "fig8", "fig9", "fig10"),
-    "all": (*_OF_ONE_ENGINE, "alpha"),
+    "all": (*_OF_THE_PAPERS_TASKS, "alpha"),
 }
-"""Targets by the name of their group: those that need one engine only."""
+"""Targets by the name of their group: those of the paper's tasks on one engine."""
 
 
 def study_of(path: Path, name: str) -> Study:

@@ -151,7 +151,7 @@ def _parsed(
 ) -> tuple[str, Ablate, dict[str, Study], Comparisons]:
     """The target, the options, and what studies and comparisons the target is.
 
-    To check all is to check those of both engines, too.
+    To check all is to check the others, too.
     """
     word = arguments[0] if arguments else ""
     if word.endswith(".py"):
@@ -159,7 +159,7 @@ def _parsed(
     every: dict[str, Study | Comparison] = {**STUDIES, **COMPARISONS}
     abouts = {name: thing.about for name, thing in every.items()} | {
         "paper": "The paper's own: Tables 4 and 5 and Figs. 4 to 10, in one night.",
-        "all": "Every table and figure but those of both engines.",
+        "all": "Every table and figure of the paper's tasks, on one engine.",
     }
     if _OF_FILE in word:
         abouts[word] = "A study of your own."
