@@ -93,6 +93,8 @@ class Ddpg:
         descend(self._critic_optimizer, critic_loss)
 
         actor_loss = self._actor_loss(batch)
+        if self._shown and self.config.imitation_weight:
+            actor_loss = actor_loss + self._imitation_loss(batch)
         descend(self._actor_optimizer, actor_loss)
 
         self._follow(self._targets, self._online, None)
@@ -104,6 +106,16 @@ class Ddpg:
         loss: torch.Tensor = -value.mean()
         # Ours; in the paper the penalty is 0.
         return loss + self.config.action_penalty * action.square().mean()
+
+    def _imitation_loss(self, batch: Batch) -> torch.Tensor:
+        """Error at the demonstrated actions that the critic prefers (Nair 2018)."""
+        state, shown = (x[-self._shown :] for x in (batch.observation, batch.action))
+        action = joint_action(self.agents, state)
+        with torch.no_grad():
+            better = self.critic(state, shown) > self.critic(state, action)
+        error = (action - shown).square().mean(dim=-1)
+        loss: torch.Tensor = self.config.imitation_weight * (better * error).mean()
+        return loss
 
     # --- Networks ------------------------------------------------------------
 
@@ -123,6 +135,8 @@ class Ddpg:
         self._demonstrations = Demonstrations(
             demonstrations, config.demonstration_successes, config.hindsight, judge
         )
+        share = config.demonstration_share if self._demonstrations else 0.0
+        self._shown = round(share * config.batch_size)  # at the end of each batch
         self._rng = np.random.default_rng(seed)
         self._statistics = RunningStatistics(len(layout.state), config.std_floor)
         with torch.random.fork_rng():
@@ -166,10 +180,8 @@ class Ddpg:
 
     def _batches(self, count: int) -> Iterator[Batch]:
         """Batches, drawn many at a time: relabelling costs hardly more for many."""
-        size = self.config.batch_size
-        share = self.config.demonstration_share if self._demonstrations else 0.0
-        shown = round(share * size)
-        sources = (self.replay, size - shown), (self._demonstrations, shown)
+        own = self.config.batch_size - self._shown
+        sources = (self.replay, own), (self._demonstrations, self._shown)
         while count:
             many = min(count, DRAWN_TOGETHER)
             parts = [

@@ -1,11 +1,12 @@
 """Hyper-parameters of DDPG, by preset; importing them takes no torch."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, imported
+from marl_mm.declared import ADDED
 from marl_mm.errors import UsageError
 
 
@@ -80,6 +81,10 @@ class DdpgConfig:
     demonstration_successes: float = 0.75
     """Share of these demonstrations that comes from successful episodes."""
 
+    imitation_weight: float = field(default=0.0, metadata=ADDED)
+    """Weight of the mean square error at demonstrated actions in the actor's loss, of
+    those that the critic values above the actor's own (Nair 2018); 0: none."""
+
     def __post_init__(self) -> None:
         check_ranges(
             self,
@@ -94,7 +99,13 @@ class DdpgConfig:
                 "target_rate",
                 "std_floor",
             ),
-            not_negative=("hindsight", "warm_up", "noise", "action_penalty"),
+            not_negative=(
+                "hindsight",
+                "warm_up",
+                "noise",
+                "action_penalty",
+                "imitation_weight",
+            ),
             shares=(
                 "random_share",
                 "discount",

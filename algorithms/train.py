@@ -29,6 +29,7 @@ from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.runlog import CurvePoint, RunLog, is_best
 from marl_mm.algorithms.speed import matrix_products, prepare_for_small_networks
 from marl_mm.config_diff import refuse_other_config
+from marl_mm.declared import with_added
 from marl_mm.errors import CheckpointError, DivergedError
 from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.progress import Advance, silent
@@ -253,6 +254,7 @@ def _state(
     current = asdict(algorithm.config)
     for name in ignored:
         del current[name]
-    refuse_other_config(run, checkpoint["config"], current)
+    begun = with_added(checkpoint["config"], algorithm.config)
+    refuse_other_config(run, begun, current)
     state: dict[str, Any] = checkpoint["state"]
     return state

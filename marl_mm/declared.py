@@ -1,6 +1,6 @@
 """Checks of dataclasses of settings, whose fields become options and records."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, asdict, fields, is_dataclass
 from types import MappingProxyType
 from typing import Any
@@ -41,6 +41,12 @@ def as_record(settings: Any) -> dict[str, Any]:
         if field.metadata == ADDED and record[field.name] == field.default:
             del record[field.name]
     return record
+
+
+def with_added(record: Mapping[str, Any], settings: Any) -> dict[str, Any]:
+    """A record of such settings, with the defaults of what ``as_record`` leaves out."""
+    added = {f.name: f.default for f in fields(settings) if f.metadata == ADDED}
+    return {**added, **record}
 
 
 def check_settings(

@@ -1,7 +1,7 @@
 """Training of a cell's runs: from a dataset, online, or by Stable-Baselines3."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -20,6 +20,7 @@ from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import Location
 from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Provenance
+from marl_mm.declared import as_record
 from marl_mm.errors import DivergedError
 from marl_mm.eval.studies import sb3
 from marl_mm.eval.studies.study import BEST, LAST, Online, Probe, Setting
@@ -178,7 +179,7 @@ def made_of(setting: Setting, training: Training) -> dict[str, Any]:
     if setting.library == "sb3":
         assert isinstance(training, OnlineTraining)
         return sb3.made_of(training)
-    made = {"algorithm": training.algorithm} | asdict(training.config)
+    made = {"algorithm": training.algorithm} | as_record(training.config)
     made |= training.recorded
     if isinstance(training, OnlineTraining):
         made["task"] = training.task

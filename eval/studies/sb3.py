@@ -1,6 +1,5 @@
 """Stable-Baselines3 in a run folder like ours, for the tables (extra ``bench``)."""
 
-from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 from marl_mm.algorithms.online import is_flat
 from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.algorithms.runlog import RunLog, is_best
+from marl_mm.declared import as_record
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import UsageError
@@ -115,7 +115,7 @@ never had."""
 
 
 def _settings(training: Online) -> dict[str, Any]:
-    settings = training.recorded | asdict(training.config)
+    settings = training.recorded | as_record(training.config)
     return {name: settings[name] for name in settings if name not in _UNUSED}
 
 

@@ -2,7 +2,6 @@
 
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.algorithms.runlog import METRICS
 from marl_mm.config_diff import as_json, refuse_other_config
 from marl_mm.datasets.dataset import Dataset
+from marl_mm.declared import as_record
 from marl_mm.envs.registry import TASKS
 from marl_mm.errors import (
     CheckpointError,
@@ -143,7 +143,7 @@ def run_config(training: Training, dataset: Dataset | None, seed: int) -> RunCon
         dataset=dataset.identity() if dataset else None,
         packages=versions(),
         plugins=record(ALGORITHMS.origin(training.algorithm), TASKS.origin(task)),
-        settings=training.recorded | asdict(training.config),
+        settings=training.recorded | as_record(training.config),
     )
 
 

@@ -108,6 +108,12 @@ def _check_online(training: Training, demonstrations: Dataset | None) -> None:
             f"{longest} steps"
         )
     ALGORITHMS.get(training.algorithm).check(training.config)
+    weight = getattr(training.config, "imitation_weight", 0.0)
+    if weight and demonstrations is None:
+        raise UsageError(
+            f"`imitation_weight` is {weight}, but there are no `demonstrations`: name "
+            "a dataset, or leave it at 0"
+        )
     task = training.task if demonstrations is None else demonstrations.provenance.task
     if task != training.task:
         raise UsageError(

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ from marl_mm.algorithms.runlog import CurvePoint, RunLog, read_metrics
 from marl_mm.algorithms.schedule import Schedule
 from marl_mm.algorithms.train import resume
 from marl_mm.cli import main
+from marl_mm.declared import as_record
 from marl_mm.envs.parallel import split_action
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
@@ -420,7 +421,7 @@ def test_the_pretrained_agent_is_small_whole_and_acts() -> None:
     assert evaluation["success_rate"] >= 0.95
     config = json.loads((FOLDER / "config.json").read_text())
     assert config["algorithm"] == "ddpg-her" and "seed" in config
-    hyper = json.loads(json.dumps(asdict(preset("ddpg-her"))))
+    hyper = json.loads(json.dumps(as_record(preset("ddpg-her"))))
     assert {name: config[name] for name in hyper} == hyper  # what train does today
     action = load_pretrained().act(np.zeros(10))
     assert action.shape == (4,) and np.isfinite(action).all()
