@@ -331,6 +331,12 @@ class Bar(CruiseTask):
 
 _MEDIUM = Bar()
 
-register_task("Bar-easy-v0", replace(_MEDIUM, beam_size=0.05, largest_tilt=14.0))
+register_task(
+    "Bar-easy-v0",
+    replace(_MEDIUM, beam_size=0.05, largest_tilt=14.0, largest_stretch=0.05),
+)
 register_task("Bar-v0", _MEDIUM)
-register_task("Bar-hard-v0", replace(_MEDIUM, beam_size=0.08, largest_tilt=8.0))
+register_task(
+    "Bar-hard-v0",
+    replace(_MEDIUM, beam_size=0.08, largest_tilt=8.0, largest_stretch=0.02),
+)

@@ -197,6 +197,6 @@ class Tray(HazardTask):
 
 _MEDIUM = Tray()
 
-register_task("Tray-easy-v0", replace(_MEDIUM, level=(0.5, 1.0), leak=0.038))
+register_task("Tray-easy-v0", replace(_MEDIUM, leak=0.038, damping=0.3))
 register_task("Tray-v0", _MEDIUM)
 register_task("Tray-hard-v0", replace(_MEDIUM, rim_full=0.0085, leak=0.046))
