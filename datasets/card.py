@@ -27,6 +27,9 @@ _BINS = 10
 _CELL = 0.1
 """Edge of the cells that coverage counts [m]."""
 
+LATER = {"made_of", "data_sha256"}
+"""Keys that cards of version 1 lack."""
+
 _HAND = ("end_effector_x", "end_effector_y", "end_effector_z")
 _BASE = ("base_x", "base_y")
 

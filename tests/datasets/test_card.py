@@ -1,15 +1,18 @@
 """A dataset's card in notebooks: complete, and safe against the names of strangers."""
 
 import base64
+import json
 import re
 from pathlib import Path
 
 import pytest
 
-from marl_mm.datasets.card import card
+import marl_mm
+from marl_mm.datasets.card import LATER, card
 from marl_mm.datasets.card_figure import draw_card
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import SHIPPED
+from marl_mm.datasets.verify import verify
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -39,3 +42,14 @@ def test_names_of_strangers_are_text(shipped: Dataset, tmp_path: Path) -> None:
     assert page.count("<img") == 1 and "<script" not in page
     draw_card(shipped.arrays, shipped.card(), tmp_path / "card.png")
     assert (tmp_path / "card.png").read_bytes().startswith(PNG)
+
+
+def test_cards_of_version_1_are_well_and_forged_ones_are_not(tmp_path: Path) -> None:
+    data = marl_mm.collect("random", dataset=tmp_path / "mine", steps=30)
+    path = data.location.folder / "card.json"
+    kept = json.loads(path.read_text())
+    old = {key: value for key, value in kept.items() if key not in LATER}
+    path.write_text(json.dumps(old))
+    assert verify(data.location) == []
+    path.write_text(json.dumps(kept | {"data_sha256": "0" * 64}))
+    assert "is of other data" in verify(data.location)[0]
