@@ -3,7 +3,9 @@
 One actor and one critic on the joint state and action:
 critic loss (Q(s, a) - r - gamma (1 - terminated) Q'(s', pi'(s')))^2,
 actor loss -Q(s, pi(s)). With hindsight (HER, Andrychowicz 2017) most transitions are
-replayed with a goal that their episode came to later.
+replayed with a goal that their episode came to later. With ``imitation_weight`` w the
+actor's loss at demonstrated actions has w [Q(s, a) > Q(s, pi(s))] (pi(s) - a)^2 as well
+(Nair 2018).
 """
 
 import json

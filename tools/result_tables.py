@@ -172,6 +172,10 @@ def _transfer(rows: list[Row]) -> str:
     return Table(STUDIES["transfer"], rows).markdown(("IQM [%]", *_NOT_TRANSFERRED))
 
 
+def _grasp(rows: list[Row]) -> str:
+    return Table(STUDIES["grasp"], rows).markdown([IQM, "paper [%]"])
+
+
 def _simulated() -> str:
     """The engines of the committed rows of studies that name none in their tables."""
     records = (json.loads(p.read_text()) for p in RESULTS.glob("studies/rows/*/*.json"))
@@ -292,6 +296,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "abuse": _abuse,
     "data": _data,
     "online": _online,
+    "grasp": partial(_drawn_from, "grasp.csv", _grasp),
     "learnt": _learnt,
     "steps": _steps,
     "updates": _updates,

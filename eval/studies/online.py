@@ -1,6 +1,7 @@
 """Online learning: the paper's Figs. 4 and 5, demonstrations, and what helps."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from typing import Any
@@ -88,6 +89,27 @@ _PAPER = {
     "ddpg-her": _HINDSIGHT,
     "ddpg-her-paper": _HINDSIGHT,
 }
+
+_SCRIPT_MUJOCO = replace(_SCRIPT, name=f"{_SCRIPT.name}-mujoco", engine="mujoco")
+
+_IMITATES = _her(
+    "-imitation",
+    ", imitation",
+    imitation_weight=100.0,
+    demonstration_share=0.5,
+    action_penalty=0.0,  # it pulls the grip to its threshold
+    warm_up=50,  # random grips end an episode within two steps
+    noise=0.05,  # 0.5 cm: the script closes within 1.2 cm of the block's centre
+    actor_learning_rate=5e-4,
+)
+
+GRASP = Study(
+    "Online learning of a grasp, with imitation of a script's 2,000 steps.",
+    [(Online("Grasp-v0", _SCRIPT_MUJOCO), _IMITATES)],
+    (LAST, BEST),
+    table="episodes",
+)
+"""Study of a task where exploration finds nothing, on MuJoCo."""
 
 LOWEST_RETURN = -30.0
 """Lower end of Fig. 4: few agents that have learnt nothing drive off, to -200."""

@@ -29,6 +29,7 @@ STUDIES = {
     **_OF_THE_PAPERS_TASKS,
     "transfer": engines.TRANSFER,
     "separation": separation.SEPARATION,
+    "grasp": online.GRASP,
 }
 """Studies by name."""
 
