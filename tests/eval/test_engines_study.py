@@ -93,6 +93,7 @@ def test_agents_whose_runs_are_there_take_part(tmp_path: Path) -> None:
     assert agent.settings == (("agent", str(run)),)
 
 
+@pytest.mark.bullet
 def test_a_plan_counts_policies_and_runs_none(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
