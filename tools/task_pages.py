@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 from reference_pages import (
@@ -121,14 +122,24 @@ def _levels(name: str) -> Iterator[str]:
     levels = {level: TASKS.get(level) for level in OURS if kind_of(level) == name}
     if len(levels) == 1:
         return
-    texts = field_texts(type(levels[name]))
     rows = []
-    for item in fields(levels[name]):
-        values = [_in_words(getattr(task, item.name)) for task in levels.values()]
-        if len(set(values)) > 1 or item.name == "max_steps":
-            rows.append((f"`{item.name}`", *values, texts[item.name]))
+    for path, text in _settings(levels[name]):
+        values = [_in_words(attrgetter(path)(task)) for task in levels.values()]
+        if len(set(values)) > 1 or path == "max_steps":
+            rows.append((f"`{path}`", *values, text))
     yield "## Levels\n"
     yield markdown_table(("field", *(f"`{n}`" for n in levels), "meaning"), rows)
+
+
+def _settings(config: Any, of: str = "") -> Iterator[tuple[str, str]]:
+    """Fields of a config and of those in it, by their paths, with what they mean."""
+    texts = field_texts(type(config))
+    for item in fields(config):
+        value = getattr(config, item.name)
+        if is_dataclass(value):
+            yield from _settings(value, f"{of}{item.name}.")
+        else:
+            yield f"{of}{item.name}", texts[item.name]
 
 
 def _in_words(value: Any) -> str:

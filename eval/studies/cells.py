@@ -10,8 +10,9 @@ from typing import Any, Protocol, TypeVar, cast
 
 import marl_mm
 from marl_mm.envs.registry import config_dict, make_task
+from marl_mm.errors import UsageError
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.rows import as_read, write_csv
+from marl_mm.eval.rows import as_read, read_rows, write_csv
 from marl_mm.files import write_json
 from marl_mm.progress import Bar
 from marl_mm.versions import versions
@@ -86,6 +87,18 @@ def write_cells(path: Path, cells: Sequence[C], rows: dict[C, list[Row]]) -> Non
     about = [asdict(cast(Any, cell)) for cell in cells]
     write_json(path.with_suffix(".json"), {"cells": about, "packages": versions()})
     write_csv(path.with_suffix(".csv.xz"), [row for c in cells for row in rows[c]])
+
+
+def read_cells(folder: Path) -> dict[str, list[Row]]:
+    """Rows that ``write_cells`` wrote, by the task's name, in the names' order.
+
+    Raises:
+        UsageError: If there are none.
+    """
+    paths = sorted(folder.glob("*.csv.xz"))
+    if not paths:
+        raise UsageError(f"there are no rows in {folder} to draw from")
+    return {path.name.removesuffix(".csv.xz"): read_rows(path) for path in paths}
 
 
 def kept_rows(cells: Sequence[C], folder: Path) -> dict[C, list[Row]]:

@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 
 from marl_mm.envs.registry import make_task
-from marl_mm.errors import UsageError
 from marl_mm.eval.grouping import by_goal, grouped, mean_of
 from marl_mm.eval.intervals import bootstrap_interval, success_interval
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.rows import read_rows, write_csv
-from marl_mm.eval.studies.cells import run_cells, write_cells
-from marl_mm.eval.studies.engines import Contestant, EngineCell, check_task, run_cell
+from marl_mm.eval.rows import write_csv
+from marl_mm.eval.studies.cells import read_cells, run_cells, write_cells
 from marl_mm.eval.studies.options import PolicyOptions
+from marl_mm.eval.studies.policies import Contestant, PolicyCell, check_task, run_cell
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar
 
@@ -79,7 +78,7 @@ def _team(name: str, **settings: Any) -> Contestant:
     return Contestant(name, "varied", tuple(settings.items()))
 
 
-def cells_of(options: CoordinationOptions) -> dict[str, list[EngineCell]]:
+def cells_of(options: CoordinationOptions) -> dict[str, list[PolicyCell]]:
     """Cells of every task: its teams, and noisy experts of it and its other levels."""
     engine = options.engine or "mujoco"
     goals, max_steps = (2, 4) if options.small else (options.goals, None)
@@ -93,7 +92,7 @@ def cells_of(options: CoordinationOptions) -> dict[str, list[EngineCell]]:
             cells |= {f"{kind}{level}-v0": noisy for level in LEVELS if level}
     return {
         task: [
-            EngineCell(task, engine, contestant, goals, max_steps)
+            PolicyCell(task, engine, contestant, goals, max_steps)
             for contestant in contestants
         ]
         for task, contestants in cells.items()
@@ -135,10 +134,7 @@ def draw_coordination(results: Path, folder: Path) -> list[Row]:
     Raises:
         UsageError: If there are no rows.
     """
-    paths = sorted(_rows_folder(results).glob("*.csv.xz"))
-    if not paths:
-        raise UsageError(f"there are no rows in {_rows_folder(results)} to draw from")
-    tables = {path.name.removesuffix(".csv.xz"): read_rows(path) for path in paths}
+    tables = read_cells(_rows_folder(results))
     summary = [row for task, rows in tables.items() for row in _reached(task, rows)]
     write_csv(folder / TABLE, summary)
     of_teams = {

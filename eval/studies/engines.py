@@ -5,34 +5,23 @@ agents from datasets of each engine and evaluates them on both: a 2 x 2 table.
 """
 
 from collections.abc import Mapping
-from contextlib import closing
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from marl_mm.algorithms.checkpoint import FILE
-from marl_mm.collectors.registry import COLLECTORS
-from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.registry import DEFAULT, make_task
-from marl_mm.errors import UsageError
-from marl_mm.eval.evaluate import evaluate
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.rows import read_rows, write_csv
-from marl_mm.eval.studies.cells import run_cells, write_cells
+from marl_mm.eval.rows import write_csv
+from marl_mm.eval.studies.cells import read_cells, run_cells, write_cells
 from marl_mm.eval.studies.engines_summary import agreement, paired
 from marl_mm.eval.studies.offline import LEARNERS
 from marl_mm.eval.studies.options import PolicyOptions, StudyOptions
+from marl_mm.eval.studies.policies import Contestant, PolicyCell, check_task, run_cell
 from marl_mm.eval.studies.study import Probe, Study
-from marl_mm.layout import Layout
-from marl_mm.policy import Policy
 from marl_mm.progress import Bar
-from marl_mm.runs.settings import with_settings
 from marl_mm.runs.sources import Source
 from marl_mm.sim.config import ENGINES, Engine
-from marl_mm.versions import engine_text
 
 ABOUT = "Policies on both engines, on the same goals, and how far the engines agree."
 """Title."""
@@ -65,59 +54,6 @@ TRANSFER = Study(
 
 
 # --- Policies ----------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Contestant:
-    """A policy of a collector, with noise on its actions."""
-
-    name: str
-    """Name in rows and tables."""
-
-    collector: str
-    """Registered name of the collector."""
-
-    settings: tuple[tuple[str, Any], ...] = ()
-    """Names and values of the collector's settings that are not its defaults."""
-
-    noise: float = 0.0
-    """Standard deviation of Gaussian noise on the actions, in their units."""
-
-    def policy(self, task: str, overrides: Mapping[str, Any]) -> Policy:
-        """The policy in a task."""
-        collector = COLLECTORS.get(self.collector)
-        what = f"collector {self.collector}"
-        config = with_settings(what, collector.config(), dict(self.settings))
-        policy = collector.policy(config, make_task(task, overrides))
-        return Noisy(policy, self.noise) if self.noise else policy
-
-
-class Noisy:
-    """A policy with Gaussian noise on its actions, clipped to their ranges.
-
-    Args:
-        policy: Policy that acts.
-        noise: Standard deviation of the noise, in the actions' units.
-    """
-
-    def __init__(self, policy: Policy, noise: float) -> None:
-        self._policy, self._noise = policy, noise
-        self.name = f"{policy.name}, noise {noise:g}"
-
-    def describe(self) -> dict[str, Any]:
-        """The noise, and the policy's own settings."""
-        return {"noise": self._noise, **self._policy.describe()}
-
-    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
-        """Take the episode's stream of random numbers."""
-        self._rng, self._low, self._high = rng, layout.low, layout.high
-        self._policy.begin(rng, layout)
-
-    def act(self, state: np.ndarray) -> np.ndarray:
-        """The policy's action plus noise."""
-        action = self._policy.act(state)
-        noisy = action + self._rng.normal(0.0, self._noise, len(action))
-        return np.clip(noisy, self._low, self._high).astype(np.float32)
 
 
 def _steering(collector: str) -> list[Contestant]:
@@ -173,60 +109,6 @@ def contestants(task: str, options: StudyOptions) -> list[Contestant]:
 # --- Cells -------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class EngineCell:
-    """A policy in a task on an engine: everything its rows depend on."""
-
-    task: str
-    """Registered name of the task."""
-
-    engine: Engine
-    """Engine of the simulation."""
-
-    contestant: Contestant
-    """Policy."""
-
-    goals: int
-    """Number of goals, half ahead and half behind where the task draws none."""
-
-    max_steps: int | None = None
-    """Steps of an episode; default the task's."""
-
-    weights: str = ""
-    """Fingerprint of the weights of a learnt agent."""
-
-    @property
-    def overrides(self) -> dict[str, Any]:
-        """Settings of the task that are replaced."""
-        steps = {} if self.max_steps is None else {"max_steps": self.max_steps}
-        return {**steps, "simulation": {"engine": self.engine}}
-
-    @property
-    def label(self) -> str:
-        """Label in the progress bar."""
-        return f"{self.task} {self.engine} {self.contestant.name}"
-
-
-_MEASURED = ("steps", "return", "d_mm", "d_mp", "base_jerk_rms")
-
-
-def run_cell(cell: EngineCell) -> list[Row]:
-    """A row per goal."""
-    policy = cell.contestant.policy(cell.task, cell.overrides)
-    evaluation = evaluate(policy, cell.goals, 0, cell.task, cell.overrides)
-    return [
-        {
-            "policy": cell.contestant.name,
-            "engine": engine_text(cell.engine),
-            "seed": 0,
-            "goal": row["index"],
-            "success": int(row["success"]),
-            **{key: row.get(key, np.nan) for key in _MEASURED},
-        }
-        for row in evaluation.rows
-    ]
-
-
 @dataclass(frozen=True, kw_only=True)
 class EnginesOptions(PolicyOptions):
     """Settings of the comparison of the engines."""
@@ -269,12 +151,12 @@ def make_engines(options: EnginesOptions, bar: Bar) -> list[Row]:
     return draw_engines(options.results, options.results)
 
 
-def cells_of(task: str, options: EnginesOptions) -> list[EngineCell]:
+def cells_of(task: str, options: EnginesOptions) -> list[PolicyCell]:
     """Cells of a task: every policy on every engine."""
     every = contestants(task, options)
     goals, max_steps = (2, 4) if options.small else (options.goals, None)
     return [
-        EngineCell(task, engine, contestant, goals, max_steps, _weights(contestant))
+        PolicyCell(task, engine, contestant, goals, max_steps, _weights(contestant))
         for contestant in (every[::8] if options.small else every)
         for engine in ENGINES
     ]
@@ -286,13 +168,6 @@ def _weights(contestant: Contestant) -> str:
         return ""
     policy = contestant.policy(DEFAULT, {})
     return str(policy.describe().get("weights", ""))
-
-
-def check_task(task: str, engine: Engine) -> None:
-    """Raise a UsageError where an engine is not installed, or lacks the task."""
-    variant = make_task(task, {"simulation": {"engine": engine}})
-    with closing(EpisodeCore(variant)) as core:
-        core.reset(np.random.default_rng(0))
 
 
 def _rows_folder(results: Path) -> Path:
@@ -310,10 +185,7 @@ def draw_engines(results: Path, folder: Path) -> list[Row]:
     """
     from marl_mm.eval.studies.figures import engines_figure  # imports matplotlib
 
-    paths = sorted(_rows_folder(results).glob("*.csv.xz"))
-    if not paths:
-        raise UsageError(f"there are no rows in {_rows_folder(results)} to draw from")
-    tables = {path.name.removesuffix(".csv.xz"): read_rows(path) for path in paths}
+    tables = read_cells(_rows_folder(results))
     summary = [row for task, rows in tables.items() for row in paired(task, rows)]
     write_csv(folder / TABLE, summary)
     write_csv(folder / AGREEMENT, agreement(summary))

@@ -10,7 +10,8 @@ from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.registry import make_task
 from marl_mm.eval.bench.env import timed
 from marl_mm.eval.studies.cells import kept_rows
-from marl_mm.eval.studies.engines import EngineCell, EnginesOptions, cells_of
+from marl_mm.eval.studies.engines import EnginesOptions, cells_of
+from marl_mm.eval.studies.policies import PolicyCell
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar
 from marl_mm.sim.config import ENGINES
@@ -56,7 +57,7 @@ def plan_engines(options: EnginesOptions, bar: Bar) -> str:
     return markdown_table(header, [*lines, line("all", "", missing, total, longest)])
 
 
-def _seconds(cells: Sequence[EngineCell]) -> float:
+def _seconds(cells: Sequence[PolicyCell]) -> float:
     """Longest time of cells of a task on an engine [s], measured on this machine."""
     if not cells:
         return 0.0

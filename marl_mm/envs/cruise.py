@@ -182,12 +182,13 @@ class CruiseTask(Task, ABC):
         return dict(zip(names(*HAND, *BASE, MODE), seen, strict=True))
 
     def measure(self, attempt: Attempt) -> dict[str, Any]:
-        """Distances of hand and base to their targets [m]."""
+        """Distances of hand and base to their targets [m], and what was measured."""
         targets: Targets = attempt.memory
         base_w = attempt.drives[0].state.q[:2]
         return {
             "d_mm": float(goal_distance(targets.target_w, self.hand_w(attempt))),
             "d_mp": float(goal_distance(targets.plan.points(1)[0], base_w)),
+            **targets.measured,
         }
 
     def _plan_base(self, attempt: Attempt) -> BasePlan:

@@ -1,6 +1,6 @@
-"""Tasks of one hand on whose way to a goal something can go wrong."""
+"""Tasks on whose way to a goal something can go wrong."""
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from marl_mm.envs.cruise import GOAL, CruiseTask, Targets, names
+from marl_mm.envs.intervals import Interval, check_intervals
 from marl_mm.envs.task import Attempt, ScriptConfig, Terms
 from marl_mm.episode import FAILED
 from marl_mm.errors import UsageError
@@ -16,14 +17,53 @@ from marl_mm.sim.scene import Mark
 if TYPE_CHECKING:
     from marl_mm.envs.drive import Motion
 
-Interval = tuple[float, float]
+
+@dataclass(frozen=True, kw_only=True)
+class RiskyTask(CruiseTask, ABC):
+    """Parameters of reward: near the goal an episode ends well, and it can fail."""
+
+    fails: ClassVar[bool] = True
+
+    success_distance: float = 0.05
+    """Distance to the goal at a step's end below which it is reached, which ends the
+    episode [m]."""
+
+    goal_reward: float = 10.0
+    """Reward for reaching the goal, instead of minus the distance."""
+
+    failure_reward: float = -30.0
+    """Reward of a failure: less than that of all other steps of an episode."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.success_distance > 0:
+            raise UsageError(
+                f"success_distance is {self.success_distance}, expected > 0"
+            )
+
+    @property
+    def highest_return(self) -> float:
+        """Reward of a hit, as all other rewards are negative."""
+        return self.goal_reward
+
+    def reached(
+        self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
+    ) -> np.ndarray:
+        """Whether the distance is below ``success_distance``."""
+        return np.asarray(self.distance(achieved, desired) < self.success_distance)
+
+    def reward(
+        self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
+    ) -> np.ndarray:
+        """Minus the distance [m], or the reward of a hit or of a failure."""
+        hit = self.reached(achieved, desired, terms)
+        goal = np.where(hit, self.goal_reward, -self.distance(achieved, desired))
+        return np.where(terms[FAILED].astype(bool), self.failure_reward, goal)
 
 
 @dataclass(frozen=True, kw_only=True)
-class HazardTask(CruiseTask):
-    """Parameters of goals, reward and failure; the seed draws goal and hazards."""
-
-    fails: ClassVar[bool] = True
+class HazardTask(RiskyTask):
+    """Parameters of goals; the seed draws goal and hazards."""
 
     goal_x: Interval
     """Interval of x of goals, world [m]."""
@@ -34,32 +74,13 @@ class HazardTask(CruiseTask):
     goal_z: Interval = (0.55, 0.8)
     """Interval of z of goals, world [m]."""
 
-    success_distance: float = 0.05
-    """Distance to the goal at a step's end below which it is reached, which ends the
-    episode [m]."""
-
     halves: bool = False
     """Whether an episode is half of the way only, drawn: to a goal half way, or from
     there on, after unseen steps of the script."""
 
-    goal_reward: float = 10.0
-    """Reward for reaching the goal, instead of minus the distance."""
-
-    failure_reward: float = -30.0
-    """Reward of a failure: less than that of all other steps of an episode."""
-
     def __post_init__(self) -> None:
         super().__post_init__()
         check_intervals(self, "goal_x", "goal_y", "goal_z")
-        if not self.success_distance > 0:
-            raise UsageError(
-                f"success_distance is {self.success_distance}, expected > 0"
-            )
-
-    @property
-    def highest_return(self) -> float:
-        """Reward of a hit, as all other rewards are negative."""
-        return self.goal_reward
 
     # --- The hazard ----------------------------------------------------------
 
@@ -115,39 +136,7 @@ class HazardTask(CruiseTask):
         reason, targets.measured = self.harm(targets, motion)
         targets.failure = targets.failure or reason
 
-    def measure(self, attempt: Attempt) -> dict[str, Any]:
-        """Distances of hand and base to their targets [m], and the hazards' numbers."""
-        return {**super().measure(attempt), **attempt.memory.measured}
-
     def failure(self, attempt: Attempt) -> str:
         """What went wrong."""
         reason: str = attempt.memory.failure
         return reason
-
-    def reached(
-        self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
-    ) -> np.ndarray:
-        """Whether the distance is below ``success_distance``."""
-        return np.asarray(self.distance(achieved, desired) < self.success_distance)
-
-    def reward(
-        self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
-    ) -> np.ndarray:
-        """Minus the distance [m], or the reward of a hit or of a failure."""
-        hit = self.reached(achieved, desired, terms)
-        goal = np.where(hit, self.goal_reward, -self.distance(achieved, desired))
-        return np.where(terms[FAILED].astype(bool), self.failure_reward, goal)
-
-
-def check_intervals(config: Any, *fields: str) -> None:
-    """Raise for an interval whose ends are in the wrong order.
-
-    Raises:
-        UsageError: Naming the field.
-    """
-    for name in fields:
-        low, high = getattr(config, name)
-        if not low <= high:
-            raise UsageError(
-                f"{name} is {low:g} to {high:g}, expected the smaller first"
-            )

@@ -7,10 +7,9 @@ from typing import get_args
 import numpy as np
 
 from marl_mm.control.config import Knowledge
+from marl_mm.envs.intervals import Interval
 from marl_mm.errors import UsageError
 from marl_mm.sim.scene import Block, Grasp, Scene
-
-Interval = tuple[float, float]
 
 WIDEST = 0.075
 """Largest edge of a block that fits between the open pads, 0.08 apart [m]."""

@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from marl_mm.envs.cruise import ALPHA, BASE, DELTA, HAND, MODE, CruiseTask, names
-from marl_mm.envs.hazard import Interval, check_intervals
+from marl_mm.envs.hazard import RiskyTask
+from marl_mm.envs.intervals import Interval, check_intervals
 from marl_mm.envs.order import Order
 from marl_mm.envs.registry import register_task
-from marl_mm.envs.task import Attempt, ScriptConfig, Terms, Values
+from marl_mm.envs.task import Attempt, ScriptConfig, Values
 from marl_mm.envs.tasks.reach import steer
-from marl_mm.episode import FAILED
 from marl_mm.errors import UsageError
 from marl_mm.layout import Agent, Entry, Layout
 from marl_mm.sim.config import Camera
@@ -102,8 +102,8 @@ class Pair:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bar(CruiseTask):
-    """Parameters of goals, bar, beam and reward.
+class Bar(RiskyTask):
+    """Parameters of goals, bar and beam.
 
     Each robot is simulated by itself, with half of the bar's mass in its hand. The bar
     is a straight line between the hands, and a failure where it cannot be. The beam
@@ -114,7 +114,6 @@ class Bar(CruiseTask):
     layout = LAYOUT
     camera = Camera(target_w=(0.0, 0.0, 0.5), distance=2.0, yaw=-75.0, pitch=-16.0)
     robots = 2
-    fails: ClassVar[bool] = True
     conventions = ("over", "under")
     own_info: ClassVar[dict[str, str]] = {
         **{
@@ -156,21 +155,11 @@ class Bar(CruiseTask):
     largest_stretch: float = 0.03
     """Distance of the hands' distance to the bar's length at which it falls [m]."""
 
-    success_distance: float = 0.05
-    """Distance of the bar's middle to the goal at a step's end below which it is
-    reached, which ends the episode [m]."""
-
-    goal_reward: float = 10.0
-    """Reward for reaching the goal, instead of minus the distance."""
-
-    failure_reward: float = -30.0
-    """Reward of a failure: less than that of all other steps of an episode."""
-
     def __post_init__(self) -> None:
         super().__post_init__()
         check_intervals(self, "goal_x", "goal_z", "beam_x", "beam_z")
         positive = ("beam_size", "bar_length", "bar_mass", "largest_tilt")
-        for name in (*positive, "largest_stretch", "success_distance"):
+        for name in (*positive, "largest_stretch"):
             if not getattr(self, name) > 0:
                 raise UsageError(f"{name} is {getattr(self, name)}, expected > 0")
         near, far = self.stand_off - self.beam_size, self.goal_x[1] + self.beam_size
@@ -180,11 +169,6 @@ class Bar(CruiseTask):
                 f"beam_x is {low:g} to {high:g} m, expected between goals and start: "
                 f"within {far:g} to {near:g}"
             )
-
-    @property
-    def highest_return(self) -> float:
-        """Reward of a hit, as all other rewards are negative."""
-        return self.goal_reward
 
     # --- The episode ---------------------------------------------------------
 
@@ -294,22 +278,6 @@ class Bar(CruiseTask):
             beads = hands[side] + along * (hands[1 - side] + aside - hands[side])
             moved.append({2 + i: tuple(b) for i, b in enumerate(beads.tolist())})
         return moved
-
-    # --- Reward --------------------------------------------------------------
-
-    def reached(
-        self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
-    ) -> np.ndarray:
-        """Whether the distance is below ``success_distance``."""
-        return np.asarray(self.distance(achieved, desired) < self.success_distance)
-
-    def reward(
-        self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
-    ) -> np.ndarray:
-        """Minus the distance [m], or the reward of a hit or of a failure."""
-        hit = self.reached(achieved, desired, terms)
-        goal = np.where(hit, self.goal_reward, -self.distance(achieved, desired))
-        return np.where(terms[FAILED].astype(bool), self.failure_reward, goal)
 
     # --- Expert --------------------------------------------------------------
 

@@ -4,8 +4,8 @@ The five sub-goals count in this order only. The hand's agent sees block, stand,
 and bin, the balance agent the quiet zone and how far the wall is from the hand; both
 see how many sub-goals are reached. An episode fails if the base is told to accelerate
 by more than ``zone_limit`` in the zone, if the finger tips are further than
-``clearance`` from the middle of the window within the wall, or as in Grasp, until the
-block is delivered.
+``wall.clearance`` from the middle of the window within the wall, or as in Grasp, until
+the block is delivered.
 
 So alpha has to be high in the zone, and low at the wall and where the time is short.
 The script takes, crosses, passes, delivers and comes back, with alpha at 1 from 15 cm
@@ -14,7 +14,7 @@ before the zone to its end and 0 elsewhere.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -29,12 +29,11 @@ from marl_mm.envs.cruise import (
     names,
 )
 from marl_mm.envs.grasping import LIFT, grasping
-from marl_mm.envs.hazard import Interval, check_intervals
+from marl_mm.envs.intervals import Interval, check_intervals
 from marl_mm.envs.load import StandConfig
 from marl_mm.envs.order import Order
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Terms, Values
-from marl_mm.envs.tasks.gate import AIM, DISTANCE, GATE, Window
 from marl_mm.envs.tasks.grasp import (
     BLOCK,
     GRIP,
@@ -44,7 +43,9 @@ from marl_mm.envs.tasks.grasp import (
     handled,
     holds_clear,
 )
+from marl_mm.envs.tasks.quiet_zone import BRAKING, felt_within
 from marl_mm.envs.tasks.reach import steer
+from marl_mm.envs.window import DISTANCE, GATE, WallConfig, Window
 from marl_mm.episode import FAILED
 from marl_mm.errors import UsageError
 from marl_mm.layout import Agent, Entry, Layout
@@ -88,9 +89,6 @@ LAYOUT = Layout(
 )
 """Layout of Course: one agent sees block, window and bin, the other one the zone and
 how far the wall is. Both see how far the team has come."""
-
-BRAKING = 0.15
-"""Way in which a base at alpha 0 comes to rest at alpha 1: a step of each [m]."""
 
 
 class Track(NamedTuple):
@@ -153,23 +151,8 @@ class Course(CruiseTask):
     zone_limit: float = 0.15
     """Largest commanded acceleration of the base within the zone [m/s^2]."""
 
-    wall_x: Interval = (3.4, 3.6)
-    """Interval of x of the wall's near side, world [m]."""
-
-    wall_thickness: float = 0.2
-    """Way through the wall along x [m]."""
-
-    window_y: Interval = (-0.05, 0.05)
-    """Interval of y of the window's middle at the near side, world [m]."""
-
-    window_z: Interval = (0.57, 0.63)
-    """Interval of z of the window's middle, world [m]."""
-
-    window_slope: Interval = (0.5, 0.8)
-    """Interval of the window's way aside per way ahead, to either side."""
-
-    clearance: float = 0.025
-    """Half width and half height of the window, for the finger tips [m]."""
+    wall: WallConfig = field(default_factory=lambda: WallConfig(x=(3.4, 3.6)))
+    """Intervals of the wall and its window."""
 
     bin_x: Interval = (3.95, 4.05)
     """Interval of x of the bin, world [m]."""
@@ -188,19 +171,18 @@ class Course(CruiseTask):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_intervals(self, "zone_x", "zone_length", "wall_x", "window_y", "window_z")
-        check_intervals(self, "window_slope", "bin_x", "bin_y")
+        check_intervals(self, "zone_x", "zone_length", "bin_x", "bin_y")
         near, far = self.zone_x
         if self.zone_length[1] > far - near or near < BRAKING:
             raise UsageError(
                 f"a zone of {self.zone_length[1]:g} m does not fit into zone_x, "
                 f"{near:g} to {far:g} m, at least {BRAKING:g} m from the start"
             )
-        end = self.wall_x[1] + self.wall_thickness
-        if not far + self.stand_off < self.wall_x[0] <= end < self.bin_x[0]:
+        start, end = self.wall.x[0], self.wall.end
+        if not far + self.stand_off < start <= end < self.bin_x[0]:
             raise UsageError(
-                f"a wall at {self.wall_x[0]:g} to {end:g} m is not between zone and "
-                f"bin at {self.bin_x[0]:g} m"
+                f"a wall at {start:g} to {end:g} m is not between zone and bin at "
+                f"{self.bin_x[0]:g} m"
             )
         if not (self.success_distance > 0 and self.failure_reward < 0):
             raise UsageError(
@@ -226,7 +208,7 @@ class Course(CruiseTask):
         marks = (
             Mark(tuple(track.bin_w.tolist()), (0.02,)),
             Mark(((near + far) / 2, 0.0, 0.002), (far - near, 1.2, 0.004), YELLOW),
-            *track.window.walls(self.wall_thickness, self.clearance),
+            *track.window.walls(self.wall.thickness, self.wall.clearance),
         )
         self.place(attempt, marks, scene)
         attempt.memory = Way(**vars(attempt.memory) | {"drawn": track})
@@ -236,9 +218,7 @@ class Course(CruiseTask):
     def _draw(self, rng: np.random.Generator) -> Track:
         length = rng.uniform(*self.zone_length)
         near = rng.uniform(self.zone_x[0], self.zone_x[1] - length)
-        intervals = self.wall_x, self.window_y, self.window_z, self.window_slope
-        x, y, z, slope = (rng.uniform(*interval) for interval in intervals)
-        window = Window(x, y, z, slope if rng.random() < 0.5 else -slope)
+        window = self.wall.draw(rng)
         bin_w = np.array([rng.uniform(*self.bin_x), rng.uniform(*self.bin_y)])
         return Track(
             np.array([near, near + length]), window, np.append(bin_w, self.bin_z)
@@ -259,19 +239,16 @@ class Course(CruiseTask):
         """Look which sub-goal was reached, and what went wrong."""
         way, (motion,) = attempt.memory, motions
         track: Track = way.drawn
-        near, far = track.zone
-        x = motion.q[:, 0]
-        inside = (x > near) & (x < far)
-        felt = float(np.abs(motion.base_acceleration[inside]).max(initial=0.0))
-        error = track.window.error(motion.hand_w, self.wall_thickness)
+        felt = felt_within(track.zone[None], motion)
+        error = track.window.error(motion.hand_w, self.wall.thickness)
         if felt > self.zone_limit:
             way.failure = way.failure or "the base was not quiet in the zone"
-        elif error > self.clearance:
+        elif error > self.wall.clearance:
             way.failure = way.failure or "the hand touched the wall"
-        beyond = track.window.x + self.wall_thickness
+        beyond = track.window.x + self.wall.thickness
         if holds_clear(attempt, self.load.hold_ticks):
             self._reach(way, "take")
-            if attempt.drives[0].state.q[0] > far:
+            if attempt.drives[0].state.q[0] > track.zone[1]:
                 self._reach(way, "cross")
             if self.hand_w(attempt)[0] > beyond:
                 self._reach(way, "pass")
@@ -306,10 +283,6 @@ class Course(CruiseTask):
         ahead = *track.zone, *track.window, distance, *track.bin_w, way.stage
         entries = names(*ZONE, *GATE, DISTANCE, *BIN, STAGE)
         return {**seen, **dict(zip(entries, ahead, strict=True))}
-
-    def measure(self, attempt: Attempt) -> dict[str, Any]:
-        """Distances of hand and base to their targets [m], and the way's numbers."""
-        return {**super().measure(attempt), **attempt.memory.measured}
 
     def failure(self, attempt: Attempt) -> str:
         """What went wrong on the way, or with a block that is not delivered yet."""
@@ -352,7 +325,8 @@ class Course(CruiseTask):
             way = bin_w - block
             closes = bool(np.linalg.norm(way) > self.success_distance / 2)
         else:
-            way, closes = self._back(hand, window), False
+            thickness, step = self.wall.thickness, self.action_scale
+            way, closes = window.way_back(hand, step, thickness), False
         near, far = (state[entry.name] for entry in ZONE)
         quiet = near - BRAKING < state["base_x"] < far
         return {
@@ -361,26 +335,23 @@ class Course(CruiseTask):
             ALPHA.name: 1.0 if quiet else script.alpha,
         }
 
-    def _back(self, hand: np.ndarray, window: Window) -> np.ndarray:
-        """Displacement to the window's far side, and back through it."""
-        along = np.array([1.0, window.slope, 0.0])
-        middle = np.array([window.x, window.y, window.z])
-        behind = self.wall_thickness + AIM
-        ahead = hand[0] - window.x
-        on_way = np.abs(hand - middle - ahead * along).max() < AIM
-        if on_way and ahead < behind + AIM:
-            return np.asarray(middle + (ahead - self.action_scale) * along - hand)
-        return np.asarray(middle + behind * along - hand)
-
 
 _MEDIUM = Course()
 
 register_task(
     "Course-easy-v0",
-    replace(_MEDIUM, zone_limit=0.2, clearance=0.035, window_slope=(0.3, 0.5)),
+    replace(
+        _MEDIUM,
+        zone_limit=0.2,
+        wall=replace(_MEDIUM.wall, clearance=0.035, slope=(0.3, 0.5)),
+    ),
 )
 register_task("Course-v0", _MEDIUM)
 register_task(
     "Course-hard-v0",
-    replace(_MEDIUM, zone_limit=0.1, clearance=0.02, window_slope=(0.7, 1.0)),
+    replace(
+        _MEDIUM,
+        zone_limit=0.1,
+        wall=replace(_MEDIUM.wall, clearance=0.02, slope=(0.7, 1.0)),
+    ),
 )

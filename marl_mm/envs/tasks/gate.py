@@ -3,8 +3,8 @@
 The hand's agent sees window and goal, the balance agent only how far the wall is from
 the hand. As long as that is more than ``quiet_until``, the floor is quiet: an episode
 fails if the base is told to accelerate by more than ``quiet_limit``. Within the wall it
-fails if the finger tips are further than ``clearance`` from the middle of the window,
-which goes aside at a slant.
+fails if the finger tips are further than ``wall.clearance`` from the middle of the
+window, which goes aside at a slant.
 
 At alpha 0 the base breaks the quiet floor as it sets off; at alpha 1 the hand is not
 accurate enough for the window. So alpha has to fall at the wall. The script steers to
@@ -12,33 +12,25 @@ the window, along its middle line and to the goal, at alpha 1 while the floor is
 and 0 from there on.
 """
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, Targets, names
-from marl_mm.envs.hazard import HazardTask, Interval, check_intervals
+from marl_mm.envs.hazard import HazardTask
+from marl_mm.envs.intervals import Interval
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Values
 from marl_mm.envs.tasks.reach import steer
+from marl_mm.envs.window import DISTANCE, GATE, WallConfig, Window
 from marl_mm.errors import UsageError
-from marl_mm.layout import Agent, Entry, Layout
+from marl_mm.layout import Agent, Layout
 from marl_mm.sim.config import Camera
-from marl_mm.sim.scene import YELLOW, Mark
+from marl_mm.sim.scene import Mark
 
 if TYPE_CHECKING:
     from marl_mm.envs.drive import Motion
-
-GATE = (
-    *(Entry(f"gate_{axis}", "m") for axis in "xyz"),
-    Entry("gate_slope", "1", -1.0, 1.0),
-)
-"""Middle of the window on the wall's near side, world frame, and its way aside per way
-ahead through the wall."""
-
-DISTANCE = Entry("gate_distance", "m")
-"""Distance along x from the end-effector to the wall's near side; negative beyond."""
 
 LAYOUT = Layout(
     (*HAND, *BASE, MODE, *GATE, DISTANCE, *GOAL),
@@ -52,71 +44,10 @@ LAYOUT = Layout(
 )
 """Layout of Gate: one agent sees window and goal, the other one how far the wall is."""
 
-AIM = 0.01
-"""Distance at which the script is at the point before the window [m]."""
-
-
-class Window(NamedTuple):
-    """Window of an episode, as the entries of the state."""
-
-    x: float
-    y: float
-    z: float
-    slope: float
-
-    def error(self, hand_w: np.ndarray, thickness: float) -> float:
-        """Largest distance along y or z from the window's middle within the wall [m].
-
-        Args:
-            hand_w: Positions of the hand, shape (n, 3) [m].
-            thickness: Way through the wall [m].
-        """
-        x, y, z = hand_w.T
-        ahead = x - self.x
-        within = (ahead > 0) & (ahead < thickness)
-        aside = np.abs(y - self.y - self.slope * ahead)
-        error = np.maximum(aside, np.abs(z - self.z))[within]
-        return float(error.max(initial=0.0))
-
-    def walls(self, thickness: float, clearance: float) -> list[Mark]:
-        """Drawings of the wall on both sides of the window, in slices.
-
-        Args:
-            thickness: Way through the wall [m].
-            clearance: Half width of the window for the finger tips [m].
-        """
-        count, wide = 8, 0.3
-        deep = thickness / count
-        marks = []
-        for ahead in (np.arange(count) + 0.5) * deep:
-            for side in (-1, 1):
-                aside = side * (clearance + 0.02 + wide / 2)
-                middle = self.y + self.slope * ahead + aside
-                place = float(self.x + ahead), float(middle), self.z / 2
-                marks.append(Mark(place, (deep, wide, self.z), YELLOW))
-        return marks
-
-    def way(self, hand: np.ndarray, step: float) -> np.ndarray:
-        """The script's next displacement of the hand to the window or within it.
-
-        Args:
-            hand: Position of the hand before or in the wall, shape (3,) [m].
-            step: Way ahead in a step [m].
-        """
-        middle = np.array([self.x, self.y, self.z])
-        ahead, along = hand[0] - self.x, np.array([1.0, self.slope, 0.0])
-        if ahead > -2 * AIM and np.abs(hand - middle - ahead * along).max() < AIM:
-            return np.asarray(middle + (ahead + step) * along - hand)
-        return np.asarray(middle - AIM * along - hand)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Gate(HazardTask):
-    """Parameters of goals, wall, window and reward.
-
-    Only the finger tips are held against the window: the hand points down, and the
-    arm's last links pass above the wall.
-    """
+    """Parameters of goals, wall, quiet floor and reward."""
 
     about = "Reach a goal through a narrow window, after a way on a quiet floor."
     layout = LAYOUT
@@ -139,23 +70,8 @@ class Gate(HazardTask):
     goal_z: Interval = (0.5, 0.7)
     """Interval of z of goals, world [m]."""
 
-    wall_x: Interval = (1.4, 1.5)
-    """Interval of x of the wall's near side, world [m]."""
-
-    wall_thickness: float = 0.2
-    """Way through the wall along x [m]."""
-
-    window_y: Interval = (-0.05, 0.05)
-    """Interval of y of the window's middle at the near side, world [m]."""
-
-    window_z: Interval = (0.57, 0.63)
-    """Interval of z of the window's middle, world [m]."""
-
-    window_slope: Interval = (0.5, 0.8)
-    """Interval of the window's way aside per way ahead, to either side."""
-
-    clearance: float = 0.025
-    """Half width and half height of the window, for the finger tips [m]."""
+    wall: WallConfig = field(default_factory=lambda: WallConfig(x=(1.4, 1.5)))
+    """Intervals of the wall and its window."""
 
     quiet_until: float = 0.1
     """Distance of the end-effector to the wall up to which the floor is quiet [m]."""
@@ -166,29 +82,20 @@ class Gate(HazardTask):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_intervals(self, "wall_x", "window_y", "window_z", "window_slope")
-        end, least = self.wall_x[1] + self.wall_thickness, self.stand_off
-        if not least + self.quiet_until < self.wall_x[0] <= end < self.goal_x[0]:
+        near, end, start = self.wall.x[0], self.wall.end, self.stand_off
+        if not start + self.quiet_until < near <= end < self.goal_x[0]:
             raise UsageError(
-                f"a wall at {self.wall_x[0]:g} to {end:g} m is not between the start "
-                f"at {least:g} m and the goals at {self.goal_x[0]:g} m"
-            )
-        if not 0.0 <= self.window_slope[0] <= self.window_slope[1] <= 1.0:
-            low, high = self.window_slope
-            raise UsageError(
-                f"window_slope is {low:g} to {high:g}, expected within 0 to 1: no step "
-                "goes further aside than ahead"
+                f"a wall at {near:g} to {end:g} m is not between the start at "
+                f"{start:g} m and the goals at {self.goal_x[0]:g} m"
             )
 
     def draw(self, rng: np.random.Generator) -> Window:
         """The window."""
-        intervals = self.wall_x, self.window_y, self.window_z, self.window_slope
-        x, y, z, slope = (rng.uniform(*interval) for interval in intervals)
-        return Window(x, y, z, slope if rng.random() < 0.5 else -slope)
+        return self.wall.draw(rng)
 
     def marks(self, hazard: Window) -> list[Mark]:
         """Walls on both sides of the window, in slices."""
-        return hazard.walls(self.wall_thickness, self.clearance)
+        return hazard.walls(self.wall.thickness, self.wall.clearance)
 
     def observe(self, attempt: Attempt) -> Values:
         """Joint state of hand and base, the window, and the distance to the wall."""
@@ -202,11 +109,11 @@ class Gate(HazardTask):
         window: Window = targets.drawn
         before = motion.hand_w[:, 0] < window.x - self.quiet_until
         felt = np.abs(motion.base_acceleration[before]).max(initial=0.0)
-        error = window.error(motion.hand_w, self.wall_thickness)
+        error = window.error(motion.hand_w, self.wall.thickness)
         reason = ""
         if felt > self.quiet_limit:
             reason = "the base was not quiet before the wall"
-        elif error > self.clearance:
+        elif error > self.wall.clearance:
             reason = "the hand touched the wall"
         return reason, {
             "floor_acceleration": float(felt),
@@ -220,7 +127,7 @@ class Gate(HazardTask):
             for entries in (HAND, GOAL)
         )
         window = Window(*(state[name] for name in names(*GATE)))
-        beyond = hand[0] > window.x + self.wall_thickness
+        beyond = hand[0] > window.x + self.wall.thickness
         before = goal[0] < window.x  # half way
         way = goal - hand
         if not (beyond or before):
@@ -234,11 +141,19 @@ _MEDIUM = Gate()
 
 register_task(
     "Gate-easy-v0",
-    replace(_MEDIUM, max_steps=20, clearance=0.035, window_slope=(0.3, 0.5)),
+    replace(
+        _MEDIUM,
+        max_steps=20,
+        wall=replace(_MEDIUM.wall, clearance=0.035, slope=(0.3, 0.5)),
+    ),
 )
 register_task("Gate-v0", _MEDIUM)
 register_task(
     "Gate-hard-v0",
-    replace(_MEDIUM, clearance=0.02, window_slope=(0.7, 1.0), quiet_limit=0.2),
+    replace(
+        _MEDIUM,
+        quiet_limit=0.2,
+        wall=replace(_MEDIUM.wall, clearance=0.02, slope=(0.7, 1.0)),
+    ),
 )
 register_task("Gate-halves-v0", replace(_MEDIUM, halves=True))

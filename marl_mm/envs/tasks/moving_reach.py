@@ -11,7 +11,7 @@ the fastest, by its way round, and its hand steers to where such a goal is next.
 """
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from marl_mm.envs.cruise import (
     CruiseTask,
     names,
 )
-from marl_mm.envs.hazard import Interval, check_intervals
+from marl_mm.envs.intervals import Interval, check_intervals
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Terms, Values
 from marl_mm.envs.tasks.reach import steer
@@ -181,10 +181,6 @@ class MovingReach(CruiseTask):
         seen = *goal_w, *circle.centre_w, circle.rate, circle.near
         own = dict(zip(names(*GOAL, *CENTRE, RATE, SECONDS), seen, strict=True))
         return {**super().observe(attempt), **own}
-
-    def measure(self, attempt: Attempt) -> dict[str, Any]:
-        """Distances of hand and base to their targets, and to the moving goal [m]."""
-        return {**super().measure(attempt), **attempt.memory.measured}
 
     def moved_marks(self, attempt: Attempt) -> list[dict[int, tuple[float, ...]]]:
         """The goal, at the step's end."""

@@ -16,11 +16,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, Targets, names
-from marl_mm.envs.hazard import (
-    HazardTask,
-    Interval,
-    check_intervals,
-)
+from marl_mm.envs.hazard import HazardTask
+from marl_mm.envs.intervals import Interval, check_intervals
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Values
 from marl_mm.envs.tasks.reach import steer
@@ -52,6 +49,19 @@ LAYOUT = Layout(
 
 BRAKING = 0.15
 """Way in which a base at alpha 0 comes to rest at alpha 1: a step of each [m]."""
+
+
+def felt_within(zones: np.ndarray, motion: "Motion") -> float:
+    """Largest commanded acceleration of the base within zones [m/s^2]; 0 outside.
+
+    Args:
+        zones: Two ends of each zone, x in the world, shape (zones, 2) [m].
+        motion: Motion of the robot in a step.
+    """
+    x = motion.q[:, :1]
+    inside = ((x < zones.max(axis=1)) & (x > zones.min(axis=1))).any(axis=1)
+    return float(np.abs(motion.base_acceleration[inside]).max(initial=0.0))
+
 
 _PAIRS = tuple(zip(GOAL, HAND, strict=True))
 
@@ -133,12 +143,9 @@ class QuietZone(HazardTask):
 
     def harm(self, targets: Targets, motion: "Motion") -> tuple[str, dict[str, float]]:
         """A base that accelerates too much within a zone."""
-        near, far = targets.drawn.T
-        x = motion.q[:, :1]
-        inside = ((x < near) & (x > far)).any(axis=1)
-        felt = np.abs(motion.base_acceleration[inside]).max(initial=0.0)
+        felt = felt_within(targets.drawn, motion)
         reason = "the base was not quiet in a zone" if felt > self.zone_limit else ""
-        return reason, {"zone_acceleration": float(felt)}
+        return reason, {"zone_acceleration": felt}
 
     def expert(self, state: Values, script: ScriptConfig) -> Values:
         """Steer straight to the goal; alpha is 1 where the base has to be quiet."""

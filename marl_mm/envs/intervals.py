@@ -1,0 +1,26 @@
+"""Intervals that tasks draw from."""
+
+from typing import Any
+
+from marl_mm.errors import UsageError
+
+Interval = tuple[float, float]
+
+
+def check_intervals(config: Any, *fields: str, of: str = "") -> None:
+    """Raise for an interval whose ends are in the wrong order.
+
+    Args:
+        config: Config with the intervals.
+        fields: Names of their fields.
+        of: Beginning of the fields' names in messages, such as "wall.".
+
+    Raises:
+        UsageError: Naming the field.
+    """
+    for name in fields:
+        low, high = getattr(config, name)
+        if not low <= high:
+            raise UsageError(
+                f"{of}{name} is {low:g} to {high:g}, expected the smaller first"
+            )

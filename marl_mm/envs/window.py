@@ -1,0 +1,144 @@
+"""A wall across the way, and the slanted window in it that the finger tips pass."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from marl_mm.envs.intervals import Interval, check_intervals
+from marl_mm.errors import UsageError
+from marl_mm.layout import Entry
+from marl_mm.sim.scene import YELLOW, Mark
+
+GATE = (
+    *(Entry(f"gate_{axis}", "m") for axis in "xyz"),
+    Entry("gate_slope", "1", -1.0, 1.0),
+)
+"""Middle of the window on the wall's near side, world frame, and its way aside per way
+ahead through the wall."""
+
+DISTANCE = Entry("gate_distance", "m")
+"""Distance along x from the end-effector to the wall's near side; negative beyond."""
+
+AIM = 0.01
+"""Distance at which the script is at the point before the window [m]."""
+
+
+class Window(NamedTuple):
+    """Window of an episode, as the entries of the state."""
+
+    x: float
+    y: float
+    z: float
+    slope: float
+
+    def error(self, hand_w: np.ndarray, thickness: float) -> float:
+        """Largest distance along y or z from the window's middle within the wall [m].
+
+        Args:
+            hand_w: Positions of the hand, shape (n, 3) [m].
+            thickness: Way through the wall [m].
+        """
+        x, y, z = hand_w.T
+        ahead = x - self.x
+        within = (ahead > 0) & (ahead < thickness)
+        aside = np.abs(y - self.y - self.slope * ahead)
+        error = np.maximum(aside, np.abs(z - self.z))[within]
+        return float(error.max(initial=0.0))
+
+    def walls(self, thickness: float, clearance: float) -> list[Mark]:
+        """Drawings of the wall on both sides of the window, in slices.
+
+        Args:
+            thickness: Way through the wall [m].
+            clearance: Half width of the window for the finger tips [m].
+        """
+        count, wide = 8, 0.3
+        deep = thickness / count
+        marks = []
+        for ahead in (np.arange(count) + 0.5) * deep:
+            for side in (-1, 1):
+                aside = side * (clearance + 0.02 + wide / 2)
+                middle = self.y + self.slope * ahead + aside
+                place = float(self.x + ahead), float(middle), self.z / 2
+                marks.append(Mark(place, (deep, wide, self.z), YELLOW))
+        return marks
+
+    def way(self, hand: np.ndarray, step: float) -> np.ndarray:
+        """The script's next displacement of the hand to the window or within it.
+
+        Args:
+            hand: Position of the hand before or in the wall, shape (3,) [m].
+            step: Way ahead in a step [m].
+        """
+        middle, along = self._line()
+        ahead = hand[0] - self.x
+        if ahead > -2 * AIM and np.abs(hand - middle - ahead * along).max() < AIM:
+            return np.asarray(middle + (ahead + step) * along - hand)
+        return np.asarray(middle - AIM * along - hand)
+
+    def way_back(self, hand: np.ndarray, step: float, thickness: float) -> np.ndarray:
+        """The script's next displacement of the hand to the far side, or back.
+
+        Args:
+            hand: Position of the hand behind or in the wall, shape (3,) [m].
+            step: Way back in a step [m].
+            thickness: Way through the wall [m].
+        """
+        middle, along = self._line()
+        ahead, behind = hand[0] - self.x, thickness + AIM
+        on_way = np.abs(hand - middle - ahead * along).max() < AIM
+        if on_way and ahead < behind + AIM:
+            return np.asarray(middle + (ahead - step) * along - hand)
+        return np.asarray(middle + behind * along - hand)
+
+    def _line(self) -> tuple[np.ndarray, np.ndarray]:
+        """Middle on the near side, and the way aside per way ahead, shape (3,) each."""
+        return np.array([self.x, self.y, self.z]), np.array([1.0, self.slope, 0.0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class WallConfig:
+    """Intervals of the wall and its window, which the seed draws.
+
+    Only the finger tips are held against the window: the hand points down, and the
+    arm's last links pass above the wall.
+    """
+
+    x: Interval
+    """Interval of x of the wall's near side, world [m]."""
+
+    thickness: float = 0.2
+    """Way through the wall along x [m]."""
+
+    y: Interval = (-0.05, 0.05)
+    """Interval of y of the window's middle at the near side, world [m]."""
+
+    z: Interval = (0.57, 0.63)
+    """Interval of z of the window's middle, world [m]."""
+
+    slope: Interval = (0.5, 0.8)
+    """Interval of the window's way aside per way ahead, to either side."""
+
+    clearance: float = 0.025
+    """Half width and half height of the window, for the finger tips [m]."""
+
+    def __post_init__(self) -> None:
+        check_intervals(self, "x", "y", "z", "slope", of="wall.")
+        low, high = self.slope
+        if not 0.0 <= low <= high <= 1.0:
+            raise UsageError(
+                f"wall.slope is {low:g} to {high:g}, expected within 0 to 1: no step "
+                "goes further aside than ahead"
+            )
+
+    @property
+    def end(self) -> float:
+        """Largest x of the wall's far side, world [m]."""
+        return self.x[1] + self.thickness
+
+    def draw(self, rng: np.random.Generator) -> Window:
+        """Draw a window."""
+        intervals = self.x, self.y, self.z, self.slope
+        x, y, z, slope = (rng.uniform(*interval) for interval in intervals)
+        return Window(x, y, z, slope if rng.random() < 0.5 else -slope)
