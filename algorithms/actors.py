@@ -7,9 +7,18 @@ from typing import Any
 import numpy as np
 import torch
 
-from marl_mm.algorithms.networks import ActionScale, Actor, Normalizer
+from marl_mm.algorithms.networks import (
+    PLAIN,
+    ActionScale,
+    Actor,
+    Form,
+    Normalizer,
+)
 from marl_mm.errors import UsageError
 from marl_mm.layout import JOINT_NAME, AgentLayout, Layout, in_order
+
+MOST_STEPS = 1_000
+"""Most Euler steps of a flow that is read from a file."""
 
 
 class AgentActor:
@@ -46,21 +55,38 @@ class AgentActor:
         return state.index_select(-1, self._entries)
 
     @torch.no_grad()
-    def act(self, observation: np.ndarray) -> np.ndarray:
-        """Action in the action space, shape (k,), at the agent's own observation."""
+    def plan(
+        self,
+        observation: np.ndarray,
+        noise: np.ndarray | torch.Tensor | None = None,
+    ) -> np.ndarray:
+        """Next actions in the action space, shape (h, k); most actors plan one.
+
+        Args:
+            observation: The agent's own observation, shape (d,).
+            noise: Standard normal noise of actors that take some, shape (m,).
+        """
         inputs = torch.as_tensor(observation, dtype=torch.float32)
-        action: np.ndarray = self.scale.denormalize(self.actor(inputs)).numpy()
-        return action
+        drawn = None if noise is None else torch.as_tensor(noise, dtype=torch.float32)
+        planned: np.ndarray = self.planned(self.actor(inputs, drawn)).numpy()
+        return planned
+
+    def planned(self, action: torch.Tensor) -> torch.Tensor:
+        """Actions of the network in the action space, (..., h k) to (..., h, k)."""
+        chunks = action.reshape(*action.shape[:-1], -1, len(self.layout.action))
+        return self.scale.denormalize(chunks)
 
 
 def _revived(layout: AgentLayout, actor: bytes) -> AgentActor:
     return AgentActor(layout, pickle.loads(actor))
 
 
-def blank_actor(agent: AgentLayout, hidden: Sequence[int]) -> AgentActor:
+def blank_actor(
+    agent: AgentLayout, hidden: Sequence[int], form: Form = PLAIN
+) -> AgentActor:
     """Untrained actor without input statistics."""
     normalizer = Normalizer.blank(len(agent.observation))
-    return AgentActor(agent, Actor(normalizer, len(agent.action), hidden))
+    return AgentActor(agent, Actor(normalizer, form.widths(agent, hidden), form))
 
 
 def actors_from(states: Mapping[str, Any], layout: Layout) -> dict[str, AgentActor]:
@@ -74,7 +100,7 @@ def actors_from(states: Mapping[str, Any], layout: Layout) -> dict[str, AgentAct
     agents = {}
     for agent in (layout.joint,) if JOINT_NAME in states else layout.agents:
         state = states[agent.name]
-        agents[agent.name] = blank_actor(agent, _hidden(state))
+        agents[agent.name] = blank_actor(agent, *_hidden_and_form(agent, state))
         actor = agents[agent.name].actor
         for key, blank in actor.state_dict().items():
             if key in state and state[key].dtype != blank.dtype:  # it would be cast
@@ -98,7 +124,14 @@ def joint_action(agents: Mapping[str, AgentActor], state: torch.Tensor) -> torch
     return joined if order is None else joined[..., order]
 
 
-def _hidden(state: Mapping[str, torch.Tensor]) -> list[int]:
-    """Units of an actor's hidden layers, from its weights."""
+def _hidden_and_form(
+    agent: AgentLayout, state: Mapping[str, torch.Tensor]
+) -> tuple[list[int], Form]:
+    """Units of an actor's hidden layers, and its form, from its state."""
     weights = [v for k, v in state.items() if k.startswith("layers.") and v.dim() == 2]
-    return [weight.shape[0] for weight in weights[:-1]]
+    *hidden, outputs = (weight.shape[0] for weight in weights)
+    steps = int(state.get("flow_steps", torch.tensor(0)))
+    if not 0 <= steps <= MOST_STEPS:
+        raise ValueError(f"flow_steps {steps} of {agent.name}")
+    chunk = outputs // len(agent.action)
+    return hidden, Form("flow_steps" in state, steps, chunk)

@@ -2,6 +2,8 @@
 
 A file takes observations, float32, shape (n, d), and returns actions in the action
 space, shape (n, k); within it lie the names of their entries and the actions' bounds.
+That of a policy that draws its actions takes standard normal noise, too, shape (n, m),
+and one that plans h actions in a row returns shape (n, h, k).
 """
 
 import hashlib
@@ -31,8 +33,11 @@ from marl_mm.layout import Layout, in_order
 from marl_mm.received import check_regular, parse_json
 from marl_mm.registry import Registry
 
-Run = Callable[[np.ndarray], np.ndarray]
-"""A written file: observations, float32, shape (n, d), to actions, shape (n, k)."""
+Inputs = tuple[torch.Tensor, ...]
+"""Observations, float32, shape (n, d), and the noise of policies that take some."""
+
+Run = Callable[[Inputs], np.ndarray]
+"""A written file: from inputs to actions."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,9 +50,9 @@ class PolicyFormat:
     suffix: str
     """Ending of its files."""
 
-    write: Callable[[nn.Module, torch.Tensor, Path, dict[str, Any]], Run]
-    """Writes a module, given some observations, a path and the metadata to go in, and
-    returns what the file does."""
+    write: Callable[[nn.Module, Inputs, Path, dict[str, Any]], Run]
+    """Writes a module, given some inputs, a path and the metadata to go in, and returns
+    what the file does."""
 
     metadata: Callable[[Path], str]
     """Reads the metadata in a file, as JSON, and runs nothing of it."""
@@ -93,11 +98,12 @@ def export_policy(
     _refuse_missing(form, chosen)
     module = _Exported(policy, agent).eval()
     metadata = module.metadata | {"policy": policy.name, "weights": policy.fingerprint}
-    observations = module.some(_CHECKS)
+    inputs = module.some(_CHECKS)
     with new_file(path) as temporary:
         with _quiet():
-            run = chosen.write(module, observations[:2], temporary, metadata)
-        difference = np.abs(run(observations.numpy()) - module.expected(observations))
+            few = tuple(values[:2] for values in inputs)
+            run = chosen.write(module, few, temporary, metadata)
+        difference = np.abs(run(inputs) - module.expected(*inputs))
         if not difference.max() <= TOLERANCE:
             raise ExportError(
                 f"the exported policy's actions differ from the run's by "
@@ -176,20 +182,34 @@ class _Exported(nn.Module):
             "action_low": [layout.low[i] for i in entries],
             "action_high": [layout.high[i] for i in entries],
         }
+        self._noise = [agent.actor.noise for agent in self._agents]
+        self._chunk = max(agent.actor.form.chunk for agent in self._agents)
+        if any(self._noise):
+            self.metadata["noise"] = sum(self._noise)
+        if self._chunk > 1:
+            self.metadata["chunk"] = self._chunk
 
-    def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        parts = [
-            agent.scale.denormalize(agent.actor(self._observed(agent, observation)))
-            for agent in self._agents
-        ]
+    def forward(
+        self, observation: torch.Tensor, noise: torch.Tensor | None = None
+    ) -> torch.Tensor:
+        parts = []
+        own = self._own(noise)
+        for agent in self._agents:
+            observed = self._observed(agent, observation)
+            parts.append(agent.planned(agent.actor(observed, next(own, None))))
         joined = torch.cat(parts, dim=-1)
-        return joined if self._order is None else joined[..., self._order]
+        joined = joined if self._order is None else joined[..., self._order]
+        return joined if self._chunk > 1 else joined.squeeze(-2)
+
+    def _own(self, noise: torch.Tensor | None = None) -> Iterator[torch.Tensor]:
+        """Each agent's part of the noise."""
+        return iter(() if noise is None else torch.split(noise, self._noise, -1))
 
     def _observed(self, agent: AgentActor, observation: torch.Tensor) -> torch.Tensor:
         return observation if self._alone else agent.observed(observation)
 
-    def some(self, count: int) -> torch.Tensor:
-        """Observations around those that the actors were trained on."""
+    def some(self, count: int) -> Inputs:
+        """Observations around those that the actors were trained on, and noise."""
         rng = np.random.default_rng(0)
         width = len(self._layout.state)
         mean, std = torch.zeros(width), torch.ones(width)
@@ -199,20 +219,29 @@ class _Exported(nn.Module):
             std[entries] = agent.actor.normalizer.std
         draws = torch.from_numpy(rng.standard_normal((count, width), np.float32))
         states = mean + 2 * std * draws
-        return self._agents[0].observed(states) if self._alone else states
+        observations = self._agents[0].observed(states) if self._alone else states
+        if not any(self._noise):
+            return (observations,)
+        noise = rng.standard_normal((count, sum(self._noise)), np.float32)
+        return observations, torch.from_numpy(noise)
 
-    def expected(self, observations: torch.Tensor) -> np.ndarray:
+    def expected(self, *inputs: torch.Tensor) -> np.ndarray:
         """Actions, one observation at a time, as in an episode."""
         rows = []
-        for row in observations:
-            actions = [a.act(self._observed(a, row).numpy()) for a in self._agents]
-            joined = np.concatenate(actions)
-            rows.append(joined if self._order is None else joined[self._order])
+        for observation, *noise in zip(*inputs, strict=True):
+            own = self._own(*noise)
+            plans = [
+                agent.plan(self._observed(agent, observation).numpy(), next(own, None))
+                for agent in self._agents
+            ]
+            joined = np.concatenate(plans, axis=-1)
+            joined = joined if self._order is None else joined[:, self._order]
+            rows.append(joined if self._chunk > 1 else joined[0])
         return np.array(rows)
 
 
 def _torchscript(
-    module: nn.Module, example: torch.Tensor, path: Path, metadata: dict[str, Any]
+    module: nn.Module, example: Inputs, path: Path, metadata: dict[str, Any]
 ) -> Run:
     traced = torch.jit.trace(module, example)  # type: ignore[no-untyped-call]
     file = BytesIO()  # torch would end the process on a full disk
@@ -220,25 +249,26 @@ def _torchscript(
     path.write_bytes(file.getbuffer())
     loaded = torch.jit.load(path)  # type: ignore[no-untyped-call]
 
-    def run(observations: np.ndarray) -> np.ndarray:
-        actions: np.ndarray = loaded(torch.from_numpy(observations)).numpy()
+    def run(inputs: Inputs) -> np.ndarray:
+        actions: np.ndarray = loaded(*inputs).numpy()
         return actions
 
     return run
 
 
 def _onnx(
-    module: nn.Module, example: torch.Tensor, path: Path, metadata: dict[str, Any]
+    module: nn.Module, example: Inputs, path: Path, metadata: dict[str, Any]
 ) -> Run:
     import onnxruntime
 
+    names = ["observation", "noise"][: len(example)]
     program = torch.onnx.export(
         module,
-        (example,),
+        example,
         dynamo=True,
-        input_names=["observation"],
+        input_names=names,
         output_names=["action"],
-        dynamic_shapes=({0: torch.export.Dim("n")},),
+        dynamic_shapes=({0: torch.export.Dim("n")},) * len(example),
         verbose=False,
     )
     assert program is not None
@@ -249,8 +279,9 @@ def _onnx(
     path.write_bytes(proto.SerializeToString())
     session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
 
-    def run(observations: np.ndarray) -> np.ndarray:
-        (actions,) = session.run(None, {"observation": observations})
+    def run(inputs: Inputs) -> np.ndarray:
+        arrays = (values.numpy() for values in inputs)
+        (actions,) = session.run(None, dict(zip(names, arrays, strict=True)))
         return np.asarray(actions)
 
     return run

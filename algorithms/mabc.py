@@ -14,13 +14,14 @@ from marl_mm.algorithms.mabc_config import MabcConfig
 from marl_mm.algorithms.offline_learner import OfflineLearner
 from marl_mm.algorithms.replay import Judge
 from marl_mm.datasets.arrays import EpisodeArrays
-from marl_mm.layout import AgentLayout, columns
+from marl_mm.layout import columns
 
 
 class Mabc(OfflineLearner):
     """One actor per agent by supervised learning; see ``OfflineLearner``."""
 
     name: ClassVar[str] = "mabc"
+    team = True
     config: MabcConfig
 
     # --- Update --------------------------------------------------------------
@@ -53,10 +54,6 @@ class Mabc(OfflineLearner):
         super().__init__(
             config, arrays, judge, seeds, device, config.learning_rate, shares
         )
-
-    def _layouts(self) -> tuple[AgentLayout, ...]:
-        """One actor for each agent."""
-        return self.layout.agents
 
     @torch.no_grad()
     def diagnose(self) -> dict[str, torch.Tensor]:

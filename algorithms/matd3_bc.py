@@ -12,18 +12,15 @@ import torch
 from marl_mm.algorithms.matd3_bc_config import Matd3BcConfig
 from marl_mm.algorithms.offline_batches import OfflineBatch
 from marl_mm.algorithms.td3_bc import Td3Bc
-from marl_mm.layout import AgentLayout, columns
+from marl_mm.layout import columns
 
 
 class Matd3Bc(Td3Bc):
     """Learns decentralised actors with centralised critics; see ``Td3Bc``."""
 
     name: ClassVar[str] = "matd3-bc"
+    team = True
     config: Matd3BcConfig
-
-    def _layouts(self) -> tuple[AgentLayout, ...]:
-        """One actor for each agent."""
-        return self.layout.agents
 
     def _pairs(self) -> int:
         """One pair of critics for each agent, or one for all."""

@@ -1,10 +1,13 @@
 """Networks that carry their own input statistics: no checkpoint can lose them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
 from torch import nn
+
+from marl_mm.layout import AgentLayout
 
 
 class Normalizer(nn.Module):
@@ -49,26 +52,85 @@ class Normalizer(nn.Module):
         return (observation - self.mean) / self.std
 
 
+@dataclass(frozen=True)
+class Form:
+    """Form of a policy's networks."""
+
+    noisy: bool = False
+    """Whether they take standard normal noise as wide as their outputs."""
+
+    flow_steps: int = 0
+    """Euler steps of a flow from noise to action; 0: the network gives the action."""
+
+    chunk: int = 1
+    """Actions in a row that they give at once."""
+
+    def widths(self, agent: AgentLayout, hidden: Sequence[int]) -> tuple[int, ...]:
+        """Units of the layers of an agent's network, from inputs to outputs."""
+        outputs = self.chunk * len(agent.action)
+        noise = outputs * self.noisy
+        inputs = len(agent.observation) + noise + (self.flow_steps > 0)
+        return inputs, *hidden, outputs
+
+    def act(
+        self,
+        network: Callable[[torch.Tensor], torch.Tensor],
+        observed: torch.Tensor,
+        noise: torch.Tensor | None = None,
+    ) -> torch.Tensor:
+        """Actions in [-1, 1] of a network, shape (..., k).
+
+        A flow's network is a velocity at an action and a time, from noise at 0 to the
+        action at 1 (Lipman 2023).
+
+        Args:
+            network: The network.
+            observed: Normalised observations, shape (..., d).
+            noise: Noise, shape (..., k), if the form is noisy.
+        """
+        if noise is None:
+            return torch.tanh(network(observed))
+        if not self.flow_steps:
+            return torch.tanh(network(torch.cat([observed, noise], dim=-1)))
+        action = noise
+        for step in range(self.flow_steps):
+            time = torch.full_like(action[..., :1], step / self.flow_steps)
+            velocity = network(torch.cat([observed, action, time], dim=-1))
+            action = action + velocity / self.flow_steps
+        return action.clamp(-1, 1)
+
+
+PLAIN = Form()
+"""An action without noise."""
+
+
 class Actor(nn.Module):
-    """Deterministic policy of one agent, in normalised action coordinates.
+    """Policy of one agent, in normalised action coordinates.
 
     Args:
         normalizer: Normalizer of its observations, shape (..., d).
-        actions: Number of action entries k.
-        hidden: Units of the hidden layers.
+        widths: Units of the layers, from inputs to outputs.
+        form: Form of the network.
     """
 
     def __init__(
-        self, normalizer: Normalizer, actions: int, hidden: Sequence[int]
+        self, normalizer: Normalizer, widths: Sequence[int], form: Form = PLAIN
     ) -> None:
         super().__init__()
-        self.normalizer = normalizer
-        width = normalizer.mean.shape[0]
-        self.layers = nn.Sequential(*perceptron([width, *hidden, actions]))
+        self.normalizer, self.form = normalizer, form
+        self.noise = widths[-1] * form.noisy
+        """Number of entries of noise that it takes."""
 
-    def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Actions in [-1, 1], shapes (..., d) to (..., k)."""
-        return torch.tanh(self.layers(self.normalizer(observation)))
+        self.layers = nn.Sequential(*perceptron(widths))
+        if form.noisy:
+            steps = torch.tensor(form.flow_steps)
+            self.register_buffer("flow_steps", steps)  # for its state
+
+    def forward(
+        self, observation: torch.Tensor, noise: torch.Tensor | None = None
+    ) -> torch.Tensor:
+        """Actions in [-1, 1], shapes (..., d) and (..., k) to (..., k)."""
+        return self.form.act(self.layers, self.normalizer(observation), noise)
 
 
 class Critic(nn.Module):

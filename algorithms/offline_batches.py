@@ -50,6 +50,9 @@ class OfflineBatch(NamedTuple):
     noise: torch.Tensor
     """Standard normal noise for the target's actions, shape (S, B, k)."""
 
+    extra: torch.Tensor
+    """More such noise, of flows and of sampled actions, shape (S, B, extra)."""
+
 
 class OfflineBatches:
     """Draws the batches of S seeds, each from a stream of its own.
@@ -62,6 +65,7 @@ class OfflineBatches:
         judge: The task's reward and termination.
         seeds: Seeds of the streams, S of them.
         device: Device of the batches.
+        extra: Entries of ``OfflineBatch.extra``.
 
     Raises:
         DatasetError: If a value of the dataset is not finite.
@@ -77,9 +81,10 @@ class OfflineBatches:
         judge: Judge,
         seeds: Sequence[int],
         device: str = "cpu",
+        extra: int = 0,
     ) -> None:
         _refuse_odd_values(arrays)
-        self._layout = arrays.layout
+        self._layout, self._extra = arrays.layout, extra
         self._size, self._judge, self._device = size, judge, device
         self._future, self._elsewhere = shares
         # float64, so that a reward computed again is the step's own to the bit.
@@ -155,6 +160,7 @@ class OfflineBatches:
         kind, later = rng.random(count), rng.random(count)
         others = rng.integers(len(self), size=count)
         noise = rng.standard_normal((count, self._action.shape[1]), np.float32)
+        extra = rng.standard_normal((count, self._extra), np.float32)
         state, next_state = self._state[rows], self._next_state[rows]
         reward, terminated = self._reward[rows], self._terminated[rows]
         future = kind < self._future
@@ -180,6 +186,7 @@ class OfflineBatches:
             (~elsewhere).astype(np.float32),
             self._successful[rows],
             noise,
+            extra,
         )
 
 

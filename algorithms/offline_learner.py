@@ -1,12 +1,12 @@
 """Base of offline algorithms: batches, input statistics, actors and their state."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 
 from marl_mm.algorithms.actors import AgentActor
-from marl_mm.algorithms.networks import Normalizer
+from marl_mm.algorithms.networks import PLAIN, Form, Normalizer
 from marl_mm.algorithms.offline_batches import OfflineBatches
 from marl_mm.algorithms.replay import Judge
 from marl_mm.algorithms.seeded import Parts, SeededActors, load_parts, parts_state
@@ -25,7 +25,12 @@ class OfflineLearner:
         device: "cpu" or "cuda".
         rate: Learning rate of the actors.
         shares: Shares of transitions with another goal, see ``OfflineBatches``.
+        form: Form of the actors' networks.
+        extra: Entries of noise that batches have beside the usual.
     """
+
+    team: ClassVar[bool] = False
+    """Whether each agent has an actor of its own; or one sees and sets everything."""
 
     def __init__(
         self,
@@ -36,25 +41,28 @@ class OfflineLearner:
         device: str,
         rate: float,
         shares: tuple[float, float],
+        form: Form = PLAIN,
+        extra: int = 0,
     ) -> None:
         self.config, self.seeds, self.step = config, tuple(seeds), 0
         self.layout = arrays.layout
         self.layouts = self._layouts()
+        """Layouts of the actors."""
+
         self.bounds: dict[str, float] = {}
         self._batches = OfflineBatches(
-            arrays, config.batch_size, shares, judge, seeds, device
+            arrays, config.batch_size, shares, judge, seeds, device, extra
         )
         states = torch.from_numpy(arrays.states).float()
         self.normalizer = Normalizer.of(states, config.std_floor).to(device)
         self.actors = SeededActors(
-            self.layouts, self.normalizer, config.hidden, rate, seeds, device
+            self.layouts, self.normalizer, config.hidden, rate, seeds, device, form
         )
         self._parts: Parts = {"actors": self.actors}
         """Networks by their name in the state."""
 
     def _layouts(self) -> tuple[AgentLayout, ...]:
-        """Layout of each actor; by default one sees and sets everything."""
-        return (self.layout.joint,)
+        return self.layout.agents if self.team else (self.layout.joint,)
 
     def agents(self, number: int) -> dict[str, AgentActor]:
         """Current actors of one seed, by name."""

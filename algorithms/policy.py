@@ -1,7 +1,7 @@
 """Learned policies: a checkpoint's actors behind the interface of every policy."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,8 @@ class LearnedPolicy:
         self.agents = dict(agents)
         self.layout = layout
         self._source = source
+        self._rng = np.random.default_rng(0)
+        self._plans: dict[str, list[np.ndarray]] = {}
 
     def __repr__(self) -> str:
         return f"<LearnedPolicy {self.name}: {self._source}>"
@@ -62,6 +64,7 @@ class LearnedPolicy:
         """
         joint = JOINT_NAME in self.agents
         refuse_other_layout(self.name, self.layout, "the task", layout, not joint)
+        self._rng, self._plans = rng, {}
 
     def act(self, observation: np.ndarray | Mapping[str, np.ndarray]) -> np.ndarray:
         """Joint action, shape (k,), float32.
@@ -76,7 +79,18 @@ class LearnedPolicy:
         action = np.empty(len(self.layout.action), np.float32)
         for agent in self.agents.values():
             layout = agent.layout
-            action[list(layout.action)] = agent.act(state[list(layout.observation)])
+            observation = state[list(layout.observation)]
+            action[list(layout.action)] = self._next(agent, observation)
+        return action
+
+    def _next(self, agent: AgentActor, observation: np.ndarray) -> np.ndarray:
+        """An agent's next action, by its last plan as long as there is some left."""
+        name, width = agent.layout.name, agent.actor.noise
+        plan: Sequence[np.ndarray] = self._plans.get(name, ())
+        if not plan:
+            noise = self._rng.standard_normal(width, np.float32) if width else None
+            plan = [*agent.plan(observation, noise)]
+        action, *self._plans[name] = plan
         return action
 
     def act_agents(
@@ -93,7 +107,8 @@ class LearnedPolicy:
                 "the parallel environment with marl_mm.envs.parallel.split_action of "
                 "policy.act of its state(), and its layout"
             )
-        return {name: self.agents[name].act(o) for name, o in observations.items()}
+        own = self.agents
+        return {name: self._next(own[name], o) for name, o in observations.items()}
 
 
 def joint_state(

@@ -14,7 +14,7 @@ from torch import nn
 
 from marl_mm.algorithms.actors import AgentActor
 from marl_mm.algorithms.ensemble import Ensemble, Learner
-from marl_mm.algorithms.networks import Actor, Normalizer, perceptron
+from marl_mm.algorithms.networks import PLAIN, Actor, Form, Normalizer, perceptron
 from marl_mm.layout import AgentLayout, columns, in_order
 
 TWINS = 2
@@ -31,6 +31,9 @@ class SeededActors:
         rate: Learning rate.
         seeds: Seeds of initial weights, S of them.
         device: Device of the networks.
+        form: Form of the networks.
+        stream: Number of the stream of initial weights, the same for no two networks
+            of a learner.
     """
 
     learns = True
@@ -44,28 +47,61 @@ class SeededActors:
         rate: float,
         seeds: Sequence[int],
         device: str,
+        form: Form = PLAIN,
+        stream: int = 0,
     ) -> None:
         self._layouts = {layout.name: layout for layout in layouts}
         self._order = in_order(layouts)
         self._normalizer, self._hidden = normalizer, hidden
+        self.form = form
         members: dict[str, list[nn.Sequential]] = {name: [] for name in self._layouts}
         for seed in seeds:
-            with _seeded(seed, 0):
+            with _seeded(seed, stream):
                 for name, agent in self._layouts.items():
-                    widths = len(agent.observation), *hidden, len(agent.action)
+                    widths = form.widths(agent, hidden)
                     members[name].append(nn.Sequential(*perceptron(widths)))
         self.networks = {name: Ensemble(m, device) for name, m in members.items()}
         self._learners = {n: Learner(net, rate) for n, net in self.networks.items()}
 
-    def action(self, name: str, state: torch.Tensor) -> torch.Tensor:
-        """One agent's actions in [-1, 1], shape (S, B, k)."""
-        entries = columns(self._layouts[name].observation)
-        return torch.tanh(self.networks[name](state[..., entries]))
+    def observed(self, name: str, state: torch.Tensor) -> torch.Tensor:
+        """What an agent sees of joint states, shape (S, B, d)."""
+        return state[..., columns(self._layouts[name].observation)]
 
-    def joint(self, state: torch.Tensor) -> torch.Tensor:
-        """All agents' actions, shape (S, B, k)."""
-        joined = torch.cat([self.action(n, state) for n in self._layouts], dim=-1)
-        return joined if self._order is None else joined[..., self._order]
+    def action(
+        self, name: str, state: torch.Tensor, noise: torch.Tensor | None = None
+    ) -> torch.Tensor:
+        """One agent's actions in [-1, 1], shape (S, B, k).
+
+        Args:
+            name: Name of the agent.
+            state: Normalised joint states.
+            noise: The agent's noise, shape (S, B, k), if the form is noisy.
+        """
+        return self.form.act(self.networks[name], self.observed(name, state), noise)
+
+    def joint(
+        self, state: torch.Tensor, noise: torch.Tensor | None = None
+    ) -> torch.Tensor:
+        """All agents' actions, shape (S, B, k); noise is in the order of entries."""
+        parts = []
+        for name, layout in self._layouts.items():
+            own = None if noise is None else noise[..., self.entries(layout)]
+            parts.append(self.action(name, state, own))
+        return self.joined(parts)
+
+    def joined(self, parts: Sequence[torch.Tensor]) -> torch.Tensor:
+        """Joint actions of all agents' parts, in the agents' order."""
+        if self._order is None and self.form.chunk == 1:
+            return torch.cat(list(parts), dim=-1)
+        return _chunked(parts, self.form.chunk, self._order)
+
+    def entries(self, agent: AgentLayout) -> slice | list[int]:
+        """Columns of an agent's actions among the joint ones, chunk after chunk."""
+        if self.form.chunk == 1:
+            return columns(agent.action)
+        width = sum(len(layout.action) for layout in self._layouts.values())
+        chunks = range(self.form.chunk)
+        return [width * h + entry for h in chunks for entry in agent.action]
 
     def descend(self, name: str, loss: torch.Tensor) -> None:
         """One gradient step of an agent's actors.
@@ -95,7 +131,8 @@ class SeededActors:
             entries = list(layout.observation)
             mean, std = self._normalizer.mean.cpu(), self._normalizer.std.cpu()
             normalizer = Normalizer(mean[entries], std[entries])
-            actor = Actor(normalizer, len(layout.action), self._hidden)
+            widths = self.form.widths(layout, self._hidden)
+            actor = Actor(normalizer, widths, self.form)
             actor.layers.load_state_dict(self.networks[name].member(number))
             actors[name] = AgentActor(layout, actor)
         return actors
@@ -246,9 +283,17 @@ def _learners(name: str) -> str:
     return f"{name.removesuffix('s')}_learners"
 
 
+def _chunked(parts: Sequence[torch.Tensor], chunk: int, order: Any) -> torch.Tensor:
+    """Joint actions of agents' chunks, chunk after chunk."""
+    rows = [part.reshape(*part.shape[:-1], chunk, -1) for part in parts]
+    joined = torch.cat(rows, dim=-1)
+    joined = joined if order is None else joined[..., order]
+    return joined.flatten(-2)
+
+
 @contextmanager
 def _seeded(seed: int, stream: int) -> Iterator[None]:
     """Seed torch's own generator, which draws initial weights, for a block."""
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(2 * seed + stream)
+        torch.manual_seed(2 * seed + stream % 2 + (stream // 2 << 40))
         yield

@@ -203,7 +203,7 @@ def _probe(job: Job, probe: Probe) -> None:
         policy,
         training.eval_episodes,
         training.eval_seed,
-        job.learner.task,
+        probe.task or job.learner.task,
         {**training.overrides, **probe.overrides},
         advance=_named(job)(probe.name, training.eval_episodes),
     )

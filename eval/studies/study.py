@@ -136,6 +136,9 @@ class Probe:
     alpha: float | None = None
     """Fixed alpha that replaces the policy's; None: the policy's own."""
 
+    task: str | None = None
+    """Registered name of the task; None: the one that the run was trained for."""
+
     def __post_init__(self) -> None:
         """Refuse settings that cannot be evaluated."""
         _check_name(self.name)
@@ -145,7 +148,7 @@ class Probe:
             )
         if self.alpha is not None and not 0 <= self.alpha <= 1:
             raise UsageError(f"alpha is {self.alpha}, expected a number in [0, 1]")
-        make_task(overrides=self.overrides)  # raises
+        make_task(self.task or DEFAULT, self.overrides)  # raises
 
     @property
     def engine(self) -> Engine | None:
@@ -157,7 +160,9 @@ class Probe:
     def way(self) -> dict[str, Any]:
         """The evaluation's settings without its name."""
         values = asdict(self)
-        return {key: values[key] for key in ("checkpoint", "overrides", "alpha")}
+        elsewhere = () if self.task is None else ("task",)  # older records have none
+        names = ("checkpoint", "overrides", "alpha", *elsewhere)
+        return {key: values[key] for key in names}
 
     def file(self, run: Path) -> Path:
         """File of the evaluation in a run folder."""

@@ -140,17 +140,22 @@ def _acts(candidate: Candidate) -> None:
         learner = candidate.trained(arrays)
         policy = candidate.policy(learner)
         layout = arrays.layout
-        policy.begin(np.random.default_rng(0), layout)
         for state in arrays.states[:20]:
-            action = policy.act(state)
+            action = _first_action(policy, state)
             right = action.shape == (len(layout.action),) and action.dtype == np.float32
             demand(right, f"{words}: an action is {action.dtype} of {action.shape}")
             inside = (action >= layout.low).all() and (action <= layout.high).all()
             demand(inside, f"{words}: an action is outside of the action space")
-        demand_same(policy.act(state), policy.act(state), f"{words}: actions")
+        demand_same(_first_action(policy, state), action, f"{words}: actions")
         _sees_its_own(words, policy, state)
         if candidate.online:
             _explores(words, learner.behaviour(), arrays)
+
+
+def _first_action(policy: LearnedPolicy, state: np.ndarray) -> np.ndarray:
+    """Action at the beginning of an episode, always of the same seed."""
+    policy.begin(np.random.default_rng(0), policy.layout)
+    return policy.act(state)
 
 
 def _explores(words: str, policy: Policy, arrays: EpisodeArrays) -> None:
@@ -168,7 +173,7 @@ def _explores(words: str, policy: Policy, arrays: EpisodeArrays) -> None:
 
 def _sees_its_own(words: str, policy: LearnedPolicy, state: np.ndarray) -> None:
     """An agent's action depends only on the entries that it sees."""
-    action, layout = policy.act(state), policy.layout
+    action, layout = _first_action(policy, state), policy.layout
     layouts = {agent.name: agent for agent in (*layout.agents, layout.joint)}
     for name in policy.agents:
         demand(name in layouts, f"{words}: {name} is none of the agents")
@@ -176,7 +181,7 @@ def _sees_its_own(words: str, policy: LearnedPolicy, state: np.ndarray) -> None:
         seen = list(layouts[name].observation)
         other[seen] = state[seen]
         sets = list(layouts[name].action)
-        same = np.array_equal(policy.act(other)[sets], action[sets])
+        same = np.array_equal(_first_action(policy, other)[sets], action[sets])
         demand(same, f"{words}: {name} acts on what it does not see")
 
 
@@ -190,8 +195,13 @@ def _exports(candidate: Candidate) -> None:
             path = Path(folder, "policy.ts")
             export_policy(policy, path, "torchscript")
             exported = torch.jit.load(path)  # type: ignore[no-untyped-call]
-        there = exported(torch.from_numpy(states)).numpy()
-        differ = np.abs(there - [policy.act(state) for state in states]).max()
+        width = sum(agent.actor.noise for agent in policy.agents.values())
+        drawn = np.random.default_rng(0).standard_normal(width, np.float32)
+        inputs = [states, np.tile(drawn, (len(states), 1))][: 1 + (width > 0)]
+        there = exported(*map(torch.from_numpy, inputs)).numpy()
+        there = there if there.ndim == 2 else there[:, 0]  # of a plan, its first
+        here = [_first_action(policy, state) for state in states]
+        differ = np.abs(there - here).max()
         demand(differ <= TOLERANCE, f"the export acts otherwise, by {differ:.2g}")
 
 
@@ -204,7 +214,8 @@ def _acts_alone(candidate: Candidate) -> None:
         read = load_policy(path)
     demand(read.layout == policy.layout, "the checkpoint has another layout")
     for state in some_episodes().states[:20]:
-        demand_same(read.act(state), policy.act(state), "actions of the checkpoint")
+        here, there = (_first_action(each, state) for each in (policy, read))
+        demand_same(there, here, "actions of the checkpoint")
 
 
 def _odd_values(candidate: Candidate) -> None:
@@ -267,7 +278,8 @@ def _own_entries(candidate: Candidate) -> None:
         updates = SHOWN_ONLINE if candidate.online else SHOWN
         learner = candidate.trained(data, updates=updates)
         policy = candidate.policy(learner)
-        set_to.append(np.mean([policy.act(state) for state in data.states], axis=0))
+        actions = [_first_action(policy, state) for state in data.states]
+        set_to.append(np.mean(actions, axis=0))
     for name, rise in zip(
         layout.action_names, (set_to[0] - set_to[1]) * way, strict=True
     ):

@@ -151,7 +151,7 @@ def test_each_seed_draws_from_a_stream_of_its_own(arrays: EpisodeArrays) -> None
     """Whichever others there are, in whatever order."""
 
     def columns(seeds: list[int]) -> dict[int, list[torch.Tensor]]:
-        batches = OfflineBatches(arrays, 8, (0.3, 0.3), TASK, seeds)
+        batches = OfflineBatches(arrays, 8, (0.3, 0.3), TASK, seeds, extra=2)
         first = batches.next()
         return {seed: [c[i] for c in first] for i, seed in enumerate(seeds)}
 

@@ -785,8 +785,8 @@ class InTurnOnline(Maddpg):
 class Doubled(AgentActor):
     """An actor that acts twice as much as it should."""
 
-    def act(self, observation: np.ndarray) -> np.ndarray:
-        return 2 * super().act(observation) + 1.0
+    def plan(self, observation: np.ndarray, noise: Any = None) -> np.ndarray:
+        return 2 * super().plan(observation, noise) + 1.0
 
 
 class ActsTooMuch(Mabc):
