@@ -1,6 +1,6 @@
-"""MABC, multi-agent behaviour cloning (paper, Sec. 4.4, Algorithm 2).
+"""MABC, multi-agent behaviour cloning (paper, Sec. 4.4, Algorithm 2), and BC.
 
-Two decentralised actors, each on its own observation, no critic:
+Decentralised actors, each on its own observation, no critic:
 loss_i = MSE(a_i, pi_i(o_i)).
 """
 
@@ -9,7 +9,6 @@ from typing import ClassVar
 
 import torch
 
-from marl_mm.algorithms.diagnostics import DIAGNOSED, imitation_errors
 from marl_mm.algorithms.mabc_config import MabcConfig
 from marl_mm.algorithms.offline_learner import OfflineLearner
 from marl_mm.algorithms.replay import Judge
@@ -23,8 +22,6 @@ class Mabc(OfflineLearner):
     name: ClassVar[str] = "mabc"
     team = True
     config: MabcConfig
-
-    # --- Update --------------------------------------------------------------
 
     def update(self) -> dict[str, torch.Tensor]:
         """One gradient step of every actor; losses of each seed, shape (S,)."""
@@ -40,8 +37,6 @@ class Mabc(OfflineLearner):
             losses[f"loss/{agent.name}"] = loss.detach()
         return losses
 
-    # --- Networks ------------------------------------------------------------
-
     def __init__(
         self,
         config: MabcConfig,
@@ -55,9 +50,9 @@ class Mabc(OfflineLearner):
             config, arrays, judge, seeds, device, config.learning_rate, shares
         )
 
-    @torch.no_grad()
-    def diagnose(self) -> dict[str, torch.Tensor]:
-        """Distance of the actors from some of the data, shape (S,)."""
-        state, action = self._batches.some(DIAGNOSED)
-        inputs = self.normalizer(state).expand(len(self.seeds), -1, -1)
-        return imitation_errors(self.actors.joint(inputs), action, self.layout)
+
+class Bc(Mabc):
+    """The same with one actor that sees and sets everything."""
+
+    name: ClassVar[str] = "bc"
+    team = False

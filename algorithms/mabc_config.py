@@ -40,6 +40,15 @@ class MabcConfig:
 
 
 ALGORITHMS.add(
+    "bc",
+    Algorithm(
+        about="Behaviour cloning with one actor that sees and sets everything.",
+        source="paper, Sec. 4.4",
+        learner=imported("marl_mm.algorithms.mabc:Bc"),
+        presets={TUNED: MabcConfig()},
+    ),
+)
+ALGORITHMS.add(
     "mabc",
     Algorithm(
         about="MABC: behaviour cloning with decentralised actors (paper, Sec. 4.4).",

@@ -3,13 +3,15 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 
 from marl_mm.algorithms.actors import AgentActor
+from marl_mm.algorithms.diagnostics import DIAGNOSED, imitation_errors
 from marl_mm.algorithms.networks import PLAIN, Form, Normalizer
 from marl_mm.algorithms.offline_batches import OfflineBatches
 from marl_mm.algorithms.replay import Judge
-from marl_mm.algorithms.seeded import Parts, SeededActors, load_parts, parts_state
+from marl_mm.algorithms.seeded import Part, SeededActors, load_parts, parts_state
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.layout import AgentLayout
 
@@ -58,11 +60,31 @@ class OfflineLearner:
         self.actors = SeededActors(
             self.layouts, self.normalizer, config.hidden, rate, seeds, device, form
         )
-        self._parts: Parts = {"actors": self.actors}
+        self._parts: dict[str, Part] = {"actors": self.actors}
         """Networks by their name in the state."""
 
     def _layouts(self) -> tuple[AgentLayout, ...]:
         return self.layout.agents if self.team else (self.layout.joint,)
+
+    def _acted(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Joint actions at normalised joint states, by noise that is always the same.
+
+        Shapes (S, n, d) to (S, n, k).
+        """
+        noise = None
+        if self.actors.form.noisy:
+            width = self.actors.form.chunk * len(self.layout.action)
+            shape = *inputs.shape[:-1], width
+            drawn = np.random.default_rng(0).standard_normal(shape, np.float32)
+            noise = torch.from_numpy(drawn).to(inputs.device)
+        return self.actors.joint(inputs, noise)
+
+    @torch.no_grad()
+    def diagnose(self) -> dict[str, torch.Tensor]:
+        """Distance of the actors from some of the data, shape (S,)."""
+        state, action = self._batches.some(DIAGNOSED)
+        inputs = self.normalizer(state).expand(len(self.seeds), -1, -1)
+        return imitation_errors(self._acted(inputs), action, self.layout)
 
     def agents(self, number: int) -> dict[str, AgentActor]:
         """Current actors of one seed, by name."""

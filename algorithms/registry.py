@@ -81,7 +81,10 @@ ALGORITHMS: Registry[Algorithm] = Registry(
     "algorithm",
     [
         f"marl_mm.algorithms.{name}_config"
-        for name in ("mabc", "td3_bc", "matd3_bc", "ddpg", "maddpg")
+        for name in (
+            *("mabc", "flow_bc", "td3_bc", "matd3_bc", "iql"),
+            *("ddpg", "maddpg"),
+        )
     ],
     of=Algorithm,
 )

@@ -171,6 +171,9 @@ class SeededCritics:
         rate: Learning rate.
         seeds: Seeds of initial weights, S of them.
         device: Device of the networks.
+        twins: Critics of a pair.
+        stream: Number of the stream of initial weights, the same for no two networks
+            of a learner.
     """
 
     learns = True
@@ -185,12 +188,14 @@ class SeededCritics:
         rate: float,
         seeds: Sequence[int],
         device: str,
+        twins: int = TWINS,
+        stream: int = 1,
     ) -> None:
-        self._pairs, self._each = pairs, pairs * TWINS
+        self._pairs, self._twins, self._each = pairs, twins, pairs * twins
         widths = inputs, *hidden, 1
         members = []
         for seed in seeds:
-            with _seeded(seed, 1):
+            with _seeded(seed, stream):
                 members += [
                     nn.Sequential(*perceptron(widths, layer_norm=layer_norm))
                     for _ in range(self._each)
@@ -199,12 +204,12 @@ class SeededCritics:
         self._learner = Learner(self.networks, rate)
 
     def values(self, state: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-        """Values by all critics, shape (S, pairs, 2, B)."""
+        """Values by all critics, shape (S, pairs, twins, B)."""
         inputs = torch.cat([state, action], dim=-1)
         seeds, size, width = inputs.shape
         each = inputs[:, None].expand(seeds, self._each, size, width)
         values = self.networks(each.reshape(seeds * self._each, size, width))
-        return values.view(seeds, self._pairs, TWINS, size)
+        return values.view(seeds, self._pairs, self._twins, size)
 
     def least(self, state: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
         """The lower value of each pair, shape (S, pairs, B)."""
@@ -214,7 +219,7 @@ class SeededCritics:
         self, state: torch.Tensor, action: torch.Tensor, pair: int = 0
     ) -> torch.Tensor:
         """Value by the first critic of a pair, shape (S, B)."""
-        chosen = slice(pair * TWINS, None, self._each)
+        chosen = slice(pair * self._twins, None, self._each)
         inputs = torch.cat([state, action], dim=-1)
         return self.networks(inputs, chosen).squeeze(-1)
 
@@ -256,7 +261,10 @@ class SeededCritics:
         return range(number * self._each, (number + 1) * self._each)
 
 
-Parts = Mapping[str, SeededActors | SeededCritics]
+Part = SeededActors | SeededCritics
+"""Networks of a learner."""
+
+Parts = Mapping[str, Part]
 """Networks of a learner by their name in its state."""
 
 

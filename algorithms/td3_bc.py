@@ -9,22 +9,19 @@ Our additions to that stand in ``td3_bc_additions``.
 from collections.abc import Sequence
 from typing import ClassVar
 
-import numpy as np
 import torch
 
-from marl_mm.algorithms.diagnostics import DIAGNOSED, imitation_errors, value_slope
 from marl_mm.algorithms.offline_batches import OfflineBatch
-from marl_mm.algorithms.offline_learner import OfflineLearner
-from marl_mm.algorithms.replay import Judge, highest_target
-from marl_mm.algorithms.seeded import SeededCritics
+from marl_mm.algorithms.offline_critics import CriticLearner
+from marl_mm.algorithms.replay import Judge
 from marl_mm.algorithms.td3_bc_additions import Imitation, q_weight
 from marl_mm.algorithms.td3_bc_config import Td3BcConfig
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.layout import JOINT_NAME
 
 
-class Td3Bc(OfflineLearner):
-    """One actor and twin critics, with targets; see ``OfflineLearner``."""
+class Td3Bc(CriticLearner):
+    """One actor and twin critics, with targets; see ``CriticLearner``."""
 
     name: ClassVar[str] = "td3-bc"
     config: Td3BcConfig
@@ -43,9 +40,7 @@ class Td3Bc(OfflineLearner):
             noise.clamp_(-config.target_noise_clip, config.target_noise_clip)
             next_action = (self._target_actors.joint(next_state) + noise).clamp_(-1, 1)
             value = self._target_critics.least(next_state, next_action)
-            alive = config.discount * (1 - batch.terminated)
-            target = batch.reward[:, None] + alive[:, None] * value
-            target.clamp_max_(self._highest_target)  # ours; in the paper it is infinite
+            target = self._target(batch, value)  # clipped, if asked: that is ours
 
         errors = self.critics.values(state, batch.action) - target[:, :, None]
         loss = errors.square().mean(dim=3).sum(dim=(1, 2))
@@ -83,50 +78,8 @@ class Td3Bc(OfflineLearner):
         seeds: Sequence[int],
         device: str = "cpu",
     ) -> None:
-        shares, rate = (config.future, config.elsewhere), config.actor_learning_rate
-        super().__init__(config, arrays, judge, seeds, device, rate, shares)
-        self.critics = SeededCritics(
-            len(self.layout.state) + len(self.layout.action),
-            self._pairs(),
-            config.hidden,
-            config.layer_norm,
-            config.critic_learning_rate,
-            seeds,
-            device,
-        )
+        rates = config.actor_learning_rate, config.critic_learning_rate
+        super().__init__(config, arrays, judge, seeds, device, rates=rates)
         self._target_actors = self.actors.copy()
-        self._target_critics = self.critics.copy()
-        self._parts = {
-            "actors": self.actors,
-            "target_actors": self._target_actors,
-            "critics": self.critics,
-            "target_critics": self._target_critics,
-        }
+        self._parts |= {"target_actors": self._target_actors}
         self._imitation = Imitation(config, arrays, self.critics, device)
-        self._highest_target = highest_target(judge, config.clip_targets)
-        largest = float(np.abs(arrays.rewards).max()) / max(1 - config.discount, 1e-3)
-        watched = "q/data", "q/policy", "q/largest"
-        self.bounds = dict.fromkeys(watched, 100 * largest)
-
-    def _pairs(self) -> int:
-        """Pairs of critics that each seed has."""
-        return 1
-
-    @torch.no_grad()
-    def diagnose(self) -> dict[str, torch.Tensor]:
-        """Values and actions on some of the data, shape (S,).
-
-        Q is the first critic's, which an actor follows; ``q/largest`` the farthest from
-        0 of any; ``q/slope`` see ``value_slope``.
-        """
-        state, action = self._batches.some(DIAGNOSED)
-        inputs = self.normalizer(state).expand(len(self.seeds), -1, -1)
-        action = action.expand(len(self.seeds), -1, -1)
-        now = self.actors.joint(inputs)
-        return {
-            "q/data": self.critics.first(inputs, action).mean(dim=1),
-            "q/policy": self.critics.first(inputs, now).mean(dim=1),
-            "q/largest": self.critics.values(inputs, now).abs().amax(dim=(1, 2, 3)),
-            **value_slope(self.critics, state, inputs, action, self.layout),
-            **imitation_errors(now, action, self.layout),
-        }

@@ -31,7 +31,7 @@ from marl_mm.contracts.learners import (
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.policy import Policy
 
-SHOWN, SHOWN_ONLINE = 20, 100
+SHOWN, SHOWN_ONLINE = 60, 100
 """Updates after which an actor follows the data, offline and online."""
 
 PAY = 4.0
@@ -278,8 +278,8 @@ def _own_entries(candidate: Candidate) -> None:
         updates = SHOWN_ONLINE if candidate.online else SHOWN
         learner = candidate.trained(data, updates=updates)
         policy = candidate.policy(learner)
-        actions = [_first_action(policy, state) for state in data.states]
-        set_to.append(np.mean(actions, axis=0))
+        policy.begin(np.random.default_rng(0), layout)
+        set_to.append(np.mean([policy.act(state) for state in data.states], axis=0))
     for name, rise in zip(
         layout.action_names, (set_to[0] - set_to[1]) * way, strict=True
     ):

@@ -1,0 +1,39 @@
+"""Hyper-parameters of flow-matching cloning; importing them takes no torch."""
+
+from dataclasses import dataclass
+
+from marl_mm.algorithms.config_checks import check_ranges
+from marl_mm.algorithms.offline_config import CloningConfig
+from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, imported
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlowBcConfig(CloningConfig):
+    """Hyper-parameters."""
+
+    flow_steps: int = 10
+    """Euler steps from noise to action (Park 2025, FQL)."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ranges(self, ("flow_steps",))
+
+
+ALGORITHMS.add(
+    "flow-bc",
+    Algorithm(
+        about="Flow-matching cloning: a joint actor that draws among the data's ways.",
+        source="Lipman 2023",
+        learner=imported("marl_mm.algorithms.flow_bc:FlowBc"),
+        presets={TUNED: FlowBcConfig()},
+    ),
+)
+ALGORITHMS.add(
+    "ma-flow-bc",
+    Algorithm(
+        about="Flow-matching cloning by agents that draw independently.",
+        source="Lipman 2023",
+        learner=imported("marl_mm.algorithms.flow_bc:MaFlowBc"),
+        presets={TUNED: FlowBcConfig()},
+    ),
+)
