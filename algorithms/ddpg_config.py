@@ -5,7 +5,7 @@ from functools import partial
 from typing import Any
 
 from marl_mm.algorithms.config_checks import check_ranges
-from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, imported
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, Imported
 from marl_mm.declared import ADDED
 from marl_mm.errors import UsageError
 
@@ -150,9 +150,11 @@ def check_hindsight(algorithm: str, config: DdpgConfig) -> None:
 ALGORITHMS.add(
     "ddpg",
     Algorithm(
+        title="DDPG",
+        loss="-Q(s, pi(s)) + penalty |pi(s)|^2",
         about="DDPG: one agent that sees and sets everything (paper, Algorithm 1).",
         source="paper, Algorithm 1; Lillicrap 2016",
-        learner=imported("marl_mm.algorithms.ddpg:Ddpg"),
+        learner=Imported("marl_mm.algorithms.ddpg:Ddpg"),
         presets={
             TUNED: DdpgConfig(hindsight=0),
             PAPER: DdpgConfig(**TABLE_2, hindsight=0),
@@ -164,9 +166,11 @@ ALGORITHMS.add(
 ALGORITHMS.add(
     "ddpg-her",
     Algorithm(
+        title="DDPG + HER",
+        loss="-Q(s, pi(s)) + penalty |pi(s)|^2, on relabelled goals",
         about="DDPG that replays most steps with goals reached later (HER).",
         source="Andrychowicz 2017",
-        learner=imported("marl_mm.algorithms.ddpg:Ddpg"),
+        learner=Imported("marl_mm.algorithms.ddpg:Ddpg"),
         presets={TUNED: DdpgConfig(), PAPER: DdpgConfig(**TABLE_2)},
         online=True,
         check=partial(check_hindsight, "ddpg-her"),

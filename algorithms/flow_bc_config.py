@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.offline_config import CloningConfig
-from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, imported
+from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,18 +22,22 @@ class FlowBcConfig(CloningConfig):
 ALGORITHMS.add(
     "flow-bc",
     Algorithm(
+        title="Flow BC",
+        loss="|v(s, (1 - t) z + t a, t) - (a - z)|^2",
         about="Flow-matching cloning: a joint actor that draws among the data's ways.",
         source="Lipman 2023",
-        learner=imported("marl_mm.algorithms.flow_bc:FlowBc"),
+        learner=Imported("marl_mm.algorithms.flow_bc:FlowBc"),
         presets={TUNED: FlowBcConfig()},
     ),
 )
 ALGORITHMS.add(
     "ma-flow-bc",
     Algorithm(
+        title="MA-Flow BC",
+        loss="|v_i(o_i, (1 - t) z_i + t a_i, t) - (a_i - z_i)|^2, for each agent i",
         about="Flow-matching cloning by agents that draw independently.",
         source="Lipman 2023",
-        learner=imported("marl_mm.algorithms.flow_bc:MaFlowBc"),
+        learner=Imported("marl_mm.algorithms.flow_bc:MaFlowBc"),
         presets={TUNED: FlowBcConfig()},
     ),
 )

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.offline_config import CriticConfig
-from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, imported
+from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,18 +25,22 @@ class IqlConfig(CriticConfig):
 ALGORITHMS.add(
     "iql",
     Algorithm(
+        title="IQL",
+        loss="exp(beta (Q(s, a) - V(s))) MSE(a, pi(s))",
         about="IQL: in-sample values, advantage-weighted cloning, one joint actor.",
         source="Kostrikov 2022",
-        learner=imported("marl_mm.algorithms.iql:Iql"),
+        learner=Imported("marl_mm.algorithms.iql:Iql"),
         presets={TUNED: IqlConfig()},
     ),
 )
 ALGORITHMS.add(
     "ma-iql",
     Algorithm(
+        title="MA-IQL",
+        loss="exp(beta (Q(s, a) - V(s))) MSE(a_i, pi_i(o_i)), for each agent i",
         about="MA-IQL: IQL's values of the whole team, and an actor for each agent.",
         source="Kostrikov 2022",
-        learner=imported("marl_mm.algorithms.iql:MaIql"),
+        learner=Imported("marl_mm.algorithms.iql:MaIql"),
         presets={TUNED: IqlConfig()},
     ),
 )

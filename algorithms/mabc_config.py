@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from marl_mm.algorithms.config_checks import Precision, check_ranges
-from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, imported
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, Imported
 
 
 @dataclass(frozen=True)
@@ -42,18 +42,22 @@ class MabcConfig:
 ALGORITHMS.add(
     "bc",
     Algorithm(
+        title="BC",
+        loss="MSE(a, pi(s))",
         about="Behaviour cloning with one actor that sees and sets everything.",
         source="paper, Sec. 4.4",
-        learner=imported("marl_mm.algorithms.mabc:Bc"),
+        learner=Imported("marl_mm.algorithms.mabc:Bc"),
         presets={TUNED: MabcConfig()},
     ),
 )
 ALGORITHMS.add(
     "mabc",
     Algorithm(
+        title="MABC",
+        loss="MSE(a_i, pi_i(o_i)), for each agent i",
         about="MABC: behaviour cloning with decentralised actors (paper, Sec. 4.4).",
         source="paper, Sec. 4.4",
-        learner=imported("marl_mm.algorithms.mabc:Mabc"),
+        learner=Imported("marl_mm.algorithms.mabc:Mabc"),
         presets={
             TUNED: MabcConfig(),
             PAPER: MabcConfig(updates=100_000, batch_size=256, learning_rate=5e-4),

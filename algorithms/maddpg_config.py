@@ -5,7 +5,7 @@ from functools import partial
 from typing import Literal
 
 from marl_mm.algorithms.ddpg_config import TABLE_2, DdpgConfig, check_hindsight
-from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, imported
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, Imported
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,11 @@ _PAPER = MaddpgConfig(**TABLE_2, others="replay")  # Lowe 2017
 ALGORITHMS.add(
     "maddpg",
     Algorithm(
+        title="MADDPG",
+        loss="-Q(s, (pi_i(o_i), a_-i)) + penalty |pi_i(o_i)|^2",
         about="MADDPG: decentralised actors, one centralised critic (Lowe 2017).",
         source="Lowe 2017",
-        learner=imported("marl_mm.algorithms.maddpg:Maddpg"),
+        learner=Imported("marl_mm.algorithms.maddpg:Maddpg"),
         presets={
             TUNED: MaddpgConfig(hindsight=0),
             PAPER: replace(_PAPER, hindsight=0),
@@ -36,9 +38,11 @@ ALGORITHMS.add(
 ALGORITHMS.add(
     "maddpg-her",
     Algorithm(
+        title="MADDPG + HER",
+        loss="-Q(s, (pi_i(o_i), a_-i)) + penalty |pi_i(o_i)|^2, on relabelled goals",
         about="MADDPG that replays most steps with goals reached later (HER).",
         source="Lowe 2017; Andrychowicz 2017",
-        learner=imported("marl_mm.algorithms.maddpg:Maddpg"),
+        learner=Imported("marl_mm.algorithms.maddpg:Maddpg"),
         presets={TUNED: MaddpgConfig(), PAPER: _PAPER},
         online=True,
         check=partial(check_hindsight, "maddpg-her"),

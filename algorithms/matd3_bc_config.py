@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, imported
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, Imported
 from marl_mm.algorithms.td3_bc_config import TABLE_3, Td3BcConfig
 
 
@@ -23,9 +23,11 @@ class Matd3BcConfig(Td3BcConfig):
 ALGORITHMS.add(
     "matd3-bc",
     Algorithm(
+        title="MATD3+BC",
+        loss="-lambda_i Q_i(s, (pi_i(o_i), a_-i)) + MSE(a_i, pi_i(o_i))",
         about="MATD3+BC: decentralised actors, centralised critics (Pan 2022).",
         source="Pan 2022",
-        learner=imported("marl_mm.algorithms.matd3_bc:Matd3Bc"),
+        learner=Imported("marl_mm.algorithms.matd3_bc:Matd3Bc"),
         presets={
             TUNED: Matd3BcConfig(),
             PAPER: Matd3BcConfig(**TABLE_3, critics="own", others="data"),  # Pan 2022

@@ -47,6 +47,15 @@ class Algorithm:
     presets: Mapping[str, Any]
     """Hyper-parameters by preset, frozen dataclasses; ``TUNED`` is the default."""
 
+    title: str = ""
+    """Name as papers write it; default the registered name."""
+
+    loss: str = ""
+    """Loss of the actors, in a line."""
+
+    advice: str = ""
+    """When to use it and when not, in a sentence or two."""
+
     online: bool = False
     """Whether it learns from its own episodes instead of a dataset."""
 
@@ -61,20 +70,25 @@ class Algorithm:
             check_settings(config, _NEEDED[self.online], recorded)
 
 
-def imported(learner: str) -> Callable[..., Any]:
+@dataclass(frozen=True)
+class Imported:
     """A learner of a module that is imported when the first one is made.
 
     Hyper-parameters are then at hand without torch, which takes a second.
-
-    Args:
-        learner: Module and name, as in "package.module:Name".
     """
 
-    def make(*arguments: Any) -> Any:
-        module, name = learner.split(":")
+    learner: str
+    """Module and name, as in "package.module:Name"."""
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Make the learner."""
+        module, name = self.learner.split(":")
         return getattr(import_module(module), name)(*arguments)
 
-    return make
+    @property
+    def file(self) -> str:
+        """Name of the module's file."""
+        return f"{self.learner.split(':')[0].rpartition('.')[2]}.py"
 
 
 ALGORITHMS: Registry[Algorithm] = Registry(

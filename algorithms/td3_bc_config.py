@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from marl_mm.algorithms.config_checks import Precision, check_ranges
-from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, imported
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, Imported
 from marl_mm.errors import UsageError
 
 WEIGHTED = ("delta_x", "delta_y", "delta_z", "alpha")
@@ -144,9 +144,11 @@ layers and the floor of deviations are ours."""
 ALGORITHMS.add(
     "td3-bc",
     Algorithm(
+        title="TD3+BC",
+        loss="-lambda Q_1(s, pi(s)) + MSE(a, pi(s)), lambda = c / mean |Q_1(s, pi(s))|",
         about="TD3+BC: one agent that sees and sets everything (paper, Algorithm 2).",
         source="Fujimoto & Gu 2021",
-        learner=imported("marl_mm.algorithms.td3_bc:Td3Bc"),
+        learner=Imported("marl_mm.algorithms.td3_bc:Td3Bc"),
         presets={TUNED: Td3BcConfig(), PAPER: Td3BcConfig(**TABLE_3)},
     ),
 )

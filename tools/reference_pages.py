@@ -10,7 +10,13 @@ from typing import Any
 
 from drawings import CURVES
 
-from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm
+from marl_mm.algorithms.registry import (
+    ALGORITHMS,
+    PAPER,
+    TUNED,
+    Algorithm,
+    Imported,
+)
 from marl_mm.datasets.card import card_markdown
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.eval.rows import read_rows
@@ -31,15 +37,7 @@ DATA = {
 }
 """Tasks of the datasets of committed offline results; of the others, Reach-v0."""
 
-NAMES = {
-    "mabc": "MABC",
-    "td3-bc": "TD3+BC",
-    "matd3-bc": "MATD3+BC",
-    "ddpg": "DDPG",
-    "ddpg-her": "DDPG + HER",
-    "maddpg": "MADDPG",
-    "maddpg-her": "MADDPG + HER",
-}
+NAMES = {name: found.title for name, found in ALGORITHMS.items()}
 """Names of algorithms as papers write them."""
 
 
@@ -73,34 +71,12 @@ def task_of(row: Row) -> str:
 
 # --- Algorithms --------------------------------------------------------------
 
-MODULES = {
-    "mabc": "mabc",
-    "td3-bc": "td3_bc",
-    "matd3-bc": "matd3_bc",
-    "ddpg": "ddpg",
-    "ddpg-her": "ddpg",
-    "maddpg": "maddpg",
-    "maddpg-her": "maddpg",
-}
-"""Files of algorithms, whose first lines say the loss."""
-
-LOSSES = {
-    "mabc": "MSE(a_i, pi_i(o_i)), for each agent i",
-    "td3-bc": "-lambda Q_1(s, pi(s)) + MSE(a, pi(s)), lambda = c / mean |Q_1(s, pi(s))|",
-    "matd3-bc": "-lambda_i Q_i(s, (pi_i(o_i), a_-i)) + MSE(a_i, pi_i(o_i))",
-    "ddpg": "-Q(s, pi(s)) + penalty |pi(s)|^2",
-    "ddpg-her": "-Q(s, pi(s)) + penalty |pi(s)|^2, on relabelled goals",
-    "maddpg": "-Q(s, (pi_i(o_i), a_-i)) + penalty |pi_i(o_i)|^2",
-    "maddpg-her": "-Q(s, (pi_i(o_i), a_-i)) + penalty |pi_i(o_i)|^2, on relabelled goals",
-}
-"""Loss of the actors, in a line."""
-
 
 def _algorithm_page(name: str) -> str:
     algorithm = ALGORITHMS.get(name)
-    text = ast.get_docstring(
-        ast.parse((ROOT / f"algorithms/{MODULES[name]}.py").read_text())
-    )
+    assert isinstance(algorithm.learner, Imported)
+    file = f"algorithms/{algorithm.learner.file}"
+    text = ast.get_docstring(ast.parse((ROOT / file).read_text()))
     assert text is not None
     first, _, rest = text.partition("\n\n")
     data = "" if algorithm.online else " --dataset good-5k"
@@ -114,12 +90,11 @@ def _algorithm_page(name: str) -> str:
     parts = [
         f"# {NAMES[name]}\n",
         f"**{algorithm.about}** Source: {algorithm.source}. {_headline(name)}\n",
-        f"Loss of the actors:\n\n```text\n{LOSSES[name]}\n```\n",
+        f"Loss of the actors:\n\n```text\n{algorithm.loss}\n```\n",
         f"```sh\nmarl-mm train {name}{data} --seeds 0 1 2\n```\n",
         curve,
         "## The update\n",
-        f"[algorithms/{MODULES[name]}.py](../../../algorithms/{MODULES[name]}.py), in the "
-        "paper's order:\n",
+        f"[{file}](../../../{file}), in the paper's order:\n",
         f"```text\n{first}\n\n{rest}\n```\n",
         "## What departs from the paper\n",
         _departures(algorithm),
@@ -142,6 +117,8 @@ def _headline(name: str) -> str:
             f"end, and 70 % of them after {row['to_70']:.0f} episodes."
         )
     rows = [row for row in offline_rows() if row["setting"] == name]
+    if not rows:
+        return "No results of it are committed."
     good = next(row for row in rows if row["dataset"] == "good-30k")
     worst = min(rows, key=lambda row: float(row["success"]))
     return (
@@ -152,6 +129,8 @@ def _headline(name: str) -> str:
 
 
 def _departures(algorithm: Algorithm) -> str:
+    if PAPER not in algorithm.presets:
+        return "The source has other tasks; its numbers are named below.\n"
     tuned, paper = algorithm.presets[TUNED], algorithm.presets[PAPER]
     documented = field_texts(type(tuned))
     rows = [
@@ -222,6 +201,8 @@ def _algorithm_results(name: str) -> str:
             markdown_table(header, rows)
             + "\n[Online learning](../../results/online.md).\n"
         )
+    if not any(row["setting"] == name for row in offline_rows()):
+        return "None are committed yet.\n"
     lines = [
         (
             row["dataset"],
@@ -240,7 +221,7 @@ def _algorithms_index() -> str:
     rows = [
         (
             f"[{NAMES[name]}]({name}.md)",
-            f"`{LOSSES[name]}`".replace("|", "\\|"),
+            f"`{algorithm.loss}`".replace("|", "\\|"),
             "online" if algorithm.online else "from a dataset",
             algorithm.source,
         )

@@ -1,5 +1,7 @@
 """Single-agent algorithms and their team forms: one code, and what sets them apart."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -56,7 +58,7 @@ def test_means_of_two_conventions_are_none_of_them() -> None:
 
 def test_a_joint_flow_keeps_to_conventions_and_flows_of_agents_do_not() -> None:
     """Each agent's own actions are those of the data; half of the pairs are not."""
-    large = {"updates": 2_000, "hidden": (64, 64), "batch_size": 128}
+    large: Any = {"updates": 2_000, "hidden": (64, 64), "batch_size": 128}
     joint = played(learnt("flow-bc", conventions(), **large, flow_steps=30))
     apart = played(learnt("ma-flow-bc", conventions(), **large, flow_steps=30))
     assert kept(joint) > 0.95
