@@ -6,7 +6,6 @@ from typing import Any
 from marl_mm.datasets import shipped
 from marl_mm.datasets.journal import begun
 from marl_mm.datasets.location import (
-    SHIPPED,
     Location,
     datasets_root,
     known_ids,
@@ -25,7 +24,7 @@ _BEGUN = "being collected, or stopped: go on with `marl_mm.collect(..., resume=T
 def catalogue() -> list[dict[str, Any]]:
     """A row of id, engine, steps, episodes and a note for each dataset, by id.
 
-    The dataset that ships is the last row until its first use.
+    Datasets that ship are the last rows until their first use.
     """
     under_way = begun()
     rows = [_row(name) for name in known_ids() if name not in under_way]
@@ -34,12 +33,12 @@ def catalogue() -> list[dict[str, Any]]:
         for name, count in under_way.items()
     ]
     rows.sort(key=lambda row: row["id"])
-    if not locate(SHIPPED).folder.exists():
-        arrays = shipped.shipped_arrays()
-        note = "ships with marl_mm: written here at its first use"
-        counts = {"steps": arrays.steps, "episodes": len(arrays)}
-        row = {"id": SHIPPED, "engine": RECORDED_ENGINE, **counts, "note": note}
-        rows.append(row)
+    note = "ships with marl_mm: written here at its first use"
+    rows += [
+        {"id": name, **shipped.shipped_row(name), "note": note}
+        for name in shipped.IDS
+        if not locate(name).folder.exists()
+    ]
     return rows
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from marl_mm.datasets import shipped
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.datasets.card import card, card_html
-from marl_mm.datasets.location import SHIPPED, Location, find, locate
+from marl_mm.datasets.location import Location, find, locate
 from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import read_arrays
@@ -175,8 +175,9 @@ def load_dataset(name: str | Path | Location) -> Dataset:
 
 
 def existing(text: str) -> Location:
-    """Location of a dataset to read; the shipped one is unpacked at its first use."""
+    """Location of a dataset to read; one that ships is unpacked at its first use."""
     location = find(text)
-    if location == locate(SHIPPED) and not location.folder.exists():
+    ships = location.id in shipped.IDS and location == locate(location.id)
+    if ships and not location.folder.exists():
         shipped.install(location)
     return location

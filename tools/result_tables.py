@@ -12,6 +12,7 @@ from study_tables import (
     engine_differences_table,
     goals_table,
     hindsight_in_words,
+    separation_table,
     steps_table,
     updates_table,
 )
@@ -315,6 +316,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "engines-figure": _engines_figure,
     "engines-agreement": partial(_drawn_from, AGREEMENT, agreement_table),
     "engines-differences": partial(_drawn_from, TABLE, engine_differences_table),
+    "separation": partial(_drawn_from, "separation.csv", separation_table),
     "coordination-worth": partial(_drawn_from, WORTH, worth_table),
     "coordination-teams": partial(_drawn_from, TEAMS, coordination_table),
     "coordination-levels": partial(_drawn_from, TEAMS, levels_table),

@@ -9,11 +9,17 @@ import numpy as np
 
 from marl_mm.eval.bench import SB3
 from marl_mm.eval.grouping import grouped
-from marl_mm.eval.intervals import difference_interval, seed_rates, success_interval
+from marl_mm.eval.intervals import (
+    difference_interval,
+    mean_interval,
+    seed_rates,
+    success_interval,
+)
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.studies.engines_summary import MEASURES
 from marl_mm.eval.studies.online import CELLS
 from marl_mm.eval.studies.rows import RowStore
+from marl_mm.eval.studies.separation import SEPARATION
 from marl_mm.eval.studies.study import Study, cell_name
 from marl_mm.eval.studies.summary import returns_of
 from marl_mm.eval.studies.table import RETURN
@@ -70,6 +76,44 @@ def differences_table(study: Study, store: RowStore, baseline: str) -> str:
     ]
     header = ["dataset", "setting", "goals reached [points, 95 %]", RETURN]
     return markdown_table(header, lines)
+
+
+def separation_table(summary: Sequence[Row]) -> str:
+    """What algorithms reach from each dataset, and how far apart they are, as Markdown.
+
+    Intervals are Student's over seeds alone: they say whether another training would
+    order the algorithms alike, on goals that are the same for all.
+    """
+    about = {setting.name: setting.about for _, setting in SEPARATION.cells}
+    lines = []
+    for name, rows in grouped(summary, "dataset").items():
+        rates = {row["setting"]: _of_seeds(row) for row in rows}
+        ranked = sorted(rates.values(), key=np.mean)
+        worst, best = ranked[0], ranked[-1]
+        points = np.mean(best) - np.mean(worst)
+        touch = mean_interval(worst)[1] >= mean_interval(best)[0]
+        short = name.removeprefix("marl_mm/").removesuffix("-v0").replace("/", "-")
+        lines.append(
+            [
+                f"`{short}`",
+                *(_with_student(rates[key]) for key in about),
+                f"{points:.1f}",
+                "touch" if touch else "apart",
+            ]
+        )
+    ends = ("best less worst [points]", "their intervals")
+    return markdown_table(["dataset", *about.values(), *ends], lines)
+
+
+def _of_seeds(row: Row) -> list[float]:
+    """Success rates of a row's seeds [%]."""
+    return [float(rate) for rate in str(row["success_seeds"]).split()]
+
+
+def _with_student(rates: Sequence[float]) -> str:
+    """A mean with Student's 95 % interval over seeds."""
+    low, high = mean_interval(rates)
+    return f"{np.mean(rates):.1f} [{max(low, 0.0):.0f}, {min(high, 100.0):.0f}]"
 
 
 def engine_differences_table(summary: Sequence[Row]) -> str:

@@ -100,10 +100,10 @@ _SLOW = 0.8
 """Share of noise that stays, of noise that is slow."""
 
 _NOISES: Mapping[str, tuple[float, float, float]] = {
-    "QuietZone": (0.4, 0.7, 0.7),
-    "Gate": (0.1, 0.18, 0.14),
-    "Tray": (0.1, 0.18, 0.14),
-    "MovingReach": (0.2, 0.32, 0.3),
+    "QuietZone": (0.4, 0.7, 0.75),
+    "Gate": (0.1, 0.18, 0.15),
+    "Tray": (0.1, 0.22, 0.14),
+    "MovingReach": (0.2, 0.3, 0.3),
 }
 """Noise of noisy, explore and rare, in halves of the actions' ranges: slow but for the
 last."""

@@ -68,6 +68,9 @@ def _start(robot: RobotConfig, config: SimulationConfig) -> np.ndarray:
 class _Robot:
     """A robot's data in MuJoCo, with views of what is read and commanded."""
 
+    _word = 0
+    """Place of the word that ``_pointer`` finds, in ``mjData`` [bytes]."""
+
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model, self.data = model, mujoco.MjData(model)
         arm = [model.joint(name) for name in ARM_JOINTS]
@@ -113,9 +116,11 @@ class _Robot:
         MuJoCo places arrays of constraints anew in each step, and Python has no name
         for the word; it is found by its value.
         """
-        word, size = self.data._address, np.uint64().itemsize
-        while (entry := ctypes.c_uint64.from_address(word)).value != array.ctypes.data:
-            word += size
+        first, wanted = self.data._address, array.ctypes.data
+        word = first + _Robot._word  # the same in all data: the search is made once
+        while (entry := ctypes.c_uint64.from_address(word)).value != wanted:
+            word += ctypes.sizeof(entry)
+        _Robot._word = word - first
         return np.ctypeslib.as_array(entry).reshape(1)
 
     def step(self, target: Sequence[float]) -> None:

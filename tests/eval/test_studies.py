@@ -61,7 +61,9 @@ settings = [
     Setting(f"width-{n}", f"{n} units", changes={"hidden": (n, n)}) for n in (16, 32)
 ]
 HELD = Probe("held", "alpha held at one half", alpha=0.5)
-NARROW = Probe("narrow", "near goals", overrides={"goal_y": (-0.1, 0.1)})
+NARROW = Probe(
+    "narrow", "elsewhere", overrides={"goal_y": (-0.1, 0.1)}, task="PreciseReach-v0"
+)
 PROBES = LAST, BEST, HELD, NARROW
 CELLS = [("good-5k", one) for one in settings]
 WIDTHS = Study("TD3+BC by width.", CELLS, PROBES, True)
@@ -179,6 +181,7 @@ def test_what_is_committed_was_made_as_declared(
         (lambda: Setting("x", "x", changes={"layer_norm": "no"}), "is 'no'"),
         (lambda: Setting("x", "x", changes={"batch_size": 0}), "'x': batch_size is 0"),
         (lambda: Probe("x", "x", checkpoint="bset"), "'bset', expected one of last"),  # type: ignore[arg-type]
+        (lambda: Probe("x", "x", task="Fly-v0"), "Fly-v0"),
         (lambda: Probe("x", "x", alpha=2.0), "alpha is 2.0, expected a number in"),
         (lambda: Probe("x", "x", overrides={"goal_w": 1}), "unknown field 'goal_w'"),
         (lambda: Study("x", []), "has no cells"),
@@ -310,6 +313,9 @@ def test_a_study_of_ones_own_is_made_once_and_checked(
         assert row["success"] == pytest.approx(mean)
         assert all(one["alpha"] == 0.5 for one in own_rows) == (row["probe"] == "held")
     assert all((results / file).stat().st_size > 200 for file in FILES)
+    for probe, task in (("held", "Reach-v0"), ("narrow", "PreciseReach-v0")):
+        evaluation = runs / f"good-5k/width-16/0/eval_{probe}.json"
+        assert json.loads(evaluation.read_text())["task"] == task
 
     assert main(words(own, runs, "--check")) == 0
     assert capsys.readouterr().out == f"{results / 'widths.csv'}: the same\n"
