@@ -24,7 +24,6 @@ _NAMES = {
     SHIPPED: "good-5k",
     "marl_mm/quiet-zone/noisy-v0": "quiet-zone-noisy",
     "marl_mm/gate/expert-v0": "gate-expert",
-    "marl_mm/tray/noisy-v0": "tray-noisy",
     "marl_mm/bar/conventions-v0": "bar-conventions",
 }
 """Names of files by ids of datasets: 5,000 steps of the pretrained agent, and some of
