@@ -154,6 +154,12 @@ ALGORITHMS.add(
         loss="-Q(s, pi(s)) + penalty |pi(s)|^2",
         about="DDPG: one agent that sees and sets everything (paper, Algorithm 1).",
         source="paper, Algorithm 1; Lillicrap 2016",
+        advice="To see what hindsight is worth; else take DDPG + HER, which needs an "
+        "eighth of the episodes. It needs the simulator, and a goal that chance "
+        "reaches.",
+        departs="A replay that forgets less, normalised critics, clipped targets and a "
+        "cost of large actions. Undone one at a time, with hindsight, only the shorter "
+        "warm-up counts.",
         learner=Imported("marl_mm.algorithms.ddpg:Ddpg"),
         presets={
             TUNED: DdpgConfig(hindsight=0),
@@ -170,6 +176,10 @@ ALGORITHMS.add(
         loss="-Q(s, pi(s)) + penalty |pi(s)|^2, on relabelled goals",
         about="DDPG that replays most steps with goals reached later (HER).",
         source="Andrychowicz 2017",
+        advice="Without data, where one actor may see everything and chance comes to "
+        "goals of some kind: it comes to 95 % of those of `Reach-v0` in about a "
+        "hundred episodes. With its presets it grasps nothing.",
+        departs="As DDPG: of its numbers only the shorter warm-up counts.",
         learner=Imported("marl_mm.algorithms.ddpg:Ddpg"),
         presets={TUNED: DdpgConfig(), PAPER: DdpgConfig(**TABLE_2)},
         online=True,

@@ -29,6 +29,13 @@ ALGORITHMS.add(
         loss="exp(beta (Q(s, a) - V(s))) MSE(a, pi(s))",
         about="IQL: in-sample values, advantage-weighted cloning, one joint actor.",
         source="Kostrikov 2022",
+        advice="Where good and bad steps are mixed and no critic shall be asked for "
+        "actions that the data do not show, so that it cannot run away. It is cloning "
+        "all the same: from good data weights are nearly alike and BC does, and what "
+        "no step of the data does it does not do either.",
+        departs="Actors give one action and imitate by squared errors, as all here; "
+        "the source fits a Gaussian by likelihood. Normalised critics and clipped "
+        "targets are ours, as for TD3+BC.",
         learner=Imported("marl_mm.algorithms.iql:Iql"),
         presets={TUNED: IqlConfig()},
     ),
@@ -40,6 +47,11 @@ ALGORITHMS.add(
         loss="exp(beta (Q(s, a) - V(s))) MSE(a_i, pi_i(o_i)), for each agent i",
         about="MA-IQL: IQL's values of the whole team, and an actor for each agent.",
         source="Kostrikov 2022",
+        advice="As IQL, where agents act on their own observations. The advantage is "
+        "the whole team's: a good action beside another agent's bad one weighs as "
+        "little as that.",
+        departs="The source knows no agents: V and Q are the team's, and each agent's "
+        "cloning has the same weights. Otherwise as IQL.",
         learner=Imported("marl_mm.algorithms.iql:MaIql"),
         presets={TUNED: IqlConfig()},
     ),

@@ -46,6 +46,10 @@ ALGORITHMS.add(
         loss="MSE(a, pi(s))",
         about="Behaviour cloning with one actor that sees and sets everything.",
         source="paper, Sec. 4.4",
+        advice="To see what decentralising costs: it is what cloning reaches if "
+        "nobody's view is partial. Take MABC where agents must act on their own "
+        "observations; both aim at the mean where the data show several ways.",
+        departs="The paper clones with an actor for each agent only.",
         learner=Imported("marl_mm.algorithms.mabc:Bc"),
         presets={TUNED: MabcConfig()},
     ),
@@ -57,6 +61,10 @@ ALGORITHMS.add(
         loss="MSE(a_i, pi_i(o_i)), for each agent i",
         about="MABC: behaviour cloning with decentralised actors (paper, Sec. 4.4).",
         source="paper, Sec. 4.4",
+        advice="Start here: good data are enough for it, it takes a block and carries "
+        "it where learners with critics fail, and nothing can run away. It imitates "
+        "random steps too, does as its data do whatever the task pays, and acts "
+        "between two ways where they show both.",
         learner=Imported("marl_mm.algorithms.mabc:Mabc"),
         presets={
             TUNED: MabcConfig(),

@@ -26,6 +26,9 @@ ALGORITHMS.add(
         loss="-Q(s, (pi_i(o_i), a_-i)) + penalty |pi_i(o_i)|^2",
         about="MADDPG: decentralised actors, one centralised critic (Lowe 2017).",
         source="Lowe 2017",
+        advice="To see what hindsight is worth to a team; else take MADDPG + HER.",
+        departs="The agents share one reward, hence one critic, of which the source "
+        "has one for each agent. Otherwise as DDPG.",
         learner=Imported("marl_mm.algorithms.maddpg:Maddpg"),
         presets={
             TUNED: MaddpgConfig(hindsight=0),
@@ -42,6 +45,11 @@ ALGORITHMS.add(
         loss="-Q(s, (pi_i(o_i), a_-i)) + penalty |pi_i(o_i)|^2, on relabelled goals",
         about="MADDPG that replays most steps with goals reached later (HER).",
         source="Lowe 2017; Andrychowicz 2017",
+        advice="Without data, where agents act on their own observations: on "
+        "`Reach-v0` it needs hardly more episodes than DDPG + HER, and its alpha is "
+        "worth as much. On grasping it was not tried.",
+        departs="The agents share one reward, hence one critic, of which the source "
+        "has one for each agent. Otherwise as DDPG.",
         learner=Imported("marl_mm.algorithms.maddpg:Maddpg"),
         presets={TUNED: MaddpgConfig(), PAPER: _PAPER},
         online=True,

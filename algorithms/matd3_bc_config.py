@@ -27,6 +27,11 @@ ALGORITHMS.add(
         loss="-lambda_i Q_i(s, (pi_i(o_i), a_-i)) + MSE(a_i, pi_i(o_i))",
         about="MATD3+BC: decentralised actors, centralised critics (Pan 2022).",
         source="Pan 2022",
+        advice="Where TD3+BC is right and agents act on their own observations. Not "
+        "for long tasks with a grasp, where MABC does far better; where the data show "
+        "several conventions, it imitates their mean.",
+        departs="As TD3+BC; and as the agents share one reward, they share one pair "
+        "of critics.",
         learner=Imported("marl_mm.algorithms.matd3_bc:Matd3Bc"),
         presets={
             TUNED: Matd3BcConfig(),

@@ -56,6 +56,9 @@ class Algorithm:
     advice: str = ""
     """When to use it and when not, in a sentence or two."""
 
+    departs: str = ""
+    """What departs from the source beside numbers, and why, in a sentence or two."""
+
     online: bool = False
     """Whether it learns from its own episodes instead of a dataset."""
 

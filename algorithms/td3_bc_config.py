@@ -148,6 +148,14 @@ ALGORITHMS.add(
         loss="-lambda Q_1(s, pi(s)) + MSE(a, pi(s)), lambda = c / mean |Q_1(s, pi(s))|",
         about="TD3+BC: one agent that sees and sets everything (paper, Algorithm 2).",
         source="Fujimoto & Gu 2021",
+        advice="Where random steps are among good ones, or the last centimetres "
+        "decide, and one actor may see everything. Not for long tasks with a grasp, "
+        "where cloning does far better, and not with the paper's numbers on good data "
+        "alone: its critic has never seen a bad action, and runs away.",
+        departs="Ours shows the critics goals that an action was not meant for, "
+        "imitates successes only, measures errors by how much the data vary, and "
+        "bounds what critics may say: with the paper's settings they run away on good "
+        "data.",
         learner=Imported("marl_mm.algorithms.td3_bc:Td3Bc"),
         presets={TUNED: Td3BcConfig(), PAPER: Td3BcConfig(**TABLE_3)},
     ),

@@ -12,6 +12,7 @@ from svg import COLOURS, FAINT, INK, Plot, Point, arrow, box, drawing, line, wor
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.envs.tasks.reach import LAYOUT
 from marl_mm.eval.rows import read_rows
+from marl_mm.layout import Agent
 
 RESULTS = Path(__file__).resolve().parents[1] / "eval/results"
 HAND, BALANCE = COLOURS[:2]
@@ -44,6 +45,12 @@ def _robot(x: float, y: float) -> list[str]:
     ]
 
 
+def agent_lines(agent: Agent, most: int = 30) -> list[str]:
+    """What an agent sees and sets, in lines of at most so many letters."""
+    sees = ("  " + names for names in _wrapped(agent.sees, most))
+    return ["sees", *sees, f"sets  {', '.join(agent.sets)}"]
+
+
 def agents() -> str:
     """What each agent sees and sets, around the robot."""
     hand, balance = LAYOUT.team
@@ -52,15 +59,13 @@ def agents() -> str:
         box(
             *(20, 20, 270, 160),
             f"agent {hand.name}",
-            *("sees", *("  " + names for names in _wrapped(hand.sees))),
-            f"sets  {', '.join(hand.sets)}",
+            *agent_lines(hand),
             colour=HAND,
         ),
         box(
             *(20, 210, 270, 160),
             f"agent {balance.name}",
-            *("sees", *("  " + names for names in _wrapped(balance.sees))),
-            f"sets  {', '.join(balance.sets)}",
+            *agent_lines(balance),
             colour=BALANCE,
         ),
         *_robot(380, 345),

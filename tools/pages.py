@@ -12,6 +12,7 @@ from drawings import DRAWINGS
 from reference_pages import PAGES
 from result_tables import TABLES
 from task_pages import PAGES as TASK_PAGES
+from who_sees import PICTURES
 
 from marl_mm.files import new_file
 
@@ -32,7 +33,7 @@ def pages() -> dict[Path, str]:
     """Every page that is made, or has tables, as it should be."""
     made = {
         ROOT / "docs" / name: make()
-        for name, make in (PAGES | TASK_PAGES | DRAWINGS).items()
+        for name, make in (PAGES | TASK_PAGES | DRAWINGS | PICTURES).items()
     }
     written = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
     made |= {p: p.read_text() for p in written if p not in made}

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from drawings import CURVES
+from who_sees import kind
 
 from marl_mm.algorithms.registry import (
     ALGORITHMS,
@@ -90,15 +91,21 @@ def _algorithm_page(name: str) -> str:
     parts = [
         f"# {NAMES[name]}\n",
         f"**{algorithm.about}** Source: {algorithm.source}. {_headline(name)}\n",
-        f"Loss of the actors:\n\n```text\n{algorithm.loss}\n```\n",
+        algorithm.advice and f"**When to use it.** {algorithm.advice}\n",
         f"```sh\nmarl-mm train {name}{data} --seeds 0 1 2\n```\n",
-        curve,
-        "## The update\n",
+        "## Loss\n",
+        f"Of the actors:\n\n```text\n{algorithm.loss}\n```\n",
         f"[{file}](../../../{file}), in the paper's order:\n",
         f"```text\n{first}\n\n{rest}\n```\n",
+        "## Who sees what\n",
+        f"![Who sees what in training and in acting](../../{kind(name).picture})\n",
+        "Of the paper's two agents, as of any others; algorithms that are made of the "
+        "same networks have the same picture.\n",
         "## What departs from the paper\n",
-        _departures(algorithm),
+        algorithm.departs and f"{algorithm.departs}\n",
+        _departures(name),
         "## Results\n",
+        curve,
         _algorithm_results(name),
         "## Hyper-parameters\n",
         _hyper_parameters(algorithm),
@@ -128,27 +135,30 @@ def _headline(name: str) -> str:
     )
 
 
-def _departures(algorithm: Algorithm) -> str:
+WORTH = {
+    False: "../../results/offline.md#why-the-papers-settings-fail-and-what-cures-them",
+    True: "../../results/online.md#success-and-episodes-needed",
+}
+"""Where it stands what departures of learners with critics are worth, by online."""
+
+
+def _departures(name: str) -> str:
+    """Numbers that are not the paper's."""
+    algorithm = ALGORITHMS.get(name)
     if PAPER not in algorithm.presets:
-        return "The source has other tasks; its numbers are named below.\n"
+        return "Which numbers are the source's is said below; the others are ours.\n"
     tuned, paper = algorithm.presets[TUNED], algorithm.presets[PAPER]
     documented = field_texts(type(tuned))
-    rows = [
-        (f"`{item.name}`", *values, documented[item.name])
-        for item in fields(tuned)
-        if (
-            values := tuple(
-                str(getattr(preset, item.name)) for preset in (tuned, paper)
-            )
-        )[0]
-        != values[1]
-    ]
-    if not rows:
-        return "Nothing that is a number: its presets `tuned` and `paper` are equal.\n"
+    rows = []
+    for item in fields(tuned):
+        ours, theirs = (str(getattr(preset, item.name)) for preset in (tuned, paper))
+        if ours != theirs:
+            rows.append((f"`{item.name}`", ours, theirs, documented[item.name]))
     header = ("field", "`tuned`, the default", "`paper`", "meaning")
+    worth = f" [What they are worth]({WORTH[algorithm.online]})." * (len(rows) > 1)
     return (
         "`--preset paper` takes the paper's numbers, and where it is silent its "
-        "sources' choices.\n\n" + markdown_table(header, rows)
+        f"sources' choices.{worth}\n\n{markdown_table(header, rows)}"
     )
 
 
@@ -228,10 +238,9 @@ def _algorithms_index() -> str:
         for name, algorithm in ALGORITHMS.items()
     ]
     return (
-        "# Algorithms\n\nStart with MABC: it has one choice less than the others, and "
-        "good data are enough for it. TD3+BC and MATD3+BC add critics, which pay where "
-        "random steps are among the data, or where those who made them did not do all that the task pays for; DDPG and MADDPG "
-        "learn in the environment itself.\n\n"
+        "# Algorithms\n\n**From good data start with MABC; where failures or random "
+        "steps are among them take one with critics, where they show several ways one "
+        "that draws, and without data DDPG + HER.**\n\n"
         + markdown_table(("algorithm", "loss of the actors", "learns", "source"), rows)
     )
 

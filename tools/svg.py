@@ -66,6 +66,15 @@ def box(
     )
 
 
+def frame(x: float, y: float, width: float, height: float, title: str) -> str:
+    """A faint frame around boxes, with a title."""
+    return (
+        f'<rect x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" rx="6" '
+        f'fill="{FAINT}" fill-opacity="0.12" stroke="{FAINT}"/>'
+        + words(x + 14, y + 22, title, size=13, colour="#546e7a", bold=True)
+    )
+
+
 def arrow(*points: Point, dashed: bool = False) -> str:
     """A line through points with a tip at its end."""
     path = " ".join(f"{x:g},{y:g}" for x, y in points)

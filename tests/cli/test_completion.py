@@ -41,7 +41,7 @@ def completed(script: Path, line: str) -> list[str]:
     [
         ("marl-mm tra", ["train"]),
         ("marl-mm datasets ver", ["verify"]),
-        ("marl-mm train ma", ["mabc", "matd3-bc", "maddpg", "maddpg-her"]),
+        ("marl-mm train mad", ["maddpg", "maddpg-her"]),
         ("marl-mm train mabc --dev", ["--device"]),
         ("marl-mm train mabc --device ", ["cpu", "cuda"]),
         ("marl-mm train mabc --device cpu --see", ["--seeds"]),
@@ -68,11 +68,11 @@ def test_all_commands_are_offered_and_all_have_options(script: Path) -> None:
 def test_what_a_plugin_adds_is_completed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plugin = Path(__file__).resolve().parents[2] / "examples/plugins/iql.py"
+    plugin = Path(__file__).resolve().parents[2] / "examples/plugins/awac.py"
     assert main(["--plugin", str(plugin), COMPLETION, "bash"]) == 0
     path = tmp_path / "with-plugin"
     path.write_text(capsys.readouterr().out)
-    assert completed(path, "marl-mm train iql --expec") == ["--expectile"]
+    assert completed(path, "marl-mm train awac --temper") == ["--temperature"]
 
 
 def test_other_shells_are_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -48,12 +48,13 @@ def plugged(*names: str) -> list[object]:
 def test_an_algorithm_of_ones_own_is_trained_resumed_evaluated_and_exported(
     datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out, iql = tmp_path / "iql", plugged("iql")
-    train = ["train", "iql", "--dataset", "good-5k", *SMALL, *iql, "--seeds", 0, 1]
+    out, awac = tmp_path / "awac", plugged("awac")
+    train = ["train", "awac", "--dataset", "good-5k", *SMALL, *awac, "--seeds", 0, 1]
     assert run(*train, "--out", out) == 0
     config = json.loads((out / "0" / "config.json").read_text())
     assert (
-        list(config["plugins"]) == ["iql.py"] and len(config["plugins"]["iql.py"]) == 64
+        list(config["plugins"]) == ["awac.py"]
+        and len(config["plugins"]["awac.py"]) == 64
     )
     assert run(*train, "--out", tmp_path / "whole", "--updates", 40) == 0
     assert run(*train, "--out", out, "--updates", 40, "--resume") == 0
@@ -74,7 +75,7 @@ def test_an_algorithm_of_ones_own_is_trained_resumed_evaluated_and_exported(
 def test_seeds_in_processes_of_their_own_find_the_plugin(
     datasets_home: Path, tmp_path: Path
 ) -> None:
-    train = ["train", "iql", "--dataset", "good-5k", *SMALL, *plugged("iql")]
+    train = ["train", "awac", "--dataset", "good-5k", *SMALL, *plugged("awac")]
     first, second = tmp_path / "one", tmp_path / "two"
     assert run(*train, "--seeds", 0, 1, "--out", first) == 0
     assert run(*train, "--seeds", 0, 1, "--out", second, "--workers", 2) == 0
@@ -87,8 +88,8 @@ def test_seeds_in_processes_of_their_own_find_the_plugin(
 def test_a_changed_plugin_is_refused_unless_allowed(
     datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    mine = Path(shutil.copy(EXAMPLES / "iql.py", tmp_path / "iql.py"))
-    words = ["train", "iql", "--dataset", "good-5k", *SMALL, "--out", tmp_path / "r"]
+    mine = Path(shutil.copy(EXAMPLES / "awac.py", tmp_path / "awac.py"))
+    words = ["train", "awac", "--dataset", "good-5k", *SMALL, "--out", tmp_path / "r"]
 
     def fresh(*more: object) -> "subprocess.CompletedProcess[str]":
         """In a process of its own, as a changed file needs."""
@@ -110,13 +111,13 @@ def test_a_changed_plugin_is_refused_unless_allowed(
     mine.write_text(mine.read_text() + "\n# changed\n")
     refused = fresh(*further, "--plugin", mine)
     assert refused.returncode == 2, refused.stderr
-    assert "was made with another iql.py" in refused.stderr
+    assert "was made with another awac.py" in refused.stderr
     assert "--allow-changed-plugin" in refused.stderr
     allowed = fresh(*further, "--plugin", mine, "--allow-changed-plugin")
     assert allowed.returncode == 0, allowed.stderr
     config = json.loads((tmp_path / "r" / "0" / "config.json").read_text())
     *_, before = config["plugins_before"]
-    assert before["same.py"] != config["plugins"]["iql.py"]
+    assert before["same.py"] != config["plugins"]["awac.py"]
 
 
 @pytest.mark.slow
@@ -124,14 +125,14 @@ def test_a_study_of_two_settings_with_an_algorithm_of_ones_own(
     datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Declared in a file that names the plug-in itself, run in two processes."""
-    shutil.copy(EXAMPLES / "iql.py", tmp_path)
+    shutil.copy(EXAMPLES / "awac.py", tmp_path)
     (tmp_path / "study.py").write_text(
         "from pathlib import Path\n"
         "from marl_mm.eval.studies import Setting, Study\n"
         "from marl_mm.plugins import load\n"
-        'load(Path(__file__).with_name("iql.py"))\n'
+        'load(Path(__file__).with_name("awac.py"))\n'
         'few = {"updates": 20, "hidden": (8,)}\n'
-        'settings = Setting("own", "IQL", "iql", changes=few, goals=2),\\\n'
+        'settings = Setting("own", "AWAC", "awac", changes=few, goals=2),\\\n'
         '    Setting("clone", "MABC", "mabc", changes=few, goals=2)\n'
         'MINE = Study("Mine", [("marl_mm/reach/good-5k-v0", s) for s in settings])\n'
     )
@@ -337,7 +338,7 @@ def test_plugins_that_are_none_or_fail_are_told_in_one_line(
     )
     other = tmp_path / "other"
     other.mkdir()
-    (other / "iql.py").write_text((EXAMPLES / "iql.py").read_text() + "\n# changed\n")
+    (other / "awac.py").write_text((EXAMPLES / "awac.py").read_text() + "\n# changed\n")
     (tmp_path / "quits.py").write_text("import sys\nsys.exit(0)\n")
     leave = sys.exit
     # As packages do that want to know how a process ends.
@@ -364,7 +365,11 @@ def test_plugins_that_are_none_or_fail_are_told_in_one_line(
         ),
         (2, ["--plugin", tmp_path], "expected FILE.py, or a module's name"),
         (1, ["--plugin", tmp_path / "taken.py"], "'Reach-v0' of taken.py exists alrea"),
-        (2, [*plugged("iql"), "--plugin", other / "iql.py"], "two plug-ins are called"),
+        (
+            2,
+            [*plugged("awac"), "--plugin", other / "awac.py"],
+            "two plug-ins are called",
+        ),
     ):
         assert run("tasks", *words) == code, words
         (line,) = capsys.readouterr().err.splitlines()
@@ -377,7 +382,7 @@ def test_plugins_that_are_none_or_fail_are_told_in_one_line(
 
 def test_lists_tell_what_there_is_and_whose(capsys: pytest.CaptureFixture[str]) -> None:
     for kind, name, plugin in (
-        ("algorithms", "iql", "iql"),
+        ("algorithms", "awac", "awac"),
         ("tasks", "ThreeReach-v0", "three_agents"),
         ("collectors", "noisy-pd", "noisy_pd"),
     ):
