@@ -82,6 +82,17 @@ def test_both_observations_have_the_same_goal(arrays: EpisodeArrays) -> None:
     assert torch.equal(behind[:, LAYOUT.observation], rest[:, LAYOUT.observation])
 
 
+def test_the_next_action_is_of_the_same_episode(arrays: EpisodeArrays) -> None:
+    """Of its last step there is none, and its own stands there."""
+    batch = drawn(arrays, future=0.4, elsewhere=0.4)
+    rows = rows_of(arrays, batch)
+    episode, last = arrays.step_episode()[rows], np.cumsum(arrays.lengths) - 1
+    ends = rows == last[episode]
+    found = rows_of(arrays, batch._replace(action=batch.next_action))
+    np.testing.assert_array_equal(found, np.where(ends, rows, rows + 1))
+    assert 0 < ends.mean() < 1
+
+
 @pytest.mark.parametrize(("future", "elsewhere"), [(0.2, 0.4), (0.0, 1.0), (0.5, 0.0)])
 def test_shares_are_as_asked(
     arrays: EpisodeArrays, future: float, elsewhere: float

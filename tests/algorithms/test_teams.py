@@ -15,6 +15,7 @@ PAIRS = {
     "ma-flow-bc": "flow-bc",
     "matd3-bc": "td3-bc",
     "ma-iql": "iql",
+    "ma-rebrac": "rebrac",
 }
 """Joint forms by team forms."""
 

@@ -1,0 +1,68 @@
+"""Hyper-parameters of ReBRAC and MA-ReBRAC; importing them takes no torch."""
+
+from dataclasses import dataclass
+
+from marl_mm.algorithms.config_checks import check_ranges
+from marl_mm.algorithms.offline_config import CriticConfig
+from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
+
+
+@dataclass(frozen=True, kw_only=True)
+class RebracConfig(CriticConfig):
+    """Hyper-parameters: the source's where it names them."""
+
+    actor_weight: float = 0.1
+    """Weight of imitation in the actors' loss, beta_1; 0.001 to 0.1 in the source's
+    tasks of locomotion (Tarasov 2023, appendix B)."""
+
+    critic_weight: float = 0.01
+    """Weight of the distance from the data in the critics' targets, beta_2; 0 to 0.5 in
+    the source's tasks of locomotion (Tarasov 2023, appendix B)."""
+
+    policy_delay: int = 2
+    """Number of updates of the critics per update of the actors (Fujimoto 2018)."""
+
+    target_noise: float = 0.2
+    """Standard deviation of the noise on the target's action, in halves of its
+    range."""
+
+    target_noise_clip: float = 0.5
+    """Bound of the noise on the target's action, in halves of its range."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        weights = "actor_weight", "critic_weight"
+        noise = "target_noise", "target_noise_clip"
+        check_ranges(self, ("policy_delay",), (*weights, *noise))
+
+
+ALGORITHMS.add(
+    "rebrac",
+    Algorithm(
+        title="ReBRAC",
+        loss="beta_1 |pi(s) - a|^2 - lambda min_j Q_j(s, pi(s)), "
+        "lambda = 1 / mean |min_j Q_j(s, pi(s))|",
+        about="ReBRAC: TD3+BC whose critics also count the distance from the data, one "
+        "joint actor.",
+        source="Tarasov 2023",
+        learner=Imported("marl_mm.algorithms.rebrac:Rebrac"),
+        presets={TUNED: RebracConfig()},
+        advice="Where rewards tell more than the data's actions. Both weights must "
+        "suit the data; where that cannot be tried out, cloning is safer.",
+    ),
+)
+ALGORITHMS.add(
+    "ma-rebrac",
+    Algorithm(
+        title="MA-ReBRAC",
+        loss="beta_1 |pi_i(o_i) - a_i|^2 - lambda_i min_j Q_j(s, (pi_i(o_i), pi_-i)), "
+        "lambda_i = 1 / mean |min_j Q_j|, for each agent i",
+        about="MA-ReBRAC: ReBRAC's critics of the whole team, and an actor for each "
+        "agent.",
+        source="Tarasov 2023",
+        learner=Imported("marl_mm.algorithms.rebrac:MaRebrac"),
+        presets={TUNED: RebracConfig()},
+        advice="As ReBRAC, for agents that see their own part. Where the data hold "
+        "several conventions of equal worth, agents end between them.",
+    ),
+)
