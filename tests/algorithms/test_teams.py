@@ -19,7 +19,7 @@ PAIRS = {
 }
 """Joint forms by team forms."""
 
-TEAM_ONLY: set[str] = set()
+TEAM_ONLY = {"omar"}
 """Team forms without a joint one: what they add is about several agents."""
 
 XOR = np.array([[1.0, -1.0], [-1.0, 1.0]])
