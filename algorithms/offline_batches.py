@@ -37,6 +37,10 @@ class OfflineBatch(NamedTuple):
     next_observation: torch.Tensor
     """Joint states after the steps, shape (S, B, d)."""
 
+    next_action: torch.Tensor
+    """Joint actions of the next steps, shape (S, B, k); of an episode's last step, its
+    own."""
+
     terminated: torch.Tensor
     """1 where the episode ended, for good or ill, shape (S, B)."""
 
@@ -182,6 +186,7 @@ class OfflineBatches:
             self._action[rows],
             reward.astype(np.float32),
             next_state.astype(np.float32),
+            self._action[np.minimum(rows + 1, self._end[rows] - 1)],
             terminated.astype(np.float32),
             (~elsewhere).astype(np.float32),
             self._successful[rows],

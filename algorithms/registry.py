@@ -97,7 +97,7 @@ ALGORITHMS: Registry[Algorithm] = Registry(
         f"marl_mm.algorithms.{name}_config"
         for name in (
             *("mabc", "flow_bc", "td3_bc", "matd3_bc", "iql"),
-            *("cfcql", "omar"),
+            *("cfcql", "omar", "maicq"),
             *("ddpg", "maddpg"),
         )
     ],

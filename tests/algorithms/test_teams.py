@@ -19,7 +19,7 @@ PAIRS = {
 }
 """Joint forms by team forms."""
 
-TEAM_ONLY = {"omar"}
+TEAM_ONLY = {"omar", "maicq"}
 """Team forms without a joint one: what they add is about several agents."""
 
 XOR = np.array([[1.0, -1.0], [-1.0, 1.0]])
