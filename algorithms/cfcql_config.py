@@ -1,0 +1,90 @@
+"""Hyper-parameters of CFCQL and CQL; importing them takes no torch."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from marl_mm.algorithms.config_checks import check_ranges
+from marl_mm.algorithms.offline_config import CriticConfig
+from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
+
+
+@dataclass(frozen=True, kw_only=True)
+class CfcqlConfig(CriticConfig):
+    """Hyper-parameters: the source's code's where it names them."""
+
+    conservatism: float = 5.0
+    """Weight of the conservative term, alpha, for values of about 10; 0.5 to 5 in the
+    source's code, by dataset. Where it outweighs the rewards, each way of the data is a
+    peak that actors do not leave."""
+
+    penalized: int = 64
+    """Number of a batch's transitions that the conservative term is of, all in the
+    source: it takes most of an update's time."""
+
+    samples: int = 5
+    """Actions of each kind, uniform and near the policy's, that the conservative term
+    draws for each transition and agent; 10 of each of three kinds in the source."""
+
+    sample_noise: float = 0.2
+    """Standard deviation of actions drawn near the policy's, in halves of their
+    range."""
+
+    focus: float = 1.0
+    """Weight of an agent's distance from the data in its share of the conservative
+    term, tau; 0: all shares are the same."""
+
+    others: Literal["data", "policy"] = "policy"
+    """Other agents' action in an actor's loss: the dataset's, as in the source's code,
+    or the one that their policy takes now."""
+
+    action_penalty: float = 1e-3
+    """Weight of the mean square of the action in the actors' loss."""
+
+    policy_delay: int = 2
+    """Updates of the critics per update of the actors (Fujimoto 2018)."""
+
+    target_noise: float = 0.2
+    """Standard deviation of the noise on the target's action, in halves of its
+    range."""
+
+    target_noise_clip: float = 0.5
+    """Bound of the noise on the target's action, in halves of its range."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ranges(
+            self,
+            positive=("penalized", "samples", "sample_noise", "policy_delay"),
+            not_negative=(
+                *("conservatism", "focus", "action_penalty"),
+                *("target_noise", "target_noise_clip"),
+            ),
+        )
+
+
+ALGORITHMS.add(
+    "cql",
+    Algorithm(
+        title="CQL",
+        loss="-Q_1(s, pi(s)), with Q low outside of the data",
+        about="CQL: conservative critics, and one actor that sees and sets everything.",
+        source="Kumar 2020",
+        advice="For data of mixed quality without gaps. Where they show one way only, "
+        "cloning is as good and quicker.",
+        learner=Imported("marl_mm.algorithms.cfcql:Cql"),
+        presets={TUNED: CfcqlConfig()},
+    ),
+)
+ALGORITHMS.add(
+    "cfcql",
+    Algorithm(
+        title="CFCQL",
+        loss="-Q_1(s, (pi_i(o_i), a_-i)), with Q low where one agent leaves the data",
+        about="CFCQL: critics that are conservative in one agent at a time.",
+        source="Shao 2023",
+        advice="For data of mixed quality and several agents, above all many. It does "
+        "not say which of several conventions to keep if all are worth the same.",
+        learner=Imported("marl_mm.algorithms.cfcql:Cfcql"),
+        presets={TUNED: CfcqlConfig()},
+    ),
+)

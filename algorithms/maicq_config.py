@@ -1,0 +1,39 @@
+"""Hyper-parameters of MAICQ; importing them takes no torch."""
+
+from dataclasses import dataclass
+
+from marl_mm.algorithms.config_checks import check_ranges
+from marl_mm.algorithms.offline_config import CriticConfig
+from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaicqConfig(CriticConfig):
+    """Hyper-parameters."""
+
+    temperature: float = 0.1
+    """Temperature of the weights in the actors' loss, alpha, in units of value; 0.1 in
+    the source's code."""
+
+    critic_temperature: float = 1.0
+    """Temperature of the weights in the critics' loss; 10 to 1000 in the source's code,
+    where it hardly weighs."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ranges(self, ("temperature", "critic_temperature"))
+
+
+ALGORITHMS.add(
+    "maicq",
+    Algorithm(
+        title="MAICQ",
+        loss="softmax(A_i / alpha) MSE(a_i, pi_i(o_i)), agent after agent",
+        about="MAICQ: in-sample critics, and agents improved one after the other.",
+        source="Yang 2021",
+        advice="For data of mixed quality, and where teams keep to conventions: later "
+        "agents suit what earlier ones have learnt. It stays near the data's actions.",
+        learner=Imported("marl_mm.algorithms.maicq:Maicq"),
+        presets={TUNED: MaicqConfig()},
+    ),
+)

@@ -1,0 +1,64 @@
+"""Hyper-parameters of OMAR; importing them takes no torch."""
+
+from dataclasses import dataclass
+
+from marl_mm.algorithms.cfcql_config import CfcqlConfig
+from marl_mm.algorithms.config_checks import check_ranges
+from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
+from marl_mm.errors import UsageError
+
+
+@dataclass(frozen=True, kw_only=True)
+class OmarConfig(CfcqlConfig):
+    """Hyper-parameters: those of CFCQL's critics, and of the search for actions."""
+
+    focus: float = 0.0
+    """Weight of an agent's distance from the data in its share of the conservative
+    term; 0, as all shares are the same in the source."""
+
+    mix: float = 0.9
+    """Weight of the found action against the value in the actors' loss; 0.1 to 1 in the
+    source's code, by dataset."""
+
+    searched: int = 64
+    """Number of a batch's transitions that actions are searched for, all in the
+    source."""
+
+    rounds: int = 3
+    """Rounds of the search."""
+
+    candidates: int = 10
+    """Actions drawn in each round."""
+
+    elites: int = 5
+    """Best actions so far, whose mean and deviation the next round has; the 5 best of
+    20 in the source's code for robots."""
+
+    search_spread: float = 1.0
+    """Standard deviation of the first round's actions, in halves of their range; 2 in
+    the source's code, where six of ten lie at the bounds."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        positive = "searched", "rounds", "candidates", "elites", "search_spread"
+        check_ranges(self, positive, shares=("mix",))
+        if self.elites > self.candidates:
+            raise UsageError(
+                f"elites is {self.elites}, expected at most candidates, which is "
+                f"{self.candidates}"
+            )
+
+
+ALGORITHMS.add(
+    "omar",
+    Algorithm(
+        title="OMAR",
+        loss="-(1 - c) Q_1(s, (pi_i(o_i), a_-i)) + c MSE(best_i, pi_i(o_i))",
+        about="OMAR: conservative critics, and actors that follow a search.",
+        source="Pan 2022",
+        advice="For data of several ways of different worth: the search crosses the "
+        "valleys between them, which CFCQL's gradient does not. It is the slowest.",
+        learner=Imported("marl_mm.algorithms.omar:Omar"),
+        presets={TUNED: OmarConfig()},
+    ),
+)
