@@ -214,14 +214,18 @@ class OfflineBatches:
         )
 
     def _ahead(self, rows: np.ndarray) -> np.ndarray:
-        """Steps of chunks that begin at some, shapes (n,) to (n, h); none later than
-        the episode's last."""
-        ahead = rows[:, None] + np.arange(self._chunk)
-        return np.minimum(ahead, self._end[rows, None] - 1)
+        """Steps of chunks that begin at some, shapes (n,) to (n, h).
+
+        None is later than its episode's last.
+        """
+        ahead, last = rows[:, None] + np.arange(self._chunk), self._end[rows] - 1
+        steps: np.ndarray = np.minimum(ahead, last[:, None])
+        return steps
 
     def _actions(self, steps: np.ndarray) -> np.ndarray:
         """Actions of chunks, shapes (n, h) to (n, h k)."""
-        return self._action[steps].reshape(len(steps), -1)
+        actions: np.ndarray = self._action[steps].reshape(len(steps), -1)
+        return actions
 
 
 def _refuse_odd_values(arrays: EpisodeArrays) -> None:
