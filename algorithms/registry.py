@@ -96,7 +96,8 @@ ALGORITHMS: Registry[Algorithm] = Registry(
     [
         f"marl_mm.algorithms.{name}_config"
         for name in (
-            *("mabc", "flow_bc", "td3_bc", "matd3_bc", "iql"),
+            *("mabc", "flow_bc", "td3_bc", "matd3_bc", "iql", "fql"),
+            *("mac_flow", "best_of_n", "q_chunking"),
             *("ddpg", "maddpg"),
         )
     ],

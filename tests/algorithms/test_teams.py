@@ -15,8 +15,13 @@ PAIRS = {
     "ma-flow-bc": "flow-bc",
     "matd3-bc": "td3-bc",
     "ma-iql": "iql",
+    "mac-flow": "fql",
+    "best-of-n": "best-of-n-joint",
 }
 """Joint forms by team forms."""
+
+ALONE = ("q-chunking",)
+"""Joint forms without a team form."""
 
 XOR = np.array([[1.0, -1.0], [-1.0, 1.0]])
 """Actions of two conventions; to mix them is lost."""
@@ -34,7 +39,7 @@ def test_a_team_of_one_that_sees_all_is_the_single_agent(name: str) -> None:
 
 def test_all_team_forms_have_a_joint_one() -> None:
     offline = {n for n, algorithm in ALGORITHMS.items() if not algorithm.online}
-    assert offline == {*PAIRS, *PAIRS.values()}
+    assert offline == {*PAIRS, *PAIRS.values(), *ALONE}
 
 
 def conventions(rewards: tuple[float, float] = (1.0, 1.0)) -> EpisodeArrays:
