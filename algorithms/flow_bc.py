@@ -27,7 +27,7 @@ def flow_errors(
     noise: torch.Tensor,
     time: torch.Tensor,
 ) -> torch.Tensor:
-    """Squared errors of an agent's velocities, shape (S, B).
+    """Squared errors of an agent's velocities, shape (S, B, k).
 
     Args:
         actors: Flows.
@@ -41,7 +41,7 @@ def flow_errors(
     point = torch.lerp(noise, action, time)
     inputs = torch.cat([actors.observed(agent.name, state), point, time], dim=-1)
     velocity = actors.networks[agent.name](inputs)
-    return (velocity - (action - noise)).square().mean(dim=2)
+    return (velocity - (action - noise)).square()
 
 
 class FlowBc(OfflineLearner):
@@ -59,7 +59,7 @@ class FlowBc(OfflineLearner):
             own = self.actors.entries(agent)
             ends = batch.action[..., own], batch.noise[..., own]
             errors = flow_errors(self.actors, agent, state, *ends, batch.extra)
-            loss = errors.mean(dim=1)
+            loss = errors.mean(dim=2).mean(dim=1)
             self.actors.descend(agent.name, loss)
             losses[f"loss/{agent.name}"] = loss.detach()
         return losses

@@ -29,13 +29,13 @@ class OfflineBatch(NamedTuple):
     """Joint states, shape (S, B, d)."""
 
     action: torch.Tensor
-    """Joint actions in [-1, 1], shape (S, B, k)."""
+    """Joint actions in [-1, 1], shape (S, B, h k): of a step, or of a chunk of h."""
 
     reward: torch.Tensor
-    """Rewards, shape (S, B)."""
+    """Rewards, of a chunk the discounted sum, shape (S, B)."""
 
     next_observation: torch.Tensor
-    """Joint states after the steps, shape (S, B, d)."""
+    """Joint states after the steps or chunks, shape (S, B, d)."""
 
     next_action: torch.Tensor
     """Joint actions of the next steps, shape (S, B, k); of an episode's last step, its
@@ -44,6 +44,9 @@ class OfflineBatch(NamedTuple):
     terminated: torch.Tensor
     """1 where the episode ended, for good or ill, shape (S, B)."""
 
+    discount: torch.Tensor
+    """Discount of the value after the step or chunk, shape (S, B)."""
+
     imitated: torch.Tensor
     """0 where the goal is that of any other step, which the action was not for, shape
     (S, B)."""
@@ -51,8 +54,11 @@ class OfflineBatch(NamedTuple):
     successful: torch.Tensor
     """1 in episodes that reached their goal, shape (S, B)."""
 
+    within: torch.Tensor
+    """1 where a step of the chunk is one of the episode, shape (S, B, h)."""
+
     noise: torch.Tensor
-    """Standard normal noise for the target's actions, shape (S, B, k)."""
+    """Standard normal noise for the target's actions, shape (S, B, h k)."""
 
     extra: torch.Tensor
     """More such noise, of flows and of sampled actions, shape (S, B, extra)."""
@@ -70,11 +76,14 @@ class OfflineBatches:
         seeds: Seeds of the streams, S of them.
         device: Device of the batches.
         extra: Entries of ``OfflineBatch.extra``.
+        chunk: Steps in a row that are learnt as one, h. Where the episode ends sooner,
+            its last action is repeated.
+        discount: Discount of rewards per step.
 
     Raises:
         DatasetError: If a value of the dataset is not finite.
-        UsageError: If goals are to be exchanged and the dataset does not tell the costs
-            that rewards depend on.
+        UsageError: If goals are to be exchanged, and the dataset does not tell the
+            costs that rewards depend on, or chunks have several steps.
     """
 
     def __init__(
@@ -86,11 +95,14 @@ class OfflineBatches:
         seeds: Sequence[int],
         device: str = "cpu",
         extra: int = 0,
+        chunk: int = 1,
+        discount: float = 1.0,
     ) -> None:
         _refuse_odd_values(arrays)
         self._layout, self._extra = arrays.layout, extra
         self._size, self._judge, self._device = size, judge, device
         self._future, self._elsewhere = shares
+        self._chunk, self._discount = chunk, discount
         # float64, so that a reward computed again is the step's own to the bit.
         self._state = arrays.states[~arrays.is_last_state()]
         self._next_state = arrays.states[~arrays.is_first_state()]
@@ -102,6 +114,11 @@ class OfflineBatches:
         self._end = np.repeat(np.cumsum(arrays.lengths), arrays.lengths)
         """Row after the last step of each step's episode."""
 
+        if any(shares) and chunk > 1:
+            raise UsageError(
+                f"chunks of {chunk} steps with other goals, expected their own: set "
+                "`future` and `elsewhere` to 0"
+            )
         finite = all(np.isfinite(values).all() for values in self._terms.values())
         if any(shares) and not finite:
             raise UsageError(
@@ -125,10 +142,10 @@ class OfflineBatches:
         return self._drawn[self._taken - 1]
 
     def some(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Fixed states and actions of the dataset, shapes (1, n, d) and (1, n, k)."""
+        """Fixed states and actions of the dataset, shapes (1, n, d) and (1, n, h k)."""
         rows = np.linspace(0, len(self) - 1, min(count, len(self))).astype(np.int64)
         state = torch.from_numpy(self._state[rows].astype(np.float32))
-        action = torch.from_numpy(self._action[rows])
+        action = torch.from_numpy(self._actions(self._ahead(rows)))
         return state[None].to(self._device), action[None].to(self._device)
 
     def state(self, number: int) -> dict[str, Any]:
@@ -163,10 +180,15 @@ class OfflineBatches:
         rows = rng.integers(len(self), size=count)
         kind, later = rng.random(count), rng.random(count)
         others = rng.integers(len(self), size=count)
-        noise = rng.standard_normal((count, self._action.shape[1]), np.float32)
+        width = self._chunk * self._action.shape[1]
+        noise = rng.standard_normal((count, width), np.float32)
         extra = rng.standard_normal((count, self._extra), np.float32)
-        state, next_state = self._state[rows], self._next_state[rows]
-        reward, terminated = self._reward[rows], self._terminated[rows]
+        ahead = self._ahead(rows)
+        within = rows[:, None] + np.arange(self._chunk) == ahead
+        weights = within * self._discount ** np.arange(self._chunk)
+        state, next_state = self._state[rows], self._next_state[ahead[:, -1]]
+        reward = (weights * self._reward[ahead]).sum(axis=1)
+        terminated = self._terminated[ahead[:, -1]]
         future = kind < self._future
         elsewhere = ~future & (kind < self._future + self._elsewhere)
 
@@ -183,16 +205,32 @@ class OfflineBatches:
         )
         return (
             state.astype(np.float32),
-            self._action[rows],
+            self._actions(ahead),
             reward.astype(np.float32),
             next_state.astype(np.float32),
             self._action[np.minimum(rows + 1, self._end[rows] - 1)],
             terminated.astype(np.float32),
+            (self._discount ** within.sum(axis=1)).astype(np.float32),
             (~elsewhere).astype(np.float32),
             self._successful[rows],
+            within.astype(np.float32),
             noise,
             extra,
         )
+
+    def _ahead(self, rows: np.ndarray) -> np.ndarray:
+        """Steps of chunks that begin at some, shapes (n,) to (n, h).
+
+        None is later than its episode's last.
+        """
+        ahead, last = rows[:, None] + np.arange(self._chunk), self._end[rows] - 1
+        steps: np.ndarray = np.minimum(ahead, last[:, None])
+        return steps
+
+    def _actions(self, steps: np.ndarray) -> np.ndarray:
+        """Actions of chunks, shapes (n, h) to (n, h k)."""
+        actions: np.ndarray = self._action[steps].reshape(len(steps), -1)
+        return actions
 
 
 def _refuse_odd_values(arrays: EpisodeArrays) -> None:

@@ -43,11 +43,10 @@ class CriticLearner(OfflineLearner):
     ) -> None:
         shares = config.future, config.elsewhere
         actors_rate, rate = rates or (config.learning_rate, config.learning_rate)
-        super().__init__(
-            config, arrays, judge, seeds, device, actors_rate, shares, form, extra
-        )
+        rest = actors_rate, shares, form, extra, config.discount
+        super().__init__(config, arrays, judge, seeds, device, *rest)
         self.critics = SeededCritics(
-            len(self.layout.state) + len(self.layout.action),
+            len(self.layout.state) + form.chunk * len(self.layout.action),
             self._pairs(),
             config.hidden,
             config.layer_norm,
@@ -67,14 +66,14 @@ class CriticLearner(OfflineLearner):
         return 1
 
     def _target(self, batch: OfflineBatch, value: torch.Tensor) -> torch.Tensor:
-        """Targets of critics: reward and discounted value after the step.
+        """Targets of critics: reward and discounted value after the step or chunk.
 
         Args:
             batch: Transitions.
-            value: Value of the state after each step, shape (S, ..., B).
+            value: Value of the state after each, shape (S, ..., B).
         """
         shape = (len(value), *(1,) * (value.dim() - 2), value.shape[-1])
-        alive = self.config.discount * (1 - batch.terminated.view(shape))
+        alive = (batch.discount * (1 - batch.terminated)).view(shape)
         target: torch.Tensor = batch.reward.view(shape) + alive * value
         return target.clamp_max_(self._highest_target)
 

@@ -29,6 +29,7 @@ class OfflineLearner:
         shares: Shares of transitions with another goal, see ``OfflineBatches``.
         form: Form of the actors' networks.
         extra: Entries of noise that batches have beside the usual.
+        discount: Discount of rewards per step.
     """
 
     team: ClassVar[bool] = False
@@ -45,6 +46,7 @@ class OfflineLearner:
         shares: tuple[float, float],
         form: Form = PLAIN,
         extra: int = 0,
+        discount: float = 1.0,
     ) -> None:
         self.config, self.seeds, self.step = config, tuple(seeds), 0
         self.layout = arrays.layout
@@ -52,8 +54,9 @@ class OfflineLearner:
         """Layouts of the actors."""
 
         self.bounds: dict[str, float] = {}
+        several = extra, form.chunk, discount
         self._batches = OfflineBatches(
-            arrays, config.batch_size, shares, judge, seeds, device, extra
+            arrays, config.batch_size, shares, judge, seeds, device, *several
         )
         states = torch.from_numpy(arrays.states).float()
         self.normalizer = Normalizer.of(states, config.std_floor).to(device)
@@ -69,7 +72,7 @@ class OfflineLearner:
     def _acted(self, inputs: torch.Tensor) -> torch.Tensor:
         """Joint actions at normalised joint states, by noise that is always the same.
 
-        Shapes (S, n, d) to (S, n, k).
+        Shapes (S, n, d) to (S, n, h k).
         """
         noise = None
         if self.actors.form.noisy:

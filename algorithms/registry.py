@@ -100,7 +100,7 @@ ALGORITHMS: Registry[Algorithm] = Registry(
         f"marl_mm.algorithms.{name}_config"
         for name in (
             *("mabc", "flow_bc", "td3_bc", "matd3_bc", "iql", "rebrac"),
-            *("cfcql", "omar", "maicq"),
+            *("cfcql", "omar", "maicq", "fql", "mac_flow", "best_of_n", "q_chunking"),
             *("ddpg", "maddpg"),
         )
     ],

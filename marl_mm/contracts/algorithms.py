@@ -144,7 +144,8 @@ def _acts(candidate: Candidate) -> None:
             action = _first_action(policy, state)
             right = action.shape == (len(layout.action),) and action.dtype == np.float32
             demand(right, f"{words}: an action is {action.dtype} of {action.shape}")
-            inside = (action >= layout.low).all() and (action <= layout.high).all()
+            plan = _plan(policy, state)
+            inside = (plan >= layout.low).all() and (plan <= layout.high).all()
             demand(inside, f"{words}: an action is outside of the action space")
         demand_same(_first_action(policy, state), action, f"{words}: actions")
         _sees_its_own(words, policy, state)
@@ -156,6 +157,13 @@ def _first_action(policy: LearnedPolicy, state: np.ndarray) -> np.ndarray:
     """Action at the beginning of an episode, always of the same seed."""
     policy.begin(np.random.default_rng(0), policy.layout)
     return policy.act(state)
+
+
+def _plan(policy: LearnedPolicy, state: np.ndarray) -> np.ndarray:
+    """Actions that it plans there, shape (h, k), always of the same seed."""
+    policy.begin(np.random.default_rng(0), policy.layout)
+    steps = max(agent.actor.form.chunk for agent in policy.agents.values())
+    return np.array([policy.act(state) for _ in range(steps)])
 
 
 def _explores(words: str, policy: Policy, arrays: EpisodeArrays) -> None:
@@ -199,9 +207,8 @@ def _exports(candidate: Candidate) -> None:
         drawn = np.random.default_rng(0).standard_normal(width, np.float32)
         inputs = [states, np.tile(drawn, (len(states), 1))][: 1 + (width > 0)]
         there = exported(*map(torch.from_numpy, inputs)).numpy()
-        there = there if there.ndim == 2 else there[:, 0]  # of a plan, its first
-        here = [_first_action(policy, state) for state in states]
-        differ = np.abs(there - here).max()
+        here = np.array([_plan(policy, state) for state in states])
+        differ = np.abs(there.reshape(here.shape) - here).max()
         demand(differ <= TOLERANCE, f"the export acts otherwise, by {differ:.2g}")
 
 

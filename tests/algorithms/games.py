@@ -70,10 +70,14 @@ def steps_of(
     return arrays_of(episodes, "game")
 
 
-def learnt(
-    name: str, arrays: EpisodeArrays, updates: int = 600, **changes: Any
-) -> LearnedPolicy:
-    """The policy of an algorithm after some updates on a game."""
+def learner_of(
+    name: str,
+    arrays: EpisodeArrays,
+    updates: int = 600,
+    seeds: Sequence[int] = (0,),
+    **changes: Any,
+) -> Any:
+    """The learner of an algorithm after some updates on a game."""
     algorithm = ALGORITHMS.get(name)
     usual: dict[str, Any] = {
         "hidden": (32, 32),
@@ -81,9 +85,17 @@ def learnt(
         "precision": "highest",
     }
     config = replace(algorithm.presets[TUNED], **usual | changes)
-    learner = algorithm.learner(config, arrays, NoJudge(), (0,), "cpu")
+    learner = algorithm.learner(config, arrays, NoJudge(), seeds, "cpu")
     for _ in range(updates):
         learner.update()
+    return learner
+
+
+def learnt(
+    name: str, arrays: EpisodeArrays, updates: int = 600, **changes: Any
+) -> LearnedPolicy:
+    """The policy of an algorithm after some updates on a game."""
+    learner = learner_of(name, arrays, updates, **changes)
     return LearnedPolicy(name, learner.agents(0), learner.layout)
 
 

@@ -177,6 +177,43 @@ def test_each_seed_draws_from_a_stream_of_its_own(arrays: EpisodeArrays) -> None
         assert not torch.equal(alone[mine][-1], alone[others][-1])  # the noise
 
 
+def test_chunks_are_steps_in_a_row(arrays: EpisodeArrays) -> None:
+    """By loops, for all steps: those at an episode's end, too, whether it is final."""
+    truncated = replace(arrays, terminated=arrays.terminated & False)
+    for data in (arrays, truncated):
+        batches = OfflineBatches(data, 100, (0, 0), TASK, [0], chunk=4, discount=0.5)
+        batch = OfflineBatch(*(column[0] for column in batches.next()))
+        first = data.states[~data.is_last_state()].astype(np.float32)
+        known = {row.tobytes(): number for number, row in enumerate(first)}
+        low, high = np.array(LAYOUT.low), np.array(LAYOUT.high)
+        scaled = (2 * (data.actions - low) / (high - low) - 1).astype(np.float32)
+        episode, lengths = data.step_episode(), set()
+        for number, state in enumerate(batch.observation):
+            row = known[state.numpy().tobytes()]
+            steps = [r for r in range(row, row + 4) if r < len(episode)]
+            steps = [r for r in steps if episode[r] == episode[row]]
+            lengths.add(len(steps))
+            repeated = steps + [steps[-1]] * (4 - len(steps))
+            action = batch.action[number].numpy().reshape(4, -1)
+            np.testing.assert_array_equal(action, scaled[repeated])
+            total = sum(0.5**i * data.rewards[r] for i, r in enumerate(steps))
+            assert batch.reward[number].item() == pytest.approx(total, rel=1e-6)
+            behind = after(data)[steps[-1]].astype(np.float32)
+            assert np.array_equal(batch.next_observation[number].numpy(), behind)
+            assert batch.terminated[number] == data.terminated[steps[-1]]
+            assert batch.discount[number] == 0.5 ** len(steps)
+            within = [1.0] * len(steps) + [0.0] * (4 - len(steps))
+            assert batch.within[number].tolist() == within
+        assert lengths == {1, 2, 3, 4}
+        assert batch.noise.shape == (100, 4 * len(LAYOUT.action))
+
+
+def test_chunks_of_several_steps_keep_their_goals(arrays: EpisodeArrays) -> None:
+    for shares in ((0.1, 0.0), (0.0, 0.1)):
+        with pytest.raises(UsageError, match="chunks of 2 steps with other goals"):
+            OfflineBatches(arrays, 4, shares, TASK, [0], chunk=2)
+
+
 def test_noise_is_standard_normal(arrays: EpisodeArrays) -> None:
     noise = drawn(arrays, 0.0).noise
     assert noise.shape == (4000, 4) and noise.dtype == torch.float32

@@ -17,11 +17,13 @@ PAIRS = {
     "ma-iql": "iql",
     "ma-rebrac": "rebrac",
     "cfcql": "cql",
+    "mac-flow": "fql",
+    "best-of-n": "best-of-n-joint",
 }
 """Joint forms by team forms."""
 
-TEAM_ONLY = {"omar", "maicq"}
-"""Team forms without a joint one: what they add is about several agents."""
+ONE_FORM = {"omar", "maicq", "q-chunking"}
+"""Team forms whose additions are about several agents, and a joint form for chunks."""
 
 XOR = np.array([[1.0, -1.0], [-1.0, 1.0]])
 """Actions of two conventions; to mix them is lost."""
@@ -39,7 +41,7 @@ def test_a_team_of_one_that_sees_all_is_the_single_agent(name: str) -> None:
 
 def test_all_team_forms_but_the_listed_have_a_joint_one() -> None:
     offline = {n for n, algorithm in ALGORITHMS.items() if not algorithm.online}
-    assert offline == {*PAIRS, *PAIRS.values(), *TEAM_ONLY}
+    assert offline == {*PAIRS, *PAIRS.values(), *ONE_FORM}
 
 
 def conventions(rewards: tuple[float, float] = (1.0, 1.0)) -> EpisodeArrays:

@@ -1,0 +1,50 @@
+"""Hyper-parameters of best-of-n students; importing them takes no torch."""
+
+from dataclasses import dataclass
+
+from marl_mm.algorithms.config_checks import check_ranges
+from marl_mm.algorithms.offline_config import CriticConfig
+from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
+
+
+@dataclass(frozen=True, kw_only=True)
+class BestOfNConfig(CriticConfig):
+    """Hyper-parameters."""
+
+    samples: int = 16
+    """Actions that the flow proposes for each state, n."""
+
+    expectile: float = 0.7
+    """Expectile of V's loss, tau (Kostrikov 2022, Sec. 5)."""
+
+    flow_steps: int = 10
+    """Euler steps from noise to a proposed action (Park 2025, FQL)."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ranges(self, ("samples", "flow_steps"), (), ("expectile",))
+
+
+ALGORITHMS.add(
+    "best-of-n",
+    Algorithm(
+        title="Best-of-n students",
+        loss="MSE(a*_i, pi_i(o_i)), for each agent i, a* = argmax of Q(s, a) "
+        "among n samples a of a joint flow",
+        about="Best-of-n students: agents clone the best of n samples of a joint flow.",
+        source="ours",
+        learner=Imported("marl_mm.algorithms.best_of_n:BestOfN"),
+        presets={TUNED: BestOfNConfig()},
+    ),
+)
+ALGORITHMS.add(
+    "best-of-n-joint",
+    Algorithm(
+        title="Best-of-n student, joint",
+        loss="MSE(a*, pi(s)), a* = argmax of Q(s, a) among n samples a of a flow",
+        about="Best-of-n student: one actor clones the best of n samples of a flow.",
+        source="ours",
+        learner=Imported("marl_mm.algorithms.best_of_n:BestOfNJoint"),
+        presets={TUNED: BestOfNConfig()},
+    ),
+)

@@ -1,0 +1,17 @@
+"""Hyper-parameters of MAC-Flow; importing them takes no torch."""
+
+from marl_mm.algorithms.fql_config import FqlConfig
+from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
+
+ALGORITHMS.add(
+    "mac-flow",
+    Algorithm(
+        title="MAC-Flow",
+        loss="-lambda Q(s, (pi_i(o_i, z_i), a_-i)) + alpha MSE(teacher(s, z)_i, "
+        "pi_i(o_i, z_i)), for each agent i",
+        about="MAC-Flow: one-step actors of agents between a joint flow and a critic.",
+        source="Lee 2025",
+        learner=Imported("marl_mm.algorithms.mac_flow:MacFlow"),
+        presets={TUNED: FqlConfig()},
+    ),
+)

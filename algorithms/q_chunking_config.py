@@ -1,0 +1,46 @@
+"""Hyper-parameters of Q-chunking; importing them takes no torch."""
+
+from dataclasses import dataclass
+
+from marl_mm.algorithms.config_checks import check_ranges
+from marl_mm.algorithms.fql_config import FqlConfig
+from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
+from marl_mm.errors import UsageError
+
+LONGEST_CHUNK = 100
+"""Largest number of actions in a chunk."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class QChunkingConfig(FqlConfig):
+    """Hyper-parameters: those of FQL, and the chunk's length."""
+
+    chunk: int = 3
+    """Actions in a row that are planned at once, h; the source has 5."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ranges(self, ("chunk",))
+        if self.chunk > LONGEST_CHUNK:
+            raise UsageError(
+                f"chunk is {self.chunk}, expected at most {LONGEST_CHUNK} steps"
+            )
+        if self.chunk > 1 and self.future + self.elsewhere > 0:
+            raise UsageError(
+                f"future is {self.future} and elsewhere {self.elsewhere}, expected 0: "
+                "chunks of several steps keep their goals"
+            )
+
+
+ALGORITHMS.add(
+    "q-chunking",
+    Algorithm(
+        title="Q-chunking",
+        loss="-lambda Q(s, pi(s, z)) + alpha MSE(teacher(s, z), pi(s, z)), of h "
+        "actions in a row",
+        about="Q-chunking: FQL of chunks of actions, acted without looking between.",
+        source="Li 2025",
+        learner=Imported("marl_mm.algorithms.q_chunking:QChunking"),
+        presets={TUNED: QChunkingConfig()},
+    ),
+)
