@@ -18,7 +18,6 @@ import pytest
 import torch
 from torch import nn
 
-from marl_mm.algorithms.offline_batches import OfflineBatch
 from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED
 from marl_mm.layout import JOINT_NAME, Agent, Entry, Layout
 from tests.algorithms.games import NoJudge, steps_of
@@ -27,6 +26,10 @@ MADE = np.load(Path(__file__).parents[1] / "fixtures" / "d3rlpy_updates.npz")
 UPDATES, SIZE, STATES = MADE["batch/observation"].shape
 ACTIONS = MADE["batch/action"].shape[2]
 HIDDEN = (12, 12)
+GIVEN = (
+    *("observation", "action", "reward", "next_observation", "next_action"),
+    *("terminated", "noise"),
+)
 RATE = 3e-3
 WITH_CRITICS: dict[str, Any] = {
     "discount": 0.9,
@@ -98,7 +101,9 @@ def begun(name: str, **changes: Any) -> Any:
     if "values" in state:
         state["values"] = [weights("before/value", STATES, 1)]
     learner.load_states([state])
-    learner._batches._drawn = [batch(number) for number in range(UPDATES)]
+    drawn = learner._batches.next()  # for what the fixture does not have
+    batches = [drawn._replace(**batch(number)) for number in range(UPDATES)]
+    learner._batches._drawn, learner._batches._taken = batches, 0
     return learner
 
 
@@ -113,13 +118,11 @@ def weights(path: str, inputs: int, outputs: int) -> dict[str, torch.Tensor]:
     return network.state_dict()
 
 
-def batch(number: int) -> OfflineBatch:
-    """One of the fixture's batches."""
-    given = {name: MADE[f"batch/{name}"][number] for name in OfflineBatch._fields[:6]}
+def batch(number: int) -> dict[str, torch.Tensor]:
+    """One of the fixture's batches, by the names of ``OfflineBatch``."""
+    given = {k: MADE[f"batch/{k}"][number] for k in GIVEN}
     given |= {"imitated": np.ones(SIZE), "successful": np.ones(SIZE)}
-    given |= {"noise": MADE["batch/noise"][number], "extra": np.zeros((SIZE, 0))}
-    tensors = {k: torch.from_numpy(v).float()[None] for k, v in given.items()}
-    return OfflineBatch(**tensors)
+    return {k: torch.from_numpy(v).float()[None] for k, v in given.items()}
 
 
 def learnt(learner: Any) -> dict[str, np.ndarray]:
