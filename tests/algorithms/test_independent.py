@@ -6,7 +6,8 @@ whose first step hardly tells how long a gradient is; so there are four updates.
 
 What is set here so that definitions are the same: critics without normalised layers,
 targets without a bound, all actions imitated, and TD3+BC as in its paper. IQL's steps
-are in our order, and its actor is ours, see there. ReBRAC needs nothing.
+are in our order, and its actor is ours, see there. ReBRAC needs nothing. Of CQL one
+step of the critics is compared: its actor is another, and its actions are drawn there.
 """
 
 from dataclasses import replace
@@ -57,6 +58,13 @@ SETTINGS: dict[str, dict[str, Any]] = {
         "actor_weight": 0.3,
         "critic_weight": 0.7,
         "target_noise": 0.4,
+        **WITH_CRITICS,
+    },
+    "cql": {
+        "learning_rate": RATE,
+        "conservatism": 2.0,
+        "samples": 6,
+        "target_noise": 0.0,
         **WITH_CRITICS,
     },
 }
@@ -146,7 +154,7 @@ def flat(values: Any) -> np.ndarray:
     return np.concatenate([value.numpy().ravel() for value in values])
 
 
-@pytest.mark.parametrize("name", SETTINGS)
+@pytest.mark.parametrize("name", ("bc", "td3-bc", "iql", "rebrac"))
 def test_updates_are_those_of_others(name: str) -> None:
     learner = begun(name)
     losses = []
@@ -166,3 +174,27 @@ def test_updates_are_those_of_others(name: str) -> None:
         (key,) = [k for k in LOSSES[loss.rpartition("/")[2]] if k in losses[-1]]
         there = [each[key].item() if key in each else np.nan for each in losses]
         np.testing.assert_allclose(there, MADE[loss], rtol=1e-5, err_msg=loss)
+
+
+def test_conservative_critics_are_those_of_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With d3rlpy's actions and their densities; it does not take off the logarithm of
+    their number, and its targets follow the actor itself."""
+    learner = begun("cql")
+    learner._target_actors.follow(learner.actors, 1.0)
+    drawn = torch.from_numpy(MADE["cql/drawn"])[None]
+    density = torch.from_numpy(MADE["cql/log_density"])[None, ..., None]
+    entries = (density / ACTIONS).expand(drawn.shape)
+    monkeypatch.setattr(learner, "_drawn", lambda *_: (drawn, entries))
+    losses = learner.update()
+    found = learnt(learner)
+    for key in ("critic_0", "critic_1"):
+        np.testing.assert_allclose(
+            found[key], MADE[f"cql/after_1/{key}"], atol=1e-5, rtol=0, err_msg=key
+        )
+    excess = losses["loss/conservative"].item() + 2 * np.log(drawn.shape[1])
+    weighed = learner.config.conservatism * excess
+    assert weighed == pytest.approx(MADE["cql/loss/conservative"], rel=1e-5)
+    whole = losses["loss/critic"].item() + weighed
+    assert whole == pytest.approx(MADE["cql/loss/critic"], rel=1e-5)
