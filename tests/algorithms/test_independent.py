@@ -6,7 +6,8 @@ whose first step hardly tells how long a gradient is; so there are four updates.
 
 What is set here so that definitions are the same: critics without normalised layers,
 targets without a bound, all actions imitated, and TD3+BC as in its paper. IQL's steps
-are in our order, and its actor is ours, see there. ReBRAC needs nothing.
+are in our order, and its actor is ours, see there. ReBRAC needs nothing. Of CQL one
+step of the critics is compared: its actor is another, and its actions are drawn there.
 """
 
 from dataclasses import replace
@@ -18,7 +19,6 @@ import pytest
 import torch
 from torch import nn
 
-from marl_mm.algorithms.offline_batches import OfflineBatch
 from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED
 from marl_mm.layout import JOINT_NAME, Agent, Entry, Layout
 from tests.algorithms.games import NoJudge, steps_of
@@ -27,6 +27,10 @@ MADE = np.load(Path(__file__).parents[1] / "fixtures" / "d3rlpy_updates.npz")
 UPDATES, SIZE, STATES = MADE["batch/observation"].shape
 ACTIONS = MADE["batch/action"].shape[2]
 HIDDEN = (12, 12)
+GIVEN = (
+    *("observation", "action", "reward", "next_observation", "next_action"),
+    *("terminated", "noise"),
+)
 RATE = 3e-3
 WITH_CRITICS: dict[str, Any] = {
     "discount": 0.9,
@@ -54,6 +58,13 @@ SETTINGS: dict[str, dict[str, Any]] = {
         "actor_weight": 0.3,
         "critic_weight": 0.7,
         "target_noise": 0.4,
+        **WITH_CRITICS,
+    },
+    "cql": {
+        "learning_rate": RATE,
+        "conservatism": 2.0,
+        "samples": 6,
+        "target_noise": 0.0,
         **WITH_CRITICS,
     },
 }
@@ -98,7 +109,9 @@ def begun(name: str, **changes: Any) -> Any:
     if "values" in state:
         state["values"] = [weights("before/value", STATES, 1)]
     learner.load_states([state])
-    learner._batches._drawn = [batch(number) for number in range(UPDATES)]
+    drawn = learner._batches.next()  # for what the fixture does not have
+    batches = [drawn._replace(**batch(number)) for number in range(UPDATES)]
+    learner._batches._drawn, learner._batches._taken = batches, 0
     return learner
 
 
@@ -113,13 +126,11 @@ def weights(path: str, inputs: int, outputs: int) -> dict[str, torch.Tensor]:
     return network.state_dict()
 
 
-def batch(number: int) -> OfflineBatch:
-    """One of the fixture's batches."""
-    given = {name: MADE[f"batch/{name}"][number] for name in OfflineBatch._fields[:6]}
+def batch(number: int) -> dict[str, torch.Tensor]:
+    """One of the fixture's batches, by the names of ``OfflineBatch``."""
+    given = {k: MADE[f"batch/{k}"][number] for k in GIVEN}
     given |= {"imitated": np.ones(SIZE), "successful": np.ones(SIZE)}
-    given |= {"noise": MADE["batch/noise"][number], "extra": np.zeros((SIZE, 0))}
-    tensors = {k: torch.from_numpy(v).float()[None] for k, v in given.items()}
-    return OfflineBatch(**tensors)
+    return {k: torch.from_numpy(v).float()[None] for k, v in given.items()}
 
 
 def learnt(learner: Any) -> dict[str, np.ndarray]:
@@ -143,7 +154,7 @@ def flat(values: Any) -> np.ndarray:
     return np.concatenate([value.numpy().ravel() for value in values])
 
 
-@pytest.mark.parametrize("name", SETTINGS)
+@pytest.mark.parametrize("name", ("bc", "td3-bc", "iql", "rebrac"))
 def test_updates_are_those_of_others(name: str) -> None:
     learner = begun(name)
     losses = []
@@ -163,3 +174,27 @@ def test_updates_are_those_of_others(name: str) -> None:
         (key,) = [k for k in LOSSES[loss.rpartition("/")[2]] if k in losses[-1]]
         there = [each[key].item() if key in each else np.nan for each in losses]
         np.testing.assert_allclose(there, MADE[loss], rtol=1e-5, err_msg=loss)
+
+
+def test_conservative_critics_are_those_of_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With d3rlpy's actions and their densities; it does not take off the logarithm of
+    their number, and its targets follow the actor itself."""
+    learner = begun("cql")
+    learner._target_actors.follow(learner.actors, 1.0)
+    drawn = torch.from_numpy(MADE["cql/drawn"])[None]
+    density = torch.from_numpy(MADE["cql/log_density"])[None, ..., None]
+    entries = (density / ACTIONS).expand(drawn.shape)
+    monkeypatch.setattr(learner, "_drawn", lambda *_: (drawn, entries))
+    losses = learner.update()
+    found = learnt(learner)
+    for key in ("critic_0", "critic_1"):
+        np.testing.assert_allclose(
+            found[key], MADE[f"cql/after_1/{key}"], atol=1e-5, rtol=0, err_msg=key
+        )
+    excess = losses["loss/conservative"].item() + 2 * np.log(drawn.shape[1])
+    weighed = learner.config.conservatism * excess
+    assert weighed == pytest.approx(MADE["cql/loss/conservative"], rel=1e-5)
+    whole = losses["loss/critic"].item() + weighed
+    assert whole == pytest.approx(MADE["cql/loss/critic"], rel=1e-5)
