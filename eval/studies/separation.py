@@ -1,10 +1,24 @@
 """Datasets of the team's tasks on which algorithms come apart."""
 
+from collections.abc import Sequence
 from itertools import product
 
-from marl_mm.eval.studies.offline import LEARNERS
-from marl_mm.eval.studies.study import Study
+from marl_mm.eval.studies.study import Setting, Study
 from marl_mm.runs.recipes import RECIPES
+
+UPDATES = 5_000
+"""Updates of all algorithms; their learning curves are flat before."""
+
+LEARNERS = tuple(
+    Setting(name, about, name, changes={"updates": UPDATES}, curve_goals=20)
+    for name, about in (
+        ("mabc", "MABC"),
+        ("td3-bc", "TD3+BC"),
+        ("matd3-bc", "MATD3+BC"),
+        ("iql", "IQL"),
+    )
+)
+"""Algorithms that are compared."""
 
 DATASETS = (
     *("quiet-zone-expert", "quiet-zone-noisy", "gate-expert", "gate-noisy"),
@@ -12,9 +26,17 @@ DATASETS = (
 )
 """Names of their recipes."""
 
-SEPARATION = Study(
-    "Table: MABC, TD3+BC and MATD3+BC on datasets of tasks in which the team decides.",
-    tuple(product((RECIPES.get(name).source for name in DATASETS), LEARNERS)),
-    seeds=5,
-)
+
+def separation(datasets: Sequence[str] = DATASETS) -> Study:
+    """Study of the algorithms on named datasets, by the names of their recipes."""
+    sources = [RECIPES.get(name).source for name in datasets]
+    return Study(
+        "Table: MABC, TD3+BC, MATD3+BC and IQL on datasets of tasks in which the team "
+        "decides.",
+        tuple(product(sources, LEARNERS)),
+        seeds=5,
+    )
+
+
+SEPARATION = separation()
 """Study of the datasets."""
