@@ -106,7 +106,7 @@ def test_a_search_leaves_the_lower_of_two_hills() -> None:
     broad = 0.6 * np.exp(-np.square((action + 0.5) / 0.4))
     narrow = np.exp(-np.square((action - 0.7) / 0.2))
     data = steps_of(action, (broad + narrow)[:, 0], team(1))
-    settings = {"conservatism": 0.05, "learning_rate": 1e-3}
+    settings: dict[str, Any] = {"conservatism": 0.05, "learning_rate": 1e-3}
     for name, top in (("cfcql", -0.5), ("omar", 0.7)):
         learner = trained(name, data, 500, **settings)
         np.testing.assert_allclose(acted(learner), top, atol=0.15)
@@ -120,9 +120,9 @@ def test_the_next_step_is_worth_its_weighted_mean(
     second = np.arange(100) % 2
     actions = np.stack([np.zeros((100, 2)), XOR[second]], axis=1).reshape(-1, 2)
     rewards = np.stack([np.zeros(100), 1.0 - second], axis=1).ravel()
-    settings = {"critic_temperature": temperature, "target_rate": 0.05}
+    settings: dict[str, Any] = QUICK | {"critic_temperature": temperature}
     data = steps_of(actions, rewards, team(), length=2)
-    learner = trained("maicq", data, 400, **settings, **QUICK)
+    learner = trained("maicq", data, 400, **settings, target_rate=0.05)
     expected = np.full((2, 1), 0.95 * share)
     np.testing.assert_allclose(valued(learner, [0.0, 0.0]), expected, atol=0.1)
 
