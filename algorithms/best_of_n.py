@@ -4,8 +4,7 @@ Loss of the joint flow: |v(s, (1 - t) z + t a, t) - (a - z)|^2, see ``flow_bc``;
 and the twin critics: in-sample, see ``in_sample``. At each state the flow proposes n
 joint actions, and the target critics' minimum picks a*. Loss of each actor, without
 noise: MSE(a*_i, pi_i(o_i)). Where the data show several conventions, the value breaks
-the tie once for all agents; where values are equal, nothing does, and actors learn the
-mean.
+the tie once for all agents; where values are equal, only the critics' errors do.
 
 What is not ours: to propose by a generative model of the data and pick by a critic is
 SfBC's (Chen 2023, arXiv 2209.14548) and, with IQL's values, IDQL's (Hansen-Estruch

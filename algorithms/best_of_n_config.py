@@ -33,6 +33,9 @@ ALGORITHMS.add(
         "among n samples a of a joint flow",
         about="Best-of-n students: agents clone the best of n samples of a joint flow.",
         source="ours",
+        advice="Use it where the data mix several ways of a team and rewards tell them "
+        "apart, be it a little. An update takes several times as long as IQL's; "
+        "acting is as fast as MABC.",
         learner=Imported("marl_mm.algorithms.best_of_n:BestOfN"),
         presets={TUNED: BestOfNConfig()},
     ),
@@ -44,6 +47,7 @@ ALGORITHMS.add(
         loss="MSE(a*, pi(s)), a* = argmax of Q(s, a) among n samples a of a flow",
         about="Best-of-n student: one actor clones the best of n samples of a flow.",
         source="ours",
+        advice="Use it to see what decentralised acting costs best-of-n students.",
         learner=Imported("marl_mm.algorithms.best_of_n:BestOfNJoint"),
         presets={TUNED: BestOfNConfig()},
     ),

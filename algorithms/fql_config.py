@@ -31,9 +31,9 @@ ALGORITHMS.add(
         "lambda = 1 / mean |Q(s, pi(s, z))|",
         about="FQL: a one-step actor between a flow of the data and a critic.",
         source="Park 2025",
-        advice="Use it where the data show several ways and returns differ, and one "
-        "actor may see everything. Its critic is asked for actions that the data do "
-        "not show: without failures in the data, IQL is the safer choice.",
+        advice="Use it where the data show several ways and one actor may see and set "
+        "everything. `distillation` needs tuning: the smaller it is, the more the "
+        "critic decides, also on actions that the data do not show.",
         learner=Imported("marl_mm.algorithms.fql:Fql"),
         presets={TUNED: FqlConfig()},
     ),

@@ -11,6 +11,10 @@ ALGORITHMS.add(
         "pi_i(o_i, z_i)), for each agent i",
         about="MAC-Flow: one-step actors of agents between a joint flow and a critic.",
         source="Lee 2025",
+        advice="Use it where each agent may vary by itself. It does not keep "
+        "conventions of the data: an agent does not know the others' noise, and "
+        "learns a mean over what they may do. The smaller `distillation`, the more "
+        "the critic decides.",
         learner=Imported("marl_mm.algorithms.mac_flow:MacFlow"),
         presets={TUNED: FqlConfig()},
     ),

@@ -40,6 +40,9 @@ ALGORITHMS.add(
         "actions in a row",
         about="Q-chunking: FQL of chunks of actions, acted without looking between.",
         source="Li 2025",
+        advice="Use it on long tasks whose rewards are rare and whose data hold to a "
+        "way for several steps. Within a chunk it reacts to nothing: leave it where "
+        "what is seen changes fast.",
         learner=Imported("marl_mm.algorithms.q_chunking:QChunking"),
         presets={TUNED: QChunkingConfig()},
     ),

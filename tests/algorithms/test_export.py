@@ -16,6 +16,12 @@ from marl_mm.algorithms.export import TOLERANCE, export_policy
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.pretrained import load_pretrained
 from marl_mm.cli import main
+from marl_mm.contracts.learners import (
+    UNUSUAL,
+    candidate,
+    several_layouts,
+    some_episodes,
+)
 from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.errors import ExportError
@@ -96,6 +102,34 @@ def test_a_joint_policy_as_onnx(states: np.ndarray, tmp_path: Path) -> None:
     (found,) = session.run(None, {"observation": states[:50]})
     expected = [policy.act(state) for state in states[:50]]
     np.testing.assert_allclose(found, expected, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("form", ["torchscript", "onnx"])
+@pytest.mark.parametrize("name", ["ma-flow-bc", "mac-flow", "q-chunking"])
+def test_policies_that_draw_and_plan(name: str, form: str, tmp_path: Path) -> None:
+    """Noise goes in beside observations; actions in a row come out of it."""
+    tested = candidate(name)
+    arrays = several_layouts(some_episodes())[UNUSUAL]
+    policy = tested.policy(tested.trained(arrays))
+    count, chunk = len(arrays.layout.action), getattr(tested.config, "chunk", 1)
+    path = tmp_path / f"policy.{form}"
+    exported = export_policy(policy, path, form)
+    assert exported["noise"] == chunk * count
+    assert exported.get("chunk", 1) == chunk
+    states = arrays.states[:20].astype(np.float32)
+    streams = [np.random.default_rng(row) for row in range(20)]
+    noise = np.array([s.standard_normal(chunk * count, np.float32) for s in streams])
+    if form == "onnx":
+        session = onnxruntime.InferenceSession(path)
+        (found,) = session.run(None, {"observation": states, "noise": noise})
+    else:
+        loaded = torch.jit.load(path)  # type: ignore[no-untyped-call]
+        found = loaded(torch.from_numpy(states), torch.from_numpy(noise)).numpy()
+    expected = np.empty((20, chunk, count), np.float32)
+    for row, state in enumerate(states):
+        policy.begin(np.random.default_rng(row), policy.layout)
+        expected[row] = [policy.act(state) for _ in range(chunk)]
+    np.testing.assert_allclose(found.reshape(20, chunk, -1), expected, atol=TOLERANCE)
 
 
 def test_a_file_that_acts_otherwise_is_not_written(

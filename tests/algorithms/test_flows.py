@@ -56,7 +56,7 @@ def test_students_of_the_best_of_n_all_choose_the_better_convention() -> None:
     """Whichever it is."""
     settings: Any = {"seeds": (0, 1), "samples": 8, "flow_steps": 5}
     for rewards, better in (((1.0, 0.9), XOR[0]), ((0.9, 1.0), XOR[1])):
-        learner = learner_of("best-of-n", conventions(rewards), 500, **settings)
+        learner = learner_of("best-of-n", conventions(rewards), 800, **settings)
         for number in (0, 1):
             policy = LearnedPolicy("x", learner.agents(number), learner.layout)
             acted = played(policy, episodes=2)[:, 0]
@@ -66,8 +66,8 @@ def test_students_of_the_best_of_n_all_choose_the_better_convention() -> None:
 
 def test_the_best_is_the_one_of_highest_least_value() -> None:
     learner = learner_of("best-of-n", conventions(), updates=3, samples=5)
-    drawn = np.random.default_rng(0).standard_normal((1, 7, 10), np.float32)
-    state, noise = torch.zeros(1, 7, 2), torch.from_numpy(drawn)
+    drawn = np.random.default_rng(0).standard_normal((1, 7, 12), np.float32)
+    state, noise = torch.from_numpy(drawn[..., :2]), torch.from_numpy(drawn[..., 2:])
     picked = learner._picked(state, noise)
     proposed = [
         learner.flow.joint(state, noise[..., i : i + 2]) for i in range(0, 10, 2)
