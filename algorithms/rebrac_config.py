@@ -12,12 +12,12 @@ class RebracConfig(CriticConfig):
     """Hyper-parameters: the source's where it names them."""
 
     actor_weight: float = 0.1
-    """Weight of imitation in the actors' loss, beta_1; 0.001 to 0.1 in the source's
-    tasks of locomotion (Tarasov 2023, appendix B)."""
+    """Weight of imitation in the actors' loss, beta_1; the source chose among 0.001 to
+    0.1 for locomotion (Tarasov 2023)."""
 
     critic_weight: float = 0.01
-    """Weight of the distance from the data in the critics' targets, beta_2; 0 to 0.5 in
-    the source's tasks of locomotion (Tarasov 2023, appendix B)."""
+    """Weight of the distance from the data in the critics' targets, beta_2; the source
+    chose among 0 to 0.5 for locomotion (Tarasov 2023)."""
 
     policy_delay: int = 2
     """Number of updates of the critics per update of the actors (Fujimoto 2018)."""

@@ -66,7 +66,7 @@ def test_an_unknown_name_is_told_all_and_the_nearest() -> None:
     with pytest.raises(UsageError) as refused:
         ALGORITHMS.get("mabs")
     text = str(refused.value)
-    assert text.startswith("unknown algorithm 'mabs', expected one of mabc, td3-bc, ")
+    assert text.startswith("unknown algorithm 'mabs', expected one of bc, mabc, ")
     assert "did you mean mabc?" in text and text.endswith(
         "needs `marl_mm.plugins.load(...)`"
     )
