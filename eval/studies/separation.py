@@ -7,10 +7,10 @@ from marl_mm.eval.studies.study import Setting, Study
 from marl_mm.runs.recipes import RECIPES
 
 UPDATES = 5_000
-"""Updates of all algorithms; their learning curves are flat before."""
+"""Updates of all algorithms."""
 
 LEARNERS = tuple(
-    Setting(name, about, name, changes={"updates": UPDATES}, curve_goals=20)
+    Setting(f"{name}-5k", about, name, changes={"updates": UPDATES}, curve_goals=20)
     for name, about in (
         ("mabc", "MABC"),
         ("td3-bc", "TD3+BC"),

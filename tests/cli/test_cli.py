@@ -20,6 +20,7 @@ from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.provenance import Provenance
+from marl_mm.datasets.shipped import IDS
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.envs.registry import TASKS
 from marl_mm.episode import Episode
@@ -129,7 +130,7 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         (["collect", "pd", "--stpes", "5"], "--stpes, 5; Perhaps you meant: --steps"),
         (
             ["train", "sac"],
-            "train knows no 'sac', expected one of mabc, td3-bc",
+            "train knows no 'sac', expected one of bc, mabc",
         ),
         (["train", "mabc"], "Missing from marl-mm train mabc: --dataset"),
         (["play", "pd", "--camera.width", "0"], "camera width is 0, expected even"),
@@ -202,7 +203,9 @@ def test_datasets_list_and_show(dataset: Path, capsys: Output) -> None:
     assert run("datasets", "list", "--json") == 0
     rows = json.loads(capsys.readouterr().out)
     shown = [(row["id"], row["episodes"]) for row in rows]
-    assert shown == [(ID, 6), ("marl_mm/reach/good-5k-v0", 504)]
+    ships = {(row["id"], row["episodes"]) for row in rows if "ships" in row["note"]}
+    assert shown[:2] == [(ID, 6), ("marl_mm/reach/good-5k-v0", 504)]
+    assert ships == set(shown[1:]) and {name for name, _ in ships} == set(IDS)
     assert run("datasets", "show", ID, "--json") == 0
     card = json.loads(capsys.readouterr().out)
     assert card["steps"] == rows[0]["steps"]

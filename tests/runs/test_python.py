@@ -254,7 +254,7 @@ def test_a_run_and_its_film_are_read_back(
     ("call", "message"),
     [
         (lambda: marl_mm.train("mabc"), "mabc learns from a dataset: name one"),
-        (lambda: marl_mm.train("ddpg", "good-5k"), "takes no `dataset`: use mabc"),
+        (lambda: marl_mm.train("ddpg", "good-5k"), "takes no `dataset`: use bc, mabc"),
         (lambda: marl_mm.train("mabc", "good-5k", update=5), "did you mean updates?"),
         (
             lambda: marl_mm.train("mabc", "good-5k", updates="5"),
