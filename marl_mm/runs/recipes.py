@@ -102,8 +102,8 @@ _SLOW = 0.8
 _NOISES: Mapping[str, tuple[float, float, float]] = {
     "QuietZone": (0.4, 0.7, 0.75),
     "Gate": (0.1, 0.18, 0.15),
-    "Tray": (0.1, 0.22, 0.14),
-    "MovingReach": (0.2, 0.3, 0.3),
+    "Tray": (0.1, 0.22, 0.16),
+    "MovingReach": (0.2, 0.3, 0.26),
 }
 """Noise of noisy, explore and rare, in halves of the actions' ranges: slow but for the
 last."""
