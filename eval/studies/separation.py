@@ -21,8 +21,9 @@ LEARNERS = tuple(
 """Algorithms that are compared."""
 
 DATASETS = (
-    *("quiet-zone-expert", "quiet-zone-noisy", "gate-expert", "gate-noisy"),
-    *("tray-expert", "tray-noisy", "moving-reach-expert", "bar-conventions"),
+    *("quiet-zone-expert", "quiet-zone-noisy", "quiet-zone-explore"),
+    *("gate-expert", "gate-narrow", "bar-noisy", "bar-conventions"),
+    "moving-reach-noisy",
 )
 """Names of their recipes."""
 
