@@ -23,7 +23,6 @@ from marl_mm.algorithms.in_sample import InSampleLearner
 from marl_mm.algorithms.joint_flow import JointFlow
 from marl_mm.algorithms.replay import Judge
 from marl_mm.datasets.arrays import EpisodeArrays
-from marl_mm.layout import columns
 
 
 class BestOfN(InSampleLearner):
@@ -45,12 +44,7 @@ class BestOfN(InSampleLearner):
         _, losses = self._learn_values(state, batch)
         losses["flow"] = self.flow.imitate(state, batch, batch.noise, time)
         best = self._picked(state, proposing)
-        for agent in self.layouts:
-            error = self.actors.action(agent.name, state)
-            error = error - best[..., columns(agent.action)]
-            loss = (batch.imitated * error.square().mean(dim=2)).mean(dim=1)
-            self.actors.descend(agent.name, loss)
-            losses[agent.name] = loss
+        losses |= self._imitate(state, best, batch.imitated)
         return {f"loss/{name}": loss.detach() for name, loss in losses.items()}
 
     @torch.no_grad()

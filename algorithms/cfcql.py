@@ -24,14 +24,14 @@ import torch
 
 from marl_mm.algorithms.cfcql_config import CfcqlConfig
 from marl_mm.algorithms.offline_batches import OfflineBatch
-from marl_mm.algorithms.offline_critics import CriticLearner
 from marl_mm.algorithms.replay import Judge
+from marl_mm.algorithms.td3 import Td3Learner
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.layout import AgentLayout, columns
 
 
-class Cfcql(CriticLearner):
-    """Actors and conservative twin critics, with targets; see ``CriticLearner``."""
+class Cfcql(Td3Learner):
+    """Actors and conservative twin critics, with targets; see ``Td3Learner``."""
 
     name: ClassVar[str] = "cfcql"
     team = True
@@ -39,33 +39,17 @@ class Cfcql(CriticLearner):
 
     # --- Update --------------------------------------------------------------
 
-    def update(self) -> dict[str, torch.Tensor]:
-        """One gradient step; losses of each seed, shape (S,)."""
-        config, batch = self.config, self._batches.next()
-        self.step += 1
-        state = self.normalizer(batch.observation)
-        next_state = self.normalizer(batch.next_observation)
-
-        with torch.no_grad():
-            noise = batch.noise * config.target_noise
-            noise.clamp_(-config.target_noise_clip, config.target_noise_clip)
-            next_action = (self._target_actors.joint(next_state) + noise).clamp_(-1, 1)
-            value = self._target_critics.least(next_state, next_action)
-            target = self._target(batch, value)
-
+    def _learn_critics(
+        self, state: torch.Tensor, batch: OfflineBatch, target: torch.Tensor
+    ) -> dict[str, torch.Tensor]:
+        """One gradient step of the critics; losses of each seed, shape (S,)."""
         taken = self.critics.values(state, batch.action)
         error = (taken - target[:, :, None]).square().mean(dim=3).sum(dim=(1, 2))
-        some = slice(config.penalized)
+        some = slice(self.config.penalized)
         excess = self._excess(state[:, some], batch) - taken[:, 0, :, some]
         excess = (excess * batch.imitated[:, None, some]).mean(dim=2).sum(dim=1)
-        self.critics.descend(error + config.conservatism * excess)
-        losses = {"loss/critic": error.detach(), "loss/conservative": excess.detach()}
-
-        if self.step % config.policy_delay == 0:
-            losses |= self._improve(state, batch)
-            self._target_actors.follow(self.actors, config.target_rate)
-            self._target_critics.follow(self.critics, config.target_rate)
-        return losses
+        self.critics.descend(error + self.config.conservatism * excess)
+        return {"critic": error, "conservative": excess}
 
     def _excess(self, state: torch.Tensor, batch: OfflineBatch) -> torch.Tensor:
         """Soft maximum of Q over one agent's actions, weighted over agents.
@@ -133,7 +117,7 @@ class Cfcql(CriticLearner):
             loss = self._actor_loss(agent, state, batch, others, output)
             loss = loss + self.config.action_penalty * output.square().mean(dim=(1, 2))
             self.actors.descend(agent.name, loss)
-            losses[f"loss/{agent.name}"] = loss.detach()
+            losses[agent.name] = loss
         return losses
 
     def _actor_loss(
@@ -169,8 +153,6 @@ class Cfcql(CriticLearner):
     ) -> None:
         extra = self._noise(config) * len(arrays.layout.action)
         super().__init__(config, arrays, judge, seeds, device, extra=extra)
-        self._target_actors = self.actors.copy()
-        self._parts |= {"target_actors": self._target_actors}
 
     @staticmethod
     def _noise(config: CfcqlConfig) -> int:

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 from marl_mm.algorithms.config_checks import check_ranges
-from marl_mm.algorithms.offline_config import CriticConfig
+from marl_mm.algorithms.offline_config import Td3Config
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
 
 
 @dataclass(frozen=True, kw_only=True)
-class CfcqlConfig(CriticConfig):
+class CfcqlConfig(Td3Config):
     """Hyper-parameters: the source's code's where it names them."""
 
     conservatism: float = 5.0
@@ -40,25 +40,12 @@ class CfcqlConfig(CriticConfig):
     action_penalty: float = 1e-3
     """Weight of the mean square of the action in the actors' loss."""
 
-    policy_delay: int = 2
-    """Updates of the critics per update of the actors (Fujimoto 2018)."""
-
-    target_noise: float = 0.2
-    """Standard deviation of the noise on the target's action, in halves of its
-    range."""
-
-    target_noise_clip: float = 0.5
-    """Bound of the noise on the target's action, in halves of its range."""
-
     def __post_init__(self) -> None:
         super().__post_init__()
         check_ranges(
             self,
-            positive=("penalized", "samples", "sample_noise", "policy_delay"),
-            not_negative=(
-                *("conservatism", "focus", "action_penalty"),
-                *("target_noise", "target_noise_clip"),
-            ),
+            positive=("penalized", "samples", "sample_noise"),
+            not_negative=("conservatism", "focus", "action_penalty"),
         )
 
 

@@ -51,22 +51,18 @@ class Fql(CriticLearner):
         begin, noise, time = torch.split(batch.extra, [width, width, 1], -1)
 
         losses = {"flow": self.flow.imitate(state, batch, begin, time)}
-        losses["critic"] = self._learn_critics(state, batch)
+        losses |= self._learn_critics(state, batch, self._next_target(batch))
         losses |= self._improve(state, noise)
         self._target_critics.follow(self.critics, self.config.target_rate)
         return {f"loss/{name}": loss.detach() for name, loss in losses.items()}
 
-    def _learn_critics(self, state: torch.Tensor, batch: OfflineBatch) -> torch.Tensor:
-        """One gradient step of the critics."""
-        with torch.no_grad():
-            next_state = self.normalizer(batch.next_observation)
-            next_action = self.actors.joint(next_state, batch.noise)
-            value = self._target_critics.values(next_state, next_action)
-            target = self._target(batch, value[:, 0].mean(dim=1))
-        errors = self.critics.values(state, batch.action) - target[:, None, None]
-        loss = errors.square().mean(dim=3).sum(dim=(1, 2))
-        self.critics.descend(loss)
-        return loss
+    @torch.no_grad()
+    def _next_target(self, batch: OfflineBatch) -> torch.Tensor:
+        """Targets by the mean of the twin critics, shape (S, 1, B)."""
+        next_state = self.normalizer(batch.next_observation)
+        next_action = self.actors.joint(next_state, batch.noise)
+        value = self._target_critics.values(next_state, next_action)
+        return self._target(batch, value.mean(dim=2))
 
     def _improve(
         self, state: torch.Tensor, noise: torch.Tensor

@@ -50,11 +50,9 @@ class InSampleLearner(CriticLearner):
 
         with torch.no_grad():
             target = self._target(batch, self.values.first(next_state, nothing))
-        errors = self.critics.values(state, action) - target[:, None, None]
-        critic_loss = errors.square().mean(dim=3).sum(dim=(1, 2))
-        self.critics.descend(critic_loss)
+        losses = self._learn_critics(state, batch, target[:, None])
         self._target_critics.follow(self.critics, config.target_rate)
-        return advantage.detach(), {"critic": critic_loss, "value": value_loss}
+        return advantage.detach(), losses | {"value": value_loss}
 
     def __init__(
         self,

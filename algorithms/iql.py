@@ -11,7 +11,6 @@ import torch
 
 from marl_mm.algorithms.in_sample import InSampleLearner
 from marl_mm.algorithms.iql_config import IqlConfig
-from marl_mm.layout import columns
 
 LARGEST_WEIGHT = 100.0
 """Largest weight of a step in the actors' loss, as in the source's code."""
@@ -32,12 +31,7 @@ class Iql(InSampleLearner):
 
         weight = (self.config.temperature * advantage).exp()
         weight = weight.clamp_max_(LARGEST_WEIGHT) * batch.imitated
-        for agent in self.layouts:
-            error = self.actors.action(agent.name, state)
-            error = error - batch.action[..., columns(agent.action)]
-            loss = (weight * error.square().mean(dim=2)).mean(dim=1)
-            self.actors.descend(agent.name, loss)
-            losses[agent.name] = loss
+        losses |= self._imitate(state, batch.action, weight)
         return {f"loss/{name}": loss.detach() for name, loss in losses.items()}
 
 

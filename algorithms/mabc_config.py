@@ -2,41 +2,17 @@
 
 from dataclasses import dataclass
 
-from marl_mm.algorithms.config_checks import Precision, check_ranges
+from marl_mm.algorithms.offline_config import CloningConfig
 from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, Imported
 
 
-@dataclass(frozen=True)
-class MabcConfig:
+@dataclass(frozen=True, kw_only=True)
+class MabcConfig(CloningConfig):
     """Hyper-parameters; the paper's where it names them (Table 3)."""
 
     updates: int = 8_000
     """Gradient steps per actor; the paper has 100,000 (Table 3). On its datasets but
     the mixes, learning curves are at their end after 5,000 (eval/results/studies)."""
-
-    batch_size: int = 256
-    """Transitions per step (Table 3)."""
-
-    learning_rate: float = 5e-4
-    """Learning rate of Adam (Table 3)."""
-
-    future: float = 0.0
-    """Share of transitions relabelled with a goal that their episode reached later."""
-
-    hidden: tuple[int, ...] = (128, 128)
-    """Units of each actor's hidden layers; the paper is silent."""
-
-    std_floor: float = 0.01
-    """Least standard deviation an observation is scaled by."""
-
-    precision: Precision = "auto"
-    """Precision of products of float32 matrices, as torch has it. medium is faster on
-    many CPUs and GPUs, and rounds to bfloat16 where these have units for it. auto takes
-    medium where a trial at the start shows it to be as exact."""
-
-    def __post_init__(self) -> None:
-        positive = ("updates", "batch_size", "learning_rate", "std_floor")
-        check_ranges(self, positive, shares=("future",))
 
 
 ALGORITHMS.add(

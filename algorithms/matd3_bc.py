@@ -45,6 +45,6 @@ class Matd3Bc(Td3Bc):
             error = self._imitation.error(action, state, batch, value, entries, pair)
             loss = error - self._lambda(value) * value.mean(dim=1)
             self.actors.descend(agent.name, loss)
-            losses[f"loss/{agent.name}"] = loss.detach()
-            losses[f"loss/imitation/{agent.name}"] = error.detach()
+            losses[agent.name] = loss
+            losses[f"imitation/{agent.name}"] = error
         return losses

@@ -14,10 +14,10 @@ class CloningConfig:
     """Number of gradient steps."""
 
     batch_size: int = 256
-    """Number of transitions per update."""
+    """Number of transitions per update; the paper's (Table 3)."""
 
     learning_rate: float = 5e-4
-    """Learning rate of Adam, of all networks."""
+    """Learning rate of Adam, of all networks; the paper's (Table 3)."""
 
     future: float = 0.0
     """Share of transitions relabelled with a goal that their episode reached later."""
@@ -68,3 +68,23 @@ class CriticConfig(CloningConfig):
                 f"future is {self.future} and elsewhere {self.elsewhere}, expected at "
                 "most 1 together"
             )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Td3Config(CriticConfig):
+    """Hyper-parameters of algorithms that learn as TD3 does."""
+
+    policy_delay: int = 2
+    """Updates of the critics per update of the actors (Fujimoto 2018)."""
+
+    target_noise: float = 0.2
+    """Standard deviation of the noise on the target's action, in halves of its
+    range."""
+
+    target_noise_clip: float = 0.5
+    """Bound of the noise on the target's action, in halves of its range."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        noise = "target_noise", "target_noise_clip"
+        check_ranges(self, ("policy_delay",), noise)

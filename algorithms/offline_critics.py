@@ -77,6 +77,21 @@ class CriticLearner(OfflineLearner):
         target: torch.Tensor = batch.reward.view(shape) + alive * value
         return target.clamp_max_(self._highest_target)
 
+    def _learn_critics(
+        self, state: torch.Tensor, batch: OfflineBatch, target: torch.Tensor
+    ) -> dict[str, torch.Tensor]:
+        """One gradient step of the critics; losses of each seed, shape (S,).
+
+        Args:
+            state: Normalised joint states, shape (S, B, d).
+            batch: Transitions.
+            target: Targets of the values, shape (S, pairs, B).
+        """
+        errors = self.critics.values(state, batch.action) - target[:, :, None]
+        loss = errors.square().mean(dim=3).sum(dim=(1, 2))
+        self.critics.descend(loss)
+        return {"critic": loss}
+
     @torch.no_grad()
     def diagnose(self) -> dict[str, torch.Tensor]:
         """Values and actions on some of the data, shape (S,).

@@ -13,7 +13,7 @@ from marl_mm.algorithms.offline_batches import OfflineBatches
 from marl_mm.algorithms.replay import Judge
 from marl_mm.algorithms.seeded import Part, SeededActors, load_parts, parts_state
 from marl_mm.datasets.arrays import EpisodeArrays
-from marl_mm.layout import AgentLayout
+from marl_mm.layout import AgentLayout, columns
 
 
 class OfflineLearner:
@@ -68,6 +68,25 @@ class OfflineLearner:
 
     def _layouts(self) -> tuple[AgentLayout, ...]:
         return self.layout.agents if self.team else (self.layout.joint,)
+
+    def _imitate(
+        self, state: torch.Tensor, action: torch.Tensor, weight: torch.Tensor
+    ) -> dict[str, torch.Tensor]:
+        """One gradient step of every actor towards actions; losses of shape (S,).
+
+        Args:
+            state: Normalised joint states, shape (S, B, d).
+            action: Joint actions in [-1, 1], shape (S, B, k).
+            weight: Weight of each step's mean square error, shape (S, B).
+        """
+        losses = {}
+        for agent in self.layouts:
+            error = self.actors.action(agent.name, state)
+            error = error - action[..., columns(agent.action)]
+            loss = (weight * error.square().mean(dim=2)).mean(dim=1)
+            self.actors.descend(agent.name, loss)
+            losses[agent.name] = loss
+        return losses
 
     def _acted(self, inputs: torch.Tensor) -> torch.Tensor:
         """Joint actions at normalised joint states, by noise that is always the same.

@@ -13,51 +13,29 @@ where the episode was cut short; here its own action stands for the next. Neithe
 distance counts where the goal is one that the data's action was not for.
 """
 
-from collections.abc import Sequence
 from typing import ClassVar
 
 import torch
 
 from marl_mm.algorithms.offline_batches import OfflineBatch
-from marl_mm.algorithms.offline_critics import CriticLearner
 from marl_mm.algorithms.rebrac_config import RebracConfig
-from marl_mm.algorithms.replay import Judge
-from marl_mm.datasets.arrays import EpisodeArrays
+from marl_mm.algorithms.td3 import Td3Learner
 from marl_mm.layout import columns
 
 
-class Rebrac(CriticLearner):
-    """Actors and twin critics, with targets; see ``CriticLearner``."""
+class Rebrac(Td3Learner):
+    """Actors and twin critics, with targets; see ``Td3Learner``."""
 
     name: ClassVar[str] = "rebrac"
     config: RebracConfig
 
-    def update(self) -> dict[str, torch.Tensor]:
-        """One gradient step; losses of each seed, shape (S,)."""
-        config, batch = self.config, self._batches.next()
-        self.step += 1
-        state = self.normalizer(batch.observation)
-        next_state = self.normalizer(batch.next_observation)
-
-        with torch.no_grad():
-            noise = batch.noise * config.target_noise
-            noise.clamp_(-config.target_noise_clip, config.target_noise_clip)
-            next_action = (self._target_actors.joint(next_state) + noise).clamp_(-1, 1)
-            distance = (next_action - batch.next_action).square().sum(dim=2)
-            value = self._target_critics.least(next_state, next_action)[:, 0]
-            value -= config.critic_weight * distance * batch.imitated
-            target = self._target(batch, value)
-
-        errors = self.critics.values(state, batch.action) - target[:, None, None]
-        loss = errors.square().mean(dim=3).sum(dim=(1, 2))
-        self.critics.descend(loss)
-        losses = {"loss/critic": loss.detach()}
-
-        if self.step % config.policy_delay == 0:
-            losses |= self._improve(state, batch)
-            self._target_actors.follow(self.actors, config.target_rate)
-            self._target_critics.follow(self.critics, config.target_rate)
-        return losses
+    def _next_value(
+        self, state: torch.Tensor, action: torch.Tensor, batch: OfflineBatch
+    ) -> torch.Tensor:
+        """Value of the next state less the distance of its action from the data's."""
+        distance = (action - batch.next_action).square().sum(dim=2)
+        distance = self.config.critic_weight * distance * batch.imitated
+        return super()._next_value(state, action, batch) - distance[:, None]
 
     def _improve(
         self, state: torch.Tensor, batch: OfflineBatch
@@ -75,21 +53,9 @@ class Rebrac(CriticLearner):
             imitation = (distance * batch.imitated).mean(dim=1)
             loss = self.config.actor_weight * imitation - weight * value.mean(dim=1)
             self.actors.descend(agent.name, loss)
-            losses[f"loss/{agent.name}"] = loss.detach()
-            losses[f"loss/imitation/{agent.name}"] = imitation.detach()
+            losses[agent.name] = loss
+            losses[f"imitation/{agent.name}"] = imitation
         return losses
-
-    def __init__(
-        self,
-        config: RebracConfig,
-        arrays: EpisodeArrays,
-        judge: Judge,
-        seeds: Sequence[int],
-        device: str = "cpu",
-    ) -> None:
-        super().__init__(config, arrays, judge, seeds, device)
-        self._target_actors = self.actors.copy()
-        self._parts |= {"target_actors": self._target_actors}
 
 
 class MaRebrac(Rebrac):

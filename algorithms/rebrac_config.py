@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 
 from marl_mm.algorithms.config_checks import check_ranges
-from marl_mm.algorithms.offline_config import CriticConfig
+from marl_mm.algorithms.offline_config import Td3Config
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
 
 
 @dataclass(frozen=True, kw_only=True)
-class RebracConfig(CriticConfig):
+class RebracConfig(Td3Config):
     """Hyper-parameters: the source's where it names them."""
 
     actor_weight: float = 0.1
@@ -19,21 +19,9 @@ class RebracConfig(CriticConfig):
     """Weight of the distance from the data in the critics' targets, beta_2; the source
     chose among 0 to 0.5 for locomotion (Tarasov 2023)."""
 
-    policy_delay: int = 2
-    """Number of updates of the critics per update of the actors (Fujimoto 2018)."""
-
-    target_noise: float = 0.2
-    """Standard deviation of the noise on the target's action, in halves of its
-    range."""
-
-    target_noise_clip: float = 0.5
-    """Bound of the noise on the target's action, in halves of its range."""
-
     def __post_init__(self) -> None:
         super().__post_init__()
-        weights = "actor_weight", "critic_weight"
-        noise = "target_noise", "target_noise_clip"
-        check_ranges(self, ("policy_delay",), (*weights, *noise))
+        check_ranges(self, (), ("actor_weight", "critic_weight"))
 
 
 ALGORITHMS.add(

@@ -14,7 +14,6 @@ from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.offline_config import CriticConfig
 from marl_mm.algorithms.offline_critics import CriticLearner
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm
-from marl_mm.layout import JOINT_NAME
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,20 +48,16 @@ class Awac(CriticLearner):
             next_action = self.actors.joint(next_state)
             value = self._target_critics.least(next_state, next_action)
             target = self._target(batch, value)
-        errors = self.critics.values(state, action) - target[:, :, None]
-        critic_loss = errors.square().mean(dim=3).sum(dim=(1, 2))
-        self.critics.descend(critic_loss)
+        losses = self._learn_critics(state, batch, target)
 
-        now = self.actors.joint(state)
         with torch.no_grad():
+            now = self.actors.joint(state)
             taken, own = (self.critics.least(state, a)[:, 0] for a in (action, now))
             weight = ((taken - own) / config.temperature).exp()
             weight = weight.clamp_max_(config.largest_weight) * batch.imitated
-        actor_loss = (weight * (now - action).square().mean(dim=2)).mean(dim=1)
-        self.actors.descend(JOINT_NAME, actor_loss)
+        losses |= self._imitate(state, action, weight)
 
         self._target_critics.follow(self.critics, config.target_rate)
-        losses = {"critic": critic_loss, "actor": actor_loss}
         return {f"loss/{name}": loss.detach() for name, loss in losses.items()}
 
 

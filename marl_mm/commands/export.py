@@ -6,7 +6,8 @@ from typing import Annotated
 import tyro
 
 from marl_mm.algorithms.checkpoint import BEST
-from marl_mm.algorithms.export import POLICY_FORMATS, export_policy
+from marl_mm.algorithms.export import export_policy
+from marl_mm.algorithms.export_formats import POLICY_FORMATS
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.commands.output import show
 from marl_mm.commands.parser import command

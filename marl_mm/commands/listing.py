@@ -17,7 +17,7 @@ _REGISTRIES = {
     "tasks": {"": "envs.registry:TASKS"},
     "collectors": {"": "collectors.registry:COLLECTORS"},
     "formats": {
-        "policies": "algorithms.export:POLICY_FORMATS",
+        "policies": "algorithms.export_formats:POLICY_FORMATS",
         "datasets, written": "datasets.export:DATASET_FORMS",
         "datasets, read": "datasets.importing:IMPORTS",
     },

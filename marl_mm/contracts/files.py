@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
-from marl_mm.algorithms.export import POLICY_FORMATS, exported_metadata
+from marl_mm.algorithms.export import exported_metadata
+from marl_mm.algorithms.export_formats import POLICY_FORMATS
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.pretrained import WEIGHTS
 from marl_mm.algorithms.runlog import read_metrics

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
-from marl_mm.algorithms.export import POLICY_FORMATS
+from marl_mm.algorithms.export_formats import POLICY_FORMATS
 from marl_mm.algorithms.loggers import LOGGED
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.algorithms.run_config import RunConfig
