@@ -1,6 +1,5 @@
 """Datasets of the team's tasks on which algorithms come apart."""
 
-from collections.abc import Sequence
 from itertools import product
 
 from marl_mm.eval.studies.study import Setting, Study
@@ -26,17 +25,10 @@ DATASETS = (
 )
 """Names of their recipes."""
 
-
-def separation(datasets: Sequence[str] = DATASETS) -> Study:
-    """Study of the algorithms on named datasets, by the names of their recipes."""
-    sources = [RECIPES.get(name).source for name in datasets]
-    return Study(
-        "Table: MABC, TD3+BC, MATD3+BC and IQL on datasets of tasks in which the team "
-        "decides.",
-        tuple(product(sources, LEARNERS)),
-        seeds=3,
-    )
-
-
-SEPARATION = separation()
+SEPARATION = Study(
+    "Table: MABC, TD3+BC, MATD3+BC and IQL on datasets of tasks in which the team "
+    "decides.",
+    tuple(product((RECIPES.get(name).source for name in DATASETS), LEARNERS)),
+    seeds=3,
+)
 """Study of the datasets."""
