@@ -6,6 +6,7 @@ from typing import Any, ClassVar, Protocol
 import torch
 
 from marl_mm.algorithms.actors import AgentActor
+from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.layout import Layout
 
 
@@ -68,3 +69,17 @@ class OfflineAlgorithm(Protocol):
 
     def load_states(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Continue all seeds from their ``state``."""
+
+
+class FineTunable(OfflineAlgorithm, Protocol):
+    """An offline algorithm that can go on with episodes of its own."""
+
+    @property
+    def own(self) -> tuple[int, int]:
+        """Numbers of its own episodes, and of their steps."""
+
+    def observe(self, episodes: EpisodeArrays, kept: float) -> None:
+        """Add own episodes; a share ``kept`` of what it learns from is the dataset's.
+
+        It has a single seed.
+        """

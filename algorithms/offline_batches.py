@@ -21,6 +21,9 @@ from marl_mm.algorithms.replay import (
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.errors import DatasetError, UsageError
 
+_TERM = "term/"
+"""Beginning of the names of the numbers that rewards need, among arrays of steps."""
+
 
 class OfflineBatch(NamedTuple):
     """Transitions of S seeds, float32; actions in normalised coordinates."""
@@ -53,6 +56,10 @@ class OfflineBatch(NamedTuple):
 
     successful: torch.Tensor
     """1 in episodes that reached their goal, shape (S, B)."""
+
+    rest: torch.Tensor
+    """Discounted return of the episode from the step on, for its own goal, shape (S,
+    B)."""
 
     within: torch.Tensor
     """1 where a step of the chunk is one of the episode, shape (S, B, h)."""
@@ -103,23 +110,15 @@ class OfflineBatches:
         self._size, self._judge, self._device = size, judge, device
         self._future, self._elsewhere = shares
         self._chunk, self._discount = chunk, discount
-        # float64, so that a reward computed again is the step's own to the bit.
-        self._state = arrays.states[~arrays.is_last_state()]
-        self._next_state = arrays.states[~arrays.is_first_state()]
-        self._action = normalized_actions(arrays.actions, arrays.layout)
-        self._reward, self._terminated = arrays.rewards, arrays.terminated
-        successes = np.repeat(arrays.successes(), arrays.lengths)
-        self._successful = successes.astype(np.float32)
-        self._terms = arrays.reward_terms(judge.needs)
-        self._end = np.repeat(np.cumsum(arrays.lengths), arrays.lengths)
-        """Row after the last step of each step's episode."""
-
+        self._steps = _steps(arrays, judge, discount)
+        self._given, self._kept = len(self), 1.0
         if any(shares) and chunk > 1:
             raise UsageError(
                 f"chunks of {chunk} steps with other goals, expected their own: set "
                 "`future` and `elsewhere` to 0"
             )
-        finite = all(np.isfinite(values).all() for values in self._terms.values())
+        self._terms = [name for name in self._steps if name.startswith(_TERM)]
+        finite = all(np.isfinite(self._steps[name]).all() for name in self._terms)
         if any(shares) and not finite:
             raise UsageError(
                 f"the dataset lacks {', '.join(judge.needs)} of some steps, which "
@@ -132,7 +131,31 @@ class OfflineBatches:
         self._taken = 0
 
     def __len__(self) -> int:
-        return len(self._reward)
+        return len(self._steps["reward"])
+
+    @property
+    def own(self) -> tuple[int, int]:
+        """Numbers of the learner's own episodes, and of their steps."""
+        ends = self._steps["end"][self._given :]
+        return len(np.unique(ends)), len(ends)
+
+    def add(self, episodes: EpisodeArrays, kept: float) -> None:
+        """Add episodes of the learner's own, which the next batches draw from.
+
+        Args:
+            episodes: The episodes.
+            kept: Share of the transitions drawn that still comes from the dataset.
+        """
+        added = _steps(episodes, self._judge, self._discount)
+        added["end"] = added["end"] + len(self)
+        self._kept = kept
+        self._append(added)
+        self._drawn, self._taken = [], 0
+        self._begun = [stream.bit_generator.state for stream in self._streams]
+
+    def _append(self, added: Mapping[str, np.ndarray]) -> None:
+        before = self._steps.items()
+        self._steps = {name: np.concatenate([a, added[name]]) for name, a in before}
 
     def next(self) -> OfflineBatch:
         """Next batch of every seed."""
@@ -144,18 +167,25 @@ class OfflineBatches:
     def some(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Fixed states and actions of the dataset, shapes (1, n, d) and (1, n, h k)."""
         rows = np.linspace(0, len(self) - 1, min(count, len(self))).astype(np.int64)
-        state = torch.from_numpy(self._state[rows].astype(np.float32))
+        state = torch.from_numpy(self._steps["state"][rows].astype(np.float32))
         action = torch.from_numpy(self._actions(self._ahead(rows)))
         return state[None].to(self._device), action[None].to(self._device)
 
     def state(self, number: int) -> dict[str, Any]:
-        """State of one seed's stream."""
-        return {"begun": json.dumps(self._begun[number]), "taken": self._taken}
+        """State of one seed's stream, and of its own episodes."""
+        state = {"begun": json.dumps(self._begun[number]), "taken": self._taken}
+        if len(self) == self._given:
+            return state
+        own = {n: torch.from_numpy(a[self._given :]) for n, a in self._steps.items()}
+        return {**state, "kept": self._kept, "own": own}
 
     def load_states(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Continue all streams from their ``state``."""
         for stream, state in zip(self._streams, states, strict=True):
             stream.bit_generator.state = json.loads(state["begun"])
+        if "own" in states[0]:  # of a single seed
+            self._kept = states[0]["kept"]
+            self._append({n: a.numpy() for n, a in states[0]["own"].items()})
         self._drawn, self._taken = [], 0
         if states[0]["taken"]:
             self._draw()
@@ -176,30 +206,30 @@ class OfflineBatches:
 
     def _sample(self, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
         """One seed's transitions of many batches, in the order of ``OfflineBatch``."""
-        count = DRAWN_TOGETHER * self._size
-        rows = rng.integers(len(self), size=count)
+        count, of = DRAWN_TOGETHER * self._size, self._steps
+        rows = self._rows(rng, count)
         kind, later = rng.random(count), rng.random(count)
         others = rng.integers(len(self), size=count)
-        width = self._chunk * self._action.shape[1]
+        width = self._chunk * of["action"].shape[1]
         noise = rng.standard_normal((count, width), np.float32)
         extra = rng.standard_normal((count, self._extra), np.float32)
         ahead = self._ahead(rows)
         within = rows[:, None] + np.arange(self._chunk) == ahead
         weights = within * self._discount ** np.arange(self._chunk)
-        state, next_state = self._state[rows], self._next_state[ahead[:, -1]]
-        reward = (weights * self._reward[ahead]).sum(axis=1)
-        terminated = self._terminated[ahead[:, -1]]
+        state, next_state = of["state"][rows], of["next_state"][ahead[:, -1]]
+        reward = (weights * of["reward"][ahead]).sum(axis=1)
+        terminated = of["terminated"][ahead[:, -1]]
         future = kind < self._future
         elsewhere = ~future & (kind < self._future + self._elsewhere)
 
-        span = (later * (self._end[rows] - rows)).astype(np.int64)
+        span = (later * (of["end"][rows] - rows)).astype(np.int64)
         places, achieved = self._layout.goal, self._layout.achieved
-        goal, later_state = state[:, places], self._next_state[rows + span]
+        goal, later_state = state[:, places], of["next_state"][rows + span]
         goal = np.where(future[:, None], later_state[:, achieved], goal)
-        goal = np.where(elsewhere[:, None], self._state[others][:, places], goal)
+        goal = np.where(elsewhere[:, None], of["state"][others][:, places], goal)
         state[:, places], next_state[:, places] = goal, goal
         changed = np.flatnonzero(future | elsewhere)
-        terms = {name: values[rows[changed]] for name, values in self._terms.items()}
+        terms = {n.removeprefix(_TERM): of[n][rows[changed]] for n in self._terms}
         reward[changed], terminated[changed] = self._judge.judge(
             next_state[changed][:, achieved], goal[changed], terms
         )
@@ -208,29 +238,67 @@ class OfflineBatches:
             self._actions(ahead),
             reward.astype(np.float32),
             next_state.astype(np.float32),
-            self._action[np.minimum(rows + 1, self._end[rows] - 1)],
+            of["action"][np.minimum(rows + 1, of["end"][rows] - 1)],
             terminated.astype(np.float32),
             (self._discount ** within.sum(axis=1)).astype(np.float32),
             (~elsewhere).astype(np.float32),
-            self._successful[rows],
+            of["successful"][rows],
+            of["rest"][rows],
             within.astype(np.float32),
             noise,
             extra,
         )
+
+    def _rows(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Rows of steps, of the dataset and of the learner's own in a set ratio."""
+        if len(self) == self._given:
+            return rng.integers(self._given, size=count)
+        own = rng.integers(self._given, len(self), size=count)
+        given = rng.integers(self._given, size=count)
+        return np.where(rng.random(count) < self._kept, given, own)
 
     def _ahead(self, rows: np.ndarray) -> np.ndarray:
         """Steps of chunks that begin at some, shapes (n,) to (n, h).
 
         None is later than its episode's last.
         """
-        ahead, last = rows[:, None] + np.arange(self._chunk), self._end[rows] - 1
+        last = self._steps["end"][rows] - 1
+        ahead = rows[:, None] + np.arange(self._chunk)
         steps: np.ndarray = np.minimum(ahead, last[:, None])
         return steps
 
     def _actions(self, steps: np.ndarray) -> np.ndarray:
         """Actions of chunks, shapes (n, h) to (n, h k)."""
-        actions: np.ndarray = self._action[steps].reshape(len(steps), -1)
+        actions: np.ndarray = self._steps["action"][steps].reshape(len(steps), -1)
         return actions
+
+
+def _steps(
+    arrays: EpisodeArrays, judge: Judge, discount: float
+) -> dict[str, np.ndarray]:
+    """Arrays of steps by name, shape (n, ...), with the numbers that rewards need."""
+    ends, terms = np.cumsum(arrays.lengths), arrays.reward_terms(judge.needs)
+    return {
+        **{f"{_TERM}{name}": values for name, values in terms.items()},
+        # float64, so that a reward computed again is the step's own to the bit.
+        "state": arrays.states[~arrays.is_last_state()],
+        "next_state": arrays.states[~arrays.is_first_state()],
+        "action": normalized_actions(arrays.actions, arrays.layout),
+        "reward": arrays.rewards,
+        "terminated": arrays.terminated,
+        "successful": np.repeat(arrays.successes(), arrays.lengths).astype(np.float32),
+        "rest": _rest(arrays, discount),
+        "end": np.repeat(ends, arrays.lengths),  # row after the episode's last
+    }
+
+
+def _rest(arrays: EpisodeArrays, discount: float) -> np.ndarray:
+    """Discounted return from each step to its episode's end, shape (n,), float32."""
+    rest, last = arrays.rewards.astype(np.float64), np.cumsum(arrays.lengths) - 1
+    for back in range(1, int(arrays.lengths.max())):
+        rows = last[arrays.lengths > back] - back
+        rest[rows] += discount * rest[rows + 1]
+    return rest.astype(np.float32)
 
 
 def _refuse_odd_values(arrays: EpisodeArrays) -> None:

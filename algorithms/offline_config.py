@@ -34,8 +34,8 @@ class CloningConfig:
     medium where a trial at the start shows it to be as exact."""
 
     def __post_init__(self) -> None:
-        positive = ("updates", "batch_size", "learning_rate", "std_floor")
-        check_ranges(self, positive, shares=("future",))
+        positive = ("batch_size", "learning_rate", "std_floor")
+        check_ranges(self, positive, ("updates",), shares=("future",))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -108,6 +108,15 @@ class OfflineLearner:
         inputs = self.normalizer(state).expand(len(self.seeds), -1, -1)
         return imitation_errors(self._acted(inputs), action, self.layout)
 
+    @property
+    def own(self) -> tuple[int, int]:
+        """Numbers of its own episodes, and of their steps."""
+        return self._batches.own
+
+    def observe(self, episodes: EpisodeArrays, kept: float) -> None:
+        """Add own episodes; see ``FineTunable``."""
+        self._batches.add(episodes, kept)
+
     def agents(self, number: int) -> dict[str, AgentActor]:
         """Current actors of one seed, by name."""
         return self.actors.agents(number)

@@ -182,12 +182,19 @@ def _epoch(
         "episode": end,
         "env_steps": algorithm.env_steps,
         "updates": algorithm.updates,
+        **of_episodes(episodes),
+        **{key: _mean([row[key] for row in losses]) for key in (losses or [{}])[0]},
+        **(algorithm.diagnose() if losses else {}),
+    }
+
+
+def of_episodes(episodes: Sequence[Episode]) -> Row:
+    """Means over training episodes, for a row of metrics."""
+    return {
         "train/return": _mean([episode.episode_return for episode in episodes]),
         "train/success": _mean([episode.success for episode in episodes]),
         "train/steps": _mean([len(episode) for episode in episodes]),
         **_alpha(episodes),
-        **{key: _mean([row[key] for row in losses]) for key in (losses or [{}])[0]},
-        **(algorithm.diagnose() if losses else {}),
     }
 
 

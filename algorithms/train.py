@@ -88,9 +88,9 @@ def train(
             while saved < total:
                 step = min(_after(saved, LOG_EVERY), _after(saved, evaluate_every))
                 step = min(step, total)
-                measured = _updated(algorithm, step) | algorithm.diagnose()
-                _refuse_odd_values(algorithm, measured, stop_diverging)
-                rows = _each_seeds(algorithm, measured)
+                measured = updated(algorithm, step) | algorithm.diagnose()
+                refuse_odd_values(algorithm, measured, stop_diverging)
+                rows = each_seeds(algorithm, measured)
                 if step % evaluate_every == 0 or step == total:
                     points = _evaluated(algorithm, evaluate)
                     rows = [a | b for a, b in zip(rows, points, strict=True)]
@@ -113,7 +113,7 @@ def _after(step: int, every: int) -> int:
     return (step // every + 1) * every
 
 
-def _updated(algorithm: OfflineAlgorithm, step: int) -> dict[str, torch.Tensor]:
+def updated(algorithm: OfflineAlgorithm, step: int) -> dict[str, torch.Tensor]:
     """Update up to a step; means of the metrics, shape (S,)."""
     sums: dict[str, torch.Tensor] = {}
     counts: dict[str, int] = {}
@@ -125,7 +125,7 @@ def _updated(algorithm: OfflineAlgorithm, step: int) -> dict[str, torch.Tensor]:
     return {key: value / counts[key] for key, value in sums.items()}
 
 
-def _refuse_odd_values(
+def refuse_odd_values(
     algorithm: OfflineAlgorithm,
     measured: Mapping[str, torch.Tensor],
     stop_diverging: bool,
@@ -162,9 +162,10 @@ def _note(measured: Mapping[str, torch.Tensor]) -> str:
     return ", ".join([*text, f"actor {' '.join(losses.values())}"])
 
 
-def _each_seeds(
+def each_seeds(
     algorithm: OfflineAlgorithm, values: Mapping[str, torch.Tensor]
 ) -> list[Row]:
+    """A row of metrics per seed."""
     lists = {key: value.tolist() for key, value in values.items()}
     return [
         {key: numbers[i] for key, numbers in lists.items()}

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from marl_mm.algorithms.fine_tuning import FineTuning
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, names, preset
 from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.algorithms.schedule import Schedule
@@ -44,6 +45,14 @@ class Offline(_Options, training.Offline):
 
     dataset: str
     """Id, such as marl_mm/reach/pd-v0 or pd for short, or path; good-5k ships."""
+
+    start: Annotated[Path | None, tyro.conf.arg(name="from")] = None
+    """Run of the same algorithm, or folder of such runs by seed, to start from, with
+    its dataset and settings where none are given: --online-steps goes on from there."""
+
+    fine_tuning: Annotated[FineTuning, tyro.conf.arg(name="")] = field(
+        default_factory=FineTuning
+    )
 
     task: Annotated[
         str | None, task_help("To evaluate on: {}; default that of the dataset.")
@@ -88,6 +97,11 @@ def main(arguments: Sequence[str]) -> None:
 
         out = Path(value_of(arguments, "--out", f"runs/{word}"))
         commands[word] = _subcommand(word, TUNED, saved_settings(out))
+    elif "--from" in arguments and word in offline and not named:
+        from marl_mm.runs.folder import started_settings
+
+        start = started_settings(value_of(arguments, "--from", ""))
+        commands[word] = _subcommand(word, TUNED, start)
     name, options = parse_subcommand(
         commands,
         "marl-mm train",

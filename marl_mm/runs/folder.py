@@ -23,7 +23,7 @@ from marl_mm.errors import (
 )
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.eval.metrics import EvaluationRow
-from marl_mm.files import refuse_existing, write_json
+from marl_mm.files import new_file, refuse_existing, write_json
 from marl_mm.plugins import record
 from marl_mm.received import check_kind, damage_named, read_json
 from marl_mm.runs.settings import check_seeds
@@ -156,13 +156,53 @@ def begin_run(run: Path, config: RunConfig, training: Training) -> None:
     """Make a run's folder, or note in it with what plug-ins and settings it goes on."""
     if not goes_on(run, training):
         start_run(run, config)
+        if isinstance(training, Offline) and training.start is not None:
+            _copy_start(start_of(training.start, config.seed), run)
         return
-    settings = {name: config.settings[name] for name in training.continued}
+    names = training.continued
+    settings = {n: config.settings[n] for n in names if n in config.settings}
     before = read_config(run)
     further = before.continued(config.plugins, settings)
     if further != before:  # what was made of where it ended before goes
         _remove(run, *_MADE)
         write_json(run / CONFIG, further.to_json())
+
+
+def start_of(start: str | Path, seed: int) -> Path:
+    """Run that a seed starts from: the one that is named, or the seed's in a folder."""
+    named = Path(start)
+    return named if (named / CONFIG).exists() else named / str(seed)
+
+
+def check_start(training: Offline, seed: int) -> None:
+    """Raise a UsageError for a run that another cannot start from."""
+    if training.start is None:
+        return
+    start = start_of(training.start, seed)
+    if not (start / FILE).exists():
+        raise UsageError(
+            f"`start` is {str(training.start)!r}, and there is no checkpoint in "
+            f"{start}: expected the folder of a run, or of runs by seed"
+        )
+    before = read_config(start)
+    if before.algorithm != training.algorithm:
+        raise UsageError(
+            f"{start} is a run of {before.algorithm}, expected {training.algorithm}: "
+            "what it learnt is of no use to another"
+        )
+    if before.settings.get("online_steps"):
+        raise UsageError(
+            f"{start} has gone on online already: `resume=True` and more "
+            "`online_steps` go on there"
+        )
+
+
+def _copy_start(start: Path, run: Path) -> None:
+    """Copy what a run has learnt, and its record; the checkpoint last."""
+    for name in (METRICS, BEST, FILE):
+        if (start / name).exists():
+            with new_file(run / name) as temporary:
+                shutil.copyfile(start / name, temporary)
 
 
 def start_run(run: Path, config: RunConfig) -> None:
@@ -195,6 +235,14 @@ def saved_settings(out: Path) -> dict[str, Any]:
     if not seeds:
         return {}
     return settings_of(read_config(out / str(seeds[0]))) | {"seeds": seeds}
+
+
+def started_settings(start: str | Path) -> dict[str, Any]:
+    """Settings of the run that another starts from, or of the first of its folder."""
+    single = (Path(start) / CONFIG).exists()
+    return (
+        settings_of(read_config(Path(start))) if single else saved_settings(Path(start))
+    )
 
 
 def settings_of(config: RunConfig) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import Any, TypeVar, cast
 import torch
 
 from marl_mm.algorithms.checkpoint import BEST, FILE
+from marl_mm.algorithms.fine_tune import fine_tune
 from marl_mm.algorithms.online import is_flat, train_online
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.registry import ALGORITHMS
@@ -29,6 +30,7 @@ from marl_mm.runs.folder import (
     EVALUATION,
     begin_run,
     check_run,
+    check_start,
     goes_on,
     read_config,
     read_evaluation,
@@ -72,16 +74,29 @@ def check_training(
     else:
         _check_online(training, dataset)
     for seed, run in runs.items():
+        if isinstance(training, Offline):
+            check_start(training, seed)
         check_run(run, run_config(training, dataset, seed), training, further)
         if goes_on(run, training):
             _check_end(training, run)
     check_engine(training.engine or default_engine())
     if isinstance(training, Offline):  # refuses what it cannot learn from
-        algorithm_of(training, dataset, list(runs))
+        algorithm = algorithm_of(training, dataset, list(runs))
+        if training.fine_tuning.online_steps and not hasattr(algorithm, "observe"):
+            raise UsageError(
+                f"{algorithm.name} learns from a dataset only, as it has no `observe`: "
+                "expected `online_steps` 0"
+            )
 
 
 def _check_offline(training: Offline, dataset: Dataset, fresh: bool) -> None:
     check_positive(curve_every=training.curve_every)
+    online_steps = training.fine_tuning.online_steps
+    if training.config.updates + online_steps == 0:
+        raise UsageError(
+            f"`updates` is 0 and `online_steps` too, expected one of them > 0: "
+            f"{training.algorithm} has nothing to learn from otherwise"
+        )
     if training.device == "cuda" and not torch.cuda.is_available():
         raise UsageError(
             "`device` is cuda, but torch finds no such GPU: use `device` cpu, or "
@@ -125,6 +140,8 @@ def _check_online(training: Training, demonstrations: Dataset | None) -> None:
 def _check_end(training: Training, run: Path) -> None:
     """Raise if a run cannot go on to the updates or episodes asked for."""
     rows, clock = read_metrics(run), training.clock
+    tuned = [row for row in rows if "env_steps" in row and training.clock == "updates"]
+    rows = rows[: len(rows) - len(tuned)]
     done = rows[-1][training.counter] if rows else 0
     asked = getattr(training.config, clock)
     if done > asked:
@@ -132,6 +149,11 @@ def _check_end(training: Training, run: Path) -> None:
     before = read_config(run).settings[clock]
     if asked == before:
         return
+    if tuned:
+        raise UsageError(
+            f"{run} has gone on online after {done} updates, `updates` is {asked}: "
+            "expected as many; `online_steps` may grow"
+        )
     if getattr(training.config, "q_weight_end", None) is not None:
         raise UsageError(
             f"{run} was to end at {before} updates, and `q_weight_end` with it: "
@@ -246,6 +268,18 @@ def train_runs(
                 training.stop_diverging,
                 training.logger,
             )
+            if training.fine_tuning.online_steps:
+                (seed,) = runs
+                fine_tune(
+                    algorithm,
+                    folders[0],
+                    training.fine_tuning,
+                    partial(rollouts.train, seed),
+                    point,
+                    bar(f"online {seed}", training.fine_tuning.online_steps),
+                    training.stop_diverging,
+                    training.logger,
+                )
         elif isinstance(training, Online):
             train_online(
                 algorithm,

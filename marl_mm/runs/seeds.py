@@ -50,11 +50,12 @@ def train_seeds(
     # Those of an incomplete last round go beside the others: no core is idle then.
     processes = min(len(runs), training.workers + len(runs) % training.workers)
     offline = isinstance(training, Offline)
+    tuned = isinstance(training, Offline) and training.fine_tuning.online_steps
     with ExitStack() as stack:
         for run in runs.values():
             stack.enter_context(only_here(run))
         begin_runs(training, dataset, runs)
-        if isinstance(training, Offline) and training.device == "cuda":
+        if isinstance(training, Offline) and training.device == "cuda" and not tuned:
             parts: Iterable[_Trained] = _together(training, dataset, runs, bar)
         elif offline and min(processes, training.workers) > 1:
             parts = _apart(training, dataset, runs, processes, bar)

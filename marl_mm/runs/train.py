@@ -10,7 +10,12 @@ from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.errors import UsageError
 from marl_mm.progress import Bar, silent_bar
-from marl_mm.runs.folder import check_runs, saved_settings, settings_of
+from marl_mm.runs.folder import (
+    check_runs,
+    saved_settings,
+    settings_of,
+    started_settings,
+)
 from marl_mm.runs.run import Run
 from marl_mm.runs.seeds import train_seeds
 from marl_mm.runs.settings import with_settings, with_values
@@ -56,8 +61,10 @@ def train(
     saved: dict[str, Any] = {}
     if settings.get("resume"):
         saved = saved_settings(folder)
-        if preset is None:
-            training = with_values(training, saved)
+    elif settings.get("start"):
+        saved = started_settings(settings["start"])
+    if preset is None:
+        training = with_values(training, saved)
     if config is not None:
         kind = type(training.config)
         if not isinstance(config, kind):

@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+from marl_mm.algorithms.fine_tuning import FineTuning
 from marl_mm.algorithms.loggers import DEFAULT_LOGGERS, check_loggers
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
 from marl_mm.algorithms.schedule import Schedule
@@ -96,7 +97,7 @@ class Offline(Training):
 
     clock = "updates"
     counter = "step"
-    continued = ("updates",)
+    continued = ("updates", "online_steps")
 
     task: str | None = None
     """Task that is evaluated in; default the dataset's."""
@@ -111,6 +112,13 @@ class Offline(Training):
     curve_every: int = 2_000
     """Updates between points of the learning curve."""
 
+    fine_tuning: FineTuning = field(default_factory=FineTuning)
+    """Own episodes after the updates from the dataset."""
+
+    start: str | Path | None = None
+    """Run of the same algorithm, or folder of such runs by seed, whose networks and
+    learning curve the new one starts from."""
+
     stop_diverging: bool = True
     """Stop a run when a critic's values are a hundred times what any return can be;
     otherwise only when a number is not finite."""
@@ -119,7 +127,10 @@ class Offline(Training):
     def recorded(self) -> dict[str, Any]:
         """Settings that a run's record holds beside the hyper-parameters."""
         names = ("device", "max_steps", "curve_every")
-        return {name: getattr(self, name) for name in names} | super().recorded
+        own = asdict(self.fine_tuning) if self.fine_tuning.online_steps else {}
+        begun = {} if self.start is None else {"start": str(self.start)}
+        settings = {name: getattr(self, name) for name in names}
+        return settings | super().recorded | own | begun
 
 
 @dataclass(frozen=True, kw_only=True)
