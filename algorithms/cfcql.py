@@ -72,9 +72,16 @@ class Cfcql(Td3Learner):
         states = state[:, None, None].expand(*asked.shape[:-1], -1)
         values = self.critics.values(states.flatten(1, 3), asked.flatten(1, 3))
         values = values.view(len(values), -1, len(self.layouts), each, size)
+        count = self.config.samples
+        near = self._near(values[:, :, :, count:], batch)
+        values = torch.cat([values[:, :, :, :count], near], dim=3)
         excess = (values - log_density[:, None]).logsumexp(dim=3) - math.log(each)
         weighted: torch.Tensor = (share[:, None] * excess).sum(dim=2)
         return weighted
+
+    def _near(self, values: torch.Tensor, batch: OfflineBatch) -> torch.Tensor:
+        """Values that actions near the policy's count as, of shape (S, ..., b)."""
+        return values
 
     def _drawn(
         self, now: torch.Tensor, noise: torch.Tensor

@@ -101,6 +101,7 @@ ALGORITHMS: Registry[Algorithm] = Registry(
         for name in (
             *("mabc", "flow_bc", "td3_bc", "matd3_bc", "iql", "rebrac"),
             *("cfcql", "omar", "maicq", "fql", "mac_flow", "best_of_n", "q_chunking"),
+            *("cal_ql", "rlpd"),
             *("ddpg", "maddpg"),
         )
     ],
