@@ -242,7 +242,7 @@ class OfflineBatches:
             terminated.astype(np.float32),
             (self._discount ** within.sum(axis=1)).astype(np.float32),
             (~elsewhere).astype(np.float32),
-            of["successful"][rows],
+            of["success"][rows],
             of["rest"][rows],
             within.astype(np.float32),
             noise,
@@ -286,7 +286,7 @@ def _steps(
         "action": normalized_actions(arrays.actions, arrays.layout),
         "reward": arrays.rewards,
         "terminated": arrays.terminated,
-        "successful": np.repeat(arrays.successes(), arrays.lengths).astype(np.float32),
+        "success": np.repeat(arrays.successes(), arrays.lengths).astype(np.float32),
         "rest": _rest(arrays, discount),
         "end": np.repeat(ends, arrays.lengths),  # row after the episode's last
     }

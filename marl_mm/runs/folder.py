@@ -249,7 +249,9 @@ def settings_of(config: RunConfig) -> dict[str, Any]:
     """The settings of a run by name; see ``saved_settings``."""
     dataset = (config.dataset or {}).get("path")
     values = {"seeds": [config.seed], "dataset": dataset, "demonstrations": dataset}
-    return config.to_json() | values
+    settings = config.to_json() | values
+    del settings["algorithm"]  # what goes on from the run may not be of it, and is told
+    return settings
 
 
 def read_config(path: Path) -> RunConfig:
