@@ -1,5 +1,6 @@
 """Learning curves of a study, as the paper draws them; the learnt alpha."""
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
@@ -30,12 +31,11 @@ def curves_figure(
     axes: Any = figure.subplots(1, len(panels), sharey=True, squeeze=False)
     colors: dict[str, str] = {}  # what has a name has one color in all panels
     for axis, (title, cells) in zip(axes[0], panels.items(), strict=True):
-        clock = "updates"
         for number, cell in enumerate(cells):
             label = _label(cell, cells)
             color = colors.setdefault(label, PAPER_COLORS[number % len(PAPER_COLORS)])
             rows = store.curves(cell, seeds)
-            clock = "training episodes" if "episode" in rows[0] else clock
+            clock = _CLOCKS[_clock(rows)]
             times, values = on_a_grid(rows, curves.value)
             mean = curves.scale * values.mean(axis=0)
             std = curves.scale * values.std(axis=0, ddof=min(1, len(values) - 1))
@@ -47,12 +47,13 @@ def curves_figure(
 
 
 def on_a_grid(rows: Sequence[Row], key: str) -> tuple[np.ndarray, np.ndarray]:
-    """Every seed's curve at common times, of updates or episodes.
+    """Every seed's curve at common times, of updates, episodes or own env steps.
 
     A run that ended before the others keeps its last value. Returns the times, shape
     (t,), and values, shape (seeds, t).
     """
-    clock = "episode" if "episode" in rows[0] else "step"
+    clock = _clock(rows)
+    rows = [row for row in rows if not math.isnan(row[clock])]
     times = np.unique([row[clock] for row in rows])
     values = [
         np.interp(times, [row[clock] for row in curve], [row[key] for row in curve])
@@ -61,8 +62,22 @@ def on_a_grid(rows: Sequence[Row], key: str) -> tuple[np.ndarray, np.ndarray]:
     return times, np.stack(values)
 
 
+_CLOCKS = {
+    "episode": "training episodes",
+    "env_steps": "own env steps",
+    "step": "updates",
+}
+"""Names of the columns that curves are drawn over."""
+
+
+def _clock(rows: Sequence[Row]) -> str:
+    return next(name for name in _CLOCKS if name in rows[0])
+
+
 def _panel(cell: Cell, curves: Curves) -> str:
     source, setting = cell
+    if curves.panels == "dataset":
+        return cell_name(cell)[0].removeprefix("marl_mm/").removesuffix("-v0")
     if curves.panels == "task" and isinstance(source, Online):
         return source.task
     return f"{setting.preset} preset"

@@ -35,6 +35,9 @@ from marl_mm.sim.config import RECORDED_ENGINE, Engine
 _SMALL = {"updates": 120, "episodes": 8, "warm_up": 12, "updates_per_episode": 5}
 """Hyper-parameters with the smoke budget."""
 
+_FEW_OWN = {"online_steps": 8, "online_every": 4, "online_cycle": 1}
+"""Own episodes with the smoke budget, where there are some."""
+
 _TIMED = 30
 """Number of timed updates; as many run before them."""
 
@@ -126,7 +129,10 @@ class Learner:
             return float(_ONLINE_RUN * (1.0 - done))
         updates = training.config.updates - (rows[-1]["step"] if rows else 0)
         goals = updates / training.curve_every * training.curve_episodes
-        return float(updates * per_update + goals * GOAL)
+        own = training.fine_tuning
+        goals += own.online_steps / own.online_every * training.curve_episodes
+        updates += own.online_steps * own.updates_per_step
+        return float(max(updates, 0) * per_update + goals * GOAL)
 
 
 def training_of(
@@ -162,6 +168,8 @@ def training_of(
             curve_every=setting.curve_every,
             curve_episodes=setting.curve_goals or 20,
             stop_diverging=False,  # a table's runs have all their updates
+            fine_tuning=setting.fine_tuning,
+            require_success=not small,
         )
         changes = {"precision": resolved(precision), **changes}
     run_settings: dict[str, Any] = {"eval_episodes": setting.goals}
@@ -169,6 +177,8 @@ def training_of(
     if small:
         changes |= {k: v for k, v in _SMALL.items() if hasattr(training.config, k)}
         run_settings = {"eval_episodes": 2, "curve_episodes": 2, "max_steps": 4}
+        if setting.fine_tuning.online_steps:
+            run_settings["fine_tuning"] = replace(setting.fine_tuning, **_FEW_OWN)
     run_settings["engine"] = engine
     config = replace(training.config, **changes)
     return replace(training, config=config, workers=1, resume=True, **run_settings)

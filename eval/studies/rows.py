@@ -313,8 +313,10 @@ def _goals(run: Path, seed: int, probe: Probe) -> Iterator[Row]:
 
 
 def _curve(run: Path, seed: int) -> Iterator[Row]:
-    clock = _clock(run)
-    for row in read_metrics(run):
+    clock, rows = _clock(run), read_metrics(run)
+    tuned = ("env_steps",) * (clock == "step" and "env_steps" in rows[-1])
+    for row in rows:
         if "success/all" in row:
-            values = {k.replace("/", "_"): row.get(k, math.nan) for k in _CURVE[clock]}
+            names = (*_CURVE[clock], *tuned)
+            values = {k.replace("/", "_"): row.get(k, math.nan) for k in names}
             yield {"seed": seed, clock: row[clock], **values}

@@ -51,5 +51,5 @@ class Curves:
     top: float | None = 103.0
     """Upper end of the axis; None shows everything."""
 
-    panels: Literal["preset", "task"] = "preset"
+    panels: Literal["preset", "task", "dataset"] = "preset"
     """Grouping of cells into panels."""

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from marl_mm.algorithms.fine_tuning import FineTuning
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.errors import UsageError
@@ -91,6 +92,9 @@ class Setting:
 
     max_steps: int | None = None
     """Steps of an episode; default the task's."""
+
+    fine_tuning: FineTuning = field(default_factory=FineTuning)
+    """How offline runs go on with own episodes; none by default."""
 
     library: Literal["marl_mm", "sb3"] = "marl_mm"
     """Implementation: ours, or Stable-Baselines3's DDPG + HER."""

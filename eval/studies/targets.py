@@ -13,6 +13,7 @@ from marl_mm.eval.studies import (
     alpha,
     coordination,
     engines,
+    fine_tuning,
     offline,
     online,
     paper,
@@ -29,6 +30,7 @@ STUDIES = {
     **_OF_THE_PAPERS_TASKS,
     "transfer": engines.TRANSFER,
     "separation": separation.SEPARATION,
+    "fine-tuning": fine_tuning.FINE_TUNING,
     "grasp": online.GRASP,
 }
 """Studies by name."""
