@@ -81,6 +81,8 @@ def _algorithm_page(name: str) -> str:
     assert text is not None
     first, _, rest = text.partition("\n\n")
     data = "" if algorithm.online else " --dataset good-5k"
+    if getattr(algorithm.presets[TUNED], "updates", 1) == 0:
+        data += " --online-steps 5000"
     curve = ""
     if name in CURVES:
         where = "`Reach-v0`" if algorithm.online else "good-30k"

@@ -81,9 +81,12 @@ def quadratic() -> EpisodeArrays:
     return steps_of(actions, -np.square(miss) - 0.1 * np.square(apart), team())
 
 
-@pytest.mark.parametrize("name", ["cql", "cfcql", "omar"])
+@pytest.mark.parametrize(
+    "name", ["cql", "cfcql", "omar", "cal-ql", "ma-cal-ql", "rlpd", "ma-rlpd"]
+)
 def test_critics_lead_a_team_to_its_best_actions(name: str) -> None:
-    actions = acted(trained(name, quadratic(), 450, **GENTLE))
+    settings = QUICK if "rlpd" in name else GENTLE
+    actions = acted(trained(name, quadratic(), 450, **settings))
     np.testing.assert_allclose(actions.sum(axis=1), 1.0, atol=0.3)
     np.testing.assert_allclose(actions, 0.5, atol=0.35)
 
@@ -210,6 +213,47 @@ def test_the_conservative_term_is_the_one_worked_by_hand(name: str) -> None:
 
 
 # --- Steps that are not imitated ---------------------------------------------
+
+
+def test_targets_are_the_lower_of_two_critics_other_ones_each_time() -> None:
+    learner = quick("rlpd", critics=4).fresh(some_episodes())
+    chosen = set()
+    for _ in range(60):
+        batch = learner._batches.next()
+        state = learner.normalizer(batch.next_observation)
+        value = learner._next_value(state, batch.action, batch)[0, 0]
+        each = learner._target_critics.values(state, batch.action)[0].flatten(0, 1)
+        pairs = [
+            (i, j)
+            for i in range(4)
+            for j in range(i)
+            if torch.equal(value, torch.minimum(each[i], each[j]))
+        ]
+        assert pairs
+        chosen |= set(pairs) if len(pairs) == 1 else set()
+    assert len(chosen) == 6
+
+
+@pytest.mark.parametrize("bound", ["none", "high"])
+def test_a_calibrated_term_presses_no_value_below_the_return(bound: str) -> None:
+    """Where no return bounds it, it is CQL's; where all do, policies count as them."""
+    cal, cql = (quick(name) for name in ("cal-ql", "cql"))
+    states = several_layouts(some_episodes())["one agent"]
+    learners = [c.fresh(states) for c in (cal, cql)]
+    batch = learners[0]._batches.next()
+    state = learners[0].normalizer(batch.observation)[:, :16]
+    rest = torch.full_like(batch.rest, -1e6 if bound == "none" else 50.0)
+    ours, theirs = (
+        learner._excess(state, batch._replace(rest=rest)) for learner in learners
+    )
+    if bound == "none":
+        assert torch.equal(ours, theirs)
+    else:
+        config = learners[0].config
+        width = batch.action.shape[-1]
+        spread = config.sample_noise * math.sqrt(2 * math.pi)
+        least = math.log(spread) * width + 50 - math.log(2)
+        assert (ours > least).all() and (theirs < 50 + math.log(spread) * width).all()
 
 
 def test_actions_for_other_goals_teach_critics_only() -> None:

@@ -19,6 +19,8 @@ PAIRS = {
     "cfcql": "cql",
     "mac-flow": "fql",
     "best-of-n": "best-of-n-joint",
+    "ma-cal-ql": "cal-ql",
+    "ma-rlpd": "rlpd",
 }
 """Joint forms by team forms."""
 
