@@ -212,7 +212,10 @@ def test_an_empty_world_has_nothing_of_a_block_to_spend_time_on(
     assert iterations == SimulationConfig().grasp_iterations
 
 
-@pytest.mark.parametrize("task", [t for t, task in TASKS.items() if task.fails])
+@pytest.mark.parametrize(
+    "task",  # levels are the same with other numbers
+    [t for t, task in TASKS.items() if task.fails and t.count("-") == 1],
+)
 def test_an_episode_does_not_depend_on_the_one_before(
     task: str, open_world: OpenWorld
 ) -> None:
