@@ -18,6 +18,7 @@ from marl_mm.eval.studies import (
     online,
     paper,
     separation,
+    tuning,
 )
 from marl_mm.eval.studies.engines_plan import plan_engines
 from marl_mm.eval.studies.engines_summary import engines_table
@@ -86,6 +87,13 @@ COMPARISONS = {
         coordination.make_coordination,
         coordination.draw_coordination,
         coordination.coordination_table,
+    ),
+    "tuning": Comparison(
+        tuning.ABOUT,
+        tuning.TABLE,
+        tuning.make_tuning,
+        tuning.draw_tuning,
+        tuning.tuning_table,
     ),
 }
 """Comparisons by name."""

@@ -25,6 +25,7 @@ from marl_mm.eval.studies.targets import (
     Comparison,
     study_of,
 )
+from marl_mm.eval.studies.tuning import TuningOptions
 from marl_mm.files import refuse_existing
 from marl_mm.progress import progress_bars
 from marl_mm.workers import available_cores
@@ -73,7 +74,16 @@ class AblateCoordination(Ablate, CoordinationOptions):
     """Compare teams, running those that are missing."""
 
 
-_OPTIONS = {"engines": AblateEngines(), "coordination": AblateCoordination()}
+@dataclass(frozen=True, kw_only=True)
+class AblateTuning(Ablate, TuningOptions):
+    """Try settings of algorithms, running those that are missing."""
+
+
+_OPTIONS = {
+    "engines": AblateEngines(),
+    "coordination": AblateCoordination(),
+    "tuning": AblateTuning(),
+}
 """Options of targets that have others than all have."""
 
 

@@ -1,0 +1,344 @@
+"""Tuning: as many settings for every offline algorithm, on data of no other table.
+
+Each algorithm has its preset and others drawn from ranges of its own, the same number,
+updates, seeds and goals for all. The best mean over datasets and seeds is chosen.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import product
+from math import prod
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from marl_mm.algorithms.registry import preset
+from marl_mm.config_diff import as_json
+from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.eval.grouping import grouped, mean_of
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.rows import write_csv
+from marl_mm.eval.studies.cells import read_cells, run_cells, write_cells
+from marl_mm.eval.studies.options import StudyOptions
+from marl_mm.eval.tables import markdown_table
+from marl_mm.progress import Bar, silent_bar
+from marl_mm.received import read_json
+from marl_mm.runs.recipes import RECIPES, build, refuse_unknown
+from marl_mm.runs.settings import check_positive, with_settings
+from marl_mm.runs.train import trained
+from marl_mm.runs.training import Offline
+from marl_mm.sim.config import engine_overrides
+
+ABOUT = "Tuning: what each algorithm reaches with each of twelve settings."
+"""Title."""
+
+TABLE = "tuning.csv"
+"""File of the table, a row per algorithm and setting."""
+
+DATASETS = ("tray-noisy", "moving-reach-noisy")
+"""Recipes of the datasets, which are in no table of results."""
+
+_RATES = (2e-4, 5e-4, 1e-3)
+_DISCOUNTS = (0.9, 0.95, 0.99)
+_CLONING = {
+    "learning_rate": (2e-4, 5e-4, 1e-3, 2e-3),
+    "batch_size": (128, 256, 512),
+    "hidden": ((128, 128), (256, 256)),
+}
+_FLOW = {**_CLONING, "flow_steps": (5, 10)}
+_CRITIC = {"learning_rate": _RATES, "discount": _DISCOUNTS}
+_TD3_BC = {
+    "actor_learning_rate": _RATES,
+    "discount": _DISCOUNTS,
+    "q_weight": (0.1, 0.2, 0.5, 1.0, 2.5),
+    "future": (0.0, 0.2),
+    "elsewhere": (0.0, 0.4),
+}
+_IQL = {**_CRITIC, "expectile": (0.5, 0.7, 0.9), "temperature": (1.0, 3.0, 10.0)}
+_REBRAC = {
+    **_CRITIC,
+    "actor_weight": (0.01, 0.03, 0.1, 0.3, 1.0),
+    "critic_weight": (0.0, 0.01, 0.1),
+}
+_CQL = {
+    **_CRITIC,
+    "conservatism": (0.1, 0.5, 2.0, 5.0),
+    "sample_noise": (0.1, 0.2, 0.4),
+}
+_FLOW_Q = {**_CRITIC, "distillation": (1.0, 3.0, 10.0, 30.0, 100.0)}
+_BEST_OF_N = {**_CRITIC, "samples": (4, 16, 32), "expectile": (0.5, 0.7, 0.9)}
+
+RANGES: Mapping[str, Mapping[str, Sequence[Any]]] = {
+    "bc": _CLONING,
+    "mabc": _CLONING,
+    "flow-bc": _FLOW,
+    "ma-flow-bc": _FLOW,
+    "td3-bc": _TD3_BC,
+    "matd3-bc": _TD3_BC,
+    "iql": _IQL,
+    "ma-iql": _IQL,
+    "rebrac": _REBRAC,
+    "ma-rebrac": _REBRAC,
+    "cql": _CQL,
+    "cfcql": _CQL | {"focus": (0.0, 1.0)},
+    "omar": _CQL | {"mix": (0.5, 0.7, 0.9)},
+    "maicq": {
+        **_CRITIC,
+        "temperature": (0.03, 0.1, 0.3, 1.0),
+        "critic_temperature": (0.3, 1.0, 10.0),
+    },
+    "fql": _FLOW_Q,
+    "mac-flow": _FLOW_Q,
+    "best-of-n-joint": _BEST_OF_N,
+    "best-of-n": _BEST_OF_N,
+    "q-chunking": _FLOW_Q | {"chunk": (2, 3, 5)},
+}
+"""Values that hyper-parameters are drawn from, by algorithm."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TuningOptions(StudyOptions):
+    """Settings of the tuning."""
+
+    algorithms: tuple[str, ...] = tuple(RANGES)
+    """Registered names of the algorithms to tune; rows of others stay."""
+
+    data: tuple[str, ...] = DATASETS
+    """Names of the datasets, see "marl-mm datasets catalogue"; missing ones are
+    built."""
+
+    tried: int = 12
+    """Number of settings of each algorithm, its preset among them."""
+
+    updates: int = 5_000
+    """Updates of every run."""
+
+    goals: int = 50
+    """Number of goals of every run's evaluation, the same for all."""
+
+    def check_settings(self) -> None:
+        """Raise for options that make no sense.
+
+        Raises:
+            UsageError: Naming the option.
+        """
+        super().check_settings()
+        check_positive(tried=self.tried, updates=self.updates, goals=self.goals)
+        refuse_unknown(self.data)
+        for name in self.algorithms:
+            if name not in RANGES:
+                raise UsageError(
+                    f"`algorithms` has {name!r}, expected some of {', '.join(RANGES)}"
+                )
+
+
+@dataclass(frozen=True)
+class TuningCell:
+    """A run: everything its row depends on."""
+
+    algorithm: str
+    """Registered name of the algorithm."""
+
+    number: int
+    """Number of the setting; 0 is the preset."""
+
+    changes: tuple[tuple[str, Any], ...]
+    """Hyper-parameters that replace the preset's."""
+
+    dataset: str
+    """Name of the dataset's recipe."""
+
+    seed: int
+    """Seed of weights and batches."""
+
+    updates: int
+    """Number of updates."""
+
+    goals: int
+    """Number of goals."""
+
+    @property
+    def task(self) -> str:
+        """Registered name of the task."""
+        return RECIPES.get(self.dataset).source.task
+
+    @property
+    def overrides(self) -> dict[str, Any]:
+        """Settings of the task that are replaced."""
+        return engine_overrides(RECIPES.get(self.dataset).source.engine)
+
+    @property
+    def label(self) -> str:
+        """Label in the progress bar."""
+        return f"{self.algorithm} {self.number} {self.dataset} {self.seed}"
+
+
+def settings_of(algorithm: str, count: int) -> list[dict[str, Any]]:
+    """Hyper-parameters to try: none, and then draws from the ranges, none twice.
+
+    Args:
+        algorithm: Registered name of the algorithm.
+        count: Number of settings.
+
+    Raises:
+        UsageError: If the ranges have fewer.
+    """
+    ranges, default = RANGES[algorithm], preset(algorithm)
+    sizes = [len(values) for values in ranges.values()]
+    if prod(sizes) < count:
+        raise UsageError(
+            f"`tried` is {count}, expected at most {prod(sizes)}: {algorithm} has no "
+            "more settings"
+        )
+    listed: list[dict[str, Any]] = [{}]
+    for number in np.random.default_rng(0).permutation(prod(sizes)):
+        places = np.unravel_index(number, sizes)
+        pairs = zip(ranges.items(), places, strict=True)
+        drawn = {name: values[place] for (name, values), place in pairs}
+        if any(getattr(default, name) != value for name, value in drawn.items()):
+            listed.append(drawn)
+    return listed[:count]
+
+
+def cells_of(options: TuningOptions) -> dict[str, list[TuningCell]]:
+    """Runs by algorithm."""
+    seeds = options.seeds or (0, 1)
+    tried, updates, goals, data = (
+        (2, 20, 2, ("gate-expert",))  # which ships
+        if options.small
+        else (options.tried, options.updates, options.goals, options.data)
+    )
+    return {
+        name: [
+            TuningCell(name, number, tuple(some.items()), on, seed, updates, goals)
+            for (number, some), on, seed in product(
+                enumerate(settings_of(name, tried)), data, seeds
+            )
+        ]
+        for name in options.algorithms
+    }
+
+
+def run_cell(cell: TuningCell) -> list[Row]:
+    """Train and evaluate; the row of the run."""
+    default = replace(preset(cell.algorithm), updates=cell.updates)
+    training = Offline(
+        algorithm=cell.algorithm,
+        config=with_settings(cell.algorithm, default, dict(cell.changes)),
+        eval_episodes=cell.goals,
+        curve_every=cell.updates,
+        curve_episodes=1,
+        stop_diverging=False,
+        logger=(),
+    )
+    data = build(cell.dataset).dataset
+    with TemporaryDirectory() as folder:
+        (run,) = trained(training, data, Path(folder), (cell.seed,), silent_bar)
+        measured = run.evaluated.summary["all"]
+    return [
+        {
+            "algorithm": cell.algorithm,
+            "setting": cell.number,
+            "dataset": cell.dataset,
+            "seed": cell.seed,
+            "success": measured["success_rate"],
+            "return": measured["return"],
+            "changes": json.dumps(dict(cell.changes)),
+        }
+    ]
+
+
+def make_tuning(options: TuningOptions, bar: Bar) -> list[Row]:
+    """Run what is missing, algorithm by algorithm, and draw the table.
+
+    Returns:
+        Rows of the table.
+
+    Raises:
+        UsageError: If an option makes no sense.
+        KeyboardInterrupt: After Ctrl-C; finished runs are kept.
+    """
+    options.check_settings()
+    cells = cells_of(options)
+    for name in dict.fromkeys(
+        cell.dataset for listed in cells.values() for cell in listed
+    ):
+        build(name, workers=options.workers, progress=bar)
+    rows_folder, runs = _rows_folder(options.results), options.runs_folder / "tuning"
+    for name, listed in cells.items():
+        if _is_made(rows_folder / f"{name}.json", listed):
+            continue
+        advance_of = bar, f"tuning {name}"
+        rows = run_cells(run_cell, listed, runs, options.workers, advance_of)
+        write_cells(rows_folder / name, listed, rows)
+    return draw_tuning(options.results, options.results)
+
+
+def _rows_folder(results: Path) -> Path:
+    return results / "rows" / "tuning"
+
+
+def _is_made(record: Path, cells: Sequence[TuningCell]) -> bool:
+    """Whether rows are those of these cells; older code may have made them."""
+    if not record.exists():
+        return False
+    made: Any = read_json(record, MarlMmError).get("cells")
+    return bool(made == as_json({"cells": [asdict(cell) for cell in cells]})["cells"])
+
+
+def draw_tuning(results: Path, folder: Path) -> list[Row]:
+    """Write the table into a folder, from rows in another.
+
+    Returns:
+        Rows of the table: a setting's mean success on each dataset and on all, its
+        hyper-parameters, and whether it is chosen.
+
+    Raises:
+        UsageError: If there are no rows.
+    """
+    summary: list[Row] = []
+    for algorithm, rows in read_cells(_rows_folder(results)).items():
+        tried = [_summed(algorithm, *item) for item in grouped(rows, "setting").items()]
+        best = max(tried, key=lambda row: (row["success"], row["return"]))
+        summary += [row | {"chosen": int(row is best)} for row in tried]
+    write_csv(folder / TABLE, summary)
+    return summary
+
+
+def _summed(algorithm: str, setting: int, rows: Sequence[Row]) -> Row:
+    of_data = grouped(rows, "dataset")
+    return {
+        "algorithm": algorithm,
+        "setting": setting,
+        "success": mean_of(rows, "success"),
+        "return": mean_of(rows, "return"),
+        "seeds": len({row["seed"] for row in rows}),
+        "datasets": " ".join(of_data),
+        "success_each": " ".join(
+            f"{mean_of(some, 'success'):.3f}" for some in of_data.values()
+        ),
+        "changes": rows[0]["changes"],
+    }
+
+
+def tuning_table(rows: Sequence[Row]) -> str:
+    """What each algorithm's preset reaches, and the chosen setting, as Markdown."""
+    lines = []
+    for algorithm, tried in grouped(rows, "algorithm").items():
+        rates = [100 * row["success"] for row in tried]
+        best = next(row for row in tried if row["chosen"])
+        changes = json.loads(best["changes"]).items()
+        lines.append(
+            [
+                f"`{algorithm}`",
+                f"{rates[0]:.1f}",
+                f"{np.median(rates):.1f}",
+                f"{100 * best['success']:.1f}",
+                ", ".join(f"`{n}` {v}" for n, v in changes) or "the preset",
+            ]
+        )
+    header = ["algorithm", "preset [%]", "median setting [%]", "best [%]", "chosen"]
+    return markdown_table(header, lines)
