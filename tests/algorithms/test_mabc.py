@@ -318,7 +318,7 @@ def test_damaged_and_missing_checkpoints_are_named(
 
 
 @pytest.mark.parametrize(
-    "bad", [{"updates": 0}, {"batch_size": -1}, {"learning_rate": 0.0}, {"hidden": ()}]
+    "bad", [{"updates": -1}, {"batch_size": -1}, {"learning_rate": 0.0}, {"hidden": ()}]
 )
 def test_bad_hyper_parameters_are_refused(bad: dict[str, object]) -> None:
     with pytest.raises(UsageError, match=next(iter(bad))):
