@@ -2,10 +2,12 @@
 
 import pickle
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import torch
+from torch import nn
 
 from marl_mm.algorithms.networks import (
     PLAIN,
@@ -68,8 +70,36 @@ class AgentActor:
         """
         inputs = torch.as_tensor(observation, dtype=torch.float32)
         drawn = None if noise is None else torch.as_tensor(noise, dtype=torch.float32)
-        planned: np.ndarray = self.planned(self.actor(inputs, drawn)).numpy()
+        if drawn is not None and self.actor.form.flow_steps:
+            action = self._flow(self.actor.normalizer(inputs), drawn)
+        else:
+            action = self.actor(inputs, drawn)
+        planned: np.ndarray = self.planned(action).numpy()
         return planned
+
+    def _flow(self, observed: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+        """``Form.act`` of a flow for one observation, in a seventh of the time.
+
+        Torch takes longer to begin a product this small than NumPy does for all of it.
+        """
+        seen, steps = observed.shape[-1], self.actor.form.flow_steps
+        action = noise.numpy()
+        inputs = np.empty(seen + len(action) + 1, np.float32)
+        inputs[:seen] = observed.numpy()
+        *inner, (weight, bias) = self._layers
+        for step in range(steps):
+            inputs[seen:-1], inputs[-1] = action, step / steps
+            hidden = inputs
+            for weights, biases in inner:
+                hidden = np.maximum(weights @ hidden + biases, 0)
+            action = action + (weight @ hidden + bias) / np.float32(steps)
+        return torch.from_numpy(action.clip(-1, 1))
+
+    @cached_property
+    def _layers(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Weights and biases of the actor's layers, which go on learning."""
+        linear = (m for m in self.actor.layers if isinstance(m, nn.Linear))
+        return [(m.weight.detach().numpy(), m.bias.detach().numpy()) for m in linear]
 
     def planned(self, action: torch.Tensor) -> torch.Tensor:
         """Actions of the network in the action space, (..., h k) to (..., h, k)."""

@@ -133,3 +133,24 @@ def test_chunks_keep_their_goals() -> None:
         with pytest.raises(UsageError, match="expected 0: chunks of several steps"):
             learner_of("q-chunking", plans(), 0, **shares)
         learner_of("q-chunking", plans(), 0, chunk=1, **shares)
+
+
+@pytest.mark.parametrize("name", ["flow-bc", "ma-flow-bc"])
+def test_a_flow_acts_as_its_network_says(name: str) -> None:
+    """In NumPy, for one observation; also when its weights have changed since."""
+    learner = learner_of(name, conventions(), 100)
+    rng = np.random.default_rng(0)
+    agents = learner.agents(0).values()
+    for scale in (1.0, 0.7):
+        for agent in agents:
+            seen = len(agent.layout.observation)
+            observation = rng.normal(size=seen).astype(np.float32)
+            noise = rng.normal(size=agent.actor.noise).astype(np.float32)
+            with torch.no_grad():
+                for parameter in agent.actor.layers.parameters():
+                    parameter *= scale
+                own = agent.actor(torch.tensor(observation), torch.tensor(noise))
+                expected = agent.planned(own).numpy()
+            planned = agent.plan(observation, noise)
+            np.testing.assert_allclose(planned, expected, atol=1e-6)
+            assert planned.dtype == np.float32
