@@ -10,6 +10,7 @@ from pathlib import Path
 from study_tables import (
     differences_table,
     engine_differences_table,
+    fine_tuning_table,
     goals_table,
     hindsight_in_words,
     separation_table,
@@ -52,6 +53,8 @@ from marl_mm.eval.studies.offline import BLOCKS
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.table import CRITICS, IQM, RETURN, Table
 from marl_mm.eval.studies.targets import STUDIES
+from marl_mm.eval.studies.tuning import TABLE as TUNED_TABLE
+from marl_mm.eval.studies.tuning import tuning_table
 from marl_mm.eval.tables import markdown_table, rate_with_interval
 from marl_mm.runs.recipes import catalogue_rows
 from marl_mm.sim.config import RECORDED_ENGINE
@@ -140,6 +143,10 @@ def _drawn_from(name: str, draw: Callable[[list[Row]], str]) -> str:
     if not path.exists():
         return "Not run yet.\n"
     return draw(read_rows(path))
+
+
+def _fine_tuning(summary: list[Row]) -> str:
+    return fine_tuning_table(RowStore(RESULTS / "studies/rows"), summary)
 
 
 def _engines_figure() -> str:
@@ -317,6 +324,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "engines-agreement": partial(_drawn_from, AGREEMENT, agreement_table),
     "engines-differences": partial(_drawn_from, TABLE, engine_differences_table),
     "separation": partial(_drawn_from, "separation.csv", separation_table),
+    "fine-tuning": partial(_drawn_from, "fine-tuning.csv", _fine_tuning),
+    "tuning": partial(_drawn_from, TUNED_TABLE, tuning_table),
     "coordination-worth": partial(_drawn_from, WORTH, worth_table),
     "coordination-teams": partial(_drawn_from, TEAMS, coordination_table),
     "coordination-levels": partial(_drawn_from, TEAMS, levels_table),

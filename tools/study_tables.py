@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from marl_mm.algorithms.fine_tune import fared
 from marl_mm.eval.bench import SB3
 from marl_mm.eval.grouping import grouped
 from marl_mm.eval.intervals import (
@@ -17,6 +18,7 @@ from marl_mm.eval.intervals import (
 )
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.studies.engines_summary import MEASURES
+from marl_mm.eval.studies.fine_tuning import FINE_TUNING
 from marl_mm.eval.studies.online import CELLS
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.separation import SEPARATION
@@ -92,10 +94,9 @@ def separation_table(summary: Sequence[Row]) -> str:
         worst, best = ranked[0], ranked[-1]
         points = np.mean(best) - np.mean(worst)
         touch = mean_interval(worst)[1] >= mean_interval(best)[0]
-        short = name.removeprefix("marl_mm/").removesuffix("-v0").replace("/", "-")
         lines.append(
             [
-                f"`{short}`",
+                f"`{_short(name)}`",
                 *(_with_student(rates[key]) for key in about),
                 f"{points:.1f}",
                 "touch" if touch else "apart",
@@ -114,6 +115,52 @@ def _with_student(rates: Sequence[float]) -> str:
     """A mean with Student's 95 % interval over seeds."""
     low, high = mean_interval(rates)
     return f"{np.mean(rates):.1f} [{max(low, 0.0):.0f}, {min(high, 100.0):.0f}]"
+
+
+def fine_tuning_table(store: RowStore, summary: Sequence[Row]) -> str:
+    """Success before own episodes and after, and what they cost, as Markdown.
+
+    Start, dip, regret and steps are by the learning curves' goals, means over seeds.
+    """
+    lines = []
+    ended = {(row["dataset"], row["setting"]): _of_seeds(row) for row in summary}
+    for cell in FINE_TUNING.cells:
+        if cell_name(cell) not in ended:
+            continue
+        rates = ended[cell_name(cell)]
+        curves = store.curves(cell, range(len(rates)))
+        online = [
+            [
+                {"env_steps": row["env_steps"], "success/all": row["success_all"]}
+                for row in rows
+                if not math.isnan(row["env_steps"])
+            ]
+            for rows in grouped(curves, "seed").values()
+        ]
+        fared_each = [fared(rows) for rows in online]
+        steps = [one.get("online/steps_to_95", math.inf) for one in fared_each]
+        reached = [f"{some:,.0f}" for some in sorted(steps) if some < math.inf]
+        middle = float(np.median(steps))
+        lines.append(
+            [
+                f"`{_short(cell_name(cell)[0])}`",
+                cell[1].about,
+                f"{100 * np.mean([rows[0]['success/all'] for rows in online]):.0f}",
+                f"{100 * np.mean([one['online/dip'] for one in fared_each]):.0f}",
+                f"{100 * np.mean([one['online/regret'] for one in fared_each]):.0f}",
+                f"{middle:,.0f}" if middle < math.inf else "-",
+                f"{len(reached)} of {len(steps)}",
+                _with_student(rates),
+            ]
+        )
+    header = ["dataset", "way", "start [%]", "dip [points]", "regret [%]"]
+    times = ["steps to 95 %, median", "seeds that came there"]
+    return markdown_table([*header, *times, "at the end [%]"], lines)
+
+
+def _short(source: str) -> str:
+    """A dataset's name without what all have."""
+    return source.removeprefix("marl_mm/").removesuffix("-v0").replace("/", "-")
 
 
 def engine_differences_table(summary: Sequence[Row]) -> str:
