@@ -343,7 +343,7 @@ register_task(
     replace(
         _MEDIUM,
         zone_limit=0.2,
-        wall=replace(_MEDIUM.wall, clearance=0.035, slope=(0.3, 0.5)),
+        wall=replace(_MEDIUM.wall, thickness=0.12, clearance=0.035, slope=(0.3, 0.5)),
     ),
 )
 register_task("Course-v0", _MEDIUM)
@@ -352,6 +352,6 @@ register_task(
     replace(
         _MEDIUM,
         zone_limit=0.1,
-        wall=replace(_MEDIUM.wall, clearance=0.02, slope=(0.7, 1.0)),
+        wall=replace(_MEDIUM.wall, thickness=0.3, clearance=0.015),
     ),
 )
