@@ -70,7 +70,8 @@ class AgentActor:
         """
         inputs = torch.as_tensor(observation, dtype=torch.float32)
         drawn = None if noise is None else torch.as_tensor(noise, dtype=torch.float32)
-        if drawn is not None and self.actor.form.flow_steps:
+        flows = type(self.actor) is Actor and self.actor.form.flow_steps > 0
+        if drawn is not None and flows:
             action = self._flow(self.actor.normalizer(inputs), drawn)
         else:
             action = self.actor(inputs, drawn)

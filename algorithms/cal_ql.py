@@ -2,7 +2,8 @@
 
 As CFCQL and CQL, see ``cfcql``, but in the conservative term the value of an action
 near the policy's counts as max(Q_j(s, u), V(s)), where V(s) is the discounted return of
-the rest of the step's episode. A value that is lower already is not pressed further, so
+the rest of the step's episode; of one that was cut off it is not known, and bounds
+nothing. A value that is lower already is not pressed further, so
 that own episodes, which earn what they earn, meet values of the right size.
 """
 

@@ -30,7 +30,8 @@ ALGORITHMS.add(
         advice="Before own episodes: CQL's values are too low to begin with, and it "
         "first unlearns. Without own episodes take CQL.",
         departs="CQL's actor is TD3's. What the data's policy is worth is taken from "
-        "the returns of its own episodes, as in the source.",
+        "the returns of its own episodes, as in the source, but of none that was cut "
+        "off.",
         learner=Imported("marl_mm.algorithms.cal_ql:CalQl"),
         presets={TUNED: CalQlConfig()},
     ),

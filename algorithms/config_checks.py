@@ -29,11 +29,35 @@ def check_ranges(
 ) -> None:
     """Raise for the first field outside of its range, or hidden layers of no width.
 
-    Whole numbers are at most ``LARGEST``, and batches and hidden layers of a size that
-    memory can hold.
+    Batches and hidden layers are of a size that memory can hold. Arguments are those of
+    ``check_numbers``, of a dataclass that has ``hidden`` as well.
+
+    Raises:
+        UsageError: Naming the field, its value and its range.
+    """
+    check_numbers(config, positive, not_negative, shares)
+    if not config.hidden or min(config.hidden) < 1:
+        raise UsageError(f"hidden is {config.hidden}, expected positive widths")
+    weights = sum(before * after for before, after in pairwise((1, *config.hidden, 1)))
+    if weights > MOST_WEIGHTS:
+        raise UsageError(
+            f"hidden is {config.hidden}, expected at most {MOST_WEIGHTS:,} weights "
+            "between layers"
+        )
+
+
+def check_numbers(
+    config: Any,
+    positive: Sequence[str],
+    not_negative: Sequence[str] = (),
+    shares: Sequence[str] = (),
+) -> None:
+    """Raise for the first field outside of its range.
+
+    Whole numbers are at most ``LARGEST``.
 
     Args:
-        config: A dataclass with these fields and ``hidden``.
+        config: A dataclass with these fields.
         positive: Fields above 0, and finite.
         not_negative: Fields of 0 or more, and finite.
         shares: Fields from 0 to 1.
@@ -55,11 +79,3 @@ def check_ranges(
     for name in shares:
         if not 0 <= getattr(config, name) <= 1:
             raise UsageError(f"{name} is {getattr(config, name)}, expected 0 to 1")
-    if not config.hidden or min(config.hidden) < 1:
-        raise UsageError(f"hidden is {config.hidden}, expected positive widths")
-    weights = sum(before * after for before, after in pairwise((1, *config.hidden, 1)))
-    if weights > MOST_WEIGHTS:
-        raise UsageError(
-            f"hidden is {config.hidden}, expected at most {MOST_WEIGHTS:,} weights "
-            "between layers"
-        )

@@ -28,7 +28,7 @@ from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.progress import Advance, silent
 
 GOOD = 0.95
-"""Success rate whose first evaluation ``online/steps_to_95`` tells."""
+"""Success rate that ``online/steps_to_95`` is about."""
 
 
 def fine_tune(
@@ -70,8 +70,9 @@ def fine_tune(
             while saved < settings.online_steps:
                 end = (saved // settings.online_every + 1) * settings.online_every
                 end = min(end, settings.online_steps)
-                watched = advance, stop_diverging
-                row = _epoch(algorithm, settings, run_episodes, end, watched)
+                row = _epoch(
+                    algorithm, settings, run_episodes, end, advance, stop_diverging
+                )
                 row |= _point(algorithm, evaluate)
                 row |= fared([*log.rows, row]) | {"online/kept": settings.kept}
                 with deaf_to_interrupts():
@@ -93,11 +94,12 @@ def _epoch(
     settings: FineTuning,
     run_episodes: RunEpisodes,
     end: int,
-    watched: tuple[Advance, bool],
+    advance: Advance,
+    stop_diverging: bool,
 ) -> Row:
     """Episodes up to own env step ``end``, the updates between them, and their row."""
-    advance, stop_diverging = watched
     listed: list[Episode] = []
+    kept: list[Row] = []
     policy = LearnedPolicy(algorithm.name, algorithm.agents(0), algorithm.layout)
     while (own := algorithm.own)[1] < end:
         explorer = Explorer(policy, settings.online_noise, 0.0)
@@ -109,10 +111,12 @@ def _epoch(
         measured = updated(
             algorithm, algorithm.step + settings.updates_per_step * steps
         )
+        measured |= algorithm.diagnose()
         refuse_odd_values(algorithm, measured, stop_diverging)
+        kept += each_seeds(algorithm, measured)
         policy = LearnedPolicy(algorithm.name, algorithm.agents(0), algorithm.layout)
         advance(steps, f"reached {100 * np.mean([e.success for e in listed]):.0f} %")
-    (values,) = each_seeds(algorithm, measured | algorithm.diagnose())
+    values = {key: float(np.mean([row[key] for row in kept])) for key in kept[0]}
     return {
         "step": algorithm.step,
         "env_steps": algorithm.own[1],
@@ -132,11 +136,13 @@ def fared(rows: Sequence[Row]) -> Row:
 
     Returns:
         ``dip``: largest success lost since the first; ``regret``: mean share of goals
-        missed; ``steps_to_95``: own env steps at the first with 95 %, if any.
+        missed; ``steps_to_95``: own env steps at the first with 95 % that no worse one
+        follows, if any.
     """
     online = [row for row in rows if "env_steps" in row]
     success = [row["success/all"] for row in online]
-    good = [row["env_steps"] for row in online if row["success/all"] >= GOOD]
+    worse = [n for n, rate in enumerate(success) if rate < GOOD]
+    good = [row["env_steps"] for row in online[worse[-1] + 1 if worse else 0 :]]
     return {
         "online/dip": max(0.0, success[0] - min(success)),
         "online/regret": 1 - float(np.mean(success)),

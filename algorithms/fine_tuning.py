@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from marl_mm.errors import UsageError
+from marl_mm.algorithms.config_checks import check_numbers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -10,8 +10,8 @@ class FineTuning:
     """How a run from a dataset goes on with episodes of its own."""
 
     online_steps: int = 0
-    """Env steps of own episodes after the updates from the dataset alone; 0: none. The
-    last episode is finished."""
+    """Env steps of own episodes after the updates from the dataset alone; 0: none. What
+    is begun of a cycle is finished."""
 
     kept: float = 0.5
     """Share of the transitions that still comes from the dataset (Ball 2023: half)."""
@@ -29,11 +29,9 @@ class FineTuning:
     """Own env steps between checkpoints, rows of metrics and evaluations."""
 
     def __post_init__(self) -> None:
-        for name in ("online_steps", "online_noise"):
-            if getattr(self, name) < 0:
-                raise UsageError(f"{name} is {getattr(self, name)}, expected >= 0")
-        for name in ("updates_per_step", "online_cycle", "online_every"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"{name} is {getattr(self, name)}, expected >= 1")
-        if not 0 <= self.kept <= 1:
-            raise UsageError(f"kept is {self.kept}, expected 0 to 1")
+        check_numbers(
+            self,
+            positive=("updates_per_step", "online_cycle", "online_every"),
+            not_negative=("online_steps", "online_noise"),
+            shares=("kept",),
+        )

@@ -59,7 +59,7 @@ class OfflineBatch(NamedTuple):
 
     rest: torch.Tensor
     """Discounted return of the episode from the step on, for its own goal, shape (S,
-    B)."""
+    B); minus infinity where it was cut off, and would have gone on."""
 
     within: torch.Tensor
     """1 where a step of the chunk is one of the episode, shape (S, B, h)."""
@@ -166,7 +166,8 @@ class OfflineBatches:
 
     def some(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Fixed states and actions of the dataset, shapes (1, n, d) and (1, n, h k)."""
-        rows = np.linspace(0, len(self) - 1, min(count, len(self))).astype(np.int64)
+        rows = np.linspace(0, self._given - 1, min(count, self._given))
+        rows = rows.astype(np.int64)
         state = torch.from_numpy(self._steps["state"][rows].astype(np.float32))
         action = torch.from_numpy(self._actions(self._ahead(rows)))
         return state[None].to(self._device), action[None].to(self._device)
@@ -293,8 +294,12 @@ def _steps(
 
 
 def _rest(arrays: EpisodeArrays, discount: float) -> np.ndarray:
-    """Discounted return from each step to its episode's end, shape (n,), float32."""
-    rest, last = arrays.rewards.astype(np.float64), np.cumsum(arrays.lengths) - 1
+    """Discounted return from each step to its episode's end, shape (n,), float32.
+
+    Minus infinity in episodes that were cut off, whose rest is not known.
+    """
+    last = np.cumsum(arrays.lengths) - 1
+    rest = np.where(arrays.truncated, -np.inf, arrays.rewards)
     for back in range(1, int(arrays.lengths.max())):
         rows = last[arrays.lengths > back] - back
         rest[rows] += discount * rest[rows + 1]

@@ -21,9 +21,9 @@ half its range."""
 
 
 def q_weight(config: Td3BcConfig, step: int) -> float:
-    """C at an update: on a straight line to ``q_weight_end``, if there is one."""
+    """C at an update: on a straight line to ``q_weight_end``, and then that."""
     c, end = config.q_weight, config.q_weight_end
-    return c if end is None else c + (end - c) * step / config.updates
+    return c if end is None else c + (end - c) * min(1.0, step / max(1, config.updates))
 
 
 class Imitation:

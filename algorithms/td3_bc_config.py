@@ -92,7 +92,6 @@ class Td3BcConfig:
         check_ranges(
             self,
             positive=(
-                "updates",
                 "batch_size",
                 "actor_learning_rate",
                 "critic_learning_rate",
@@ -100,7 +99,9 @@ class Td3BcConfig:
                 "policy_delay",
                 "std_floor",
             ),
-            not_negative=("q_weight", "target_noise", "target_noise_clip"),
+            not_negative=(
+                *("updates", "q_weight", "target_noise", "target_noise_clip"),
+            ),
             shares=("discount", "target_rate", "future", "elsewhere"),
         )
         if self.q_weight_end is not None:

@@ -13,7 +13,8 @@ mujoco==3.3.0, glfw, imageio):
 
 Both write eval/results/known.csv, a row per implementation, algorithm and seed. What is
 there is not run again. Both have the same networks, rates, batches and number of
-updates; the last policy is evaluated.
+updates; the last policy is evaluated. What stays different: d3rlpy's actors of IQL and
+CQL are Gaussian, that of CQL is SAC's, ours give one action and CQL's is TD3's.
 """
 
 import csv
@@ -53,7 +54,10 @@ OURS: dict[str, dict[str, Any]] = {
     },
     "iql": {"learning_rate": RATE, "expectile": 0.7, "temperature": 3.0},
     "rebrac": {"learning_rate": RATE, "actor_weight": 0.05, "critic_weight": 0.01},
-    "cql": {"learning_rate": RATE, "conservatism": 5.0, "samples": 10},
+    "cql": {
+        **{"learning_rate": RATE, "conservatism": 5.0, "samples": 10},
+        "penalized": BATCH,
+    },
 }
 """Hyper-parameters of ours beside those that all share."""
 
@@ -204,7 +208,13 @@ def theirs(path: Path, name: str, seed: int) -> Act:
         "rebrac": lambda: algos.ReBRACConfig(
             actor_beta=0.05, critic_beta=0.01, **pair, **shared
         ),
-        "cql": lambda: algos.CQLConfig(conservative_weight=5.0, **pair, **shared),
+        "cql": lambda: algos.CQLConfig(
+            conservative_weight=5.0,
+            initial_alpha=1.0,
+            alpha_learning_rate=0,
+            **pair,
+            **shared,
+        ),
     }
     data = d3rlpy.dataset.create_infinite_replay_buffer(
         [
@@ -257,6 +267,7 @@ def main() -> None:
             value = mean_return(train(path, name, seed))
             print(key, value, flush=True)
             row = {**key, "return": f"{value:.1f}"}
+            rows = kept()  # another process may have added some
             with FILE.open("w", newline="") as file:
                 writer = csv.DictWriter(file, list(row))
                 writer.writeheader()

@@ -201,8 +201,10 @@ class RowStore:
             config["dataset"] = _bytes_of(config["dataset"])
         ends = {s: u for s, u in self.diverged(cell).items() if s not in runs}
         for seed, run in runs.items():
-            step = read_metrics(run)[-1].get("step", math.inf)
-            if step < config.get("updates", 0):
+            last = read_metrics(run)[-1]
+            step = last.get("step", math.inf)
+            own = last.get("env_steps", 0) if "step" in last else math.inf
+            if step < config.get("updates", 0) or own < config.get("online_steps", 0):
                 ends[seed] = step
         record = {
             "probes": dict(sorted(ways.items())),  # in order, whichever run came first
@@ -314,9 +316,9 @@ def _goals(run: Path, seed: int, probe: Probe) -> Iterator[Row]:
 
 def _curve(run: Path, seed: int) -> Iterator[Row]:
     clock, rows = _clock(run), read_metrics(run)
-    tuned = ("env_steps",) * (clock == "step" and "env_steps" in rows[-1])
+    own = ("env_steps",) * (clock == "step" and "env_steps" in rows[-1])
     for row in rows:
         if "success/all" in row:
-            names = (*_CURVE[clock], *tuned)
+            names = (*_CURVE[clock], *own)
             values = {k.replace("/", "_"): row.get(k, math.nan) for k in names}
             yield {"seed": seed, clock: row[clock], **values}

@@ -51,12 +51,15 @@ def _read(run: Run) -> dict[str, Any]:
     clock = "updates" if "updates" in config.settings else "episodes"
     last = metrics[-1] if metrics else {}
     done = last.get("step", last.get("episode", 0))
+    trained = f"{done} of {config.settings.get(clock, '?')} {clock}"
+    if asked := config.settings.get("online_steps"):
+        trained = f"{done} updates, {last.get('env_steps', 0)} of {asked} own steps"
     cells = {
         "algorithm": config.algorithm,
         "task": config.task,
         "engine": config.engine,
         "dataset": config.dataset["id"] if config.dataset else None,
-        "trained": f"{done} of {config.settings.get(clock, '?')} {clock}",
+        "trained": trained,
     }
     if evaluation is None:
         return cells

@@ -30,7 +30,8 @@ class _Options:
     config: Annotated[Any, tyro.conf.arg(name="")]
 
     out: Path | None = None
-    """Folder of the runs; seed s goes to OUT/s; default runs/ALGORITHM."""
+    """Folder of the runs; seed s goes to OUT/s; default runs/ALGORITHM, with "-online"
+    if they start from others."""
 
     seeds: tuple[int, ...] = (0,)
     """Seeds of the runs, one run each: initial weights, batches, episodes."""
@@ -46,7 +47,7 @@ class Offline(_Options, training.Offline):
     dataset: str
     """Id, such as marl_mm/reach/pd-v0 or pd for short, or path; good-5k ships."""
 
-    start: Annotated[Path | None, tyro.conf.arg(name="from")] = None
+    start: Annotated[Path | None, tyro.conf.arg(aliases=("--from",))] = None
     """Run of the same algorithm, or folder of such runs by seed, to start from, with
     its dataset and settings where none are given: --online-steps goes on from there."""
 
@@ -76,6 +77,7 @@ def main(arguments: Sequence[str]) -> None:
     word = arguments[0] if arguments else ""
     named = value_of(arguments, "--preset", "")  # asks for that preset's values
     dataset = value_of(arguments, "--dataset", "")
+    start = value_of(arguments, "--from", value_of(arguments, "--start", ""))
     offline, online = names(online=False), names(online=True)
     commands: dict[str, Any] = {
         name: _subcommand(name, named if name == word and named else TUNED)
@@ -97,11 +99,10 @@ def main(arguments: Sequence[str]) -> None:
 
         out = Path(value_of(arguments, "--out", f"runs/{word}"))
         commands[word] = _subcommand(word, TUNED, saved_settings(out))
-    elif "--from" in arguments and word in offline and not named:
-        from marl_mm.runs.folder import started_settings
+    elif start and word in offline and not named:
+        from marl_mm.runs.starts import started_settings
 
-        start = started_settings(value_of(arguments, "--from", ""))
-        commands[word] = _subcommand(word, TUNED, start)
+        commands[word] = _subcommand(word, TUNED, started_settings(start))
     name, options = parse_subcommand(
         commands,
         "marl-mm train",
@@ -131,9 +132,9 @@ def _subcommand(name: str, started_from: str, saved: Any = None) -> Subcommand:
 
 def _train(name: str, options: Offline | Online) -> None:
     from marl_mm.progress import progress_bars
-    from marl_mm.runs.train import trained  # torch takes a second to import
+    from marl_mm.runs.train import default_out, trained  # torch takes a second
 
-    out = options.out or Path("runs") / name
+    out = options.out or default_out(name, vars(options))
     dataset = options.dataset if isinstance(options, Offline) else None
     results = []
     try:

@@ -23,7 +23,7 @@ from marl_mm.errors import (
 )
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.eval.metrics import EvaluationRow
-from marl_mm.files import new_file, refuse_existing, write_json
+from marl_mm.files import refuse_existing, write_json
 from marl_mm.plugins import record
 from marl_mm.received import check_kind, damage_named, read_json
 from marl_mm.runs.settings import check_seeds
@@ -55,6 +55,12 @@ def check_runs(training: Training, out: Path, seeds: Sequence[int]) -> None:
     """Raise a UsageError that names the first setting that makes no sense."""
     training.check()
     check_seeds(seeds)
+    start = training.start if isinstance(training, Offline) else None
+    if start is not None and len(seeds) > 1 and (Path(start) / CONFIG).exists():
+        raise UsageError(
+            f"`start` is a single run, {start}, and `seeds` are {len(seeds)}: expected "
+            "one, or a folder of runs by seed; its weights and batches go on"
+        )
     if training.resume and (out / CONFIG).exists():
         raise UsageError(
             f"{out} is a run itself: `out` {out.parent} `seeds` {out.name} resumes it"
@@ -88,12 +94,23 @@ def check_run(
         return
     if not ((run / FILE).exists() or (run / EVALUATION).exists()):
         return  # stopped before its first checkpoint, or before its turn
-    _refuse_other_plugins(run, config, training.allow_changed_plugin)
-    may_differ = ("preset", "device", "eval_episodes", "plugins")
+    refuse_other_plugins(run, config, training.allow_changed_plugin)
+    _refuse_first_online(run, config)
+    may_differ = ("preset", "device", "eval_episodes", "plugins", "start")
     refuse_other(run, config, (*may_differ, *(training.continued if further else ())))
 
 
-def _refuse_other_plugins(run: Path, config: RunConfig, allowed: bool) -> None:
+def _refuse_first_online(run: Path, config: RunConfig) -> None:
+    """Raise a UsageError for a run from a dataset alone that shall go on online."""
+    asked = config.settings.get("online_steps")
+    if asked and "online_steps" not in read_config(run).settings:
+        raise UsageError(
+            f"{run} was to end without own episodes: with `start` {run} and another "
+            f"`out` a run goes on from it for `online_steps` {asked}"
+        )
+
+
+def refuse_other_plugins(run: Path, config: RunConfig, allowed: bool) -> None:
     """Raise an OtherConfigError for a plug-in that is not the run's, by any name."""
     before, now = read_config(run).plugins, config.plugins
     if allowed or {*before.values()} == {*now.values()}:
@@ -156,8 +173,6 @@ def begin_run(run: Path, config: RunConfig, training: Training) -> None:
     """Make a run's folder, or note in it with what plug-ins and settings it goes on."""
     if not goes_on(run, training):
         start_run(run, config)
-        if isinstance(training, Offline) and training.start is not None:
-            _copy_start(start_of(training.start, config.seed), run)
         return
     names = training.continued
     settings = {n: config.settings[n] for n in names if n in config.settings}
@@ -166,43 +181,6 @@ def begin_run(run: Path, config: RunConfig, training: Training) -> None:
     if further != before:  # what was made of where it ended before goes
         _remove(run, *_MADE)
         write_json(run / CONFIG, further.to_json())
-
-
-def start_of(start: str | Path, seed: int) -> Path:
-    """Run that a seed starts from: the one that is named, or the seed's in a folder."""
-    named = Path(start)
-    return named if (named / CONFIG).exists() else named / str(seed)
-
-
-def check_start(training: Offline, seed: int) -> None:
-    """Raise a UsageError for a run that another cannot start from."""
-    if training.start is None:
-        return
-    start = start_of(training.start, seed)
-    if not (start / FILE).exists():
-        raise UsageError(
-            f"`start` is {str(training.start)!r}, and there is no checkpoint in "
-            f"{start}: expected the folder of a run, or of runs by seed"
-        )
-    before = read_config(start)
-    if before.algorithm != training.algorithm:
-        raise UsageError(
-            f"{start} is a run of {before.algorithm}, expected {training.algorithm}: "
-            "what it learnt is of no use to another"
-        )
-    if before.settings.get("online_steps"):
-        raise UsageError(
-            f"{start} has gone on online already: `resume=True` and more "
-            "`online_steps` go on there"
-        )
-
-
-def _copy_start(start: Path, run: Path) -> None:
-    """Copy what a run has learnt, and its record; the checkpoint last."""
-    for name in (METRICS, BEST, FILE):
-        if (start / name).exists():
-            with new_file(run / name) as temporary:
-                shutil.copyfile(start / name, temporary)
 
 
 def start_run(run: Path, config: RunConfig) -> None:
@@ -235,14 +213,6 @@ def saved_settings(out: Path) -> dict[str, Any]:
     if not seeds:
         return {}
     return settings_of(read_config(out / str(seeds[0]))) | {"seeds": seeds}
-
-
-def started_settings(start: str | Path) -> dict[str, Any]:
-    """Settings of the run that another starts from, or of the first of its folder."""
-    single = (Path(start) / CONFIG).exists()
-    return (
-        settings_of(read_config(Path(start))) if single else saved_settings(Path(start))
-    )
 
 
 def settings_of(config: RunConfig) -> dict[str, Any]:

@@ -30,7 +30,6 @@ from marl_mm.runs.folder import (
     EVALUATION,
     begin_run,
     check_run,
-    check_start,
     goes_on,
     read_config,
     read_evaluation,
@@ -38,6 +37,7 @@ from marl_mm.runs.folder import (
     task_of,
 )
 from marl_mm.runs.settings import check_positive
+from marl_mm.runs.starts import check_start, copy_start, start_of
 from marl_mm.runs.training import Offline, Online, Training
 from marl_mm.sim.config import default_engine, engine_of
 from marl_mm.sim.world import check_engine
@@ -74,18 +74,20 @@ def check_training(
     else:
         _check_online(training, dataset)
     for seed, run in runs.items():
-        if isinstance(training, Offline):
-            check_start(training, seed)
-        check_run(run, run_config(training, dataset, seed), training, further)
+        config = run_config(training, dataset, seed)
+        check_run(run, config, training, further)
         if goes_on(run, training):
             _check_end(training, run)
+        elif isinstance(training, Offline) and training.start is not None:
+            check_start(training, config, run)
     check_engine(training.engine or default_engine())
     if isinstance(training, Offline):  # refuses what it cannot learn from
         algorithm = algorithm_of(training, dataset, list(runs))
-        if training.fine_tuning.online_steps and not hasattr(algorithm, "observe"):
+        members = (hasattr(algorithm, name) for name in ("own", "observe"))
+        if training.fine_tuning.online_steps and not all(members):
             raise UsageError(
-                f"{algorithm.name} learns from a dataset only, as it has no `observe`: "
-                "expected `online_steps` 0"
+                f"{algorithm.name} learns from a dataset only, as it has no `own` and "
+                "`observe`: expected `online_steps` 0"
             )
 
 
@@ -112,6 +114,11 @@ def _check_offline(training: Offline, dataset: Dataset, fresh: bool) -> None:
         )
     task = task_of(training, dataset)
     refuse_other_layout(name, arrays.layout, task, make_task(task).layout)
+    if online_steps and task != dataset.provenance.task:
+        raise UsageError(
+            f"{name} is of {dataset.provenance.task}, expected {task} with "
+            "`online_steps`: their rewards differ"
+        )
 
 
 def _check_online(training: Training, demonstrations: Dataset | None) -> None:
@@ -140,23 +147,30 @@ def _check_online(training: Training, demonstrations: Dataset | None) -> None:
 def _check_end(training: Training, run: Path) -> None:
     """Raise if a run cannot go on to the updates or episodes asked for."""
     rows, clock = read_metrics(run), training.clock
-    tuned = [row for row in rows if "env_steps" in row and training.clock == "updates"]
-    rows = rows[: len(rows) - len(tuned)]
+    own = [row for row in rows if "env_steps" in row and clock == "updates"]
+    rows = rows[: len(rows) - len(own)]
     done = rows[-1][training.counter] if rows else 0
     asked = getattr(training.config, clock)
     if done > asked:
         raise UsageError(f"{run} has {done} {clock} already, `{clock}` is {asked}")
-    before = read_config(run).settings[clock]
-    if asked == before:
+    before = read_config(run).settings
+    if isinstance(training, Offline) and own:
+        steps = before["online_steps"], training.fine_tuning.online_steps
+        if steps[1] < steps[0]:
+            raise UsageError(
+                f"`online_steps` is {steps[1]}, but {run} was to take {steps[0]}: "
+                "expected as many, or more"
+            )
+    if asked == before[clock]:
         return
-    if tuned:
+    if own:
         raise UsageError(
             f"{run} has gone on online after {done} updates, `updates` is {asked}: "
             "expected as many; `online_steps` may grow"
         )
     if getattr(training.config, "q_weight_end", None) is not None:
         raise UsageError(
-            f"{run} was to end at {before} updates, and `q_weight_end` with it: "
+            f"{run} was to end at {before[clock]} updates, and `q_weight_end` with it: "
             f"`updates` {asked} needs a run of its own"
         )
     patience = training.schedule.patience if isinstance(training, Online) else 0
@@ -218,7 +232,10 @@ def begin_runs(
 ) -> None:
     """Make the folders of runs, or note in them what they go on with."""
     for seed, run in runs.items():
+        fresh = not goes_on(run, training)
         begin_run(run, run_config(training, dataset, seed), training)
+        if fresh and isinstance(training, Offline) and training.start is not None:
+            copy_start(start_of(training.start, seed), run)
 
 
 def train_run(

@@ -50,14 +50,15 @@ def train_seeds(
     # Those of an incomplete last round go beside the others: no core is idle then.
     processes = min(len(runs), training.workers + len(runs) % training.workers)
     offline = isinstance(training, Offline)
-    tuned = isinstance(training, Offline) and training.fine_tuning.online_steps
+    on_gpu = isinstance(training, Offline) and training.device == "cuda"
+    goes_online = isinstance(training, Offline) and training.fine_tuning.online_steps
     with ExitStack() as stack:
         for run in runs.values():
             stack.enter_context(only_here(run))
         begin_runs(training, dataset, runs)
-        if isinstance(training, Offline) and training.device == "cuda" and not tuned:
+        if on_gpu and not goes_online:
             parts: Iterable[_Trained] = _together(training, dataset, runs, bar)
-        elif offline and min(processes, training.workers) > 1:
+        elif offline and not on_gpu and min(processes, training.workers) > 1:
             parts = _apart(training, dataset, runs, processes, bar)
         else:
             parts = (_try(training, dataset, {s: run}, bar) for s, run in runs.items())

@@ -1,6 +1,6 @@
 """Train policies, from a dataset or from episodes of their own."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,11 @@ from marl_mm.runs.folder import (
     check_runs,
     saved_settings,
     settings_of,
-    started_settings,
 )
 from marl_mm.runs.run import Run
 from marl_mm.runs.seeds import train_seeds
 from marl_mm.runs.settings import with_settings, with_values
+from marl_mm.runs.starts import started_settings
 from marl_mm.runs.training import Offline, Online, training_of
 
 
@@ -39,8 +39,10 @@ def train(
         algorithm: Name of a registered algorithm.
         dataset: Dataset to learn from, its id or its path; none for an algorithm that
             learns from episodes of its own, which takes ``demonstrations``.
-        out: Folder of the runs: seed s goes to ``out/s``; default ``runs/ALGORITHM``.
-        seeds: Seeds of the runs; default 0, or when resuming those that exist.
+        out: Folder of the runs: seed s goes to ``out/s``; default ``runs/ALGORITHM``,
+            with "-online" if it starts from another.
+        seeds: Seeds of the runs; default 0, or when resuming those that exist, or
+            those of the runs that it starts from.
         preset: Preset of hyper-parameters; default tuned.
         config: Hyper-parameters in place of the preset's.
         progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
@@ -57,7 +59,7 @@ def train(
     training = training_of(algorithm, preset or TUNED)
     if out == "":
         raise UsageError("`out` is empty, expected a folder")
-    folder = Path(out) if out is not None else Path("runs") / algorithm
+    folder = Path(out) if out is not None else default_out(algorithm, settings)
     saved: dict[str, Any] = {}
     if settings.get("resume"):
         saved = saved_settings(folder)
@@ -137,6 +139,12 @@ def trained(
     if not isinstance(dataset, Dataset | None):
         dataset = load_dataset(dataset)
     return map(Run, train_seeds(training, dataset, runs, bar))
+
+
+def default_out(algorithm: str, settings: Mapping[str, Any]) -> Path:
+    """Folder of runs where none is named, not that of runs which they start from."""
+    end = "-online" if settings.get("start") else ""
+    return Path("runs") / f"{algorithm}{end}"
 
 
 def refuse_dataset(algorithm: str, dataset: object) -> None:

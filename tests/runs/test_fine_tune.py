@@ -7,16 +7,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 import marl_mm
 from marl_mm.algorithms.checkpoint import FILE, read_checkpoint
 from marl_mm.algorithms.fine_tune import fared
+from marl_mm.algorithms.matd3_bc import Matd3Bc
 from marl_mm.algorithms.offline_batches import OfflineBatches
 from marl_mm.algorithms.offline_learner import OfflineLearner
 from marl_mm.algorithms.runlog import METRICS, read_metrics
+from marl_mm.algorithms.td3_bc_additions import q_weight
+from marl_mm.algorithms.td3_bc_config import Td3BcConfig
+from marl_mm.cli import main
 from marl_mm.contracts.learners import some_episodes
 from marl_mm.envs.rollout import Rollouts
-from marl_mm.errors import OtherConfigError, UsageError
+from marl_mm.errors import DivergedError, OtherConfigError, UsageError
 from marl_mm.runs.run import Run
 from marl_mm.sim.world import check_engine
 from tests.algorithms.games import NoJudge
@@ -143,12 +148,98 @@ def test_what_cannot_go_on_is_refused_before_any_work(
             trained(name, tmp_path / "new", **{"online_steps": 20} | settings)
         assert not (tmp_path / "new").exists()
 
-    refused("no checkpoint in .*nowhere", start=tmp_path / "nowhere")
+    refused("nowhere', and there is no run", start=tmp_path / "nowhere")
     refused("is a run of matd3-bc, expected td3-bc", "td3-bc", start=whole.folder)
     refused("has gone on online already", start=whole.folder)
     refused("kept is 1.5, expected 0 to 1", kept=1.5)
-    refused("online_every is 0, expected >= 1", online_every=0)
+    refused("online_noise is nan", online_noise=float("nan"))
+    refused("online_steps is 1000000000000, expected at most", online_steps=10**12)
+    refused("is of Reach-v0, expected PreciseReach-v0", task="PreciseReach-v0")
+    refused("online_every is 0, expected > 0", online_every=0)
     refused("`updates` is 0 and `online_steps` too", "rlpd", updates=0, online_steps=0)
+
+
+@pytest.fixture(scope="module")
+def offline(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A hundred updates and no more."""
+    return trained("matd3-bc", tmp_path_factory.mktemp("offline"))
+
+
+def test_what_a_run_cannot_start_from_is_refused_and_stays(
+    offline: Run, tmp_path: Path
+) -> None:
+    """No folder is made; nothing of the start is touched, above all not overwritten."""
+    out, start = offline.folder.parent, offline.folder
+
+    def refused(words: str, **settings: Any) -> None:
+        asked = {"out": tmp_path / "new", "start": start, "online_steps": 20}
+        with pytest.raises((UsageError, OtherConfigError), match=words):
+            marl_mm.train("matd3-bc", **online() | asked | settings)
+        assert not (tmp_path / "new").exists()
+
+    before = {path: path.read_bytes() for path in start.iterdir() if path.is_file()}
+    refused("both .*: choose another `out`", out=out, overwrite=True)
+    refused("was made with q_weight = 0.5, expected 1", q_weight=1.0)
+    refused("was made with updates = 100, expected 50", updates=50)
+    refused("is a single run, .* `seeds` are 2", seeds=(0, 1))
+    with pytest.raises(UsageError, match="without own episodes: with `start`"):
+        marl_mm.train("matd3-bc", out=out, resume=True, online_steps=20)
+    other = marl_mm.collect("pd", dataset=tmp_path / "other", steps=30, engine="mujoco")
+    refused("learnt from .*good-5k", dataset=other)
+    assert before == {path: path.read_bytes() for path in before}
+
+
+def test_a_start_may_be_gone_once_the_run_has_its_own_checkpoint(
+    offline: Run, whole: Run, tmp_path: Path
+) -> None:
+    shutil.copytree(offline.folder, tmp_path / "start")
+    asked: dict[str, Any] = online() | {
+        "out": tmp_path / "runs",
+        "start": tmp_path / "start",
+    }
+    marl_mm.train("matd3-bc", online_steps=40, **asked)
+    shutil.rmtree(tmp_path / "start")
+    again: dict[str, Any] = {"resume": True, "out": tmp_path / "runs", "logger": ()}
+    marl_mm.train("matd3-bc", online_steps=60, **again)
+    assert same(tmp_path / "runs/0", whole.folder)
+    with pytest.raises(
+        UsageError, match=r"`online_steps` is 20, but .* was to take 60"
+    ):
+        marl_mm.train("matd3-bc", online_steps=20, **again)
+
+
+def test_the_command_takes_the_start_in_either_way(
+    offline: Run, whole: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["train", "matd3-bc", "--online-steps", "60", "--online-every", "20"]
+    words += ["--online-cycle", "2", "--out", str(tmp_path), "--workers", "1"]
+    assert main([*words, f"--from={offline.folder}", "--logger", "csv"]) == 0
+    assert same(tmp_path / "0", whole.folder)
+    capsys.readouterr()
+    assert main([*words, "--from", "nowhere"]) == 2
+    assert "there is no run" in capsys.readouterr().err
+
+
+def test_values_beyond_their_bounds_stop_a_run_online_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At its last checkpoint."""
+    diagnose = Matd3Bc.diagnose
+
+    def grown(self: Matd3Bc) -> dict[str, torch.Tensor]:
+        far = {"q/largest": torch.tensor([1e9])} if self.own[1] else {}
+        return diagnose(self) | far
+
+    monkeypatch.setattr(Matd3Bc, "diagnose", grown)
+    with pytest.raises(DivergedError, match=r"q/largest is 1e.09.*of env step 0"):
+        trained("matd3-bc", tmp_path, online_steps=20)
+    assert read_checkpoint(tmp_path / "0")["state"]["step"] == 100
+
+
+def test_a_weight_that_falls_stays_where_it_ends() -> None:
+    config = Td3BcConfig(updates=100, q_weight=2.5, q_weight_end=0.1)
+    weights = [q_weight(config, step) for step in (0, 50, 100, 260)]
+    assert weights == pytest.approx([2.5, 1.3, 0.1, 0.1])
 
 
 def test_updates_from_the_dataset_alone_cannot_grow_later(
@@ -194,6 +285,16 @@ def test_the_rest_is_the_discounted_return_of_the_episode() -> None:
     assert batches._steps["rest"] == pytest.approx(expected, rel=1e-5)
 
 
+def test_the_rest_of_an_episode_that_was_cut_off_is_not_known() -> None:
+    arrays = some_episodes()
+    ends = np.cumsum(arrays.lengths) - 1
+    cut = np.isin(np.arange(arrays.steps), ends[::2])
+    arrays = replace(arrays, truncated=cut, terminated=arrays.terminated & ~cut)
+    rest = OfflineBatches(arrays, 64, (0.0, 0.0), NoJudge(), [0])._steps["rest"]
+    of_cut = arrays.step_episode() % 2 == 0
+    assert np.isneginf(rest[of_cut]).all() and np.isfinite(rest[~of_cut]).all()
+
+
 def test_how_a_run_fares() -> None:
     success = [0.8, 0.5, 0.9, 0.96, 0.94]
     rows: list[Any] = [{"success/all": 0.1}]
@@ -201,5 +302,7 @@ def test_how_a_run_fares() -> None:
     measured = fared(rows)
     assert measured["online/dip"] == pytest.approx(0.3)
     assert measured["online/regret"] == pytest.approx(1 - np.mean(success))
-    assert measured["online/steps_to_95"] == 30
-    assert "online/steps_to_95" not in fared(rows[:4])
+    assert "online/steps_to_95" not in measured
+    assert fared(rows[:5])["online/steps_to_95"] == 30
+    assert fared([*rows, rows[4] | {"env_steps": 50}])["online/steps_to_95"] == 50
+    assert fared(rows[4:5])["online/steps_to_95"] == 30
