@@ -29,6 +29,6 @@ SEPARATION = Study(
     "Table: MABC, TD3+BC, MATD3+BC and IQL on datasets of tasks in which the team "
     "decides.",
     tuple(product((RECIPES.get(name).source for name in DATASETS), LEARNERS)),
-    seeds=3,
+    seeds=5,
 )
 """Study of the datasets."""
