@@ -76,7 +76,7 @@ def _seeds(candidate: Candidate) -> None:
 
 def _resumes(candidate: Candidate) -> None:
     straight = candidate.trained(some_episodes())
-    if hasattr(straight, "observe"):
+    if not candidate.online and hasattr(straight, "observe"):
         straight.observe(some_episodes(), 0.5)
         own = straight.own
         demand(min(own) > 0, f"it counts {own[0]} own episodes of {own[1]} steps")
