@@ -20,7 +20,8 @@ LEARNERS = tuple(
 """Algorithms that are compared."""
 
 DATASETS = (
-    *("quiet-zone-expert", "quiet-zone-noisy", "quiet-zone-explore"),
+    *("quiet-zone-expert", "quiet-zone-narrow", "quiet-zone-noisy"),
+    "quiet-zone-explore",
     *("gate-expert", "bar-noisy", "bar-conventions"),
 )
 """Names of their recipes."""
