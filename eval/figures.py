@@ -17,7 +17,10 @@ COLORS = {"forward": "#1b6ca8", "backward": "#c8553d", "all": "#333333"}
 
 
 def learning_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
-    """Success, imitation and, with critics, Q over updates of an offline run."""
+    """Success, imitation and, with critics, Q over updates of an offline run.
+
+    A dotted line is where it goes on online.
+    """
     critics = any("q/data" in row for row in metrics)
     figure = Figure(figsize=(9 + 3 * critics, 3.2), layout="constrained")
     success, imitation, *value = figure.subplots(1, 2 + critics)
@@ -31,10 +34,13 @@ def learning_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
         _plot(axis, metrics, "step", "q/policy", "of the policy")
         _plot(axis, metrics, "step", "q/data", "of the data")
         axis.set(ylabel="Q")
+    switches = [row["step"] for row in metrics if row.get("env_steps") == 0]
     for axis in (success, imitation, *value):
         axis.set_xlabel("updates")
         if axis.lines:
             axis.legend(frameon=False)
+        for step in switches:
+            axis.axvline(step, color="grey", linestyle=":")
     save(figure, path)
 
 
