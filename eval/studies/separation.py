@@ -21,7 +21,7 @@ LEARNERS = tuple(
 
 DATASETS = (
     *("quiet-zone-expert", "quiet-zone-narrow", "quiet-zone-noisy"),
-    "quiet-zone-explore",
+    *("quiet-zone-explore", "quiet-zone-stitch"),
     *("gate-expert", "bar-noisy", "bar-conventions"),
 )
 """Names of their recipes."""
