@@ -116,7 +116,11 @@ def _epoch(
         kept += each_seeds(algorithm, measured)
         policy = LearnedPolicy(algorithm.name, algorithm.agents(0), algorithm.layout)
         advance(steps, f"reached {100 * np.mean([e.success for e in listed]):.0f} %")
-    values = {key: float(np.mean([row[key] for row in kept])) for key in kept[0]}
+    names = dict.fromkeys(name for row in kept for name in row)
+    values = {  # a cycle of one update may leave the actors alone
+        name: float(np.mean([row[name] for row in kept if name in row]))
+        for name in names
+    }
     return {
         "step": algorithm.step,
         "env_steps": algorithm.own[1],

@@ -12,13 +12,13 @@ from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies import tuning
 from marl_mm.eval.studies.tuning import (
-    RANGES,
     TuningCell,
     TuningOptions,
     cells_of,
     draw_tuning,
     settings_of,
 )
+from marl_mm.eval.studies.tuning_ranges import RANGES
 
 GOES_ON_ONLINE = {"rlpd", "ma-rlpd", "cal-ql", "ma-cal-ql"}
 """Algorithms that are made for own episodes after the data."""

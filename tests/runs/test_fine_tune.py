@@ -137,6 +137,14 @@ def test_every_kind_of_actor_goes_on(name: str, tmp_path: Path) -> None:
     assert run.evaluated is not None
 
 
+def test_cycles_may_be_of_a_single_update(tmp_path: Path) -> None:
+    """Of which every second leaves the actors alone; their losses are of the others."""
+    one = {"max_steps": 1, "online_cycle": 1, "online_every": 5}
+    run = trained("matd3-bc", tmp_path, online_steps=5, updates=101, **one)
+    last = read_metrics(run.folder)[-1]
+    assert last["step"] == 106 and np.isfinite(last["loss/end_effector"])
+
+
 # --- What is refused ---------------------------------------------------------
 
 
