@@ -26,6 +26,7 @@ from marl_mm.eval.studies import sb3
 from marl_mm.eval.studies.study import BEST, LAST, Online, Probe, Setting
 from marl_mm.progress import Bar
 from marl_mm.runs import learning
+from marl_mm.runs.checks import check_training
 from marl_mm.runs.sources import Data
 from marl_mm.runs.training import Offline, Training
 from marl_mm.runs.training import Online as OnlineTraining
@@ -82,9 +83,9 @@ class Learner:
     def check(self, runs: Mapping[int, Path]) -> None:
         """Raise before any work is done for what would stop runs, by seed."""
         if not self.sb3:
-            learning.check_training(self.training, self.dataset, runs, further=False)
+            check_training(self.training, self.dataset, runs, further=False)
             return
-        learning.check_training(self._sb3, None, {})
+        check_training(self._sb3, None, {})
         for seed, run in runs.items():
             sb3.check_sb3_run(self._sb3, seed, run)
 

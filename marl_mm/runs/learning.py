@@ -1,4 +1,4 @@
-"""Runs that learn, from a dataset or online: what stops them, and their training."""
+"""Runs that learn, from a dataset or online: their training and evaluation."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -6,11 +6,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import torch
-
 from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.fine_tune import fine_tune
-from marl_mm.algorithms.online import is_flat, train_online
+from marl_mm.algorithms.online import train_online
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.algorithms.runlog import CurvePoint, read_metrics
@@ -19,167 +17,25 @@ from marl_mm.algorithms.train import resume, resume_seeds, train
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
-from marl_mm.errors import DatasetError, UsageError
+from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate, evaluate_with
 from marl_mm.files import only_here, write_json
-from marl_mm.layout_diff import refuse_other_layout
 from marl_mm.progress import Bar
 from marl_mm.runs.folder import (
     BEST_EVALUATION,
     CURVE,
     EVALUATION,
     begin_run,
-    check_run,
     goes_on,
-    read_config,
     read_evaluation,
     run_config,
     task_of,
 )
-from marl_mm.runs.settings import check_positive
-from marl_mm.runs.starts import check_start, copy_start, start_of
+from marl_mm.runs.starts import copy_start, start_of
 from marl_mm.runs.training import Offline, Online, Training
 from marl_mm.sim.config import default_engine, engine_of
-from marl_mm.sim.world import check_engine
 
 T = TypeVar("T", bound=Training)
-
-# --- What stops runs ---------------------------------------------------------
-
-
-def check_training(
-    training: Training,
-    dataset: Dataset | None,
-    runs: Mapping[int, Path],
-    further: bool = True,
-) -> None:
-    """Raise before any work is done for what would stop runs.
-
-    Args:
-        training: Settings of the runs.
-        dataset: Dataset to learn from, or to replay online, if any.
-        runs: Folders by seed.
-        further: Whether runs may go on further than they were to go.
-
-    Raises:
-        UsageError: If a setting makes no sense or a run exists.
-        DatasetError: If there is nothing to learn from.
-        OtherConfigError: If a run to resume was made otherwise.
-    """
-    check_positive(curve_episodes=training.curve_episodes)
-    if isinstance(training, Offline):
-        assert dataset is not None
-        fresh = not all(goes_on(run, training) for run in runs.values())
-        _check_offline(training, dataset, fresh)
-    else:
-        _check_online(training, dataset)
-    for seed, run in runs.items():
-        config = run_config(training, dataset, seed)
-        check_run(run, config, training, further)
-        if goes_on(run, training):
-            _check_end(training, run)
-        elif isinstance(training, Offline) and training.start is not None:
-            check_start(training, config, run)
-    check_engine(training.engine or default_engine())
-    if isinstance(training, Offline):  # refuses what it cannot learn from
-        algorithm = algorithm_of(training, dataset, list(runs))
-        members = (hasattr(algorithm, name) for name in ("own", "observe"))
-        if training.fine_tuning.online_steps and not all(members):
-            raise UsageError(
-                f"{algorithm.name} learns from a dataset only, as it has no `own` and "
-                "`observe`: expected `online_steps` 0"
-            )
-
-
-def _check_offline(training: Offline, dataset: Dataset, fresh: bool) -> None:
-    check_positive(curve_every=training.curve_every)
-    online_steps = training.fine_tuning.online_steps
-    if training.config.updates + online_steps == 0:
-        raise UsageError(
-            f"`updates` is 0 and `online_steps` too, expected one of them > 0: "
-            f"{training.algorithm} has nothing to learn from otherwise"
-        )
-    if training.device == "cuda" and not torch.cuda.is_available():
-        raise UsageError(
-            "`device` is cuda, but torch finds no such GPU: use `device` cpu, or "
-            "install a torch that is built for yours"
-        )
-    name, arrays = dataset.location.name, dataset.arrays
-    if training.require_success and fresh and not arrays.successes().any():
-        others = " (and `imitate` all)" if hasattr(training.config, "imitate") else ""
-        raise DatasetError(
-            f"none of the {len(arrays)} episodes of {name} reaches its goal, so that "
-            "there is nothing to imitate; with `require_success=False`"
-            f"{others} it is tried all the same"
-        )
-    task = task_of(training, dataset)
-    refuse_other_layout(name, arrays.layout, task, make_task(task).layout)
-    if online_steps and task != dataset.provenance.task:
-        raise UsageError(
-            f"{name} is of {dataset.provenance.task}, expected {task} with "
-            "`online_steps`: their rewards differ"
-        )
-
-
-def _check_online(training: Training, demonstrations: Dataset | None) -> None:
-    assert isinstance(training, Online)
-    longest = make_task(training.task, training.overrides).max_steps
-    if getattr(training.config, "capacity", longest) < longest:
-        raise UsageError(
-            f"`capacity` is {training.config.capacity}, expected at least an episode's "
-            f"{longest} steps"
-        )
-    ALGORITHMS.get(training.algorithm).check(training.config)
-    weight = getattr(training.config, "imitation_weight", 0.0)
-    if weight and demonstrations is None:
-        raise UsageError(
-            f"`imitation_weight` is {weight}, but there are no `demonstrations`: name "
-            "a dataset, or leave it at 0"
-        )
-    task = training.task if demonstrations is None else demonstrations.provenance.task
-    if task != training.task:
-        raise UsageError(
-            f"`demonstrations` {training.demonstrations} is of {task}, expected "
-            f"{training.task}: their rewards differ"
-        )
-
-
-def _check_end(training: Training, run: Path) -> None:
-    """Raise if a run cannot go on to the updates or episodes asked for."""
-    rows, clock = read_metrics(run), training.clock
-    own = [row for row in rows if "env_steps" in row and clock == "updates"]
-    rows = rows[: len(rows) - len(own)]
-    done = rows[-1][training.counter] if rows else 0
-    asked = getattr(training.config, clock)
-    if done > asked:
-        raise UsageError(f"{run} has {done} {clock} already, `{clock}` is {asked}")
-    before = read_config(run).settings
-    if isinstance(training, Offline) and own:
-        steps = before["online_steps"], training.fine_tuning.online_steps
-        if steps[1] < steps[0]:
-            raise UsageError(
-                f"`online_steps` is {steps[1]}, but {run} was to take {steps[0]}: "
-                "expected as many, or more"
-            )
-    if asked == before[clock]:
-        return
-    if own:
-        raise UsageError(
-            f"{run} has gone on online after {done} updates, `updates` is {asked}: "
-            "expected as many; `online_steps` may grow"
-        )
-    if getattr(training.config, "q_weight_end", None) is not None:
-        raise UsageError(
-            f"{run} was to end at {before[clock]} updates, and `q_weight_end` with it: "
-            f"`updates` {asked} needs a run of its own"
-        )
-    patience = training.schedule.patience if isinstance(training, Online) else 0
-    if is_flat(rows, patience):
-        raise UsageError(
-            f"{run} ended at episode {done}, as its success rate had been flat for "
-            f"{patience}: `patience` 0 goes on to `episodes` {asked} all the same"
-        )
-
 
 # --- Training ----------------------------------------------------------------
 

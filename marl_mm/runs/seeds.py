@@ -12,9 +12,9 @@ from marl_mm.datasets.dataset import Dataset
 from marl_mm.errors import DivergedError, WorkerDiedError
 from marl_mm.files import only_here
 from marl_mm.progress import Bar, distant_bars, show_distant_bars
+from marl_mm.runs.checks import check_training
 from marl_mm.runs.learning import (
     begin_runs,
-    check_training,
     on_engine,
     train_runs,
     with_exact_precision,
