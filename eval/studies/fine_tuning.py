@@ -10,23 +10,24 @@ from marl_mm.runs.recipes import RECIPES
 from marl_mm.runs.sources import Source
 
 OWN = FineTuning(online_steps=5_000)
-"""Own episodes of all ways but those with more updates."""
+"""Own episodes of all ways but RLPD, which makes more updates."""
 
 _SHARED: dict[str, Any] = {"curve_every": 5_000, "curve_goals": 50}
 
 WAYS = (
     Setting(
         "td3-bc-kept",
-        "TD3+BC, data kept",
+        "TD3+BC",
         changes={"updates": 5_000},
         fine_tuning=OWN,
         **_SHARED,
     ),
     Setting(
-        "td3-bc-alone",
-        "TD3+BC, data left",
+        "matd3-bc-kept",
+        "MATD3+BC",
+        "matd3-bc",
         changes={"updates": 5_000},
-        fine_tuning=FineTuning(online_steps=5_000, kept=0.0),
+        fine_tuning=OWN,
         **_SHARED,
     ),
     Setting(
