@@ -39,21 +39,22 @@ class BestOfN(InSampleLearner):
         batch = self._batches.next()
         self.step += 1
         state = self.normalizer(batch.observation)
-        time, proposing = batch.extra[..., :1], batch.extra[..., 1:]
+        some = slice(self.config.picked)
+        time, proposing = batch.extra[..., :1], batch.extra[:, some, 1:]
 
         _, losses = self._learn_values(state, batch)
         losses["flow"] = self.flow.imitate(state, batch, batch.noise, time)
-        best = self._picked(state, proposing)
-        losses |= self._imitate(state, best, batch.imitated)
+        state, imitated = state[:, some], batch.imitated[:, some]
+        losses |= self._imitate(state, self._picked(state, proposing), imitated)
         return {f"loss/{name}": loss.detach() for name, loss in losses.items()}
 
     @torch.no_grad()
     def _picked(self, state: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
-        """Best joint action of n that the flow proposes, shape (S, B, k).
+        """Best joint action of n that the flow proposes, shape (S, b, k).
 
         Args:
-            state: Normalised joint states, shape (S, B, d).
-            noise: Where the flow begins, shape (S, B, n k).
+            state: Normalised joint states, shape (S, b, d).
+            noise: Where the flow begins, shape (S, b, n k).
         """
         samples = self.config.samples
         many = state.repeat_interleave(samples, dim=1)

@@ -14,6 +14,10 @@ class BestOfNConfig(CriticConfig):
     samples: int = 16
     """Actions that the flow proposes for each state, n."""
 
+    picked: int = 64
+    """Number of a batch's states for which actions are proposed and the best is cloned:
+    it takes most of an update's time."""
+
     expectile: float = 0.7
     """Expectile of V's loss, tau (Kostrikov 2022, Sec. 5)."""
 
@@ -22,7 +26,7 @@ class BestOfNConfig(CriticConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_ranges(self, ("samples", "flow_steps"), (), ("expectile",))
+        check_ranges(self, ("samples", "picked", "flow_steps"), (), ("expectile",))
 
 
 ALGORITHMS.add(

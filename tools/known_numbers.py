@@ -9,12 +9,11 @@ our environment, with the extra "bench" and ``pip install glfw imageio``:
 In an environment of its own (Python 3.11; d3rlpy==2.8.1, torch==2.13.0, numpy==2.4.6,
 mujoco==3.3.0, glfw, imageio):
 
-    python tools/known_numbers.py d3rlpy hopper.npz
+    PYTHONPATH=. python tools/known_numbers.py d3rlpy hopper.npz
 
 Both write eval/results/known.csv, a row per implementation, algorithm and seed. What is
-there is not run again. Both have the same networks, rates, batches and number of
-updates; the last policy is evaluated. What stays different: d3rlpy's actors of IQL and
-CQL are Gaussian, that of CQL is SAC's, ours give one action and CQL's is TD3's.
+there is not run again. Both have the settings of ``marl_mm.eval.bench.matched`` and the
+same number of updates; the last policy is evaluated.
 """
 
 import csv
@@ -28,38 +27,14 @@ import gymnasium
 import numpy as np
 import torch
 
+from marl_mm.eval.bench.d3rlpy_reference import NAMES, algorithm, episodes, replay
+
 TASK = "Hopper-v5"
 STEPS = 50_000
 """Steps of SAC, and of the file."""
 
 UPDATES, SEEDS, EPISODES = 10_000, range(5), 10
-RATE, DISCOUNT, HIDDEN, BATCH = 3e-4, 0.99, (256, 256), 256
 FILE = Path(__file__).resolve().parents[1] / "eval/results/known.csv"
-
-SHARED: dict[str, Any] = {
-    "updates": UPDATES,
-    "batch_size": BATCH,
-    "hidden": HIDDEN,
-    "discount": DISCOUNT,
-    "future": 0.0,
-    "elsewhere": 0.0,
-    "clip_targets": False,
-    "layer_norm": False,
-}
-OURS: dict[str, dict[str, Any]] = {
-    "bc": {"learning_rate": RATE},
-    "td3-bc": {
-        **{"actor_learning_rate": RATE, "critic_learning_rate": RATE},
-        **{"q_weight": 2.5, "imitate": "all", "imitation_scaled": False},
-    },
-    "iql": {"learning_rate": RATE, "expectile": 0.7, "temperature": 3.0},
-    "rebrac": {"learning_rate": RATE, "actor_weight": 0.05, "critic_weight": 0.01},
-    "cql": {
-        **{"learning_rate": RATE, "conservatism": 5.0, "samples": 10},
-        "penalized": BATCH,
-    },
-}
-"""Hyper-parameters of ours beside those that all share."""
 
 Act = Callable[[np.ndarray], np.ndarray]
 
@@ -83,18 +58,6 @@ def collect(path: Path) -> None:
     )
 
 
-def episodes(path: Path) -> list[dict[str, np.ndarray]]:
-    """Episodes of the file; the last one, which is not finished, is left out."""
-    with np.load(path) as file:
-        arrays = {name: file[name] for name in file.files}
-    ends = np.flatnonzero(arrays["ended"]) + 1
-    parts = {name: np.split(array, ends)[:-1] for name, array in arrays.items()}
-    return [
-        {name: part[number] for name, part in parts.items()}
-        for number in range(len(ends))
-    ]
-
-
 def mean_return(act: Act) -> float:
     """Mean return of some episodes, the same for all."""
     env, returns = gymnasium.make(TASK), []
@@ -108,9 +71,6 @@ def mean_return(act: Act) -> float:
             returns[-1] += float(reward)
             ended = terminated or truncated
     return float(np.mean(returns))
-
-
-# --- Ours --------------------------------------------------------------------
 
 
 def our_arrays(path: Path) -> Any:
@@ -160,86 +120,34 @@ class NoJudge:
 
 def ours(path: Path, name: str, seed: int) -> Act:
     """Train one of ours."""
-    from dataclasses import fields, replace
-
-    from marl_mm.algorithms.registry import ALGORITHMS, preset
     from marl_mm.algorithms.speed import prepare_for_small_networks
+    from marl_mm.eval.bench.matched import learner, matched
 
     prepare_for_small_networks()
-    default = preset(name)
-    known = {field.name for field in fields(default)}
-    settings = {key: value for key, value in SHARED.items() if key in known}
-    config = replace(default, **settings | OURS[name], precision="highest")
-    learner = ALGORITHMS.get(name).learner(
-        config, our_arrays(path), NoJudge(), [seed], "cpu"
-    )
+    config = matched(name, updates=UPDATES, precision="highest")
+    made = learner(name, config, our_arrays(path), NoJudge(), seed)
     for _ in range(UPDATES):
-        learner.update()
-    (agent,) = learner.agents(0).values()
+        made.update()
+    (agent,) = made.agents(0).values()
     return lambda observation: agent.plan(observation)[0]
-
-
-# --- d3rlpy's ----------------------------------------------------------------
 
 
 def theirs(path: Path, name: str, seed: int) -> Act:
     """Train one of d3rlpy's."""
     import d3rlpy
-    from d3rlpy.models.encoders import VectorEncoderFactory
-    from d3rlpy.preprocessing import StandardObservationScaler
 
     torch.set_num_threads(1)
     d3rlpy.seed(seed)
-    net = VectorEncoderFactory([*HIDDEN])
-    shared: dict[str, Any] = {
-        "batch_size": BATCH,
-        "gamma": DISCOUNT,
-        "observation_scaler": StandardObservationScaler(),
-    }
-    pair: dict[str, Any] = {
-        **{"actor_learning_rate": RATE, "critic_learning_rate": RATE},
-        **{"actor_encoder_factory": net, "critic_encoder_factory": net},
-    }
-    algos = d3rlpy.algos
-    configs: dict[str, Any] = {
-        "bc": lambda: algos.BCConfig(learning_rate=RATE, encoder_factory=net, **shared),
-        "td3-bc": lambda: algos.TD3PlusBCConfig(alpha=2.5, **pair, **shared),
-        "iql": lambda: algos.IQLConfig(value_encoder_factory=net, **pair, **shared),
-        "rebrac": lambda: algos.ReBRACConfig(
-            actor_beta=0.05, critic_beta=0.01, **pair, **shared
-        ),
-        "cql": lambda: algos.CQLConfig(
-            conservative_weight=5.0,
-            initial_alpha=1.0,
-            alpha_learning_rate=0,
-            **pair,
-            **shared,
-        ),
-    }
-    data = d3rlpy.dataset.create_infinite_replay_buffer(
-        [
-            d3rlpy.dataset.Episode(
-                e["observation"],
-                e["action"],
-                e["reward"][:, None],
-                terminated=bool(e["terminated"][-1]),
-            )
-            for e in episodes(path)
-        ]
-    )
-    algorithm = configs[name]().create(device="cpu:0")
-    algorithm.fit(
-        data,
+    made = algorithm(name)
+    made.fit(
+        replay(path),
         n_steps=UPDATES,
         n_steps_per_epoch=UPDATES,
         show_progress=False,
         save_interval=10**9,
         logger_adapter=d3rlpy.logging.NoopAdapterFactory(),
     )
-    return lambda observation: algorithm.predict(observation[None])[0]
-
-
-# --- Rows --------------------------------------------------------------------
+    return lambda observation: made.predict(observation[None])[0]
 
 
 def kept() -> list[dict[str, str]]:
@@ -259,7 +167,7 @@ def main() -> None:
     train = {"ours": ours, "d3rlpy": theirs}[what]
     digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
     for seed in SEEDS:
-        for name in OURS:
+        for name in NAMES:
             rows = kept()
             key = {"from": what, "algorithm": name, "seed": str(seed), "file": digest}
             if any(all(row[k] == v for k, v in key.items()) for row in rows):

@@ -13,6 +13,7 @@ from study_tables import (
     fine_tuning_table,
     goals_table,
     hindsight_in_words,
+    known_table,
     separation_table,
     steps_table,
     updates_table,
@@ -263,6 +264,10 @@ def _drawn() -> str:
     return f"{table}\nReward of a failure, which ends the episode: {costs}.\n"
 
 
+def _known() -> str:
+    return known_table(read_rows(RESULTS / "known.csv"))
+
+
 _PAPER, _DIFFERENCE = "paper [%]", "difference [points]"
 
 _NOT_LONG = ("d_mm [m]", "d_mp [m]", "alpha", CRITICS["q_slope"])
@@ -331,6 +336,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "coordination-levels": partial(_drawn_from, TEAMS, levels_table),
     "recipes": _recipes,
     "offline-updates": _offline_updates,
+    "known": _known,
     "goals": goals_table,
 }
 """Name of the marks, and what stands between them."""

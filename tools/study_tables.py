@@ -106,6 +106,26 @@ def separation_table(summary: Sequence[Row]) -> str:
     return markdown_table(["dataset", *about.values(), *ends], lines)
 
 
+def known_table(rows: Sequence[Row]) -> str:
+    """Returns of ours and d3rlpy's on the same file, as Markdown."""
+    lines = []
+    for algorithm, some in grouped(rows, "algorithm").items():
+        returns = {
+            maker: [float(row["return"]) for row in made]
+            for maker, made in grouped(some, "from").items()
+        }
+        spans = {maker: mean_interval(values) for maker, values in returns.items()}
+        (low, high), (their_low, their_high) = spans["ours"], spans["d3rlpy"]
+        cells = (
+            f"{np.mean(returns[maker]):.0f} [{spans[maker][0]:.0f}, "
+            f"{spans[maker][1]:.0f}]"
+            for maker in ("ours", "d3rlpy")
+        )
+        overlap = "yes" if low <= their_high and their_low <= high else "no"
+        lines.append((f"`{algorithm}`", *cells, overlap))
+    return markdown_table(("algorithm", "ours", "d3rlpy's", "overlap"), lines)
+
+
 def _of_seeds(row: Row) -> list[float]:
     """Success rates of a row's seeds [%]."""
     return [float(rate) for rate in str(row["success_seeds"]).split()]

@@ -1,4 +1,4 @@
-"""Offline learning: updates per second beside the authors' TD3+BC; several seeds.
+"""Offline learning: updates per second of all learners beside others'; several seeds.
 
 All learn from the dataset that ships, with batches of 256 and two layers of 256, and
 take turns, so that a noisy machine is as noisy for each.
@@ -6,21 +6,18 @@ take turns, so that a noisy machine is as noisy for each.
 
 import subprocess
 import sys
-from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
+from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 import psutil
+import torch
 
-from marl_mm.algorithms.mabc import Mabc
-from marl_mm.algorithms.mabc_config import MabcConfig
-from marl_mm.algorithms.matd3_bc import Matd3Bc
-from marl_mm.algorithms.matd3_bc_config import Matd3BcConfig
-from marl_mm.algorithms.registry import preset
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER
 from marl_mm.algorithms.speed import matrix_products, prepare_for_small_networks
 from marl_mm.algorithms.td3_bc import Td3Bc
 from marl_mm.algorithms.td3_bc_config import Td3BcConfig
@@ -28,59 +25,85 @@ from marl_mm.datasets.location import SHIPPED
 from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import MarlMmError
+from marl_mm.eval.bench import d3rlpy_reference
+from marl_mm.eval.bench.d3rlpy_process import Rate, learners_of, named
+from marl_mm.eval.bench.matched import learner, matched, with_settings
 from marl_mm.eval.bench.td3_bc_reference import PlainTd3Bc
-from marl_mm.progress import Advance, silent
+from marl_mm.progress import Advance, Bar, silent
 from marl_mm.workers import available_cores
 
 AUTHORS = "td3-bc, its authors' restated"
 AUTHORS_AUTO = f"{AUTHORS}, --precision auto"
 PLAIN = "td3-bc, no more than theirs"
 PLAIN_HIGHEST = f"{PLAIN}, --precision highest"
-HIGHEST = "td3-bc, --precision highest"
 
 HIDDEN = (256, 256)
 
-LEARNERS = 8
-"""Number of timed learners."""
+THREADS = (1, 2)
+"""Numbers of threads that updates are timed with."""
 
-_TURN = 100
+_TURN = 50
 """Updates until it is another's turn."""
 
 _LOOK_EVERY = 0.5
 """Time between measurements of a command's memory [s]."""
 
-MANY = 32
+MANY = 16
 """Seeds that learn side by side on a GPU."""
 
 
 def bench_offline(
-    updates: int, seed: int = 0, advance: Advance = silent
+    updates: int, seed: int, d3rlpy: Path | None, bar: Bar
 ) -> dict[str, Any]:
-    """Updates per second of each learner, and ours over the authors'.
+    """Updates per second of each learner, and ours over others'.
 
     Args:
-        updates: Number of updates of each algorithm, in turns.
+        updates: Number of updates of each algorithm and number of threads, in turns.
         seed: Seed of networks and batches.
-        advance: Called with the number of finished updates.
+        d3rlpy: Python of an environment with d3rlpy, which then takes part.
+        bar: Factory of the progress bar.
+
+    Raises:
+        UsageError: If that Python is not there, or has no d3rlpy.
     """
     prepare_for_small_networks()
-    learners = _learners(seed)
-    rates: dict[str, list[float]] = {name: [] for name in learners}
-    for turn in range(-1, max(1, updates // _TURN)):
-        for name, update in learners.items():
-            rate = _rate(update, _TURN)
-            if turn >= 0:  # the first one warms caches
-                rates[name].append(rate)
-                advance(_TURN, name)
-    authors = np.array(rates[AUTHORS])
+    each = min(_TURN, updates)
+    with ExitStack() as stack:
+        theirs = stack.enter_context(learners_of(d3rlpy)) if d3rlpy else {}
+        learners, references = _learners(seed)
+        learners |= theirs
+        keys = [(threads, name) for threads in THREADS for name in learners]
+        advance = bar("bench offline", len(keys) * updates)
+        rates: dict[tuple[int, str], list[float]] = {key: [] for key in keys}
+        for turn in range(-1, updates // each):
+            for threads, name in keys:
+                rate = learners[name](each, threads)
+                if turn >= 0:  # the first one warms caches
+                    rates[threads, name].append(rate)
+                    advance(each, name)
+    torch.set_num_threads(1)
     return {
-        "updates_per_second": {name: float(np.median(r)) for name, r in rates.items()},
-        "over_authors": {
-            name: float(np.median(np.array(rates[name]) / authors))
-            for name in rates
-            if name != AUTHORS
-        },
+        f"threads_{threads}": {
+            name: {"updates_per_second": float(np.median(rates[threads, name]))}
+            | _over(rates, threads, name, references.get(name))
+            for name in learners
+        }
+        for threads in THREADS
     }
+
+
+def _over(
+    rates: Mapping[tuple[int, str], list[float]],
+    threads: int,
+    name: str,
+    reference: str | None,
+) -> dict[str, Any]:
+    """Median of the ratios of turns to a reference's; empty without."""
+    if (threads, reference) not in rates:
+        return {}
+    assert reference is not None
+    ratios = np.array(rates[threads, name]) / np.array(rates[threads, reference])
+    return {"reference": reference, "over_reference": float(np.median(ratios))}
 
 
 def bench_seeds(
@@ -95,7 +118,7 @@ def bench_seeds(
         advance: Called with the number of trained seeds.
 
     Returns:
-        Seconds of each command, the throughput of several seeds over that of one, and
+        Seconds of each command, what several seeds cost over one, and
         the most memory of all processes [MiB], where shared memory counts once.
     """
     walls: dict[int, list[float]] = {1: [], seeds: []}
@@ -113,7 +136,7 @@ def bench_seeds(
         "cores": available_cores(),
         "one_s": single,
         "several_s": several,
-        "throughput_over_one": seeds * single / several,
+        "cost_over_one": several / single,
         "one_memory_mib": memory[1],
         "several_memory_mib": memory[seeds],
     }
@@ -188,29 +211,42 @@ def _memory(process: psutil.Process) -> float:
     return total / 2**20
 
 
-def _learners(seed: int) -> dict[str, Callable[[], object]]:
+def _learners(seed: int) -> tuple[dict[str, Rate], dict[str, str]]:
+    """What is timed beside d3rlpy's, and what each is compared with."""
     arrays, rewards = shipped_arrays(), make_task()
-    tuned, plain = Td3BcConfig(hidden=HIDDEN), plain_config()
-    others = Matd3BcConfig(hidden=HIDDEN)
-    cloning = MabcConfig(hidden=HIDDEN)
-    auto = matrix_products("auto")  # as a decorator
-    return {
+    plain, auto = plain_config(), matrix_products("auto")  # as a decorator
+    steps: dict[str, Callable[[], object]] = {
         AUTHORS: PlainTd3Bc(arrays, plain, seed).update,
         AUTHORS_AUTO: auto(PlainTd3Bc(arrays, plain, seed).update),
         PLAIN: auto(Td3Bc(plain, arrays, rewards, [seed]).update),
         PLAIN_HIGHEST: Td3Bc(plain, arrays, rewards, [seed]).update,
-        "td3-bc": auto(Td3Bc(tuned, arrays, rewards, [seed]).update),
-        HIGHEST: Td3Bc(tuned, arrays, rewards, [seed]).update,
-        "matd3-bc": auto(Matd3Bc(others, arrays, rewards, [seed]).update),
-        "mabc": auto(Mabc(cloning, arrays, rewards, [seed]).update),
     }
+    references = dict.fromkeys((AUTHORS_AUTO, PLAIN, PLAIN_HIGHEST), AUTHORS)
+    for name in d3rlpy_reference.NAMES:
+        label = f"{name}, as d3rlpy's"
+        steps[label] = auto(learner(name, matched(name), arrays, rewards, seed).update)
+        references[label] = named(name)
+    settings = {"hidden": HIDDEN, "batch_size": d3rlpy_reference.BATCH}
+    for name in ALGORITHMS.names():
+        if not ALGORITHMS.get(name).online:
+            config = with_settings(name, settings)
+            steps[name] = auto(learner(name, config, arrays, rewards, seed).update)
+    return {name: _timed(update) for name, update in steps.items()}, references
+
+
+def _timed(update: Callable[[], object]) -> Rate:
+    def rate(updates: int, threads: int) -> float:
+        torch.set_num_threads(threads)
+        return _rate(update, updates)
+
+    return rate
 
 
 def plain_config() -> Td3BcConfig:
     """Our settings that match the authors' code."""
-    config = preset("td3-bc", "paper")
+    config = with_settings("td3-bc", {"hidden": HIDDEN}, PAPER)
     assert isinstance(config, Td3BcConfig)
-    return replace(config, hidden=HIDDEN)
+    return config
 
 
 def _rate(update: Callable[[], object], updates: int) -> float:

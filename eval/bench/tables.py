@@ -84,18 +84,36 @@ def bench_table(result: Mapping[str, Any]) -> str:
 
 
 def offline_speed_table(result: Mapping[str, Any]) -> str:
-    """Updates per second of offline learners, and over the authors', as Markdown."""
-    offline, seeds = result["offline"], result["seeds"]
-    over = offline["over_authors"]
+    """Updates per second of offline learners, and over others', as Markdown."""
+    timings, seeds = result["offline"], result["seeds"]
+    numbers = [key.removeprefix("threads_") for key in timings]
+    first = next(iter(timings.values()))
+
+    def cells(name: str) -> list[str]:
+        rows = [timing[name] for timing in timings.values()]
+        rates = [f"{row['updates_per_second']:.0f}" for row in rows]
+        ratios = [
+            f"{row['over_reference']:.2f}" if "reference" in row else "" for row in rows
+        ]
+        return [cell for pair in zip(rates, ratios, strict=True) for cell in pair]
+
     lines = [
-        (name, f"{rate:.0f}", f"{over.get(name, 1):.2f}")
-        for name, rate in offline["updates_per_second"].items()
+        (name, row.get("reference", ""), *cells(name)) for name, row in first.items()
     ]
-    label = f"{seeds['seeds']} seeds in one command on {seeds['cores']} cores"
-    ratio = f"{seeds['throughput_over_one']:.2f} times one seed's"
+    header = [
+        f"{part}, threads: {number}"
+        for number in numbers
+        for part in ("updates per second", "over reference")
+    ]
+    table = markdown_table(("learner", "reference", *header), lines)
+    count, cores = seeds["seeds"], seeds["cores"]
     single, several = (round(seeds[f"{n}_memory_mib"]) for n in ("one", "several"))
-    lines.append((label, ratio, f"{several} MiB of memory, one seed {single}"))
-    return markdown_table(("one thread", "updates per second", "over authors'"), lines)
+    return (
+        f"{table}\n\nOne command with {count} seeds of TD3+BC on {cores} cores takes "
+        f"{seeds['cost_over_one']:.2f} times as long as with one "
+        f"({seeds['several_s']:.0f} s, {seeds['one_s']:.0f} s), and {several} MiB of "
+        f"memory ({single} MiB)."
+    )
 
 
 def data_table(result: Mapping[str, Any]) -> str:

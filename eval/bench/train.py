@@ -1,16 +1,12 @@
 """Costs of learning: online and offline learners beside others', and many seeds."""
 
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import torch
 
-from marl_mm.eval.bench.offline import (
-    LEARNERS,
-    bench_offline,
-    bench_seeds,
-    bench_side_by_side,
-)
+from marl_mm.eval.bench.offline import bench_offline, bench_seeds, bench_side_by_side
 from marl_mm.eval.bench.online import bench_online, bench_success
 from marl_mm.progress import Bar
 
@@ -19,7 +15,12 @@ _TURN = 100
 
 
 def bench_train(
-    updates: int, env_steps: int, seeds: int, seed: int, bar: Bar
+    updates: int,
+    env_steps: int,
+    seeds: int,
+    seed: int,
+    d3rlpy: Path | None,
+    bar: Bar,
 ) -> dict[str, Any]:
     """Updates per second of all learners; success online; several seeds at once.
 
@@ -32,6 +33,7 @@ def bench_train(
             of success; 0 leaves it out.
         seeds: Seeds of one command, compared with a single one; 1 leaves it out.
         seed: Seed of networks and episodes.
+        d3rlpy: Python of an environment with d3rlpy, which then takes part.
         bar: Progress of each part.
     """
     sb3 = find_spec("stable_baselines3") is not None
@@ -41,8 +43,7 @@ def bench_train(
     if env_steps > 0:
         advance = bar("bench success", env_steps * (2 if sb3 else 1))
         result["success"] = bench_success(env_steps, seed, sb3=sb3, advance=advance)
-    advance = bar("bench offline", updates * LEARNERS)
-    result["offline"] = bench_offline(updates, seed, advance)
+    result["offline"] = bench_offline(updates, seed, d3rlpy, bar)
     if seeds > 1:
         advance = bar("bench seeds", 2 * (1 + seeds))
         result["seeds"] = bench_seeds(updates, seeds, advance=advance)

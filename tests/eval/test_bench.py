@@ -1,16 +1,18 @@
 """The benchmark's numbers belong together; abuse is counted and limits hold."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
+from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.algorithms.td3_bc import Td3Bc
 from marl_mm.control.config import Form
 from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.registry import make_task
-from marl_mm.errors import MarlMmError
+from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.bench import learning
 from marl_mm.eval.bench.abuse import abuse
 from marl_mm.eval.bench.control import bench_control
@@ -18,7 +20,7 @@ from marl_mm.eval.bench.env import bench_env
 from marl_mm.eval.bench.learning import bench_learning
 from marl_mm.eval.bench.offline import (
     AUTHORS,
-    LEARNERS,
+    PLAIN,
     bench_offline,
     bench_seeds,
     bench_side_by_side,
@@ -26,7 +28,7 @@ from marl_mm.eval.bench.offline import (
 )
 from marl_mm.eval.bench.online import bench_online, bench_success
 from marl_mm.eval.bench.td3_bc_reference import PlainTd3Bc
-from marl_mm.progress import silent_bar
+from marl_mm.progress import Advance, silent_bar
 from marl_mm.sim.config import Engine
 
 
@@ -152,13 +154,35 @@ def test_bench_success_compares_success_after_equal_steps() -> None:
 
 @pytest.mark.slow
 def test_bench_offline_times_all_in_turns() -> None:
-    counts: list[int] = []
-    result = bench_offline(100, advance=lambda done, note: counts.append(done))
-    rates = result["updates_per_second"]
-    assert len(rates) == LEARNERS and min(rates.values()) > 0
-    assert sum(counts) == 100 * LEARNERS
-    ratio = rates["mabc"] / rates[AUTHORS]
-    assert result["over_authors"]["mabc"] == pytest.approx(ratio)  # of a single turn
+    counts: dict[str, int] = {}
+
+    def bar(label: str, total: int) -> Advance:
+        counts["planned"] = total
+
+        def advance(done: int, note: str = "") -> None:
+            counts[note] = counts.get(note, 0) + done
+
+        return advance
+
+    timings = bench_offline(3, 0, None, bar)
+    planned = counts.pop("planned")
+    assert set(counts.values()) == {2 * 3} and planned == sum(counts.values())
+    offline = {n for n in ALGORITHMS.names() if not ALGORITHMS.get(n).online}
+    for timing in timings.values():
+        assert offline < set(timing) == set(counts)
+        rates = {name: row["updates_per_second"] for name, row in timing.items()}
+        assert min(rates.values()) > 0
+        ratio = rates[PLAIN] / rates[AUTHORS]
+        row = timing[PLAIN]  # of a single turn
+        assert row["over_reference"] == pytest.approx(ratio)
+        assert row["reference"] == AUTHORS
+
+
+def test_a_python_without_d3rlpy_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"no d3rlpy that works: .*d3rlpy"):
+        bench_offline(3, 0, Path(sys.executable), silent_bar)
+    with pytest.raises(UsageError, match="/nowhere does not run: No such file"):
+        bench_offline(3, 0, Path("/nowhere"), silent_bar)
 
 
 @pytest.mark.slow
@@ -169,8 +193,8 @@ def test_bench_seeds_runs_the_command(
     result = bench_seeds(100, 2, 1, lambda done, note: counts.append(done))
     assert counts == [1, 2]
     assert min(result["one_memory_mib"], result["several_memory_mib"]) > 100
-    expected = 2 * result["one_s"] / result["several_s"]
-    assert result["throughput_over_one"] == pytest.approx(expected)
+    expected = result["several_s"] / result["one_s"]
+    assert result["cost_over_one"] == pytest.approx(expected)
     monkeypatch.setenv("MINARI_DATASETS_PATH", "/proc/nowhere")
     with pytest.raises(MarlMmError, match=r"train td3-bc .* failed: marl-mm: "):
         bench_seeds(100, 2, 1)
