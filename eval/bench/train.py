@@ -14,6 +14,10 @@ _TURN = 100
 """Updates of a turn; their number is rounded up to whole turns."""
 
 
+_LONGER = 10
+"""Factor of the updates of each seed of a command, which takes seconds to begin."""
+
+
 def bench_train(
     updates: int,
     env_steps: int,
@@ -46,7 +50,7 @@ def bench_train(
     result["offline"] = bench_offline(updates, seed, d3rlpy, bar)
     if seeds > 1:
         advance = bar("bench seeds", 2 * (1 + seeds))
-        result["seeds"] = bench_seeds(updates, seeds, advance=advance)
+        result["seeds"] = bench_seeds(_LONGER * updates, seeds, advance=advance)
     if torch.cuda.is_available():
         advance = bar("bench GPU", 2 * updates)
         result["side_by_side"] = bench_side_by_side(updates, advance=advance)

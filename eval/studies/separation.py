@@ -21,8 +21,8 @@ LEARNERS = tuple(
 
 DATASETS = (
     *("quiet-zone-expert", "quiet-zone-narrow", "quiet-zone-noisy"),
-    *("quiet-zone-explore", "quiet-zone-stitch"),
-    *("gate-expert", "bar-noisy", "bar-conventions"),
+    *("quiet-zone-explore", "quiet-zone-rare", "quiet-zone-stitch"),
+    *("gate-expert", "gate-stitch", "bar-noisy", "bar-conventions"),
 )
 """Names of their recipes."""
 

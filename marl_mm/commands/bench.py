@@ -83,14 +83,14 @@ class BenchTrain(_Bench):
     authors wrote it, and with d3rlpy's in an environment of its own.
     """
 
-    updates: int = 1_000
-    """Gradient updates of each algorithm, rounded up to hundreds; 1,000 take 20 min."""
+    updates: int = 500
+    """Gradient updates of each algorithm, rounded up to hundreds; 500 take 15 min."""
 
     env_steps: int = 3_000
     """Environment steps of a comparison of success; 3,000 take 3 min, 0 skips it."""
 
     seeds: int = 5
-    """Seeds of "marl-mm train", timed beside one; 1,000 updates take 3 min, 1 skips."""
+    """Seeds of "marl-mm train" of ten times the updates, timed beside one; 1 skips."""
 
     d3rlpy: Path | None = None
     """Python of an environment with d3rlpy 2.8.1; None: without it."""
