@@ -22,7 +22,8 @@ NAMES = ("bc", "td3-bc", "iql", "rebrac", "cql")
 
 RATE, DISCOUNT, HIDDEN, BATCH = 3e-4, 0.99, (256, 256), 256
 Q_WEIGHT, EXPECTILE, TEMPERATURE = 2.5, 0.7, 3.0
-ACTOR_PENALTY, CRITIC_PENALTY, CONSERVATISM = 0.05, 0.01, 5.0
+ACTOR_PENALTY, CRITIC_PENALTY = 0.05, 0.01
+CONSERVATISM, SAMPLES = 5.0, 3
 """Settings of ours that are compared."""
 
 
@@ -70,6 +71,7 @@ def algorithm(name: str) -> Any:
         ),
         "cql": lambda: algos.CQLConfig(
             conservative_weight=CONSERVATISM,
+            n_action_samples=SAMPLES,
             initial_alpha=1.0,
             alpha_learning_rate=0,
             **pair,

@@ -141,7 +141,7 @@ def timed(
         core: The environment.
         rng: Stream of episodes and actions.
         steps: Number of steps.
-        alpha: Alpha of all actions; None: random, too.
+        alpha: Alpha of all actions and robots; None: random, too.
         watch: Function that is called after each tick, in the loop in Python.
     """
     low, high = np.array(core.task.layout.low), np.array(core.task.layout.high)
@@ -152,7 +152,8 @@ def timed(
             left = core.task.max_steps
         action = rng.uniform(low, high)
         if alpha is not None:
-            action[core.task.layout.action_names.index("alpha")] = alpha
+            names = core.task.layout.action_names
+            action[[name.endswith("alpha") for name in names]] = alpha
         begun = process_time()
         step = core.step(action, watch)
         seconds += process_time() - begun

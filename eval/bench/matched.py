@@ -33,7 +33,7 @@ _OWN: dict[str, dict[str, Any]] = {
     },
     "cql": {
         "conservatism": theirs.CONSERVATISM,
-        "samples": 10,
+        "samples": theirs.SAMPLES,
         "penalized": theirs.BATCH,
     },
 }

@@ -101,7 +101,7 @@ def offline_speed_table(result: Mapping[str, Any]) -> str:
         (name, row.get("reference", ""), *cells(name)) for name, row in first.items()
     ]
     header = [
-        f"{part}, threads: {number}"
+        f"{part}, {number} {'thread' if number == '1' else 'threads'}"
         for number in numbers
         for part in ("updates per second", "over reference")
     ]
@@ -109,10 +109,10 @@ def offline_speed_table(result: Mapping[str, Any]) -> str:
     count, cores = seeds["seeds"], seeds["cores"]
     single, several = (round(seeds[f"{n}_memory_mib"]) for n in ("one", "several"))
     return (
-        f"{table}\n\nOne command with {count} seeds of TD3+BC on {cores} cores takes "
+        f"{table}\nOne command with {count} seeds of TD3+BC on {cores} cores takes "
         f"{seeds['cost_over_one']:.2f} times as long as with one "
         f"({seeds['several_s']:.0f} s, {seeds['one_s']:.0f} s), and {several} MiB of "
-        f"memory ({single} MiB)."
+        f"memory ({single} MiB).\n"
     )
 
 
