@@ -17,6 +17,7 @@ from marl_mm.eval.studies import (
     offline,
     online,
     paper,
+    robustness,
     separation,
     tuning,
 )
@@ -87,6 +88,14 @@ COMPARISONS = {
         coordination.make_coordination,
         coordination.draw_coordination,
         coordination.coordination_table,
+    ),
+    "robustness": Comparison(
+        robustness.ABOUT,
+        robustness.TABLE,
+        robustness.make_robustness,
+        robustness.draw_robustness,
+        robustness.robustness_table,
+        robustness.AGENTS,
     ),
     "tuning": Comparison(
         tuning.ABOUT,
