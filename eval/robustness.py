@@ -47,7 +47,7 @@ class Robustness:
 
     header = (
         *("disturbance", "agent", "strength", "success % [95 %]"),
-        *("difference [points, 95 %]", "return", "failed"),
+        *("difference, points [95 %]", "return", "failed"),
     )
     """Headings of the table."""
 

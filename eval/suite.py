@@ -153,7 +153,9 @@ class Condition:
     @property
     def amount(self) -> str:
         """The strength with its unit."""
-        return f"{self.strength} {ROBUSTNESS[self.disturbance].unit}".strip()
+        unit = ROBUSTNESS[self.disturbance].unit
+        unit = unit.removesuffix("s") if self.strength == 1 else unit
+        return f"{self.strength} {unit}".strip()
 
 
 def conditions(
