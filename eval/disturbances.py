@@ -70,17 +70,14 @@ class Disturbed:
 
 
 class Late(Disturbed):
-    """An agent whose actions take so many steps [steps] until they are carried out.
+    """An agent whose actions come so many steps later [steps], after its first one.
 
-    Until the first one it rests in the middle of its actions' ranges.
+    The first action is carried out until then: what is neutral differs by task.
     """
 
     def _done(self, action: np.ndarray) -> np.ndarray:
         self._past.append(action)
-        given = len(self._past) - 1 - int(self._strength)
-        if given >= 0:
-            return self._past[given]
-        return (np.array(self._agent.low) + self._agent.high) / 2
+        return self._past[max(len(self._past) - 1 - int(self._strength), 0)]
 
 
 class Frozen(Disturbed):

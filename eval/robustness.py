@@ -60,7 +60,9 @@ class Robustness:
         """A row per condition, formatted; the first is the clean run."""
         rows = [("clean", "", "", *_numbers(self.clean, ""))]
         for condition, evaluation in self.disturbed.items():
-            about = condition.disturbance, condition.agent, condition.amount
+            same = evaluation.engine == self.clean.engine
+            amount = condition.amount if same else evaluation.engine
+            about = condition.disturbance, condition.agent, amount
             change, bounds = self.difference(condition)
             low, high = (100 * bound for bound in bounds)
             text = f"{100 * change:+.1f} [{low:+.1f}, {high:+.1f}]"

@@ -81,7 +81,7 @@ def other_engine(task: Task, which: str) -> Changes:
 
 ROBUSTNESS = {
     "late": Disturbance(
-        about="an agent's actions are carried out so many steps later",
+        about="an agent's actions come so many steps later, until then its first one",
         how=Late,
         strengths=(1, 2, 3),
         unit="steps",
@@ -94,7 +94,7 @@ ROBUSTNESS = {
     "frozen": Disturbance(
         about="after so many actions an agent repeats the last one to the end",
         how=Frozen,
-        strengths=(6, 3, 1),
+        strengths=(12, 6, 3),
         unit="actions",
     ),
     "noisy": Disturbance(

@@ -9,6 +9,7 @@ import tyro
 from marl_mm.commands.options import CORES, CollectorsSettings, OwnTask, config_of
 from marl_mm.commands.output import print_evaluations, print_rows, show
 from marl_mm.commands.parser import command
+from marl_mm.commands.wording import as_options
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import UsageError
 from marl_mm.eval.cross_play import CrossPlay
@@ -115,7 +116,7 @@ def main(
                 dict(zip(result.header, r, strict=True)) for r in result.table_rows()
             ]
             print_rows(rows, as_json=False, title=result.title)
-            print(result.note)
+            print(as_options(result.note))
 
 
 def _keep(
