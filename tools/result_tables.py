@@ -9,6 +9,7 @@ from pathlib import Path
 
 from study_tables import (
     differences_table,
+    disturbances_table,
     engine_differences_table,
     fine_tuning_table,
     goals_table,
@@ -51,6 +52,8 @@ from marl_mm.eval.studies.coordination import (
 from marl_mm.eval.studies.engines import AGREEMENT, FIGURE, TABLE
 from marl_mm.eval.studies.engines_summary import agreement_table
 from marl_mm.eval.studies.offline import BLOCKS
+from marl_mm.eval.studies.robustness import TABLE as ROBUSTNESS_TABLE
+from marl_mm.eval.studies.robustness import robustness_table
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.table import CRITICS, IQM, RETURN, Table
 from marl_mm.eval.studies.targets import STUDIES
@@ -331,6 +334,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "separation": partial(_drawn_from, "separation.csv", separation_table),
     "fine-tuning": partial(_drawn_from, "fine-tuning.csv", _fine_tuning),
     "tuning": partial(_drawn_from, TUNED_TABLE, tuning_table),
+    "disturbances": disturbances_table,
+    "robustness": partial(_drawn_from, ROBUSTNESS_TABLE, robustness_table),
     "coordination-worth": partial(_drawn_from, WORTH, worth_table),
     "coordination-teams": partial(_drawn_from, TEAMS, coordination_table),
     "coordination-levels": partial(_drawn_from, TEAMS, levels_table),
