@@ -16,7 +16,7 @@ from marl_mm.eval.ties import tie_groups
 from marl_mm.files import new_folder, refuse_foreign
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.play import play
-from marl_mm.runs.submission import Submission
+from marl_mm.runs.submission import OF_A_SEED, Submission
 from marl_mm.runs.submission_checks import read_submission
 from marl_mm.runs.verify import read_verification
 from marl_mm.sim.config import Engine
@@ -184,9 +184,11 @@ def _page(sections: Sequence[Sequence[Entry]], films: bool) -> str:
 
 
 def _settings(submission: Submission) -> list[tuple[str, str]]:
-    """Hyper-parameters of the first seed, and other settings, by name."""
+    """Hyper-parameters and other settings of all seeds, by name."""
     settings = submission.runs[0].config.settings.items()
-    return [(name, str(v)) for name, v in settings if not isinstance(v, dict)]
+    return [
+        (k, f"{v!s:.60}") for k, v in settings if k not in (*OF_A_SEED, "max_steps")
+    ]
 
 
 def _line(entry: Entry, films: bool) -> Mapping[str, Any]:

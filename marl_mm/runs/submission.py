@@ -38,13 +38,16 @@ FORMAT = "marl_mm submission 1"
 FILES = (WEIGHTS, CONFIG, EVALUATION, EPISODES)
 """Files of each seed."""
 
+MOST_GOALS = 2_000
+"""Largest number of goals."""
+
 FILE_BYTES = 100_000_000
 """Largest size of a file [bytes]."""
 
 _EPISODES: dict[str, Any] = {"sha256": list[str], "first_action": list[list[float]]}
 """Types of what is kept of episodes beside their rows."""
 
-_OF_A_SEED = (
+OF_A_SEED = (
     *("seed", "preset", "packages", "plugins", "plugins_before", "device", "start"),
     *("eval_episodes", "eval_seed", "curve_episodes", "curve_every", "layout"),
     "weights_sha256",
@@ -213,7 +216,7 @@ def refuse_mixed(configs: Sequence[tuple[str, RunConfig]], refusal: Refusal) -> 
             )
         seeds[config.seed] = name
         values = config.to_json()
-        for key in _OF_A_SEED:
+        for key in OF_A_SEED:
             values.pop(key, None)
         if data := config.dataset:
             values["dataset"] = [data.get("id"), data.get("fingerprint")]
@@ -243,7 +246,11 @@ def read_run(folder: Path) -> SubmittedRun:
             kept.get(name), kind, f"{folder / EPISODES}: {name}", SubmissionError
         )
     parts = [kept[name] for name in _EPISODES]
-    if {len(part) for part in parts} != {len(evaluation.rows)}:
-        raise SubmissionError(f"{folder / EPISODES} has not as many values as rows")
+    count = len(evaluation.rows)
+    if {len(part) for part in parts} != {count} or count > MOST_GOALS:
+        raise SubmissionError(
+            f"{folder} has {count} rows, expected at most {MOST_GOALS:,}, and as many "
+            f"values in {EPISODES}"
+        )
     episodes = [Scored(*each) for each in zip(evaluation.rows, *parts, strict=True)]
     return SubmittedRun(folder, config, evaluation, episodes)

@@ -31,6 +31,9 @@ from marl_mm.sim.config import engine_of
 _SEEDS = 100
 """Largest number of seeds."""
 
+_MORE_STEPS = 10
+"""Largest factor by which episodes may be longer than the task's own."""
+
 _KINDS: dict[str, Any] = {
     "seeds": list[int],
     "task_config": dict[str, Any],
@@ -118,12 +121,22 @@ def _check_task(submission: Submission) -> None:
             f"{folder} replaces {', '.join(sorted(replaced))} of its task, expected no "
             "other settings than max_steps and the engine"
         )
-    here, there = config_dict(submission.task), submission.manifest["task_config"]
+    most = _MORE_STEPS * TASKS.get(evaluation.task).max_steps
+    try:
+        task = submission.task
+    except UsageError as error:
+        raise SubmissionError(f"{folder}: {error}") from error
+    if task.max_steps > most:
+        raise SubmissionError(
+            f"{folder} has episodes of {task.max_steps:,} steps, expected at most "
+            f"{most:,}"
+        )
+    here, there = config_dict(task), submission.manifest["task_config"]
     absent = {name: None for name in there.keys() - here.keys()}
     if differing := list(changes(there, absent | as_json(here))):
         raise SubmissionError(
             f"{folder} was scored in {evaluation.task} of other settings: "
-            f"{', '.join(differing[:6])}"
+            f"{', '.join(differing[:6]):.300}"
         )
     for name, digest in record(TASKS.origin(evaluation.task)).items():
         if any(run.config.plugins.get(name) != digest for run in submission.runs):

@@ -27,6 +27,7 @@ from marl_mm.runs.submission import (
     EPISODES,
     FORMAT,
     MANIFEST,
+    MOST_GOALS,
     Scored,
     Submission,
     described,
@@ -71,6 +72,8 @@ def submit(
     """
     check_positive(episodes=episodes, workers=workers)
     check_seed(seed)
+    if episodes > MOST_GOALS:
+        raise UsageError(f"`episodes` is {episodes}, expected at most {MOST_GOALS:,}")
     found = [run if isinstance(run, Run) else load_run(run) for run in runs]
     if not found:
         raise UsageError("no run given, expected folders of marl-mm train, one a seed")

@@ -34,6 +34,10 @@ _MARGINS = {"success": 0.0005, "return": 0.005}
 _FIRST_ACTION = 1e-4
 """Largest difference of the same weights' first action between processors."""
 
+_REPEATED = 0.1
+"""Share of equal episodes from which a machine is the submission's, and all have to be
+equal: another processor changes last bits in every episode."""
+
 _LISTED = 5
 """Largest number of goals that a message lists."""
 
@@ -207,10 +211,10 @@ def _differing(submission: Submission, pairs: Sequence[Pairs]) -> Iterator[str]:
                 f"{name}: rows of goals {_goals(false)} do not follow from their "
                 f"episodes, by {', '.join(odd)}"
             )
-        if other and len(same) >= len(other):
+        if other and len(same) >= _REPEATED * len(own):
             yield (
-                f"{name}: episodes of goals {_goals(other)} are others, while most are "
-                "equal to the bit on this machine"
+                f"{name}: episodes of goals {_goals(other)} are others, while "
+                f"{len(same)} of {len(own)} are equal to the bit on this machine"
             )
             continue
         if strange := [(c, a) for c, a in other if not _alike(c, a)]:
@@ -251,12 +255,12 @@ def _apart(pairs: Pairs) -> Iterator[str]:
     """Means that differ by more than their paired interval, and than tables show."""
     for name, margin in _MARGINS.items():
         rows = [(float(c.row[name]), float(a.row[name])) for c, a in pairs]  # type: ignore[literal-required]
-        changes = np.array([claimed - again for claimed, again in rows])
-        if len(changes) == 0 or abs(mean := float(changes.mean())) <= margin:
+        raised = np.array([claimed - again for claimed, again in rows])
+        if len(raised) == 0 or abs(mean := float(raised.mean())) <= margin:
             continue
         low, high = mean, mean
-        if len(changes) > 1:
-            low, high = mean_interval(changes, _CONFIDENCE)
+        if len(raised) > 1:
+            low, high = mean_interval(raised, _CONFIDENCE)
         if not low <= 0 <= high:
             claimed, again = np.mean(rows, axis=0)
             yield (
@@ -277,10 +281,11 @@ def _notes(submission: Submission, count: int) -> Iterator[str]:
     manifest = submission.manifest
     if count < submission.scores("success").size:
         yield f"time was up after {count} episodes, of goals in random order"
+    there, here = manifest["packages"] | manifest["machine"], versions() | machine()
     changed = [
-        f"{name} {then} (here {now})"
-        for name, then in (manifest["packages"] | manifest["machine"]).items()
-        if (now := (versions() | machine()).get(name)) != then
+        f"{name} {there[name]} (here {now})"
+        for name, now in here.items()
+        if there.get(name, now) != now
     ]
     if changed:
         yield f"submitted with {', '.join(changed)}"

@@ -16,6 +16,7 @@ from safetensors.torch import load_file, save_file
 import marl_mm
 from marl_mm.algorithms.pretrained import WEIGHTS
 from marl_mm.cli import main
+from marl_mm.envs.registry import config_dict, make_task
 from marl_mm.errors import MarlMmError, OutputExistsError, UsageError
 from marl_mm.files import write_json
 from marl_mm.received import file_digest
@@ -278,12 +279,21 @@ TAMPERING: dict[str, tuple[Change, str]] = {
         "goal 0 of se",
     ),
     "a looser task": (in_each(EVALUATION, looser), "replaces success_distance"),
-    "a looser task in the manifest": (
-        manifest(lambda v: v["task_config"].update(success_distance=0.5)),
-        "success_distance = 0.5",
+    "an engine that is none": (
+        in_each(
+            EVALUATION, lambda v: v.update(overrides={"simulation": {"engine": 1}})
+        ),
+        "simulation.engine is 1",
     ),
-    "more steps": (in_each(EVALUATION, longer), "max_steps"),
-    "another task": (in_each(EVALUATION, lambda v: v.update(task="Gate-v0")), "Gate"),
+    "endless episodes": (
+        in_each(EVALUATION, lambda v: v["overrides"].update(max_steps=10**9)),
+        "at most 250",
+    ),
+    "more steps": (in_each(EVALUATION, longer), "are others, while"),
+    "another task": (
+        in_each(EVALUATION, lambda v: v.update(task="Gate-v0")),
+        "same setting",
+    ),
     "a seed's hyper-parameter": (
         lambda folder: edit(folder / "0" / CONFIG, lambda v: v.update(batch_size=9)),
         "another setting",
@@ -310,9 +320,24 @@ CLAIMS: dict[str, tuple[Change, str]] = {
         "other-v0",
     ),
     "the number of goals": (manifest(lambda v: v["goals"].update(count=900)), "900"),
+    "a looser task in the manifest": (
+        manifest(lambda v: v["task_config"].update(success_distance=0.5)),
+        "success_distance = 0.5",
+    ),
     "the engine": (manifest(lambda v: v.update(engine="mujoco 9.9")), "mujoco 9.9"),
 }
 """The same for what follows from the seeds' files."""
+
+
+UNSEALED: dict[str, tuple[Change, str]] = {
+    "a version": (manifest(lambda v: v["packages"].update(numpy="1.0")), ""),
+    "the machine": (manifest(lambda v: v["machine"].update(processor="Z80")), ""),
+    "a seed's updates": (
+        in_each(CONFIG, lambda v: v.update(updates=10**6)),
+        "",
+    ),
+}
+"""What is found as long as the hashes are not recomputed: no episode depends on it."""
 
 
 def seal_again(folder: Path, claims: bool = True) -> None:
@@ -320,7 +345,9 @@ def seal_again(folder: Path, claims: bool = True) -> None:
     values = json.loads((folder / MANIFEST).read_text())
     try:
         runs = [read_run(folder / str(seed)) for seed in values["seeds"]]
-        values |= described(runs) if claims and "claims" in values else {}
+        if claims and "claims" in values:
+            task = make_task(runs[0].evaluation.task, runs[0].evaluation.overrides)
+            values |= {**described(runs), "task_config": config_dict(task)}
         extra = {k: v for k, v in values["files"].items() if k.startswith("..")}
         values["files"] = files_of(folder, values["seeds"]) | extra
     except (MarlMmError, IndexError):  # it does not even read back
@@ -346,9 +373,9 @@ def test_tampering_is_found_although_all_hashes_are_recomputed(
     assert re.search(said, said_of(copy, capsys))
 
 
-@pytest.mark.parametrize("name", [*TAMPERING, *CLAIMS])
+@pytest.mark.parametrize("name", [*TAMPERING, *CLAIMS, *UNSEALED])
 def test_tampering_is_found_by_the_hashes_alone(name: str, copy: Path) -> None:
-    change, _ = (TAMPERING | CLAIMS)[name]
+    change, _ = (TAMPERING | CLAIMS | UNSEALED)[name]
     change(copy)
     with pytest.raises(MarlMmError):
         marl_mm.board([copy], out=copy.parent / "board")
