@@ -5,6 +5,7 @@ import pickle
 import re
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -343,15 +344,13 @@ UNSEALED: dict[str, tuple[Change, str]] = {
 def seal_again(folder: Path, claims: bool = True) -> None:
     """Recompute what an attacker can: claims from the rows, all hashes, fingerprint."""
     values = json.loads((folder / MANIFEST).read_text())
-    try:
+    with suppress(MarlMmError, IndexError):  # it may not even read back
+        extra = {k: v for k, v in values["files"].items() if k.startswith("..")}
+        values["files"] = files_of(folder, values["seeds"]) | extra
         runs = [read_run(folder / str(seed)) for seed in values["seeds"]]
         if claims and "claims" in values:
             task = make_task(runs[0].evaluation.task, runs[0].evaluation.overrides)
             values |= {**described(runs), "task_config": config_dict(task)}
-        extra = {k: v for k, v in values["files"].items() if k.startswith("..")}
-        values["files"] = files_of(folder, values["seeds"]) | extra
-    except (MarlMmError, IndexError):  # it does not even read back
-        pass
     write_json(folder / MANIFEST, values | {"fingerprint": seal(values)})
 
 
