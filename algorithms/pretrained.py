@@ -6,6 +6,7 @@ seed and versions of the run), ``metrics.jsonl`` (its learning curve) and ``eval
 
 import json
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,9 @@ from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.runlog import METRICS
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import CheckpointError
-from marl_mm.files import new_folder
+from marl_mm.files import new_folder, write_json
 from marl_mm.layout import Layout
-from marl_mm.received import file_digest, read_json
+from marl_mm.received import check_regular, file_digest, read_json
 
 NAME = "pretrained"
 FOLDER = Path(__file__).parent / "pretrained_agent"
@@ -34,6 +35,10 @@ _SHIPPED = "ddec5644189035eb447e6ee475ae547924bc5d2142c3a82bc882f28d7e07d560"
 _CONFIG_BYTES = 1_000_000
 """Largest size of the config [bytes]; the shipped agent's has 2,000."""
 
+_WEIGHTS_BYTES = 100_000_000
+"""Largest size of the weights [bytes]; those of two actors of 256 x 256 units have
+600,000."""
+
 _HEADER_BYTES = 100_000
 """Largest size of the weights' names and shapes [bytes]; the shipped agent's are in
 a thousand."""
@@ -46,25 +51,40 @@ def ship(run: Path, folder: Path) -> None:
         run: A finished run.
         folder: Folder to write; replaced if it exists.
     """
-    checkpoint = read_checkpoint(run / BEST)
+    config = json.loads((run / "config.json").read_text())
+    if config.get("dataset"):
+        del config["dataset"]["path"]  # of the machine it was trained on
+    with new_folder(folder) as new:
+        write_actors(new, read_checkpoint(run / BEST), config)
+        shutil.copy(run / METRICS, new / METRICS)
+        evaluation = json.loads((run / "eval_best.json").read_text())
+        evaluation["policy_config"] = {}
+        (new / "eval.json").write_text(json.dumps(evaluation, indent=1) + "\n")
+
+
+def write_actors(
+    folder: Path, checkpoint: Mapping[str, Any], config: Mapping[str, Any]
+) -> None:
+    """Write a checkpoint's actors and a run's record, which ``load_pretrained`` reads.
+
+    Args:
+        folder: Folder that exists.
+        checkpoint: Checkpoint of ``read_checkpoint``.
+        config: Record of the run, JSON-serialisable; layout and hash are added.
+    """
     tensors = {
         f"{agent}/{key}": value.contiguous()
         for agent, state in checkpoint["state"]["actors"].items()
         for key, value in state.items()
     }
-    config = json.loads((run / "config.json").read_text())
-    if config.get("dataset"):
-        del config["dataset"]["path"]  # of the machine it was trained on
-    config["layout"] = checkpoint["layout"].to_json()
-    with new_folder(folder) as new:
-        save_file(tensors, new / WEIGHTS)
-        (new / WEIGHTS).chmod(0o644)  # it is written for the owner alone
-        config["weights_sha256"] = file_digest(new / WEIGHTS, CheckpointError)
-        (new / "config.json").write_text(json.dumps(config, indent=2) + "\n")
-        shutil.copy(run / METRICS, new / METRICS)
-        evaluation = json.loads((run / "eval_best.json").read_text())
-        evaluation["policy_config"] = {}
-        (new / "eval.json").write_text(json.dumps(evaluation, indent=1) + "\n")
+    save_file(tensors, folder / WEIGHTS)
+    (folder / WEIGHTS).chmod(0o644)  # it is written for the owner alone
+    made = {
+        **config,
+        "layout": checkpoint["layout"].to_json(),
+        "weights_sha256": file_digest(folder / WEIGHTS, CheckpointError),
+    }
+    write_json(folder / "config.json", made)
 
 
 def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
@@ -76,6 +96,7 @@ def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
     try:
         config = read_json(folder / "config.json", CheckpointError, _CONFIG_BYTES)
         expected = config.get("weights_sha256", _SHIPPED if folder == FOLDER else None)
+        check_regular(folder / WEIGHTS, CheckpointError, _WEIGHTS_BYTES)
         digest = file_digest(folder / WEIGHTS, CheckpointError)
         _check_header(folder / WEIGHTS)
         if expected not in (None, digest):
@@ -90,6 +111,8 @@ def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
             Layout.from_json(recorded) if recorded else make_task(config["task"]).layout
         )
         agents = actors_from(states, layout)
+        if others := sorted(states.keys() - agents.keys()):
+            raise ValueError(f"weights of {', '.join(others)}, which no agent is")
     except (*DAMAGE, OSError, SafetensorError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise CheckpointError(f"{folder} is damaged ({reason:.80})") from error

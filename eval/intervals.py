@@ -58,10 +58,12 @@ def deviation(rates: Sequence[float]) -> float:
     return float(np.std(rates, ddof=1)) if len(rates) > 1 else 0.0
 
 
-def mean_interval(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
-    """Student's 95 % interval of a mean of few values."""
+def mean_interval(
+    values: Sequence[float] | np.ndarray, confidence: float = CONFIDENCE
+) -> tuple[float, float]:
+    """Student's interval of a mean of few values, by default of 95 %."""
     spread = np.std(values, ddof=1) / np.sqrt(len(values))
-    width = scipy.stats.t.ppf((1 + CONFIDENCE) / 2, len(values) - 1) * spread
+    width = scipy.stats.t.ppf((1 + confidence) / 2, len(values) - 1) * spread
     return float(np.mean(values) - width), float(np.mean(values) + width)
 
 

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from marl_mm.datasets.dataset import load_dataset
     from marl_mm.envs import make_vec, parallel_vec
     from marl_mm.eval.studies.study import Online, Probe, Setting, Study
+    from marl_mm.runs.board import board
     from marl_mm.runs.collect import collect
     from marl_mm.runs.evaluate import evaluate
     from marl_mm.runs.play import play
@@ -17,7 +18,9 @@ if TYPE_CHECKING:
     from marl_mm.runs.robustness import cross_play, robustness
     from marl_mm.runs.run import find_runs, load_run
     from marl_mm.runs.sources import Mix, Source
+    from marl_mm.runs.submit import submit
     from marl_mm.runs.train import repeat, train
+    from marl_mm.runs.verify import verify
 
 __version__ = "0.2.0"
 
@@ -28,6 +31,7 @@ __all__ = [
     "Setting",
     "Source",
     "Study",
+    "board",
     "collect",
     "cross_play",
     "evaluate",
@@ -40,7 +44,9 @@ __all__ = [
     "play",
     "repeat",
     "robustness",
+    "submit",
     "train",
+    "verify",
 ]
 
 _MODULES = {
@@ -50,6 +56,7 @@ _MODULES = {
     **dict.fromkeys(("Mix", "Source"), "marl_mm.runs.sources"),
     **dict.fromkeys(("cross_play", "robustness"), "marl_mm.runs.robustness"),
     **dict.fromkeys(("make_vec", "parallel_vec"), "marl_mm.envs"),
+    "board": "marl_mm.runs.board",
     "collect": "marl_mm.runs.collect",
     "evaluate": "marl_mm.runs.evaluate",
     "find_runs": "marl_mm.runs.run",
@@ -58,7 +65,9 @@ _MODULES = {
     "load_run": "marl_mm.runs.run",
     "play": "marl_mm.runs.play",
     "repeat": "marl_mm.runs.train",
+    "submit": "marl_mm.runs.submit",
     "train": "marl_mm.runs.train",
+    "verify": "marl_mm.runs.verify",
 }
 """Modules of the public names: imported at their first use, as torch takes a second."""
 

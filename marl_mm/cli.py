@@ -26,6 +26,9 @@ COMMANDS = {
     "sweep-alpha": "what alpha does: tables and figures over alpha, form and task",
     "ablate": "reproduce figures and tables, training the runs they need",
     "report": "all tables and figures on one page",
+    "submit": "runs as a folder that anybody can score again",
+    "verify": "score a submission again: equal to the bit, within intervals, or not",
+    "board": "submissions side by side on a page, with tie groups",
     "bench": "measure the controller, and the speed of training and data",
     "check": "whether a plug-in keeps its promises; whether files are whole and safe",
 }

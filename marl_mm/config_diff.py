@@ -31,20 +31,27 @@ def refuse_other_config(
     Raises:
         OtherConfigError: Listing the values that differ.
     """
-    changes = list(_changes(as_json(begun), as_json(current)))
-    if len(changes) > _LISTED:
-        changes[_LISTED:] = [f"{len(changes) - _LISTED} more"]
-    if changes:
-        raise OtherConfigError(f"{folder} was made with {', '.join(changes)}", advice)
+    differing = list(changes(as_json(begun), as_json(current)))
+    if len(differing) > _LISTED:
+        differing[_LISTED:] = [f"{len(differing) - _LISTED} more"]
+    if differing:
+        raise OtherConfigError(f"{folder} was made with {', '.join(differing)}", advice)
 
 
-def _changes(
+def changes(
     begun: dict[str, Any], current: dict[str, Any], path: str = ""
 ) -> Iterator[str]:
+    """Values of two configs that differ, in words; keys of ``begun`` alone do not.
+
+    Args:
+        begun: The former config.
+        current: The config of now.
+        path: Beginning of the values' names.
+    """
     for key, value in current.items():
         before = begun.get(key)
         if isinstance(value, dict) and isinstance(before, dict):
-            yield from _changes(before, value, f"{path}{key}.")
+            yield from changes(before, value, f"{path}{key}.")
         elif before != value:
             yield f"{path}{key} = {_short(before)} (now {_short(value)})"
 

@@ -58,6 +58,10 @@ class CheckpointError(MarlMmError):
     """A checkpoint that is damaged, or belongs to something else."""
 
 
+class SubmissionError(MarlMmError):
+    """A submission that is damaged, or whose numbers are not those of its weights."""
+
+
 class ExportError(MarlMmError):
     """An exported policy that does not act as the run's."""
 

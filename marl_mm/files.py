@@ -30,6 +30,24 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
         )
 
 
+def refuse_foreign(folder: Path, overwrite: bool, mark: str) -> None:
+    """``refuse_existing`` of a folder that is replaced only if it is one of ours.
+
+    Args:
+        folder: Folder to write.
+        overwrite: Whether it may be replaced.
+        mark: Name of a file that it then has.
+
+    Raises:
+        UsageError: If it may not be written.
+    """
+    refuse_existing(folder, overwrite)
+    if folder.exists() and not (folder / mark).is_file():
+        raise UsageError(
+            f"{folder} has no {mark} and is not replaced: choose another name"
+        )
+
+
 @contextmanager
 def named_errors(path: Path, temporary: Path | None = None) -> Iterator[None]:
     """Let errors of the operating system in the block name the file that is written.

@@ -4,6 +4,7 @@ import platform
 from collections.abc import Mapping
 from importlib import metadata
 from importlib.metadata import PackageNotFoundError
+from pathlib import Path
 
 from marl_mm.sim.config import ENGINES, Engine
 
@@ -44,3 +45,11 @@ def versions(*others: str) -> dict[str, str]:
         except PackageNotFoundError:  # a copied folder, not an installed package
             numbers[name] = "unknown"
     return numbers
+
+
+def machine() -> dict[str, str]:
+    """Processor and system of this machine, which decide the last bits of numbers."""
+    name, info = platform.machine(), Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    models = [line.partition(":")[2].strip() for line in lines if "model name" in line]
+    return {"processor": (models or [name])[0], "system": f"{platform.system()} {name}"}

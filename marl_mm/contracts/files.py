@@ -33,6 +33,8 @@ from marl_mm.errors import CheckpointError, DatasetError, UsageError
 from marl_mm.eval.rows import read_rows
 from marl_mm.received import refuse_links_out
 from marl_mm.runs.folder import CONFIG, EVALUATION, read_config, read_evaluation
+from marl_mm.runs.submission import MANIFEST
+from marl_mm.runs.submission_checks import read_submission
 
 _CONTENTS = Callable[[Path], Any]
 """Reads files, and returns what they hold; an error of the package refuses them."""
@@ -126,6 +128,12 @@ def _act(policy: LearnedPolicy) -> None:
             raise CheckpointError(f"{policy.name} sets {action}, outside of its bounds")
 
 
+def _read_submission(path: Path) -> Any:
+    submission = read_submission(path)
+    policies = [_read_policy(run.folder) for run in submission.runs]
+    return [submission.manifest, policies]
+
+
 def _read_run(path: Path) -> Any:
     results = sorted(path.glob("eval*.json"))
     names = (CONFIG, FILE, BEST, *(result.name for result in results))
@@ -180,6 +188,7 @@ def _of_suffix(*suffixes: str) -> Callable[[Path], bool]:
 
 KINDS = (
     Kind("dataset", lambda path: (path / "data").is_dir(), _read_dataset),
+    Kind("submission", lambda path: (path / MANIFEST).exists(), _read_submission),
     Kind("shipped policy", lambda path: (path / WEIGHTS).exists(), _read_policy),
     Kind("run", lambda path: (path / CONFIG).exists(), _read_run),
     Kind("journal", lambda path: (path / JOURNAL).exists(), _read_journal),

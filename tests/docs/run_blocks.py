@@ -28,6 +28,8 @@ FEW = {
     "eval": "--max-steps 4 --workers 1",
     "play": "--max-steps 2 --fps 2",
     "ablate": "--workers 1",
+    "submit": "--episodes 2 --workers 1",
+    "verify": "--workers 1",
 }
 """Options that commands get beside those of a page."""
 

@@ -1,0 +1,296 @@
+"""Score a submission again, and compare: episode by episode, then by intervals."""
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from marl_mm.envs.rollout import Rollouts
+from marl_mm.errors import SubmissionError, UsageError
+from marl_mm.eval.intervals import mean_interval
+from marl_mm.files import refuse_existing, write_json
+from marl_mm.progress import Bar, silent_bar
+from marl_mm.received import check_kind, read_json
+from marl_mm.runs.recipes import RECIPES, recorded
+from marl_mm.runs.settings import check_positive, check_seed
+from marl_mm.runs.submission import Scored, Submission, scored
+from marl_mm.runs.submission_checks import read_submission
+from marl_mm.versions import machine, versions
+
+Verdict = Literal["equal to the bit", "equal within intervals", "not equal"]
+
+_BLOCK = 10
+"""Goals of each seed that are scored between two looks at the clock."""
+
+_CONFIDENCE = 0.99
+"""Confidence of the intervals of differences."""
+
+_MARGINS = {"success": 0.0005, "return": 0.005}
+"""Largest differences of means that no table shows, by name."""
+
+_FIRST_ACTION = 1e-4
+"""Largest difference of the same weights' first action between processors."""
+
+_REPEATED = 0.1
+"""Share of equal episodes from which a machine is the submission's, and all have to be
+equal: another processor changes last bits in every episode."""
+
+_LISTED = 5
+"""Largest number of goals that a message lists."""
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Result of scoring a submission again."""
+
+    fingerprint: str
+    """Fingerprint of the submission."""
+
+    verdict: Verdict
+    """Whether it is what was submitted."""
+
+    differences: tuple[str, ...]
+    """What differs, in words; empty if it is equal."""
+
+    notes: tuple[str, ...]
+    """What a reader should know of the comparison, in words."""
+
+    scored: int
+    """Number of episodes that were run again."""
+
+    episodes: int
+    """Number of episodes of the submission."""
+
+    equal: int
+    """Number of episodes of which all bits are equal."""
+
+    success: float
+    """Success rate of the episodes that were run again."""
+
+    seed: int
+    """Seed of the order in which goals were chosen."""
+
+    seconds: float
+    """Time that it took [s]."""
+
+    packages: dict[str, str]
+    """Versions of the packages here, by name."""
+
+    machine: dict[str, str]
+    """Processor and system here."""
+
+    def in_words(self) -> str:
+        """The verdict in a line."""
+        return (
+            f"{self.verdict}: {self.equal} of {self.scored} episodes have the same bits"
+            f" ({self.episodes} were submitted), {self.seconds:.0f} s"
+        )
+
+
+def verification_file(folder: str | Path) -> Path:
+    """File of a submission's verification: beside its folder, which stays as it is."""
+    path = Path(folder).resolve()
+    return path.with_name(f"{path.name}.verified.json")
+
+
+def read_verification(submission: Submission) -> dict[str, Any] | None:
+    """The record of a submission's verification; None where there is none of it.
+
+    Raises:
+        SubmissionError: If it is damaged.
+    """
+    path = verification_file(submission.folder)
+    if not path.exists():
+        return None
+    values: dict[str, Any] = read_json(path, SubmissionError)
+    check_kind(values, dict[str, Any], str(path), SubmissionError)
+    kinds = {"fingerprint": str, "verdict": str, "scored": int, "episodes": int}
+    for name, kind in kinds.items():
+        check_kind(values.get(name), kind, f"{path}: {name}", SubmissionError)
+    return values if values["fingerprint"] == submission.fingerprint else None
+
+
+def verify(
+    folder: str | Path,
+    *,
+    minutes: float = 10.0,
+    seed: int | None = None,
+    workers: int = 1,
+    progress: Bar = silent_bar,
+) -> Verification:
+    """Score a submission again, and keep the verdict in a file beside its folder.
+
+    Goals are taken in random order until all are done, or time is up.
+
+    Args:
+        folder: Folder of the submission.
+        minutes: Time after which no more goals are begun [min].
+        seed: Seed of the order; default drawn, so that nobody knows it before.
+        workers: Processes; the result does not depend on their number.
+        progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
+
+    Raises:
+        UsageError: If there is no submission, or a setting makes no sense.
+        SubmissionError: If its files or rows have been changed.
+        CheckpointError: If its weights are damaged.
+    """
+    check_positive(workers=workers)
+    if not minutes > 0:
+        raise UsageError(f"`minutes` is {minutes}, expected > 0")
+    if seed is None:
+        seed = int(np.random.default_rng().integers(2**32))
+    check_seed(seed)
+    begun = time.monotonic()
+    submission = read_submission(folder)
+    refuse_existing(verification_file(folder), overwrite=True)
+    pairs = _scored_again(submission, begun + 60 * minutes, seed, workers, progress)
+    equal = [
+        claimed.sha256 == again.sha256 for each in pairs for claimed, again in each
+    ]
+    differences = (*_recipe(submission), *_differing(submission, pairs))
+    within: Verdict = "equal to the bit" if all(equal) else "equal within intervals"
+    result = Verification(
+        submission.fingerprint,
+        "not equal" if differences else within,
+        differences,
+        tuple(_notes(submission, len(equal))),
+        len(equal),
+        submission.scores("success").size,
+        sum(equal),
+        float(np.mean([again.row["success"] for each in pairs for _, again in each])),
+        seed,
+        time.monotonic() - begun,
+        versions(),
+        machine(),
+    )
+    write_json(verification_file(folder), asdict(result))
+    return result
+
+
+Pairs = list[tuple[Scored, Scored]]
+"""Episodes of a seed: as claimed, and run again."""
+
+
+def _scored_again(
+    submission: Submission, end: float, seed: int, workers: int, progress: Bar
+) -> list[Pairs]:
+    """Episodes of each seed on the same goals, as many as there is time for."""
+    plans, runs = submission.plans, submission.runs
+    order = np.random.default_rng(seed).permutation(len(plans)).tolist()
+    advance = progress("score again", len(plans) * len(runs))
+    pairs: list[Pairs] = [[] for _ in runs]
+    begun, equal = time.monotonic(), 0
+    with Rollouts(submission.task, workers) as rollouts:
+        for start in range(0, len(order), _BLOCK):
+            block = order[start : start + _BLOCK]
+            spent = time.monotonic() - begun
+            if start and begun + spent * (start + len(block)) / start > end:
+                break
+            for run, own in zip(runs, pairs, strict=True):
+                again = rollouts.run(run.policy, [plans[i] for i in block])
+                for index, episode in zip(block, again, strict=True):
+                    own.append((run.episodes[index], scored(episode)))
+                    equal += own[-1][0].sha256 == own[-1][1].sha256
+                    advance(1, f"{equal}/{sum(map(len, pairs))} equal to the bit")
+    return pairs
+
+
+def _differing(submission: Submission, pairs: Sequence[Pairs]) -> Iterator[str]:
+    """What differs beyond the last bits of another processor, in words."""
+    rest: Pairs = []
+    for run, own in zip(submission.runs, pairs, strict=True):
+        name = f"seed {run.config.seed}"
+        same = [(c, a) for c, a in own if c.sha256 == a.sha256]
+        other = [(c, a) for c, a in own if c.sha256 != a.sha256]
+        if false := [(c, a) for c, a in same if _forged(c, a)]:
+            odd = sorted({key for pair in false for key in _forged(*pair)})
+            yield (
+                f"{name}: rows of goals {_goals(false)} do not follow from their "
+                f"episodes, by {', '.join(odd)}"
+            )
+        if other and len(same) >= _REPEATED * len(own):
+            yield (
+                f"{name}: episodes of goals {_goals(other)} are others, while "
+                f"{len(same)} of {len(own)} are equal to the bit on this machine"
+            )
+            continue
+        if strange := [(c, a) for c, a in other if not _alike(c, a)]:
+            yield (
+                f"{name}: first actions of goals {_goals(strange)}, or goals, are "
+                "others: these weights did not make these rows"
+            )
+        rest += other
+    yield from _apart(rest)
+
+
+def _goals(pairs: Pairs) -> str:
+    indices = sorted(claimed.row["index"] for claimed, _ in pairs)
+    more = len(indices) - _LISTED
+    listed = ", ".join(map(str, indices[:_LISTED]))
+    return f"{listed} and {more} more" if more > 0 else listed
+
+
+def _forged(claimed: Scored, again: Scored) -> set[str]:
+    """Keys by which a row is not that of the same episode; plug-ins add others."""
+    here = dict(again.row)
+    return {k for k, v in claimed.row.items() if k in here and here[k] != v}
+
+
+def _alike(claimed: Scored, again: Scored) -> bool:
+    """Whether goal and first action are the same but for a processor's last bits."""
+    pairs = (
+        (claimed.row["goal"], again.row["goal"]),
+        (claimed.first_action, again.first_action),
+    )
+    return all(
+        len(one) == len(two) and np.allclose(one, two, rtol=0, atol=_FIRST_ACTION)
+        for one, two in pairs
+    )
+
+
+def _apart(pairs: Pairs) -> Iterator[str]:
+    """Means that differ by more than their paired interval, and than tables show."""
+    for name, margin in _MARGINS.items():
+        rows = [(float(c.row[name]), float(a.row[name])) for c, a in pairs]  # type: ignore[literal-required]
+        raised = np.array([claimed - again for claimed, again in rows])
+        if len(raised) == 0 or abs(mean := float(raised.mean())) <= margin:
+            continue
+        low, high = mean, mean
+        if len(raised) > 1:
+            low, high = mean_interval(raised, _CONFIDENCE)
+        if not low <= 0 <= high:
+            claimed, again = np.mean(rows, axis=0)
+            yield (
+                f"{name}: claimed {claimed:.3f}, scored again {again:.3f} on the same "
+                f"{len(rows)} goals; difference [{low:.3f}, {high:.3f}]"
+            )
+
+
+def _recipe(submission: Submission) -> Iterator[str]:
+    """Whether the dataset's recipe is another one here."""
+    dataset = submission.manifest["dataset"] or {}
+    name = dataset.get("recipe", "")
+    if name in RECIPES and RECIPES.get(name).fingerprint != dataset["recipe_sha256"]:
+        yield f"dataset: the recipe {name} is another one here"
+
+
+def _notes(submission: Submission, count: int) -> Iterator[str]:
+    manifest = submission.manifest
+    if count < submission.scores("success").size:
+        yield f"time was up after {count} episodes, of goals in random order"
+    there, here = manifest["packages"] | manifest["machine"], versions() | machine()
+    changed = [
+        f"{name} {there[name]} (here {now})"
+        for name, now in here.items()
+        if there.get(name, now) != now
+    ]
+    if changed:
+        yield f"submitted with {', '.join(changed)}"
+    dataset = manifest["dataset"] or {}
+    data = recorded().get(dataset.get("recipe", ""), {}).get("data_sha256")
+    if data is not None and dataset.get("data_sha256") != data:
+        yield "the dataset is not the one on record, to the bit"
+    yield "algorithm, dataset and training are as claimed: only the policy is scored"

@@ -1,0 +1,207 @@
+"""The board: submissions by task and data, with tie groups, as a browser shows it."""
+
+import csv
+import json
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import marl_mm
+from marl_mm.cli import main
+from marl_mm.errors import UsageError
+from marl_mm.files import write_json
+from marl_mm.runs.submission import MANIFEST, seal
+from marl_mm.runs.verify import verification_file
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
+pytestmark = pytest.mark.slow
+
+PHONE, DESK = {"width": 375, "height": 812}, {"width": 1280, "height": 800}
+
+TRAINED: dict[str, Any] = {
+    "hidden": (32, 32),
+    "batch_size": 64,
+    "eval_episodes": 2,
+    "curve_episodes": 1,
+    "max_steps": 20,
+    "engine": "mujoco",
+}
+
+
+@pytest.fixture(scope="module")
+def submissions(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Cloning by agents and jointly, which reach most goals, one that reaches none.
+
+    The last one is on other goals.
+    """
+    folder = tmp_path_factory.mktemp("board")
+    for name, algorithm, updates in (
+        *(("agents", "mabc", 400), ("joint", "bc", 400)),
+        *(("none", "mabc", 1), ("others", "mabc", 400)),
+    ):
+        if name != "others":
+            marl_mm.train(
+                algorithm,
+                "good-5k",
+                out=folder / "runs" / name,
+                seeds=(0, 1, 2),
+                updates=updates,
+                curve_every=updates,
+                **TRAINED,
+            )
+        runs = [folder / "runs" / name.replace("others", "agents") / s for s in "012"]
+        episodes, seed = (2, 1) if name == "others" else (8, 0)
+        marl_mm.submit(runs, out=folder / name, episodes=episodes, seed=seed)
+    marl_mm.verify(folder / "agents")
+    return [folder / name for name in ("none", "agents", "others", "joint")]
+
+
+@pytest.fixture(scope="module")
+def made(submissions: list[Path]) -> Any:
+    return marl_mm.board(submissions, out=submissions[0].parent / "page")
+
+
+def test_entries_of_other_goals_are_never_mixed(made: Any) -> None:
+    names = [[e.submission.folder.name for e in section] for section in made.sections]
+    assert sorted(map(len, names)) == [1, 3]
+    assert ["others"] in names
+
+
+def test_those_that_cannot_be_told_apart_share_a_group(made: Any) -> None:
+    (section,) = [section for section in made.sections if len(section) == 3]
+    groups = {entry.submission.folder.name: entry.groups for entry in section}
+    assert groups == {"agents": (1,), "joint": (1,), "none": (2,)}
+    assert section[-1].submission.folder.name == "none"
+
+
+def test_a_verdict_is_of_the_submission_that_was_scored(
+    made: Any, submissions: list[Path], tmp_path: Path
+) -> None:
+    verdicts = {
+        entry.submission.folder.name: entry.verification
+        for section in made.sections
+        for entry in section
+    }
+    assert verdicts["agents"]["verdict"] == "equal to the bit"
+    assert verdicts["joint"] is None
+    copy = tmp_path / "joint"
+    shutil.copytree(submissions[3], copy)
+    shutil.copy(verification_file(submissions[1]), verification_file(copy))
+    board = marl_mm.board([copy], out=tmp_path / "page")
+    assert board.sections[0][0].verification is None
+    assert "not verified" in board.page.read_text()
+
+
+def test_rows_are_there_to_be_downloaded(made: Any) -> None:
+    links = re.findall(r'href="(rows/[^"]+)"', made.page.read_text())
+    assert len(links) == 4
+    for link in links:
+        with (made.page.parent / link).open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        assert len(rows) in (3 * 8, 3 * 2)
+        assert {len(row["sha256"]) for row in rows} == {64}
+        assert {row["run"] for row in rows} == {"0", "1", "2"}
+
+
+def test_the_same_submission_twice_is_refused(
+    submissions: list[Path], tmp_path: Path
+) -> None:
+    with pytest.raises(UsageError, match="are the same"):
+        marl_mm.board([submissions[0]] * 2, out=tmp_path / "page")
+    (tmp_path / "mine").mkdir()
+    with pytest.raises(UsageError, match=r"has no index\.html and is not replaced"):
+        marl_mm.board(submissions[:1], out=tmp_path / "mine", overwrite=True)
+
+
+# --- In a browser ------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=BROWSER,
+            args=["--no-sandbox"],  # root, as in a container, has none
+        )
+        yield browser
+        browser.close()
+
+
+needs_browser = pytest.mark.skipif(
+    BROWSER is None and "CI" not in os.environ,
+    reason="chromium is not installed; CI installs it and fails without",
+)
+
+
+def opened(browser: Any, path: Path, complaints: list[str], **context: Any) -> Any:
+    """The page without a network, which keeps what goes wrong."""
+    page = browser.new_context(offline=True, **context).new_page()
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("requestfailed", lambda request: complaints.append(request.url[:80]))
+    page.goto(path.as_uri())
+    page.wait_for_load_state("networkidle")
+    return page
+
+
+@needs_browser
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", [PHONE, DESK], ids=["phone", "desk"])
+def test_a_browser_shows_and_filters_it(
+    made: Any, browser: Any, size: dict[str, int], scheme: str, tmp_path: Path
+) -> None:
+    complaints: list[str] = []
+    context = {"viewport": size, "color_scheme": scheme}
+    page = opened(browser, made.page, complaints, **context)
+    pictures = Path(os.environ.get("PICTURES", tmp_path))
+    picture = pictures / f"board-{size['width']}-{scheme}.png"
+    page.screenshot(path=picture, full_page=True)
+    assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+    rows, sections = page.locator("tbody tr:visible"), page.locator("section:visible")
+    assert (rows.count(), sections.count()) == (4, 2)
+    page.select_option("select[name=algorithm]", "bc")
+    assert (rows.count(), sections.count()) == (1, 1)
+    page.select_option("select[name=algorithm]", "")
+    assert (rows.count(), sections.count()) == (4, 2)
+    assert complaints == []
+
+
+@needs_browser
+def test_a_browser_runs_nothing_of_a_strangers_texts(
+    submissions: list[Path], browser: Any, tmp_path: Path
+) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(submissions[0], copy)
+    values = json.loads((copy / MANIFEST).read_text())
+    script = "<script>document.title='run'</script><img src=x onerror=alert(1)>\""
+    values["machine"]["processor"] = script
+    write_json(copy / MANIFEST, values | {"fingerprint": seal(values)})
+    board = marl_mm.board([copy], out=tmp_path / "page")
+    complaints: list[str] = []
+    page = opened(browser, board.page, complaints)
+    assert page.title() == "marl_mm: board"
+    assert page.locator("script").count() == 1 and page.locator("img").count() == 0
+    assert complaints == []
+
+
+@pytest.mark.bullet
+@needs_browser
+def test_films_stand_beside_the_page(
+    submissions: list[Path], browser: Any, tmp_path: Path
+) -> None:
+    out = tmp_path / "page"
+    words = ["board", str(submissions[2]), "--out", str(out), "--films"]
+    assert main(words) == 0
+    complaints: list[str] = []
+    page = opened(browser, out / "index.html", complaints)
+    page.click("summary:text('film')")
+    page.evaluate("document.querySelector('video').play()")
+    assert page.evaluate("document.querySelector('video').duration") > 1
+    assert complaints == []

@@ -1,0 +1,224 @@
+"""Submissions: the round trip is equal to the bit, and what was changed is found."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import marl_mm
+from marl_mm.cli import main
+from marl_mm.errors import MarlMmError, OutputExistsError, UsageError
+from marl_mm.runs.folder import EVALUATION
+from marl_mm.runs.submission import MANIFEST
+from marl_mm.runs.verify import verification_file
+from tests.runs.tampering import CLAIMS, TAMPERING, UNSEALED, seal_again, weights
+
+GOALS = 6
+
+pytestmark = pytest.mark.slow
+
+TRAINED: dict[str, Any] = {
+    "hidden": (32, 32),
+    "batch_size": 64,
+    "eval_episodes": 2,
+    "curve_episodes": 1,
+    "engine": "mujoco",
+}
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two seeds that reach most goals, and two that reach none."""
+    folder = tmp_path_factory.mktemp("runs")
+    for name, updates in (("long", 400), ("short", 1)):
+        marl_mm.train(
+            "mabc",
+            "good-5k",
+            out=folder / name,
+            seeds=(0, 1),
+            updates=updates,
+            curve_every=updates,
+            **TRAINED,
+        )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def honest(runs: Path) -> Path:
+    folder = runs / "honest"
+    marl_mm.submit([runs / "long/1", runs / "long/0"], out=folder, episodes=GOALS)
+    return folder
+
+
+@pytest.fixture
+def copy(honest: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(honest, tmp_path / "copy"))
+
+
+def test_scoring_again_is_equal_to_the_bit(copy: Path) -> None:
+    before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
+    result = marl_mm.verify(copy, seed=3)
+    assert (result.verdict, result.differences) == ("equal to the bit", ())
+    assert result.equal == result.scored == result.episodes == 2 * GOALS
+    assert {p: p.read_bytes() for p in copy.rglob("*") if p.is_file()} == before
+    kept = json.loads(verification_file(copy).read_text())
+    assert kept["fingerprint"] == result.fingerprint
+
+
+def test_a_submission_follows_from_its_runs(honest: Path, runs: Path) -> None:
+    """Twice the same bytes, no path of this machine, the weights of the checkpoints."""
+    again = runs / "again"
+    made = marl_mm.submit([runs / "long/0", runs / "long/1"], out=again, episodes=GOALS)
+    for path in (p for p in honest.rglob("*") if p.is_file()):
+        assert (again / path.relative_to(honest)).read_bytes() == path.read_bytes()
+        assert str(runs).encode() not in path.read_bytes()
+        assert str(Path(marl_mm.__file__).parent).encode() not in path.read_bytes()
+    own = marl_mm.load_run(runs / "long/0")
+    assert made.runs[0].policy.fingerprint == own.policy.fingerprint
+    assert [row["return"] for row in own.evaluated.rows] == [
+        each.row["return"] for each in made.runs[0].episodes[:2]
+    ]
+    assert made.manifest["dataset"].keys() == {"id", "fingerprint", "data_sha256"}
+
+
+def test_little_time_scores_a_part_that_a_seed_repeats(
+    runs: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "many"
+    made = marl_mm.submit([runs / "short/0"], out=folder, episodes=12)
+    results = [marl_mm.verify(folder, minutes=1e-6, seed=1) for _ in range(2)]
+    assert [each.scored for each in results] == [10, 10]
+    assert results[0].success == results[1].success
+    assert results[0].verdict == "equal to the bit"
+    assert "time was up after 10 episodes" in results[0].notes[0]
+    assert results[0].episodes == made.scores("success").size == 12
+
+
+# --- Tampering ---------------------------------------------------------------
+
+
+def said_of(folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    """The only line on stderr about a submission that is refused."""
+    assert main(["verify", str(folder), "--workers", "1"]) == 1
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len([line for line in lines if line.startswith("marl-mm: ")]) == 1
+    return lines[-1]
+
+
+@pytest.mark.parametrize("name", [*TAMPERING, *CLAIMS])
+def test_tampering_is_found_although_all_hashes_are_recomputed(
+    name: str, copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change, said = (TAMPERING | CLAIMS)[name]
+    change(copy)
+    seal_again(copy, claims=name in TAMPERING)
+    assert re.search(said, said_of(copy, capsys))
+
+
+@pytest.mark.parametrize("name", [*TAMPERING, *CLAIMS, *UNSEALED])
+def test_tampering_is_found_by_the_hashes_alone(name: str, copy: Path) -> None:
+    change, _ = (TAMPERING | CLAIMS | UNSEALED)[name]
+    change(copy)
+    with pytest.raises(MarlMmError):
+        marl_mm.board([copy], out=copy.parent / "board")
+
+
+def test_another_processors_last_bits_are_equal_within_intervals(copy: Path) -> None:
+    """Such as products in another order: weights that differ by 1e-7."""
+    weights(lambda v: v * (1 + 2e-7), last=False)(copy)
+    seal_again(copy)
+    result = marl_mm.verify(copy)
+    assert (result.verdict, result.differences) == ("equal within intervals", ())
+    assert result.equal == GOALS
+
+
+# --- Refusals ----------------------------------------------------------------
+
+
+def test_runs_of_several_settings_are_refused(runs: Path, tmp_path: Path) -> None:
+    def refused(*names: str, **options: Any) -> str:
+        with pytest.raises(UsageError) as error:
+            marl_mm.submit([runs / n for n in names], out=tmp_path / "out", **options)
+        assert "\n" not in str(error.value)
+        return str(error.value)
+
+    assert "updates = 400 (now 1)" in refused("long/0", "short/1")
+    assert "both of seed 0" in refused("long/0", "long/0")
+    assert "no run given" in refused()
+    assert "is no run" in refused("long")
+    assert "`episodes` is 0" in refused("long/0", episodes=0)
+    unfinished = shutil.copytree(runs / "long/0", runs / "unfinished")
+    (unfinished / EVALUATION).unlink()
+    assert "not trained to its end" in refused("unfinished")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_overwritten_unasked_and_never_another_folder(
+    runs: Path, copy: Path
+) -> None:
+    with pytest.raises(OutputExistsError):
+        marl_mm.submit([runs / "long/0"], out=copy, episodes=2)
+    with pytest.raises(UsageError, match=r"has no manifest\.json and is not replaced"):
+        marl_mm.submit([runs / "long/0"], out=runs, episodes=2, overwrite=True)
+    made = marl_mm.submit([runs / "long/0"], out=copy, episodes=2, overwrite=True)
+    assert sorted(path.name for path in copy.iterdir()) == ["0", MANIFEST]
+    assert "1 seed:" in repr(made)
+
+
+def test_a_submission_that_is_stopped_leaves_nothing(
+    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("marl_mm.runs.submit.described", stop)
+    with pytest.raises(KeyboardInterrupt):
+        marl_mm.submit([runs / "long/0"], out=tmp_path / "out", episodes=2)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["verify", "nothing"],
+        ["verify", "."],
+        ["submit", "--out", "x"],
+        ["submit", "nothing", "--out", "x"],
+        ["board"],
+        ["board", "nothing"],
+    ],
+)
+def test_what_makes_no_sense_is_a_usage_error(
+    words: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_time_that_makes_no_sense_is_a_usage_error(honest: Path) -> None:
+    with pytest.raises(UsageError, match="`minutes` is nan"):
+        marl_mm.verify(honest, minutes=float("nan"))
+
+
+def test_python_and_the_commands_do_the_same(
+    runs: Path, honest: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["submit", str(runs / "long/0"), str(runs / "long/1"), "--workers", "2"]
+    out = tmp_path / "out"
+    assert main([*words, "--out", str(out), "--episodes", str(GOALS)]) == 0
+    fingerprint = json.loads((honest / MANIFEST).read_text())["fingerprint"]
+    assert fingerprint in capsys.readouterr().out
+    assert main(["verify", str(out), "--json", "--seed", "5"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads(verification_file(out).read_text())
+    assert (printed["fingerprint"], printed["seed"]) == (fingerprint, 5)
+    assert printed["verdict"] == "equal to the bit"
+    assert main(["check", str(out)]) == 0
