@@ -152,8 +152,9 @@ register_task(
     "Gate-hard-v0",
     replace(
         _MEDIUM,
+        max_steps=16,
         quiet_limit=0.2,
-        wall=replace(_MEDIUM.wall, clearance=0.02, slope=(0.7, 1.0)),
+        wall=replace(_MEDIUM.wall, thickness=0.25, clearance=0.015, slope=(0.7, 1.0)),
     ),
 )
 register_task("Gate-halves-v0", replace(_MEDIUM, halves=True))

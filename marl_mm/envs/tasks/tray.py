@@ -200,4 +200,4 @@ _MEDIUM = Tray()
 
 register_task("Tray-easy-v0", replace(_MEDIUM, leak=0.038, damping=0.3))
 register_task("Tray-v0", _MEDIUM)
-register_task("Tray-hard-v0", replace(_MEDIUM, rim_full=0.0085, leak=0.046))
+register_task("Tray-hard-v0", replace(_MEDIUM, damping=0.17))
