@@ -14,6 +14,7 @@ from typing import Any
 from reference_pages import (
     NAMES,
     RESULTS,
+    ROOT,
     field_texts,
     offline_rows,
     online_rows,
@@ -74,11 +75,16 @@ def _task_page(name: str) -> str:
         for way in task.conventions[1:]:
             more = f", and with `--scripted.convention {way}`"
     results = _task_results(name)
+    film = (
+        f"![Film: the script at work](../../images/{picture[:-4]}.webp)\n\n"
+        if (ROOT / f"docs/images/{picture[:-4]}.webp").exists()
+        else ""
+    )
     parts = [
         f"# {name}\n",
         " ".join((f"**{_aim(name)}**", _ends(task), *_best(name))) + "\n",
-        f"![Film strip: {actor} at work](../../images/{picture})\n",
-        f"Film strip of {actor}, on PyBullet{_worlds(task)}. Try it: `marl-mm play "
+        f"{film}![Film strip: {actor} at work](../../images/{picture})\n",
+        f"{'Film and film strip' if film else 'Film strip'} of {actor}, on PyBullet{_worlds(task)}. Try it: `marl-mm play "
         f"{words} --video FILE.mp4`{more}.\n",
         *_team(task),
         *_levels(name),
