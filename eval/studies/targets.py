@@ -11,6 +11,7 @@ from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.studies import (
     alpha,
+    baselines,
     coordination,
     engines,
     fine_tuning,
@@ -30,6 +31,7 @@ _OF_THE_PAPERS_TASKS = paper.STUDIES | offline.STUDIES | online.STUDIES
 STUDIES = {
     **_OF_THE_PAPERS_TASKS,
     "transfer": engines.TRANSFER,
+    "baselines": baselines.BASELINES,
     "separation": separation.SEPARATION,
     "fine-tuning": fine_tuning.FINE_TUNING,
     "grasp": online.GRASP,
