@@ -21,6 +21,7 @@ from marl_mm.algorithms.registry import (
 from marl_mm.datasets.card import card_markdown
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.eval.rows import read_rows
+from marl_mm.eval.studies.baselines import BASELINES, DATASETS, LEARNERS
 from marl_mm.eval.tables import markdown_table, rate_with_interval
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -52,6 +53,12 @@ def offline_rows() -> list[Row]:
     return [row for row in rows if row["probe"] == "last"]
 
 
+def baseline_rows(name: str) -> list[Row]:
+    """Rows of an algorithm on the datasets of ``ablate baselines``."""
+    rows = read_rows(RESULTS / "studies/baselines.csv")
+    return [row for row in rows if row["setting"] == f"{name}-baseline"]
+
+
 def online_rows() -> list[Row]:
     """Rows of online learning by this package's algorithms, with its task."""
     from marl_mm.eval.studies.online import CELLS
@@ -67,6 +74,8 @@ def online_rows() -> list[Row]:
 
 def task_of(row: Row) -> str:
     """Name of the task whose dataset a row of offline learning is about."""
+    if row["setting"].endswith("-baseline"):
+        return next(s.task for s, _ in BASELINES.cells if s.name == row["dataset"])
     return DATA.get(row["dataset"], "Reach-v0")
 
 
@@ -89,6 +98,12 @@ def _algorithm_page(name: str) -> str:
         curve = (
             f"![Goals reached while {name} learns](../../images/curve-{name}.svg)\n\n"
             f"Goals reached on {where} while it learns, mean and three seeds.\n"
+        )
+    if any(setting.algorithm == name for setting in LEARNERS):
+        curve += (
+            f"![Goals reached while {name} learns](../../images/baseline-{name}.svg)\n\n"
+            f"Goals reached on {' and '.join(DATASETS)}, which ship, while it learns with "
+            "its preset: mean and two seeds.\n"
         )
     parts = [
         f"# {NAMES[name]}\n",
@@ -126,6 +141,12 @@ def _headline(name: str) -> str:
             f"end, and 70 % of them after {row['to_70']:.0f} episodes."
         )
     rows = [row for row in offline_rows() if row["setting"] == name]
+    if not rows and (rows := baseline_rows(name)):
+        reached = " and ".join(
+            f"{100 * row['success']:.0f} % of goals from {row['dataset']}"
+            for row in rows
+        )
+        return f"It reaches {reached}."
     if not rows:
         return "No results of it are committed."
     good = next(row for row in rows if row["dataset"] == "good-30k")
@@ -213,7 +234,9 @@ def _algorithm_results(name: str) -> str:
             markdown_table(header, rows)
             + "\n[Online learning](../../results/online.md).\n"
         )
-    if not any(row["setting"] == name for row in offline_rows()):
+    rows = [row for row in offline_rows() if row["setting"] == name]
+    rows += baseline_rows(name)
+    if not rows:
         return "None are committed yet.\n"
     lines = [
         (
@@ -222,11 +245,13 @@ def _algorithm_results(name: str) -> str:
             rate_with_interval(row),
             f"{row['return']:.2f}",
         )
-        for row in offline_rows()
-        if row["setting"] == name
+        for row in rows
     ]
     table = markdown_table(("dataset", "task", "goals reached [%]", "return"), lines)
-    return f"{table}\n[Offline learning](../../results/offline.md).\n"
+    return (
+        f"{table}\n[Offline learning](../../results/offline.md), "
+        "[baselines](../../results/baselines.md).\n"
+    )
 
 
 def _algorithms_index() -> str:

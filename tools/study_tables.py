@@ -106,6 +106,20 @@ def separation_table(summary: Sequence[Row]) -> str:
     return markdown_table(["dataset", *about.values(), *ends], lines)
 
 
+def baselines_table(summary: Sequence[Row]) -> str:
+    """What every algorithm reaches from each dataset, mean and seeds, as Markdown."""
+    datasets = [*grouped(summary, "dataset")]
+    lines = []
+    for setting, rows in grouped(summary, "setting").items():
+        rates = [_of_seeds(row) for row in rows]
+        cells = (
+            f"{np.mean(r):.0f} ({', '.join(f'{x:.0f}' for x in r)})" for r in rates
+        )
+        lines.append((f"`{setting.removesuffix('-baseline')}`", *cells))
+    header = ("algorithm", *(f"`{_short(name)}` [%]" for name in datasets))
+    return markdown_table(header, lines)
+
+
 def known_table(rows: Sequence[Row]) -> str:
     """Returns of ours and d3rlpy's on the same file, as Markdown."""
     lines = []

@@ -2,8 +2,9 @@
 
 from itertools import product
 
-from marl_mm.algorithms.registry import ALGORITHMS, TUNED
+from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.eval.studies.study import LAST, Setting, Study
+from marl_mm.eval.studies.tuning_ranges import RANGES
 from marl_mm.runs.recipes import RECIPES
 
 UPDATES = 5_000
@@ -15,15 +16,14 @@ DATASETS = ("quiet-zone-noisy", "gate-expert")
 LEARNERS = tuple(
     Setting(
         f"{name}-baseline",
-        found.title,
+        ALGORITHMS.get(name).title,
         name,
         changes={"updates": UPDATES},
         goals=50,
         curve_every=1_000,
         curve_goals=20,
     )
-    for name, found in ALGORITHMS.items()
-    if not found.online and found.presets[TUNED].updates
+    for name in (*RANGES, "cal-ql", "ma-cal-ql")
 )
 """Algorithms that learn from a dataset alone."""
 
