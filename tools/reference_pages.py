@@ -21,8 +21,9 @@ from marl_mm.algorithms.registry import (
 from marl_mm.datasets.card import card_markdown
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.eval.rows import read_rows
-from marl_mm.eval.studies.baselines import BASELINES, DATASETS, LEARNERS
+from marl_mm.eval.studies.baselines import DATASETS, LEARNERS
 from marl_mm.eval.tables import markdown_table, rate_with_interval
+from marl_mm.runs.recipes import RECIPES
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "eval/results"
@@ -36,6 +37,9 @@ DATA = {
     "marl_mm/carry-reach/scripted-v0": "CarryReach-v0",
     "marl_mm/grasp/scripted-v0": "Grasp-v0",
     "marl_mm/grasp-reach/scripted-v0": "GraspReach-v0",
+    **{
+        source.name: source.task for source in (RECIPES.get(n).source for n in DATASETS)
+    },
 }
 """Tasks of the datasets of committed offline results; of the others, Reach-v0."""
 
@@ -74,8 +78,6 @@ def online_rows() -> list[Row]:
 
 def task_of(row: Row) -> str:
     """Name of the task whose dataset a row of offline learning is about."""
-    if row["setting"].endswith("-baseline"):
-        return next(s.task for s, _ in BASELINES.cells if s.name == row["dataset"])
     return DATA.get(row["dataset"], "Reach-v0")
 
 
@@ -234,9 +236,9 @@ def _algorithm_results(name: str) -> str:
             markdown_table(header, rows)
             + "\n[Online learning](../../results/online.md).\n"
         )
-    rows = [row for row in offline_rows() if row["setting"] == name]
-    rows += baseline_rows(name)
-    if not rows:
+    committed = [row for row in offline_rows() if row["setting"] == name]
+    committed += baseline_rows(name)
+    if not committed:
         return "None are committed yet.\n"
     lines = [
         (
@@ -245,7 +247,7 @@ def _algorithm_results(name: str) -> str:
             rate_with_interval(row),
             f"{row['return']:.2f}",
         )
-        for row in rows
+        for row in committed
     ]
     table = markdown_table(("dataset", "task", "goals reached [%]", "return"), lines)
     return (
