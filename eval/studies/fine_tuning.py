@@ -42,6 +42,7 @@ WAYS = (
         "rlpd-kept",
         "RLPD",
         "rlpd",
+        changes={"future": 0.2, "elsewhere": 0.4},  # as TD3+BC's preset has it
         fine_tuning=FineTuning(online_steps=5_000, updates_per_step=4),
         **_SHARED,
     ),
