@@ -10,7 +10,8 @@ What is not ours: to propose by a generative model of the data and pick by a cri
 SfBC's (Chen 2023, arXiv 2209.14548) and, with IQL's values, IDQL's (Hansen-Estruch
 2023, arXiv 2304.10573), both in every step of acting and by one agent; BCQ (Fujimoto
 2019) did so before with a variational autoencoder. To distil a joint flow into an actor
-per agent is MAC-Flow's (Lee 2025), which does not pick.
+per agent is MAC-Flow's (Lee 2025), which does not pick; VGM2P (Pang 2026, arXiv
+2604.08174) tells a team's flow the team's advantage instead of picking.
 """
 
 from collections.abc import Sequence
