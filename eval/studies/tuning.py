@@ -62,7 +62,7 @@ class TuningOptions(StudyOptions):
     tried: int = 12
     """Number of settings of each algorithm, its preset among them."""
 
-    updates: int = 5_000
+    updates: int = 2_000
     """Updates of every run."""
 
     goals: int = 50
