@@ -121,10 +121,11 @@ def summarize_success(rows: Sequence[Mapping[str, Any]], name: str) -> dict[str,
 def success_scores(rows: Sequence[Mapping[str, Any]]) -> np.ndarray:
     """Success rates by seed and direction, shape (seeds, 2): as many goals in each.
 
-    Where all goals are on one side, shape (seeds, 1).
+    Where all goals are on one side, or on none that is named, shape (seeds, 1).
     """
     groups = grouped(rows, "direction")
     sides = [groups[side] for side in ("forward", "backward") if side in groups]
+    sides = sides or [rows]
     return np.array([seed_rates(side) for side in sides]).T
 
 

@@ -22,7 +22,8 @@ LEARNERS = tuple(
 DATASETS = (
     *("quiet-zone-expert", "quiet-zone-narrow", "quiet-zone-noisy"),
     *("quiet-zone-explore", "quiet-zone-rare", "quiet-zone-stitch"),
-    *("gate-expert", "gate-stitch", "bar-noisy", "bar-conventions"),
+    *("gate-expert", "gate-stitch", "moving-reach-explore"),
+    *("bar-noisy", "bar-conventions"),
 )
 """Names of their recipes."""
 

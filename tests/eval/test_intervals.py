@@ -72,6 +72,8 @@ def test_scores_by_seed_and_direction() -> None:
         for goal in range(2)
     ]
     assert success_scores(rows).tolist() == [[1.0, 0.5], [0.0, 1.0]]
+    nowhere = [row | {"direction": ""} for row in rows]
+    assert success_scores(nowhere).tolist() == [[0.75], [0.5]]
 
 
 def test_the_interquartile_mean_of_a_table_worked_by_hand() -> None:
