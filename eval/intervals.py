@@ -125,7 +125,7 @@ def success_scores(rows: Sequence[Mapping[str, Any]]) -> np.ndarray:
     """
     groups = grouped(rows, "direction")
     sides = [groups[side] for side in ("forward", "backward") if side in groups]
-    sides = sides or [rows]
+    sides = sides or [list(rows)]
     return np.array([seed_rates(side) for side in sides]).T
 
 
