@@ -1,12 +1,17 @@
 """Evaluate a policy on a fixed goal set."""
 
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import dataclass, replace
 from html import escape
 from typing import Any
 
+import numpy as np
+
+from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
+from marl_mm.envs.task import Task
 from marl_mm.errors import UsageError
 from marl_mm.eval.goals import goal_set
 from marl_mm.eval.metrics import EvaluationRow, episode_row, summarize_directions
@@ -130,8 +135,12 @@ def evaluate_with(
     task: str,
     overrides: Mapping[str, Any] | None = None,
     advance: Advance = silent,
+    states: list[np.ndarray] | None = None,
 ) -> Evaluation:
-    """``evaluate`` in existing environments of the task."""
+    """``evaluate`` in existing environments of the task.
+
+    The joint states of each episode are added to ``states``.
+    """
     if episodes < 1:
         raise UsageError(f"episodes is {episodes}, expected >= 1")
     if seed < 0:
@@ -139,6 +148,8 @@ def evaluate_with(
     rows: list[EvaluationRow] = []
     plans = goal_set(make_task(task, overrides), episodes, seed)
     for episode in rollouts.run(policy, plans):
+        if states is not None:
+            states.append(episode.states)
         rows.append(episode_row(episode))
         reached = sum(row["success"] for row in rows)
         advance(1, f"{reached}/{len(rows)} reached")
@@ -148,3 +159,49 @@ def evaluate_with(
     return Evaluation(
         policy.name, policy.describe(), task, replaced, seed, rows, version
     )
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Task and goals of evaluations that are compared."""
+
+    task: str
+    """Registered name of the task."""
+
+    overrides: Mapping[str, Any]
+    """Replaced fields of the task."""
+
+    episodes: int
+    """Number of goals."""
+
+    seed: int
+    """Seed of goals, environment and policies."""
+
+    workers: int = 1
+    """Number of processes; results do not depend on it."""
+
+    @property
+    def made(self) -> Task:
+        """The task."""
+        return make_task(self.task, self.overrides)
+
+    def rollouts(self) -> Rollouts:
+        """New environments of the task."""
+        return Rollouts(self.made, self.workers)
+
+    def run(
+        self,
+        rollouts: Rollouts,
+        policy: Policy,
+        advance: Advance = silent,
+        states: list[np.ndarray] | None = None,
+    ) -> Evaluation:
+        """``evaluate_with`` on these goals."""
+        goals = self.episodes, self.seed, self.task, self.overrides
+        return evaluate_with(rollouts, policy, *goals, advance, states)
+
+
+def check_task(task: Task) -> None:
+    """Raise a UsageError where its engine is not installed, or lacks the task."""
+    with closing(EpisodeCore(task)) as core:
+        core.reset(np.random.default_rng(0))

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from marl_mm.runs.evaluate import evaluate
     from marl_mm.runs.play import play
     from marl_mm.runs.policies import load_policy
+    from marl_mm.runs.robustness import cross_play, robustness
     from marl_mm.runs.run import find_runs, load_run
     from marl_mm.runs.sources import Mix, Source
     from marl_mm.runs.train import repeat, train
@@ -28,6 +29,7 @@ __all__ = [
     "Source",
     "Study",
     "collect",
+    "cross_play",
     "evaluate",
     "find_runs",
     "load_dataset",
@@ -37,6 +39,7 @@ __all__ = [
     "parallel_vec",
     "play",
     "repeat",
+    "robustness",
     "train",
 ]
 
@@ -45,6 +48,7 @@ _MODULES = {
         ("Online", "Probe", "Setting", "Study"), "marl_mm.eval.studies.study"
     ),
     **dict.fromkeys(("Mix", "Source"), "marl_mm.runs.sources"),
+    **dict.fromkeys(("cross_play", "robustness"), "marl_mm.runs.robustness"),
     **dict.fromkeys(("make_vec", "parallel_vec"), "marl_mm.envs"),
     "collect": "marl_mm.runs.collect",
     "evaluate": "marl_mm.runs.evaluate",

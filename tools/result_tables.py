@@ -10,6 +10,7 @@ from pathlib import Path
 from study_tables import (
     baselines_table,
     differences_table,
+    disturbances_table,
     engine_differences_table,
     fine_tuning_table,
     goals_table,
@@ -52,6 +53,8 @@ from marl_mm.eval.studies.coordination import (
 from marl_mm.eval.studies.engines import AGREEMENT, FIGURE, TABLE
 from marl_mm.eval.studies.engines_summary import agreement_table
 from marl_mm.eval.studies.offline import BLOCKS
+from marl_mm.eval.studies.robustness import TABLE as ROBUSTNESS_TABLE
+from marl_mm.eval.studies.robustness import robustness_table
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.table import CRITICS, IQM, RETURN, Table
 from marl_mm.eval.studies.targets import STUDIES
@@ -333,6 +336,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "separation": partial(_drawn_from, "separation.csv", separation_table),
     "fine-tuning": partial(_drawn_from, "fine-tuning.csv", _fine_tuning),
     "tuning": partial(_drawn_from, TUNED_TABLE, tuning_table),
+    "disturbances": disturbances_table,
+    "robustness": partial(_drawn_from, ROBUSTNESS_TABLE, robustness_table),
     "coordination-worth": partial(_drawn_from, WORTH, worth_table),
     "coordination-teams": partial(_drawn_from, TEAMS, coordination_table),
     "coordination-levels": partial(_drawn_from, TEAMS, levels_table),

@@ -25,6 +25,7 @@ from marl_mm.eval.studies.separation import SEPARATION
 from marl_mm.eval.studies.study import Study, cell_name
 from marl_mm.eval.studies.summary import returns_of
 from marl_mm.eval.studies.table import RETURN
+from marl_mm.eval.suite import ROBUSTNESS
 from marl_mm.eval.tables import markdown_table
 
 _AT_EQUAL_STEPS = ("ddpg-her", "maddpg-her", SB3, "ddpg-her-no-layer-norm")
@@ -304,3 +305,13 @@ def hindsight_in_words(summary: Sequence[Row]) -> str:
         f"With hindsight DDPG comes to 70 % in {her['to_70'] / plain['to_70']:.2f} of "
         f"the episodes; the intervals {'are disjoint' if disjoint else 'overlap'}.\n"
     )
+
+
+def disturbances_table() -> str:
+    """The suite of disturbances, as Markdown."""
+    lines = []
+    for name, what in ROBUSTNESS.items():
+        strengths = ", ".join(map(str, what.strengths))
+        about = f"{what.about}{' (each agent in turn)' * isinstance(what.how, type)}"
+        lines.append((f"`{name}`", f"{strengths} {what.unit}".strip(), about))
+    return markdown_table(("disturbance", "strengths", "meaning"), lines)

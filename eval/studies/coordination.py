@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 
 from marl_mm.envs.registry import make_task
+from marl_mm.eval.evaluate import check_task
 from marl_mm.eval.grouping import by_goal, grouped, mean_of
 from marl_mm.eval.intervals import bootstrap_interval, success_interval
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.cells import read_cells, run_cells, write_cells
 from marl_mm.eval.studies.options import PolicyOptions
-from marl_mm.eval.studies.policies import Contestant, PolicyCell, check_task, run_cell
+from marl_mm.eval.studies.policies import Contestant, PolicyCell, run_cell
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar
 
@@ -112,7 +113,7 @@ def make_coordination(options: CoordinationOptions, bar: Bar) -> list[Row]:
     options.check_settings()
     cells = cells_of(options)
     for task, (first, *_) in cells.items():
-        check_task(task, first.engine)
+        check_task(make_task(task, first.overrides))
     every = [cell for listed in cells.values() for cell in listed]
     folder = options.runs_folder / "coordination"
     rows = run_cells(run_cell, every, folder, options.workers, (bar, "coordination"))

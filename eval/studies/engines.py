@@ -11,13 +11,14 @@ from pathlib import Path
 
 from marl_mm.algorithms.checkpoint import FILE
 from marl_mm.envs.registry import DEFAULT, make_task
+from marl_mm.eval.evaluate import check_task
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.cells import read_cells, run_cells, write_cells
 from marl_mm.eval.studies.engines_summary import agreement, paired
 from marl_mm.eval.studies.offline import LEARNERS
 from marl_mm.eval.studies.options import PolicyOptions, StudyOptions
-from marl_mm.eval.studies.policies import Contestant, PolicyCell, check_task, run_cell
+from marl_mm.eval.studies.policies import Contestant, PolicyCell, run_cell
 from marl_mm.eval.studies.study import Probe, Study
 from marl_mm.progress import Bar
 from marl_mm.runs.sources import Source
@@ -142,7 +143,7 @@ def make_engines(options: EnginesOptions, bar: Bar) -> list[Row]:
     options.check_settings()
     cells = [cell for task in options.tasks for cell in cells_of(task, options)]
     for task, engine in product(options.tasks, ENGINES):  # before any work is done
-        check_task(task, engine)
+        check_task(make_task(task, {"simulation": {"engine": engine}}))
     folder, pool = options.cells_folder, options.workers
     rows = run_cells(run_cell, cells, folder, pool, (bar, "engines"))
     for task in options.tasks:

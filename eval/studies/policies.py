@@ -1,14 +1,12 @@
 """Policies that studies run in tasks without training any, and their rows."""
 
 from collections.abc import Mapping
-from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from marl_mm.collectors.registry import COLLECTORS
-from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.registry import make_task
 from marl_mm.eval.evaluate import evaluate
 from marl_mm.eval.metrics import Row
@@ -124,10 +122,3 @@ def run_cell(cell: PolicyCell) -> list[Row]:
         }
         for row in evaluation.rows
     ]
-
-
-def check_task(task: str, engine: Engine) -> None:
-    """Raise a UsageError where an engine is not installed, or lacks the task."""
-    variant = make_task(task, {"simulation": {"engine": engine}})
-    with closing(EpisodeCore(variant)) as core:
-        core.reset(np.random.default_rng(0))

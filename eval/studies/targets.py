@@ -18,6 +18,7 @@ from marl_mm.eval.studies import (
     offline,
     online,
     paper,
+    robustness,
     separation,
     tuning,
 )
@@ -89,6 +90,14 @@ COMPARISONS = {
         coordination.make_coordination,
         coordination.draw_coordination,
         coordination.coordination_table,
+    ),
+    "robustness": Comparison(
+        robustness.ABOUT,
+        robustness.TABLE,
+        robustness.make_robustness,
+        robustness.draw_robustness,
+        robustness.robustness_table,
+        robustness.AGENTS,
     ),
     "tuning": Comparison(
         tuning.ABOUT,

@@ -16,6 +16,7 @@ from marl_mm.eval.studies.coordination import CoordinationOptions
 from marl_mm.eval.studies.engine import Engine, compare
 from marl_mm.eval.studies.engines import EnginesOptions
 from marl_mm.eval.studies.options import StudyOptions
+from marl_mm.eval.studies.robustness import RobustnessOptions
 from marl_mm.eval.studies.study import Study
 from marl_mm.eval.studies.sweep import draw_sweep
 from marl_mm.eval.studies.targets import (
@@ -75,6 +76,11 @@ class AblateCoordination(Ablate, CoordinationOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class AblateRobustness(Ablate, RobustnessOptions):
+    """Compare teams with joint actors, running those that are missing."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class AblateTuning(Ablate, TuningOptions):
     """Try settings of algorithms, running those that are missing."""
 
@@ -82,6 +88,7 @@ class AblateTuning(Ablate, TuningOptions):
 _OPTIONS = {
     "engines": AblateEngines(),
     "coordination": AblateCoordination(),
+    "robustness": AblateRobustness(),
     "tuning": AblateTuning(),
 }
 """Options of targets that have others than all have."""

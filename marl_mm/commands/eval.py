@@ -1,14 +1,19 @@
 """marl-mm eval: policies side by side on the same goals."""
 
+from functools import partial
 from pathlib import Path
+from typing import Any, Literal
 
 import tyro
 
 from marl_mm.commands.options import CORES, CollectorsSettings, OwnTask, config_of
-from marl_mm.commands.output import print_evaluations, show
+from marl_mm.commands.output import print_evaluations, print_rows, show
 from marl_mm.commands.parser import command
+from marl_mm.commands.wording import as_options
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import UsageError
+from marl_mm.eval.cross_play import CrossPlay
+from marl_mm.eval.robustness import Robustness
 from marl_mm.files import refuse_existing
 from marl_mm.progress import progress_bars
 from marl_mm.runs.evaluate import (
@@ -23,6 +28,7 @@ from marl_mm.runs.policies import (
     own_task,
     policy_names,
 )
+from marl_mm.runs.robustness import cross_play, robustness
 from marl_mm.sim.config import Engine
 
 
@@ -30,6 +36,8 @@ from marl_mm.sim.config import Engine
 def main(
     policies: tyro.conf.Positional[tuple[str, ...]],
     *,
+    suite: Literal["robustness"] | None = None,
+    partners: tuple[str, ...] = (),
     episodes: int = 100,
     seed: int = 0,
     task: OwnTask = None,
@@ -45,6 +53,11 @@ def main(
 
     Args:
         policies: Run folders, checkpoint files, "pretrained" or names of collectors.
+        suite: Suite of disturbances, each beside the clean run: actions that are late,
+            views that are lost or noisy, a frozen agent, other payload, friction and
+            engine, three strengths each. What does not apply is named.
+        partners: Other runs of the same task: one agent of each run is replaced by that
+            of each other one, for the matrix of what such teams reach.
         episodes: Number of goals: half ahead and half behind, where the task does not
             draw its own.
         seed: Seed of the goals and of random policies.
@@ -64,29 +77,55 @@ def main(
         )
     if out is not None:
         refuse_existing(out, overwrite)
-    task = own_task(policies) if task is None else task
-    engine = own_engine(policies) if engine is None else engine
+    both = *policies, *partners
+    task = own_task(both) if task is None else task
+    engine = own_engine(both) if engine is None else engine
     variant = make_task(task, task_overrides(max_steps, engine))
-    for name in policies:  # before any work is done
+    for name in both:  # before any work is done
         load_policy(name, variant, config_of(name, settings))
     with progress_bars() as bar:
+        goals: dict[str, Any] = {
+            "episodes": episodes,
+            "seed": seed,
+            "task": task,
+            "max_steps": max_steps,
+            "engine": engine,
+            "workers": workers,
+            "progress": bar,
+        }
+        own = [(name, config_of(name, settings)) for name in policies]
+        compared: dict[int, Robustness | CrossPlay] = {}
+        keep = partial(_keep, compared, out)
+        for number, (name, config) in enumerate(own if suite else ()):
+            robustness(name, config=config, keep=partial(keep, number), **goals)
+        if partners:
+            cross_play(both, keep=partial(keep, len(own)), **goals)
         evaluations = [
-            evaluate(
-                name,
-                episodes=episodes,
-                seed=seed,
-                task=task,
-                max_steps=max_steps,
-                engine=engine,
-                workers=workers,
-                config=config_of(name, settings),
-                progress=bar,
-            )
-            for name in policies
+            evaluate(name, config=config, **goals)
+            for name, config in ([] if compared else own)
         ]
-    if out is not None:
+    if out is not None and evaluations:
         save_evaluations(evaluations, out, overwrite)
     if json:
-        show(evaluations_json(evaluations))
-    else:
+        show(evaluations_json([*evaluations, *compared.values()]))
+    elif evaluations:
         print_evaluations(evaluations)
+    else:
+        for result in compared.values():
+            rows = [
+                dict(zip(result.header, r, strict=True)) for r in result.table_rows()
+            ]
+            print_rows(rows, as_json=False, title=result.title)
+            print(as_options(result.note))
+
+
+def _keep(
+    compared: dict[int, Robustness | CrossPlay],
+    out: Path | None,
+    number: int,
+    result: Robustness | CrossPlay,
+) -> None:
+    """Take what is finished, into OUT, too: Ctrl-C leaves a whole file."""
+    compared[number] = result
+    if out is not None:
+        save_evaluations([*compared.values()], out, overwrite=True)

@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from marl_mm.envs.registry import make_task
-from marl_mm.eval.evaluate import Evaluation
-from marl_mm.eval.evaluate import evaluate as evaluate_policy
+from marl_mm.eval.cross_play import CrossPlay
+from marl_mm.eval.evaluate import Evaluation, Setup
+from marl_mm.eval.robustness import Robustness
 from marl_mm.files import refuse_existing, write_json
+from marl_mm.policy import Policy
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.policies import load_policy, own_engine, own_task
 from marl_mm.runs.settings import check_positive, check_seed
@@ -48,24 +50,53 @@ def evaluate(
         UsageError: If a setting makes no sense, or there is no such policy.
         CheckpointError: If a run's checkpoint is damaged.
     """
+    goals = episodes, seed, task, max_steps, engine, workers
+    setup = setup_of([policy], *goals)
+    actor = load_policy(policy, setup.made, config, **settings)
+    name = called(policy, actor)
+    advance = progress(f"eval {Path(name).name}", episodes)
+    with setup.rollouts() as rollouts:
+        return replace(setup.run(rollouts, actor, advance), policy=name)
+
+
+def setup_of(
+    policies: Sequence[Any],
+    episodes: int,
+    seed: int,
+    task: str | None,
+    max_steps: int | None,
+    engine: Engine | None,
+    workers: int,
+) -> Setup:
+    """Task and goals of evaluations, by default those of the runs among policies.
+
+    Raises:
+        UsageError: If a setting makes no sense, or runs are of several tasks or
+            engines.
+    """
     check_positive(episodes=episodes, workers=workers)
     check_seed(seed)
-    overrides = task_overrides(max_steps, engine or own_engine([policy]))
-    name = own_task([policy]) if task is None else task
-    actor = load_policy(policy, make_task(name, overrides), config, **settings)
-    called = actor.name if policy is actor else str(getattr(policy, "folder", policy))
-    advance = progress(f"eval {Path(called).name}", episodes)
-    result = evaluate_policy(actor, episodes, seed, name, overrides, workers, advance)
-    return replace(result, policy=called)
+    overrides = task_overrides(max_steps, engine or own_engine(policies))
+    name = own_task(policies) if task is None else task
+    return Setup(name, overrides, episodes, seed, workers)
 
 
-def evaluations_json(evaluations: Sequence[Evaluation]) -> list[dict[str, Any]]:
+def called(source: Any, policy: Policy) -> str:
+    """Name of a policy in tables: its source's, or its own if it is the source."""
+    return policy.name if source is policy else str(getattr(source, "folder", source))
+
+
+Evaluated = Evaluation | Robustness | CrossPlay
+"""A result of evaluations."""
+
+
+def evaluations_json(evaluations: Sequence[Evaluated]) -> list[dict[str, Any]]:
     """Evaluations with the versions of the packages that made them."""
     return [each.to_json() | {"packages": versions()} for each in evaluations]
 
 
 def save_evaluations(
-    evaluations: Sequence[Evaluation], path: str | Path, overwrite: bool = False
+    evaluations: Sequence[Evaluated], path: str | Path, overwrite: bool = False
 ) -> None:
     """Write evaluations to a JSON file, with a row per episode.
 

@@ -42,7 +42,8 @@ def small_code(code: str) -> str:
         re.sub(r"  #.*", "", code),
         flags=re.M,
     )
-    code = re.sub(r"(marl_mm\.evaluate\([^)]*)\)", r"\1, max_steps=4)", code)
+    evaluated = r"(marl_mm\.(?:evaluate|robustness|cross_play)\([^)]*)\)"
+    code = re.sub(evaluated, r"\1, max_steps=4)", code)
     return re.sub(r"(marl_mm\.play\([^)]*)\)", r"\1, max_steps=2, fps=2)", code)
 
 

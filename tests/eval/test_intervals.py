@@ -10,6 +10,7 @@ from marl_mm.eval.intervals import (
     interquartile_mean,
     interval_of_mean,
     mean_interval,
+    paired_interval,
     success_interval,
     success_scores,
     wider_interval,
@@ -24,6 +25,18 @@ def test_wilson_interval_from_the_textbook(
     successes: int, episodes: int, low: float, high: float
 ) -> None:
     assert success_interval(successes, episodes) == pytest.approx((low, high), abs=1e-4)
+
+
+def test_the_paired_interval_by_hand() -> None:
+    """3 of 10 goals are won and 1 is lost: (4 - 2) / 12 +- 1.96 sqrt(0.03935)."""
+    now = [True] * 3 + [False] + [True] * 6
+    clean = [False] * 3 + [True] + [True] * 6
+    expected = 1 / 6 - 0.3888, 1 / 6 + 0.3888
+    assert paired_interval(now, clean) == pytest.approx(expected, abs=1e-4)
+    low, high = paired_interval(clean, now)
+    assert (low, high) == pytest.approx((-expected[1], -expected[0]), abs=1e-4)
+    low, high = paired_interval(now, now)
+    assert low == -high and high == pytest.approx(0.2309, abs=1e-4)
 
 
 def test_bootstrap_interval_is_that_of_the_mean() -> None:

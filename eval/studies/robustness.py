@@ -1,0 +1,331 @@
+"""What several agents are good for: teams against joint actors under disturbances.
+
+Every algorithm that has both forms is trained in each from the same data. What a form
+loses to a disturbance is compared goal by goal, and with it what the team keeps more.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from marl_mm.algorithms.checkpoint import FILE
+from marl_mm.algorithms.registry import ALGORITHMS
+from marl_mm.errors import UsageError
+from marl_mm.eval.evaluate import Setup
+from marl_mm.eval.grouping import by_goal, grouped, mean_of
+from marl_mm.eval.intervals import interval_of_mean
+from marl_mm.eval.metrics import EvaluationRow, Row
+from marl_mm.eval.robustness import robustness
+from marl_mm.eval.rows import write_csv
+from marl_mm.eval.studies.cells import read_cells, run_cells, write_cells
+from marl_mm.eval.studies.options import StudyOptions
+from marl_mm.eval.studies.study import Setting, Study, cell_name
+from marl_mm.eval.suite import ROBUSTNESS, conditions
+from marl_mm.eval.tables import markdown_table
+from marl_mm.progress import Bar, silent_bar
+from marl_mm.runs.recipes import RECIPES
+from marl_mm.runs.run import Run
+from marl_mm.runs.settings import check_positive
+from marl_mm.runs.sources import Source
+from marl_mm.runs.train import dataset_of
+from marl_mm.sim.config import engine_overrides
+
+ABOUT = "Teams against joint actors under disturbances."
+"""Title."""
+
+TABLE = "robustness.csv"
+"""File of the table, a row per dataset, algorithm and disturbance."""
+
+FORMS = (
+    *(("bc", "mabc"), ("flow-bc", "ma-flow-bc"), ("iql", "ma-iql")),
+    *(("rebrac", "ma-rebrac"), ("td3-bc", "matd3-bc"), ("cql", "cfcql")),
+    ("best-of-n-joint", "best-of-n"),
+)
+"""Algorithms: the form with a joint actor, and the team's."""
+
+SOURCES = {
+    RECIPES.get(name).source.name: name for name in ("quiet-zone-expert", "gate-expert")
+}
+"""Recipes of the datasets that are learnt from, by the datasets' names."""
+
+UPDATES = 5_000
+"""Updates of all algorithms."""
+
+
+def _setting(algorithm: str) -> Setting:
+    title = ALGORITHMS.get(algorithm).title
+    few: dict[str, Any] = {"changes": {"updates": UPDATES}, "curve_goals": 20}
+    return Setting(f"robust-{algorithm}", title, algorithm, **few)
+
+
+AGENTS = Study(
+    "Table: teams and joint actors before they are disturbed.",
+    tuple(
+        (RECIPES.get(recipe).source, _setting(name))
+        for recipe, form in product(SOURCES.values(), FORMS)
+        for name in form
+    ),
+)
+"""Study whose runs are disturbed."""
+
+CLEAN, ALL = "clean", "all"
+"""Names of the run without a disturbance, and of the mean over disturbances."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobustnessOptions(StudyOptions):
+    """Settings of the comparison under disturbances."""
+
+    goals: int = 100
+    """Number of goals of each run and condition, the same for all."""
+
+    def check_settings(self) -> None:
+        """Raise for options that make no sense.
+
+        Raises:
+            UsageError: Naming the option.
+        """
+        super().check_settings()
+        check_positive(goals=self.goals)
+
+
+@dataclass(frozen=True)
+class RobustCell:
+    """A run under the suite: everything that its rows depend on."""
+
+    dataset: str
+    """Name of the dataset."""
+
+    setting: str
+    """Name of the setting."""
+
+    seed: int
+    """Seed of the run."""
+
+    weights: str
+    """Fingerprint of the run's weights."""
+
+    goals: int
+    """Number of goals of each condition."""
+
+    conditions: tuple[str, ...]
+    """Conditions in words."""
+
+    max_steps: int | None
+    """Steps of an episode; None: the task's."""
+
+    @property
+    def task(self) -> str:
+        """Registered name of the task."""
+        return RECIPES.get(SOURCES[self.dataset]).source.task
+
+    @property
+    def overrides(self) -> dict[str, Any]:
+        """Settings of the task that are replaced."""
+        return _overrides(RECIPES.get(SOURCES[self.dataset]).source, self.max_steps)
+
+    @property
+    def label(self) -> str:
+        """Label in the progress bar."""
+        return f"{self.setting} {self.seed} {self.task}"
+
+
+def _overrides(source: Source, max_steps: int | None) -> dict[str, Any]:
+    steps = {} if max_steps is None else {"max_steps": max_steps}
+    return {**steps, **engine_overrides(source.engine)}
+
+
+def _names(options: StudyOptions) -> Sequence[str]:
+    """Names of the disturbances; with the smoke budget two of them."""
+    return ("noisy", "wheel friction") if options.small else [*ROBUSTNESS]
+
+
+def cells_of(options: RobustnessOptions) -> list[RobustCell]:
+    """Runs under the suite, all of which have to be trained.
+
+    Raises:
+        UsageError: If a run is gone.
+    """
+    goals, max_steps = (2, 4) if options.small else (options.goals, None)
+    cells = []
+    for dataset, setting in map(cell_name, AGENTS.cells):
+        source = RECIPES.get(SOURCES[dataset]).source
+        overrides = _overrides(source, max_steps)
+        listed, _ = conditions(source.task, overrides, _names(options))
+        words = tuple(map(str, listed))
+        for seed in options.seeds_of(AGENTS):
+            weights = _run(options, dataset, setting, seed).policy.fingerprint
+            of_run = dataset, setting, seed, weights
+            cells.append(RobustCell(*of_run, goals, words, max_steps))
+    return cells
+
+
+def _run(options: StudyOptions, dataset: str, setting: str, seed: int) -> Run:
+    (cell,) = (c for c in AGENTS.cells if cell_name(c) == (dataset, setting))
+    run = Run(options.run_folder(cell, seed))
+    if not (run.folder / FILE).exists():
+        raise UsageError(
+            f"{run.folder} is gone, and {options.store.folder} has its evaluations: "
+            "name another folder with `out`, or bring the run back"
+        )
+    return run
+
+
+def run_cell(options: RobustnessOptions, cell: RobustCell) -> list[Row]:
+    """A row per condition and goal. Noise is in units of the dataset's spread."""
+    run = _run(options, cell.dataset, cell.setting, cell.seed)
+    data = dataset_of(run.config)
+    assert data is not None
+    setup = Setup(cell.task, cell.overrides, cell.goals, seed=0)
+    about = cell.label, silent_bar, _names(options), data.arrays.states.std(axis=0)
+    *_, result = robustness(setup, run.policy, *about)
+    head = {
+        "dataset": cell.dataset,
+        "setting": cell.setting,
+        "engine": result.clean.engine,
+        "seed": cell.seed,
+    }
+    rows = [head | _goal(CLEAN, "", 0, row) for row in result.clean.rows]
+    for condition, evaluation in result.disturbed.items():
+        of = condition.disturbance, condition.agent, condition.strength
+        rows += [head | _goal(*of, row) for row in evaluation.rows]
+    return rows
+
+
+def _goal(
+    disturbance: str, agent: str, strength: float | str, row: EvaluationRow
+) -> Row:
+    return {
+        "disturbance": disturbance,
+        "agent": agent,
+        "strength": strength,
+        "goal": row["index"],
+        "success": int(row["success"]),
+        "steps": row["steps"],
+        "return": row["return"],
+        "reason": row.get("reason", ""),
+    }
+
+
+def make_robustness(options: RobustnessOptions, bar: Bar) -> list[Row]:
+    """Disturb the runs of ``AGENTS`` where that is missing, and draw the table.
+
+    Returns:
+        Rows of the table.
+
+    Raises:
+        UsageError: If an option makes no sense, or a run is gone.
+        KeyboardInterrupt: After Ctrl-C; finished runs are kept.
+    """
+    options.check_settings()
+    cells, folder = cells_of(options), options.runs_folder / "robustness"
+    run = partial(run_cell, options)
+    rows = run_cells(run, cells, folder, options.workers, (bar, "robustness"))
+    for name in map(cell_name, AGENTS.cells):
+        listed = [cell for cell in cells if (cell.dataset, cell.setting) == name]
+        file = "-".join(name).replace("/", "-")
+        write_cells(_rows_folder(options.results) / file, listed, rows)
+    return draw_robustness(options.results, options.results)
+
+
+def _rows_folder(results: Path) -> Path:
+    return results / "rows" / "robustness"
+
+
+# --- Tables ------------------------------------------------------------------
+
+
+def draw_robustness(results: Path, folder: Path) -> list[Row]:
+    """Write the table into a folder, from rows in another.
+
+    Returns:
+        Rows of the table.
+
+    Raises:
+        UsageError: If there are no rows.
+    """
+    read = read_cells(_rows_folder(results)).values()
+    cells = grouped([row for rows in read for row in rows], "dataset", "setting")
+    summary: list[Row] = []
+    for dataset, form in product(SOURCES, FORMS):
+        pair = [cells.get((dataset, f"robust-{name}"), []) for name in form]
+        if all(pair):
+            summary += _compared({"dataset": dataset, "joint": form[0]}, *pair)
+    write_csv(folder / TABLE, summary)
+    return summary
+
+
+def _compared(head: Row, joint: Sequence[Row], team: Sequence[Row]) -> list[Row]:
+    """A row per disturbance, and one of their mean."""
+    of_joint, of_team = _changes(joint), _changes(team)
+    rows = []
+    for name in of_joint:
+        more = of_team[name] - of_joint[name]
+        rows.append(
+            {
+                **head,
+                "engine": joint[0]["engine"],
+                "disturbance": name,
+                "seeds": len(more),
+                "goals": more.shape[1],
+                "joint_clean": _clean(joint),
+                "joint_change": float(of_joint[name].mean()),
+                "team_clean": _clean(team),
+                "team_change": float(of_team[name].mean()),
+                "keeps_more": float(more.mean()),
+                "keeps_more_interval": interval_of_mean(more),
+            }
+        )
+    return rows
+
+
+def _clean(rows: Sequence[Row]) -> float:
+    return mean_of(grouped(rows, "disturbance")[CLEAN], "success")
+
+
+def _changes(rows: Sequence[Row]) -> dict[str, np.ndarray]:
+    """Success less that of the clean run, by disturbance, shapes (seeds, goals).
+
+    It is the mean over agents and strengths; ``ALL`` is the mean over disturbances.
+    """
+    seeds = len(grouped(rows, "seed"))
+    by_name = grouped(rows, "disturbance")
+    clean = by_goal(by_name.pop(CLEAN), "success")
+    changes = {}
+    for name, some in by_name.items():
+        every = grouped(some, "agent", "strength").values()
+        mean = np.mean([by_goal(one, "success") for one in every], axis=0)
+        changes[name] = (mean - clean).reshape(seeds, -1)
+    return {**changes, ALL: np.mean([*changes.values()], axis=0)}
+
+
+def robustness_table(summary: Sequence[Row]) -> str:
+    """What teams keep more than joint actors, a line per algorithm, as Markdown."""
+    names = list(dict.fromkeys(row["disturbance"] for row in summary))
+    lines = []
+    for (dataset, joint), rows in grouped(summary, "dataset", "joint").items():
+        by_name = {row["disturbance"]: row for row in rows}
+        reached = [
+            f"{100 * by_name[ALL][f'{form}_clean']:.1f}, "
+            f"{100 * by_name[ALL][f'{form}_change']:+.1f}"
+            for form in ("joint", "team")
+        ]
+        about = f"`{SOURCES[dataset]}`", f"`{joint}`, `{dict(FORMS)[joint]}`"
+        lines.append([*about, *reached, *(_more(by_name.get(n)) for n in names)])
+    heads = ["dataset", "joint actor, team", "joint actor [%]", "team [%]"]
+    table = markdown_table([*heads, *names], lines)
+    engines = ", ".join(sorted({row["engine"] for row in summary}))
+    return f"Engine {engines}.\n\n{table}"
+
+
+def _more(row: Row | None) -> str:
+    if row is None:
+        return ""
+    values = (row["keeps_more"], *row["keeps_more_interval"])
+    mean, low, high = (f"{100 * value:+.1f}" for value in values)
+    return f"{mean} [{low}, {high}]"

@@ -1,0 +1,104 @@
+"""Evaluate policies under disturbances, and with agents of each other."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from marl_mm.errors import UsageError
+from marl_mm.eval import cross_play as crossing
+from marl_mm.eval import robustness as disturbing
+from marl_mm.eval.cross_play import CrossPlay
+from marl_mm.eval.robustness import Robustness
+from marl_mm.eval.suite import ROBUSTNESS
+from marl_mm.progress import Bar, silent_bar
+from marl_mm.runs.evaluate import called, setup_of
+from marl_mm.runs.policies import load_policy
+from marl_mm.sim.config import Engine
+
+
+def forget(result: object) -> None:
+    """Keep nothing of what is finished."""
+
+
+def robustness(
+    policy: Any,
+    *,
+    disturbances: Sequence[str] = tuple(ROBUSTNESS),
+    episodes: int = 100,
+    seed: int = 0,
+    task: str | None = None,
+    max_steps: int | None = None,
+    engine: Engine | None = None,
+    workers: int = 1,
+    config: Any = None,
+    progress: Bar = silent_bar,
+    keep: Callable[[Robustness], None] = forget,
+    **settings: Any,
+) -> Robustness:
+    """Evaluate a policy under disturbances, on the same goals as without them.
+
+    Args:
+        policy: Run, run folder, checkpoint file, ``pretrained``, a collector's name, or
+            a policy.
+        disturbances: Names of the disturbances, of ``marl_mm.eval.suite.ROBUSTNESS``.
+        episodes: Number of goals of each strength of each disturbance.
+        seed: Seed of the goals, of random policies and of the disturbances.
+        task: Registered name of the task; default the run's own, or Reach-v0.
+        max_steps: Steps per episode; default the task's.
+        engine: Engine of the simulation, bullet or mujoco; default the run's own.
+        workers: Processes; the result does not depend on their number.
+        config: Settings of a collector's policy; default the collector's.
+        progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
+        keep: Callback after each condition, with what is finished.
+        **settings: Settings of a collector's policy, by name.
+
+    Raises:
+        UsageError: If a setting makes no sense, or there is no such policy.
+        CheckpointError: If a run's checkpoint is damaged.
+    """
+    goals = episodes, seed, task, max_steps, engine, workers
+    setup = setup_of([policy], *goals)
+    actor = load_policy(policy, setup.made, config, **settings)
+    name = called(policy, actor)
+    for result in disturbing.robustness(setup, actor, name, progress, disturbances):
+        keep(result)
+    return result
+
+
+def cross_play(
+    policies: Sequence[Any],
+    *,
+    episodes: int = 100,
+    seed: int = 0,
+    task: str | None = None,
+    max_steps: int | None = None,
+    engine: Engine | None = None,
+    workers: int = 1,
+    progress: Bar = silent_bar,
+    keep: Callable[[CrossPlay], None] = forget,
+) -> CrossPlay:
+    """Evaluate teams of which one agent is that of another run, for all pairs of runs.
+
+    Args:
+        policies: Runs and others as in ``evaluate``, of the same task, two at least.
+        episodes: Number of goals of each team.
+        seed: Seed of the goals and of random policies.
+        task: Registered name of the task; default the runs' own, or Reach-v0.
+        max_steps: Steps per episode; default the task's.
+        engine: Engine of the simulation, bullet or mujoco; default the runs' own.
+        workers: Processes; the result does not depend on their number.
+        progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
+        keep: Callback after each team, with what is finished.
+
+    Raises:
+        UsageError: If a setting makes no sense, or runs are of several tasks.
+        LayoutError: If a run is made for another layout than the task has.
+        CheckpointError: If a run's checkpoint is damaged.
+    """
+    if len(policies) < 2:
+        raise UsageError(f"cross-play of {len(policies)} policy, expected 2 or more")
+    setup = setup_of(policies, episodes, seed, task, max_steps, engine, workers)
+    actors = [load_policy(policy, setup.made) for policy in policies]
+    names = [called(*pair) for pair in zip(policies, actors, strict=True)]
+    for result in crossing.cross_play(setup, actors, names, progress):
+        keep(result)
+    return result

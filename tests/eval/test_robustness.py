@@ -1,0 +1,281 @@
+"""Disturbances: they change what they say, goal by goal, and nothing at strength 0."""
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import marl_mm
+from marl_mm.cli import main
+from marl_mm.commands import eval as command
+from marl_mm.envs.registry import make_task
+from marl_mm.errors import UsageError
+from marl_mm.eval.disturbances import (
+    Disturbed,
+    Dropped,
+    Frozen,
+    Late,
+    Noisy,
+    disturbed,
+)
+from marl_mm.eval.evaluate import Evaluation, Setup
+from marl_mm.eval.suite import ROBUSTNESS, conditions
+from marl_mm.progress import Advance, Bar
+from marl_mm.sim.config import is_installed
+
+NOTHING: dict[type[Disturbed], float] = {
+    Late: 0,
+    Dropped: 0.0,
+    Frozen: math.inf,
+    Noisy: 0.0,
+}
+"""Strengths at which nothing is disturbed."""
+
+FEW: dict[str, Any] = {"episodes": 2, "max_steps": 3, "engine": "mujoco"}
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Runs that have learnt next to nothing, of actors that draw noise."""
+    folder = tmp_path_factory.mktemp("runs")
+    few: dict[str, Any] = {"hidden": (16, 16), "batch_size": 32, "updates": 4}
+    few |= {"eval_episodes": 2, "curve_episodes": 1, "max_steps": 2}
+    for name in ("flow-bc", "ma-flow-bc", "mabc"):
+        marl_mm.train(name, "good-5k", out=folder / name, **few)
+    return {path.name: path / "0" for path in folder.iterdir()}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["flow-bc", "ma-flow-bc"])
+@pytest.mark.parametrize("kind", NOTHING)
+def test_nothing_is_disturbed_at_strength_nothing(
+    runs: dict[str, Path], name: str, kind: type[Disturbed]
+) -> None:
+    """To the bit, and of actors that draw noise, too."""
+    policy = marl_mm.load_policy(runs[name])
+    setup = Setup(
+        "Reach-v0", {"max_steps": 3, "simulation": {"engine": "mujoco"}}, 2, 0
+    )
+    spread = np.ones(len(setup.made.layout.state))
+    with setup.rollouts() as rollouts:
+        clean = setup.run(rollouts, policy)
+        for agent in setup.made.layout.agents:
+            same = disturbed(kind, policy, agent, NOTHING[kind], spread)
+            assert setup.run(rollouts, same).rows == clean.rows
+
+
+# --- The suite ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("task", ["Reach-v0", "Bar-v0", "Course-v0", "MovingReach-v0"])
+def test_every_agent_of_every_task_is_disturbed_in_three_strengths(task: str) -> None:
+    listed, left_out = conditions(task, {}, list(ROBUSTNESS))
+    for name, what in ROBUSTNESS.items():
+        mine = [each for each in listed if each.disturbance == name]
+        assert len(what.strengths) == (1 if name == "engine" else 3)
+        if isinstance(what.how, type):
+            team = [agent.name for agent in make_task(task).layout.team]
+            assert [each.agent for each in mine] == [n for n in team for _ in range(3)]
+        else:
+            assert len(mine) == len(what.strengths) or name in left_out
+
+
+def test_what_does_not_apply_is_named() -> None:
+    _, left_out = conditions("Reach-v0", {}, list(ROBUSTNESS))
+    assert left_out["payload"] == "the task has nothing to carry"
+    assert "no block" in left_out["pad friction"]
+    _, left_out = conditions("CarryReach-v0", {}, list(ROBUSTNESS))
+    assert left_out.keys() <= {"engine"}
+    if not is_installed("bullet"):
+        assert "pybullet, which is not installed" in left_out["engine"]
+
+
+def test_payload_friction_and_engine_change_what_they_say() -> None:
+    overrides = {"max_steps": 3, "simulation": {"engine": "mujoco"}}
+    changed = {
+        (each.disturbance, each.strength): make_task("CarryReach-v0", each.overrides)
+        for each in conditions("CarryReach-v0", overrides, list(ROBUSTNESS))[0]
+    }
+    clean: Any = make_task("CarryReach-v0", overrides)
+    heavy: Any = changed["payload", 2.0]
+    slippery: Any = changed["pad friction", 0.5]
+    assert heavy.load.mass == (6.0, 6.0) and heavy.load.edge == clean.load.edge
+    assert slippery.load.friction == (0.3, 0.3)
+    assert changed["wheel friction", 0.05].simulation.wheel_friction == 0.05
+    assert changed["wheel friction", 0.05].simulation.engine == "mujoco"
+    assert all(task.max_steps == 3 for task in changed.values())
+    if is_installed("bullet"):
+        assert changed["engine", "other"].simulation.engine == "bullet"
+    bar: Any = conditions("Bar-v0", {}, ["payload"])[0][0].overrides
+    assert bar == {"bar_mass": 2.5}
+
+
+@pytest.mark.slow
+def test_the_world_does_otherwise_with_another_payload_friction_or_engine() -> None:
+    names = ("payload", "pad friction", "wheel friction", "engine")
+    few = FEW | {"max_steps": 6, "task": "CarryReach-v0"}
+    result = marl_mm.robustness("scripted", disturbances=names, **few)
+    by_name = {(c.disturbance, c.strength): e for c, e in result.disturbed.items()}
+    strongest = [
+        by_name["payload", 2.0],
+        by_name["pad friction", 0.1],
+        by_name["wheel friction", 0.02],
+        *([by_name["engine", "other"]] if is_installed("bullet") else []),
+    ]
+    for evaluation in strongest:
+        pairs = list(zip(evaluation.rows, result.clean.rows, strict=True))
+        assert all(row["goal"] == other["goal"] for row, other in pairs)
+        assert any(row["return"] != other["return"] for row, other in pairs)
+        assert evaluation.overrides != result.clean.overrides
+    assert "dropped" in str(strongest[1].summary["all"]["failures"])
+    if is_installed("bullet"):
+        assert strongest[-1].engine.startswith("bullet")
+
+
+@pytest.mark.slow
+def test_results_do_not_depend_on_workers_or_on_what_else_is_run(
+    runs: dict[str, Path],
+) -> None:
+    names = ("dropped", "noisy")
+    few = FEW | {"episodes": 3}
+    one = marl_mm.robustness(runs["flow-bc"], disturbances=names, **few)
+    two = marl_mm.robustness(runs["flow-bc"], disturbances=names, workers=2, **few)
+    assert one.to_json() == two.to_json()
+    noisy = marl_mm.robustness(runs["flow-bc"], disturbances=("noisy",), **few)
+    for condition, evaluation in noisy.disturbed.items():
+        assert one.disturbed[condition].rows == evaluation.rows
+    assert one.clean.rows == marl_mm.evaluate(runs["flow-bc"], **few).rows
+
+
+@pytest.mark.slow
+def test_differences_are_paired_and_shown(runs: dict[str, Path]) -> None:
+    result = marl_mm.robustness(runs["mabc"], disturbances=("late",), **FEW)
+    assert len(result.disturbed) == 2 * 3
+    head, *lines = result.table_rows()
+    assert head[0] == "clean" and lines[4][:3] == ("late", "balance", "2 steps")
+    for condition, line in zip(result.disturbed, lines, strict=True):
+        change, (low, high) = result.difference(condition)
+        assert low < change < high
+        assert line[4] == f"{100 * change:+.1f} [{100 * low:+.1f}, {100 * high:+.1f}]"
+    assert "<table>" in result._repr_html_() and "mujoco" in result.note
+    (record, *_) = result.to_json()["disturbed"]
+    first, *_ = result.disturbed.values()
+    assert Evaluation.from_json(record).rows == first.rows
+
+
+# --- Cross-play --------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["flow-bc", "ma-flow-bc"])
+def test_cross_play_with_itself_is_the_clean_run(
+    runs: dict[str, Path], name: str
+) -> None:
+    clean = marl_mm.evaluate(runs[name], **FEW)
+    result = marl_mm.cross_play([runs[name], runs[name]], **FEW)
+    assert len(result.evaluations) == 4
+    for evaluation in result.evaluations.values():
+        assert evaluation.rows == clean.rows
+
+
+@pytest.mark.slow
+def test_the_matrix_has_a_row_per_agent_and_run(runs: dict[str, Path]) -> None:
+    names = [runs["mabc"], runs["flow-bc"], "pd"]
+    result = marl_mm.cross_play(names, **FEW)
+    assert len(result.evaluations) == 3 + 6, "teams of the same agents are run once"
+    assert result.header == ("agent", "of run", *(f"from {n} % [95 %]" for n in "123"))
+    lines = result.table_rows()
+    assert [line[0] for line in lines] == ["end_effector"] * 3 + ["balance"] * 3
+    assert lines[0][3] == lines[4][2], "the second's hand beside the first's balance"
+    assert "from 3" in result.markdown() and "<table>" in result._repr_html_()
+
+
+# --- The command -------------------------------------------------------------
+
+
+SHORT = ["--episodes", "2", "--max-steps", "2", "--engine", "mujoco", "--workers", "1"]
+
+
+@pytest.mark.slow
+def test_the_command_writes_what_python_returns(
+    runs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, run = tmp_path / "out.json", str(runs["mabc"])
+    words = ["eval", run, "--suite", "robustness", "--partners", "pd", *SHORT]
+    assert main([*words, "--out", str(out)]) == 0
+    text = capsys.readouterr().out
+    assert "clean" in text and "payload (the task has nothing to carry)" in text
+    assert f"1: {run}" in text
+    disturbed_, crossed = json.loads(out.read_text())
+    few = FEW | {"max_steps": 2}
+    result = marl_mm.robustness(run, **few)
+    assert (
+        disturbed_["disturbed"] == json.loads(json.dumps(result.to_json()))["disturbed"]
+    )
+    assert [team["agents"]["balance"] for team in crossed["teams"]] == [run, "pd"] * 2
+    assert main([*words, "--out", str(out)]) == 2  # it exists
+
+
+@pytest.mark.slow
+def test_ctrl_c_leaves_what_is_finished(
+    runs: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @contextmanager
+    def bars() -> Iterator[Bar]:
+        def bar(label: str, total: int) -> Advance:
+            left = iter(range(5))
+
+            def advance(done: int, note: str) -> None:
+                if next(left, None) is None:
+                    raise KeyboardInterrupt
+
+            return advance
+
+        yield bar
+
+    monkeypatch.setattr(command, "progress_bars", bars)
+    out = tmp_path / "out.json"
+    words = ["eval", str(runs["mabc"]), "--suite", "robustness", *SHORT]
+    assert main([*words, "--out", str(out)]) == 130
+    (record,) = json.loads(out.read_text())
+    assert [len(each["episodes"]) for each in record["disturbed"]] == [2]
+    assert [path.name for path in tmp_path.iterdir()] == ["out.json"]
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["pd", "--suite", "fly"], "--suite"),
+        (["pd", "--partners", "nobody"], "no policy 'nobody'"),
+        (["pretrained", "--task", "Gate-v0", "--partners", "pd"], "another layout"),
+    ],
+)
+def test_mistakes_are_one_line(
+    words: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["eval", *words, *SHORT]) == 2
+    error = capsys.readouterr().err
+    assert complaint in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("call", "complaint"),
+    [
+        (
+            lambda: marl_mm.robustness("pd", disturbances=["dizzy"], **FEW),
+            "no disturbance 'dizzy', expected some of late, dropped",
+        ),
+        (lambda: marl_mm.cross_play(["pd"], **FEW), "expected 2 or more"),
+        (lambda: marl_mm.robustness("pd", episodes=0), "`episodes` is 0"),
+    ],
+)
+def test_mistakes_in_python_are_usage_errors(
+    call: Callable[[], Any], complaint: str
+) -> None:
+    with pytest.raises(UsageError, match=complaint):
+        call()

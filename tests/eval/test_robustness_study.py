@@ -1,0 +1,111 @@
+"""Teams against joint actors: what is compared, and by which numbers."""
+
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from marl_mm.algorithms.registry import ALGORITHMS, preset
+from marl_mm.cli import main
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.rows import write_csv
+from marl_mm.eval.studies import robustness
+from marl_mm.eval.studies.robustness import (
+    AGENTS,
+    FORMS,
+    SOURCES,
+    RobustCell,
+    draw_robustness,
+    robustness_table,
+)
+from marl_mm.eval.studies.targets import COMPARISONS, STUDIES
+
+
+def test_both_forms_learn_with_the_same_settings() -> None:
+    for joint, team in FORMS:
+        settings = [preset(name) for name in (joint, team)]
+        assert not any(ALGORITHMS.get(name).online for name in (joint, team))
+        for name in ("learning_rate", "hidden", "batch_size"):
+            values = [getattr(config, name, None) for config in settings]
+            assert values[0] == values[1], (joint, team, name)
+    assert len(AGENTS.cells) == 2 * len(FORMS) * len(SOURCES)
+
+
+def test_no_other_study_has_its_runs() -> None:
+    others = {setting.name for study in STUDIES.values() for _, setting in study.cells}
+    assert not others & {setting.name for _, setting in AGENTS.cells}
+
+
+def rows(setting: str, reached: Any) -> Any:
+    """Rows of two seeds and two goals each, by disturbance, agent and strength."""
+    head = {"dataset": next(iter(SOURCES)), "setting": setting, "engine": "mujoco 4"}
+    return [
+        head
+        | {"disturbance": name, "agent": agent, "strength": strength}
+        | {"seed": seed, "goal": goal, "success": successes[2 * seed + goal]}
+        for (name, agent, strength), successes in reached.items()
+        for seed, goal in product(range(2), range(2))
+    ]
+
+
+def test_what_a_team_keeps_more_by_hand(tmp_path: Path) -> None:
+    """The mean over agents and strengths first, then over disturbances."""
+    joint = {
+        ("clean", "", 0): (1, 1, 1, 1),
+        ("late", "hand", 1): (0, 0, 1, 1),
+        ("late", "balance", 1): (0, 0, 0, 0),
+        ("engine", "", 0): (1, 1, 1, 0),
+    }
+    team = {
+        ("clean", "", 0): (1, 1, 0, 0),
+        ("late", "hand", 1): (1, 1, 0, 0),
+        ("late", "balance", 1): (1, 0, 0, 0),
+        ("engine", "", 0): (1, 1, 0, 0),
+    }
+    folder = tmp_path / "rows/robustness"
+    write_csv(folder / "joint.csv.xz", rows("robust-bc", joint))
+    write_csv(folder / "team.csv.xz", rows("robust-mabc", team))
+    late, engine, every = draw_robustness(tmp_path, tmp_path)
+    assert (late["joint_clean"], late["team_clean"]) == (1.0, 0.5)
+    assert (late["joint_change"], late["team_change"]) == (-0.75, -0.125)
+    assert late["keeps_more"] == 0.625 and engine["keeps_more"] == 0.25
+    assert every["disturbance"] == "all" and every["keeps_more"] == 0.4375
+    low, high = late["keeps_more_interval"]
+    assert low < 0.625 < high
+    table = robustness_table([late, engine, every])
+    assert "| `quiet-zone-expert` | `bc`, `mabc` | 100.0, -50.0 | 50.0, -6.2 |" in table
+    assert (tmp_path / "robustness.csv").exists()
+
+
+@pytest.mark.slow
+def test_it_is_trained_disturbed_once_and_checked(
+    datasets_home: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    part = AGENTS.part([next(iter(SOURCES))], ["robust-bc", "robust-mabc"])
+    monkeypatch.setattr(robustness, "AGENTS", part)
+    comparison = replace(COMPARISONS["robustness"], agents=part)
+    monkeypatch.setitem(COMPARISONS, "robustness", comparison)
+    ran: list[str] = []
+
+    def run(options: Any, cell: RobustCell) -> list[Row]:
+        ran.append(cell.label)
+        return run_cell(options, cell)
+
+    run_cell = robustness.run_cell
+    monkeypatch.setattr(robustness, "run_cell", run)
+    runs = ["--runs", str(tmp_path / "runs"), "--out", str(tmp_path / "out")]
+    words = ["ablate", "robustness", *runs, "--seeds", "0", "--workers", "1"]
+    words += ["--budget", "smoke"]
+    assert main(words) == 0
+    assert "`bc`, `mabc`" in capsys.readouterr().out and len(ran) == 2
+    assert main([*words, "--resume"]) == 0
+    assert len(ran) == 2
+    assert main(["ablate", "robustness", "--check", *runs]) == 0
+    (tmp_path / "runs/marl_mm-quiet-zone-expert-v0/robust-bc").rename(tmp_path / "bc")
+    assert main([*words, "--resume"]) == 2
+    assert "robust-bc/0 is gone" in capsys.readouterr().err
