@@ -12,6 +12,8 @@ from svg import COLOURS, FAINT, INK, Plot, Point, arrow, box, drawing, line, wor
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.envs.tasks.reach import LAYOUT
 from marl_mm.eval.rows import read_rows
+from marl_mm.eval.studies.baselines import DATASETS as BASELINE_DATASETS
+from marl_mm.eval.studies.baselines import LEARNERS
 from marl_mm.layout import Agent
 
 RESULTS = Path(__file__).resolve().parents[1] / "eval/results"
@@ -245,6 +247,15 @@ def _offline(algorithm: str, **settings: str) -> str:
     return _learning(kinds, "step", "updates", about)
 
 
+def _baseline(algorithm: str) -> str:
+    kinds = {}
+    for dataset in BASELINE_DATASETS:
+        folder = RESULTS / f"studies/rows/marl_mm-{dataset}-v0"
+        kinds[dataset] = read_rows(folder / f"{algorithm}-baseline.curve.csv.xz")
+    about = f"{algorithm}: goals reached over updates, mean and seeds"
+    return _learning(kinds, "step", "updates", about)
+
+
 def _online(algorithm: str, **settings: str) -> str:
     folder = RESULTS / "studies/rows/online-Reach-v0"
     kinds = {
@@ -300,6 +311,12 @@ DRAWINGS: dict[str, Callable[[], str]] = {
     "images/dataset.svg": dataset,
     "images/tradeoff.svg": tradeoff,
     **{f"images/curve-{name}.svg": draw for name, draw in CURVES.items()},
+    **{
+        f"images/baseline-{setting.algorithm}.svg": partial(
+            _baseline, setting.algorithm
+        )
+        for setting in LEARNERS
+    },
     "images/card-good-5k.svg": partial(_card, "good-5k"),
 }
 """Path below docs/, and what draws it."""

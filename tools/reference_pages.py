@@ -21,7 +21,9 @@ from marl_mm.algorithms.registry import (
 from marl_mm.datasets.card import card_markdown
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.eval.rows import read_rows
+from marl_mm.eval.studies.baselines import DATASETS, LEARNERS
 from marl_mm.eval.tables import markdown_table, rate_with_interval
+from marl_mm.runs.recipes import RECIPES
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "eval/results"
@@ -35,6 +37,9 @@ DATA = {
     "marl_mm/carry-reach/scripted-v0": "CarryReach-v0",
     "marl_mm/grasp/scripted-v0": "Grasp-v0",
     "marl_mm/grasp-reach/scripted-v0": "GraspReach-v0",
+    **{
+        source.name: source.task for source in (RECIPES.get(n).source for n in DATASETS)
+    },
 }
 """Tasks of the datasets of committed offline results; of the others, Reach-v0."""
 
@@ -50,6 +55,12 @@ def offline_rows() -> list[Row]:
         for row in read_rows(RESULTS / f"studies/{table}.csv")
     ]
     return [row for row in rows if row["probe"] == "last"]
+
+
+def baseline_rows(name: str) -> list[Row]:
+    """Rows of an algorithm on the datasets of ``ablate baselines``."""
+    rows = read_rows(RESULTS / "studies/baselines.csv")
+    return [row for row in rows if row["setting"] == f"{name}-baseline"]
 
 
 def online_rows() -> list[Row]:
@@ -90,6 +101,12 @@ def _algorithm_page(name: str) -> str:
             f"![Goals reached while {name} learns](../../images/curve-{name}.svg)\n\n"
             f"Goals reached on {where} while it learns, mean and three seeds.\n"
         )
+    if any(setting.algorithm == name for setting in LEARNERS):
+        curve += (
+            f"![Goals reached while {name} learns](../../images/baseline-{name}.svg)\n\n"
+            f"Goals reached on {' and '.join(DATASETS)}, which ship, while it learns with "
+            "its preset: one seed, 20 goals a point.\n"
+        )
     parts = [
         f"# {NAMES[name]}\n",
         f"**{algorithm.about}** Source: {algorithm.source}. {_headline(name)}\n",
@@ -126,6 +143,12 @@ def _headline(name: str) -> str:
             f"end, and 70 % of them after {row['to_70']:.0f} episodes."
         )
     rows = [row for row in offline_rows() if row["setting"] == name]
+    if not rows and (rows := baseline_rows(name)):
+        reached = " and ".join(
+            f"{100 * row['success']:.0f} % of goals from {row['dataset']}"
+            for row in rows
+        )
+        return f"It reaches {reached}."
     if not rows:
         return "No results of it are committed."
     good = next(row for row in rows if row["dataset"] == "good-30k")
@@ -213,7 +236,9 @@ def _algorithm_results(name: str) -> str:
             markdown_table(header, rows)
             + "\n[Online learning](../../results/online.md).\n"
         )
-    if not any(row["setting"] == name for row in offline_rows()):
+    committed = [row for row in offline_rows() if row["setting"] == name]
+    committed += baseline_rows(name)
+    if not committed:
         return "None are committed yet.\n"
     lines = [
         (
@@ -222,11 +247,13 @@ def _algorithm_results(name: str) -> str:
             rate_with_interval(row),
             f"{row['return']:.2f}",
         )
-        for row in offline_rows()
-        if row["setting"] == name
+        for row in committed
     ]
     table = markdown_table(("dataset", "task", "goals reached [%]", "return"), lines)
-    return f"{table}\n[Offline learning](../../results/offline.md).\n"
+    return (
+        f"{table}\n[Offline learning](../../results/offline.md), "
+        "[baselines](../../results/baselines.md).\n"
+    )
 
 
 def _algorithms_index() -> str:

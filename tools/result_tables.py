@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from study_tables import (
+    baselines_table,
     differences_table,
     disturbances_table,
     engine_differences_table,
@@ -331,6 +332,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "engines-figure": _engines_figure,
     "engines-agreement": partial(_drawn_from, AGREEMENT, agreement_table),
     "engines-differences": partial(_drawn_from, TABLE, engine_differences_table),
+    "baselines": partial(_drawn_from, "baselines.csv", baselines_table),
     "separation": partial(_drawn_from, "separation.csv", separation_table),
     "fine-tuning": partial(_drawn_from, "fine-tuning.csv", _fine_tuning),
     "tuning": partial(_drawn_from, TUNED_TABLE, tuning_table),

@@ -26,7 +26,7 @@ from marl_mm.eval.studies.study import Study, cell_name
 from marl_mm.eval.studies.summary import returns_of
 from marl_mm.eval.studies.table import RETURN
 from marl_mm.eval.suite import ROBUSTNESS
-from marl_mm.eval.tables import markdown_table
+from marl_mm.eval.tables import markdown_table, rate_with_interval
 
 _AT_EQUAL_STEPS = ("ddpg-her", "maddpg-her", SB3, "ddpg-her-no-layer-norm")
 """Settings compared at equal steps of the environment; without layer norm ours has the
@@ -105,6 +105,17 @@ def separation_table(summary: Sequence[Row]) -> str:
         )
     ends = ("best less worst [points]", "their intervals")
     return markdown_table(["dataset", *about.values(), *ends], lines)
+
+
+def baselines_table(summary: Sequence[Row]) -> str:
+    """What every algorithm reaches from each dataset, as Markdown."""
+    datasets = [*grouped(summary, "dataset")]
+    lines = [
+        (f"`{setting.removesuffix('-baseline')}`", *map(rate_with_interval, rows))
+        for setting, rows in grouped(summary, "setting").items()
+    ]
+    header = ("algorithm", *(f"`{_short(name)}` [%]" for name in datasets))
+    return markdown_table(header, lines)
 
 
 def known_table(rows: Sequence[Row]) -> str:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.stats
 
 from marl_mm.eval.intervals import (
     bootstrap_interval,
@@ -70,6 +71,20 @@ def test_seeds_that_agree_on_every_goal_tell_nothing_more_of_goals() -> None:
         assert interval_of_mean(np.stack([goals] * seeds)) == bootstrap_interval(goals)
     low, high = interval_of_mean(np.stack([goals - 1, goals, goals + 1]))
     assert (low, high) == pytest.approx((-2.484, 2.484), abs=1e-3)
+
+
+def test_intervals_are_those_of_scipy_to_the_bit() -> None:
+    """Its ``stats`` take a second to import, which every evaluation would wait for."""
+    for episodes in (1, 7, 50, 200):
+        for successes in range(episodes + 1):
+            test = scipy.stats.binomtest(successes, episodes)
+            wilson = test.proportion_ci(0.95, method="wilson")
+            assert success_interval(successes, episodes) == (wilson.low, wilson.high)
+    for count in (2, 5, 30):
+        values = np.random.default_rng(count).random(count)
+        width = scipy.stats.t.ppf(0.975, count - 1) * values.std(ddof=1)
+        low, high = mean_interval(values)
+        assert high - low == pytest.approx(2 * width / np.sqrt(count), rel=1e-12)
 
 
 def test_scores_by_seed_and_direction() -> None:
