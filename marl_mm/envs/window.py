@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from marl_mm.envs.intervals import Interval, check_intervals
+from marl_mm.envs.intervals import Interval, check_intervals, check_positive
+from marl_mm.envs.load import check_reach
 from marl_mm.errors import UsageError
 from marl_mm.layout import Entry
 from marl_mm.sim.scene import YELLOW, Mark
@@ -125,12 +126,15 @@ class WallConfig:
 
     def __post_init__(self) -> None:
         check_intervals(self, "x", "y", "z", "slope", of="wall.")
+        check_positive(self, "thickness", "clearance", of="wall.")
         low, high = self.slope
         if not 0.0 <= low <= high <= 1.0:
             raise UsageError(
                 f"wall.slope is {low:g} to {high:g}, expected within 0 to 1: no step "
                 "goes further aside than ahead"
             )
+        aside = high * self.thickness
+        check_reach("wall.", (self.y[0] - aside, self.y[1] + aside), self.z)
 
     @property
     def end(self) -> float:
