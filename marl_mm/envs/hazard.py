@@ -32,7 +32,8 @@ class RiskyTask(CruiseTask, ABC):
     """Reward for reaching the goal, instead of minus the distance."""
 
     failure_reward: float = -30.0
-    """Reward of a failure: less than that of all other steps of an episode."""
+    """Reward of a failure: less than that of any other step. Episodes without one can
+    return less: to stand still returns -39 in QuietZone."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
