@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from marl_mm.envs.registry import make_task
+from marl_mm.envs.registry import fewest_steps, make_task
 from marl_mm.eval.evaluate import check_task
 from marl_mm.eval.grouping import by_goal, grouped, mean_of
 from marl_mm.eval.intervals import bootstrap_interval, success_interval
@@ -82,7 +82,7 @@ def _team(name: str, **settings: Any) -> Contestant:
 def cells_of(options: CoordinationOptions) -> dict[str, list[PolicyCell]]:
     """Cells of every task: its teams, and noisy experts of it and its other levels."""
     engine = options.engine or "mujoco"
-    goals, max_steps = (2, 4) if options.small else (options.goals, None)
+    goals = 2 if options.small else options.goals
     noisy = [_team(f"noise {noise:g}", noise=noise) for noise in NOISES]
     cells = {}
     for task in options.tasks:
@@ -93,7 +93,10 @@ def cells_of(options: CoordinationOptions) -> dict[str, list[PolicyCell]]:
             cells |= {f"{kind}{level}-v0": noisy for level in LEVELS if level}
     return {
         task: [
-            PolicyCell(task, engine, contestant, goals, max_steps)
+            PolicyCell(
+                *(task, engine, contestant, goals),
+                fewest_steps(task, 4) if options.small else None,
+            )
             for contestant in contestants
         ]
         for task, contestants in cells.items()

@@ -10,7 +10,7 @@ from itertools import product
 from pathlib import Path
 
 from marl_mm.algorithms.checkpoint import FILE
-from marl_mm.envs.registry import DEFAULT, make_task
+from marl_mm.envs.registry import DEFAULT, fewest_steps, make_task
 from marl_mm.eval.evaluate import check_task
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
@@ -155,7 +155,9 @@ def make_engines(options: EnginesOptions, bar: Bar) -> list[Row]:
 def cells_of(task: str, options: EnginesOptions) -> list[PolicyCell]:
     """Cells of a task: every policy on every engine."""
     every = contestants(task, options)
-    goals, max_steps = (2, 4) if options.small else (options.goals, None)
+    goals, max_steps = options.goals, None
+    if options.small:
+        goals, max_steps = 2, fewest_steps(task, 4)
     return [
         PolicyCell(task, engine, contestant, goals, max_steps, _weights(contestant))
         for contestant in (every[::8] if options.small else every)

@@ -21,6 +21,7 @@ from marl_mm.datasets.location import Location
 from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.declared import as_record
+from marl_mm.envs.registry import DEFAULT, fewest_steps
 from marl_mm.errors import DivergedError
 from marl_mm.eval.studies import sb3
 from marl_mm.eval.studies.study import BEST, LAST, Online, Probe, Setting
@@ -177,7 +178,8 @@ def training_of(
     run_settings["max_steps"] = setting.max_steps
     if small:
         changes |= {k: v for k, v in _SMALL.items() if hasattr(training.config, k)}
-        run_settings = {"eval_episodes": 2, "curve_episodes": 2, "max_steps": 4}
+        steps = fewest_steps(getattr(source, "task", DEFAULT), 4)
+        run_settings = {"eval_episodes": 2, "curve_episodes": 2, "max_steps": steps}
         if setting.fine_tuning.online_steps:
             run_settings["fine_tuning"] = replace(setting.fine_tuning, **_FEW_OWN)
     run_settings["engine"] = engine

@@ -15,6 +15,7 @@ import numpy as np
 
 from marl_mm.algorithms.checkpoint import FILE
 from marl_mm.algorithms.registry import ALGORITHMS
+from marl_mm.envs.registry import fewest_steps
 from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Setup
 from marl_mm.eval.grouping import by_goal, grouped, mean_of
@@ -151,10 +152,11 @@ def cells_of(options: RobustnessOptions) -> list[RobustCell]:
     Raises:
         UsageError: If a run is gone.
     """
-    goals, max_steps = (2, 4) if options.small else (options.goals, None)
+    goals = 2 if options.small else options.goals
     cells = []
     for dataset, setting in map(cell_name, AGENTS.cells):
         source = RECIPES.get(SOURCES[dataset]).source
+        max_steps = fewest_steps(source.task, 4) if options.small else None
         overrides = _overrides(source, max_steps)
         listed, _ = conditions(source.task, overrides, _names(options))
         words = tuple(map(str, listed))

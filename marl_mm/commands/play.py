@@ -10,12 +10,20 @@ from marl_mm.commands.options import CollectorsSettings, OwnTask, config_of
 from marl_mm.commands.output import show
 from marl_mm.commands.parser import command
 from marl_mm.envs.demos import DEMOS, Drift
+from marl_mm.envs.registry import DEFAULT
 from marl_mm.errors import UsageError
 from marl_mm.eval.metrics import episode_row
 from marl_mm.eval.video import check_format, write_video
 from marl_mm.files import refuse_existing
 from marl_mm.progress import progress_bars
-from marl_mm.runs.play import Direction, Motion, check_strip, play, play_demo
+from marl_mm.runs.play import (
+    Direction,
+    Motion,
+    check_strip,
+    default_policy,
+    play,
+    play_demo,
+)
 from marl_mm.sim.config import Camera, Engine
 
 _CAMERA, _MOTION = Camera(), Motion()
@@ -23,7 +31,7 @@ _CAMERA, _MOTION = Camera(), Motion()
 
 @command
 def main(
-    policy: tyro.conf.Positional[str],
+    policy: tyro.conf.Positional[str | None] = None,
     *,
     video: Path | None = None,
     strip: Path | None = None,
@@ -46,7 +54,7 @@ def main(
         policy: Run folder, checkpoint file, "pretrained" or the name of a collector; or
             the robot alone: "arm-reach" (the base stands) or "base-turn" (the arm
             rests). These two take no goal and no task, and hold the arm's posture
-            tightly.
+            tightly. Default the task's script, or pd where it has none.
         video: File of the film, .mp4 or .gif; default episode.mp4, or none with
             --strip.
         strip: File of six pictures of the episode, side by side: a PNG.
@@ -65,6 +73,7 @@ def main(
         motion: Motion of the robot alone.
         settings: Settings of collectors' policies.
     """
+    policy = default_policy(task or DEFAULT) if policy is None else policy
     if gui or (video is None and strip is not None):
         video = None
     else:

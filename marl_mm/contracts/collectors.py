@@ -62,8 +62,11 @@ class Candidate:
 
 def candidate(name: str, task: str = DEFAULT) -> Candidate:
     """A registered collector, to be tested in a registered task."""
-    ticks = short(task).task.ticks_per_step
-    variant = make_task(task, {"ticks_per_step": ticks, "max_steps": LONG})
+    few = short(task).task
+    steps = max(LONG, few.max_steps)
+    variant = make_task(
+        task, {"ticks_per_step": few.ticks_per_step, "max_steps": steps}
+    )
     return Candidate(name, COLLECTORS.get(name), task, variant)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from marl_mm.contracts.claims import demand
 from marl_mm.envs.core import EpisodeCore
-from marl_mm.envs.registry import make_task
+from marl_mm.envs.registry import TASKS, make_task
 from marl_mm.envs.rollout import EpisodePlan, episode_seed, run_episode
 from marl_mm.envs.task import Task
 from marl_mm.episode import Episode
@@ -36,11 +36,12 @@ class ShortTask:
 
 def short(name: str) -> ShortTask:
     """A registered task, shortened."""
-    for ticks, steps in ((24, 5), (24, 10), (240, 5)):
+    own = TASKS.get(name).max_steps
+    for ticks, steps in ((24, 5), (24, 10), (24, own), (240, 5)):
         overrides = {"ticks_per_step": ticks, "max_steps": steps}
         try:
             return ShortTask(name, make_task(name, overrides), overrides)
-        except UsageError:  # such as a block that is to be held for longer
+        except UsageError:  # such as a goal that is further away
             continue
     return ShortTask(name, make_task(name), {})
 

@@ -7,6 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from marl_mm.control.records import Track
+from marl_mm.envs.intervals import Interval
 from marl_mm.envs.order import Order
 from marl_mm.envs.task import Attempt, Task, Values
 from marl_mm.envs.terms import goal_distance
@@ -124,6 +125,31 @@ class CruiseTask(Task, ABC):
             raise UsageError(f"action_scale is {self.action_scale}, expected > 0")
         if not 0.0 <= self.initial_alpha <= 1.0:
             raise UsageError(f"initial_alpha is {self.initial_alpha}, expected [0, 1]")
+        if self.random_start_steps and type(self).at_step is not Task.at_step:
+            raise UsageError(
+                f"random_start_steps is {self.random_start_steps}, expected 0: "
+                f"{type(self).__name__} would not watch what happens in unseen steps"
+            )
+
+    def check_way(self, name: str, x: Interval, more: float, steps: int) -> None:
+        """Raise for places that no hand gets to in time.
+
+        Args:
+            name: What is there, such as "goal_x".
+            x: Interval of their x, world [m].
+            more: Way beside that to x [m]; negative where it is enough to be near.
+            steps: Number of steps that there are for it.
+
+        Raises:
+            UsageError: Naming them, the way, and what a hand goes.
+        """
+        way = max(abs(end - self.stand_off) for end in x) + more
+        if way > (longest := self.action_scale * steps):
+            raise UsageError(
+                f"{name} is {x[0]:g} to {x[1]:g} m, a way of {way:.2f} m, expected at "
+                f"most {longest:g} m, as far as a hand goes in {steps} of max_steps, "
+                f"{self.max_steps}"
+            )
 
     # --- Start ---------------------------------------------------------------
 

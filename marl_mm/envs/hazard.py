@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from marl_mm.envs.cruise import GOAL, CruiseTask, Targets, names
-from marl_mm.envs.intervals import Interval, check_intervals
+from marl_mm.envs.intervals import Interval, check_intervals, check_positive
+from marl_mm.envs.load import check_reach
 from marl_mm.envs.task import Attempt, ScriptConfig, Terms
 from marl_mm.episode import FAILED
-from marl_mm.errors import UsageError
 from marl_mm.sim.scene import Mark
 
 if TYPE_CHECKING:
@@ -32,14 +32,12 @@ class RiskyTask(CruiseTask, ABC):
     """Reward for reaching the goal, instead of minus the distance."""
 
     failure_reward: float = -30.0
-    """Reward of a failure: less than that of all other steps of an episode."""
+    """Reward of a failure: less than that of any other step. Episodes without one can
+    return less: to stand still returns -39 in QuietZone."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.success_distance > 0:
-            raise UsageError(
-                f"success_distance is {self.success_distance}, expected > 0"
-            )
+        check_positive(self, "success_distance")
 
     @property
     def highest_return(self) -> float:
@@ -81,6 +79,8 @@ class HazardTask(RiskyTask):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_intervals(self, "goal_x", "goal_y", "goal_z")
+        check_reach("goal_", self.goal_y, self.goal_z)
+        self.check_way("goal_x", self.goal_x, -self.success_distance, self.max_steps)
 
     # --- The hazard ----------------------------------------------------------
 

@@ -1,5 +1,6 @@
 """Intervals that tasks draw from."""
 
+import math
 from typing import Any
 
 from marl_mm.errors import UsageError
@@ -24,3 +25,46 @@ def check_intervals(config: Any, *fields: str, of: str = "") -> None:
             raise UsageError(
                 f"{of}{name} is {low:g} to {high:g}, expected the smaller first"
             )
+
+
+def check_positive(config: Any, *fields: str, of: str = "") -> None:
+    """Raise for a number that is not above 0, or an interval that is not.
+
+    Args:
+        config: Config with the numbers and intervals.
+        fields: Names of their fields.
+        of: Beginning of the fields' names in messages, such as "wall.".
+
+    Raises:
+        UsageError: Naming the first such field.
+    """
+    for name in fields:
+        value = getattr(config, name)
+        if isinstance(value, tuple):
+            low, high = value
+            if not 0 < low <= high < math.inf:
+                raise UsageError(
+                    f"{of}{name} is {low} to {high}, expected 0 < low <= high"
+                )
+        elif not 0 < value < math.inf:
+            raise UsageError(f"{of}{name} is {value}, expected > 0")
+
+
+def check_within(name: str, interval: Interval, of: Interval, why: str) -> None:
+    """Raise for an interval that is not within another one.
+
+    Args:
+        name: What the interval is of, such as "wall.z".
+        interval: The interval [m].
+        of: The interval that it has to be within [m].
+        why: Reason for that, such as "what the hand reaches".
+
+    Raises:
+        UsageError: Naming it, and both intervals.
+    """
+    (low, high), (least, most) = interval, of
+    if not least <= low <= high <= most:
+        raise UsageError(
+            f"{name} is {low:g} to {high:g} m, expected within {least:g} to {most:g}: "
+            f"{why}"
+        )

@@ -7,7 +7,7 @@ from typing import get_args
 import numpy as np
 
 from marl_mm.control.config import Knowledge
-from marl_mm.envs.intervals import Interval
+from marl_mm.envs.intervals import Interval, check_positive, check_within
 from marl_mm.errors import UsageError
 from marl_mm.sim.scene import Block, Grasp, Scene
 
@@ -48,7 +48,7 @@ class LoadConfig:
     pay: lower it for longer episodes."""
 
     def __post_init__(self) -> None:
-        _check_positive(self, "mass", "edge", "friction")
+        check_positive(self, "mass", "edge", "friction", of="load.")
         if self.edge[1] > WIDEST:
             raise UsageError(f"load.edge is up to {self.edge[1]}, expected <= {WIDEST}")
         if not self.failure_reward < 0:
@@ -97,7 +97,7 @@ class StandConfig(LoadConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check_positive(self, "stand_height")
+        check_positive(self, "stand_height", of="load.")
         for name in ("stand_x", "stand_y"):
             low, high = getattr(self, name)
             if not -math.inf < low <= high < math.inf:
@@ -113,6 +113,18 @@ class StandConfig(LoadConfig):
             raise UsageError(
                 f"load.hold_ticks is {self.hold_ticks} and load.lift {self.lift}, "
                 "expected >= 0, and lift <= 0.5"
+            )
+
+    def check_hold(self, ticks: int) -> None:
+        """Raise for a block that is to be held for longer than an episode's ticks.
+
+        Raises:
+            UsageError: Naming both.
+        """
+        if self.hold_ticks > ticks:
+            raise UsageError(
+                f"load.hold_ticks is {self.hold_ticks}, expected at most an episode's "
+                f"{ticks}"
             )
 
     def draw_scene(self, rng: np.random.Generator) -> Scene:
@@ -132,15 +144,16 @@ def in_reach(block_w: tuple[float, float, float], travel: float) -> bool:
     return max(abs(x), abs(y)) <= FAR + travel and z <= HIGH
 
 
-def _check_positive(load: LoadConfig, *names: str) -> None:
-    """Raise for a field that is no interval above 0.
+def check_reach(name: str, y: Interval, z: Interval) -> None:
+    """Raise for places that no hand reaches whose base drives along x.
+
+    Args:
+        name: What is there, such as "goal_".
+        y: Interval of their y [m].
+        z: Interval of their z [m].
 
     Raises:
-        UsageError: Naming the first such field.
+        UsageError: Naming the axis, the interval, and what is in reach.
     """
-    for name in names:
-        low, high = getattr(load, name)
-        if not 0 < low <= high < math.inf:
-            raise UsageError(
-                f"load.{name} is {low} to {high}, expected 0 < low <= high"
-            )
+    check_within(f"{name}y", y, (-FAR, FAR), "what a hand reaches")
+    check_within(f"{name}z", z, (0.0, HIGH), "what a hand reaches")

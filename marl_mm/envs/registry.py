@@ -75,6 +75,22 @@ def make_task(name: str = DEFAULT, overrides: Mapping[str, Any] | None = None) -
     return task
 
 
+def fewest_steps(name: str, least: int) -> int:
+    """Number of steps of a quick episode of a task: as few as it allows.
+
+    Args:
+        name: Registered name of the task.
+        least: Number of steps, if the task does not need more of them.
+    """
+    own = TASKS.get(name).max_steps
+    for steps in range(least, own):
+        try:
+            return make_task(name, {"max_steps": steps}).max_steps
+        except UsageError:  # nobody gets to the goal in so few
+            continue
+    return own
+
+
 def config_dict(config: Any) -> Any:
     """A config as nested dictionaries of JSON values."""
     if is_dataclass(config):

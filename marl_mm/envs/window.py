@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from marl_mm.envs.intervals import Interval, check_intervals
+from marl_mm.envs.intervals import Interval, check_intervals, check_positive
+from marl_mm.envs.load import check_reach
 from marl_mm.errors import UsageError
 from marl_mm.layout import Entry
 from marl_mm.sim.scene import YELLOW, Mark
@@ -22,6 +23,15 @@ DISTANCE = Entry("gate_distance", "m")
 
 AIM = 0.01
 """Distance at which the script is at the point before the window [m]."""
+
+FINGER = 0.02
+"""Gap drawn between the window of the finger tips' middle and the wall [m]."""
+
+OVER_BASE = 0.37
+"""Height from which the wall is drawn [m]: the base is 0.352 high."""
+
+LINTEL = 0.01
+"""Height of the lintel that is drawn over the window [m]."""
 
 
 class Window(NamedTuple):
@@ -47,22 +57,38 @@ class Window(NamedTuple):
         return float(error.max(initial=0.0))
 
     def walls(self, thickness: float, clearance: float) -> list[Mark]:
-        """Drawings of the wall on both sides of the window, in slices.
+        """Drawings of the wall around the window, in slices.
+
+        It hangs above the base, which passes below. The lintel is drawn thin, as the
+        hand above the finger tips passes through it.
 
         Args:
             thickness: Way through the wall [m].
-            clearance: Half width of the window for the finger tips [m].
+            clearance: Half width and half height of the window [m].
         """
-        count, wide = 8, 0.3
-        deep = thickness / count
-        marks = []
-        for ahead in (np.arange(count) + 0.5) * deep:
-            for side in (-1, 1):
-                aside = side * (clearance + 0.02 + wide / 2)
-                middle = self.y + self.slope * ahead + aside
-                place = float(self.x + ahead), float(middle), self.z / 2
-                marks.append(Mark(place, (deep, wide, self.z), YELLOW))
-        return marks
+        count, wide, half = 8, 0.3, clearance + FINGER
+        deep, (low, high) = thickness / count, (self.z - half, self.z + half)
+        sill = max(low - OVER_BASE, LINTEL)
+        sizes = {  # aside and height of the middle, width, height
+            "left": (half + wide / 2, (high + low - sill) / 2, wide, high - low + sill),
+            "right": (
+                -half - wide / 2,
+                (high + low - sill) / 2,
+                wide,
+                high - low + sill,
+            ),
+            "sill": (0.0, low - sill / 2, 2 * half, sill),
+            "lintel": (0.0, high + LINTEL / 2, 2 * half + 2 * wide, LINTEL),
+        }
+        return [
+            Mark(
+                (float(self.x + ahead), float(self.y + self.slope * ahead + aside), z),
+                (deep, width, height),
+                YELLOW,
+            )
+            for ahead in (np.arange(count) + 0.5) * deep
+            for aside, z, width, height in sizes.values()
+        ]
 
     def way(self, hand: np.ndarray, step: float) -> np.ndarray:
         """The script's next displacement of the hand to the window or within it.
@@ -101,8 +127,8 @@ class Window(NamedTuple):
 class WallConfig:
     """Intervals of the wall and its window, which the seed draws.
 
-    Only the finger tips are held against the window: the hand points down, and the
-    arm's last links pass above the wall.
+    Only the finger tips are held against the window: the base passes below the wall,
+    and the arm's last links above it, through the lintel of pictures.
     """
 
     x: Interval
@@ -125,12 +151,15 @@ class WallConfig:
 
     def __post_init__(self) -> None:
         check_intervals(self, "x", "y", "z", "slope", of="wall.")
+        check_positive(self, "thickness", "clearance", of="wall.")
         low, high = self.slope
         if not 0.0 <= low <= high <= 1.0:
             raise UsageError(
                 f"wall.slope is {low:g} to {high:g}, expected within 0 to 1: no step "
                 "goes further aside than ahead"
             )
+        aside = high * self.thickness
+        check_reach("wall.", (self.y[0] - aside, self.y[1] + aside), self.z)
 
     @property
     def end(self) -> float:

@@ -11,7 +11,8 @@ import numpy as np
 
 from marl_mm.envs.demos import Drift, arm_reach, base_turn, demo_drive
 from marl_mm.envs.drive import Tick
-from marl_mm.envs.registry import make_task
+from marl_mm.envs.registry import DEFAULT, TASKS, make_task
+from marl_mm.envs.task import Task
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
 from marl_mm.eval.goals import goal_set
@@ -94,8 +95,18 @@ class Film:
         return f'<video controls loop src="data:video/mp4;base64,{data}"></video>'
 
 
+def default_policy(task: str) -> str:
+    """Name of the policy that plays a task if none is named: its script, or pd.
+
+    Args:
+        task: Registered name of the task.
+    """
+    own = type(TASKS.get(task)).expert is not Task.expert
+    return "scripted" if own else "pd"
+
+
 def play(
-    policy: Any,
+    policy: Any = None,
     *,
     task: str | None = None,
     seed: int = 0,
@@ -113,7 +124,7 @@ def play(
 
     Args:
         policy: Run, run folder, checkpoint file, ``pretrained``, a collector's name, or
-            a policy.
+            a policy; default the task's script, or pd where it has none.
         task: Registered name of the task; default the run's own, or Reach-v0.
         seed: Seed of the goal and of random policies.
         direction: Side of the robot on which the goal is, where the task does not draw
@@ -133,7 +144,8 @@ def play(
     """
     check_positive(fps=fps)
     check_seed(seed)
-    name = own_task([policy]) if task is None else task
+    name = task or (DEFAULT if policy is None else own_task([policy]))
+    policy = default_policy(name) if policy is None else policy
     overrides = task_overrides(max_steps, engine or own_engine([policy]))
     variant = make_task(name, overrides)
     actor = load_policy(policy, variant, config, **settings)

@@ -1,6 +1,5 @@
 """Tasks in which the team decides: what fails in them, and that experts do not."""
 
-from collections.abc import Callable, Iterator
 from contextlib import closing
 from math import exp, pi, sqrt
 from typing import Any
@@ -12,63 +11,13 @@ from marl_mm.cli import main
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.drive import Tick
 from marl_mm.envs.registry import TASKS, make_task
-from marl_mm.envs.rollout import EpisodePlan, episode_seed, run_episode
 from marl_mm.envs.slosh import swing
 from marl_mm.envs.task import ScriptConfig, Values
 from marl_mm.envs.tasks.tray import Cup, Tray
-from marl_mm.episode import Episode
-from marl_mm.errors import UsageError
-from marl_mm.layout import Layout
+from tests.envs.teams import KINDS, MUJOCO, Change, episodes, held, reasons
 
-MUJOCO = {"simulation": {"engine": "mujoco"}}
-KINDS = ("QuietZone", "Gate", "Tray", "MovingReach", "Bar", "Course")
 LEVELS = [f"{kind}{level}-v0" for kind in KINDS for level in ("-easy", "", "-hard")]
 SIDED = ("left", "right")
-
-Change = Callable[[dict[str, float], Values], Any]
-
-
-class Changed:
-    """The task's expert, whose actions a function changes."""
-
-    name = "changed"
-
-    def __init__(self, task: str, change: Change | None = None) -> None:
-        self._task, self._change = TASKS.get(task), change
-
-    def describe(self) -> dict[str, Any]:
-        return {}
-
-    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
-        pass
-
-    def act(self, state: np.ndarray) -> np.ndarray:
-        layout = self._task.layout
-        seen = dict(zip(layout.state_names, state.tolist(), strict=True))
-        action = dict(self._task.expert(seen, ScriptConfig()))
-        if self._change is not None:
-            self._change(action, seen)
-        return np.array([action[name] for name in layout.action_names], np.float32)
-
-
-def episodes(
-    task: str, number: int, change: Change | None = None, **overrides: Any
-) -> Iterator[Episode]:
-    with closing(EpisodeCore(make_task(task, MUJOCO | overrides))) as core:
-        for i in range(number):
-            plan = EpisodePlan(i, episode_seed(11, i, "evaluate"))
-            yield run_episode(core, Changed(task, change), plan)
-
-
-def held(alpha: float) -> Change:
-    def change(action: dict[str, float], seen: Values) -> None:
-        action |= {name: alpha for name in action if name.endswith("alpha")}
-
-    return change
-
-
-def reasons(task: str, change: Change, number: int = 3) -> set[str | None]:
-    return {episode.reason for episode in episodes(task, number, change)}
 
 
 @pytest.mark.parametrize("task", LEVELS)
@@ -168,14 +117,6 @@ def test_the_hand_touches_the_wall_beside_the_window_or_with_a_stable_base() -> 
     assert reasons("Gate-v0", aside) == touched
     assert reasons("Gate-v0", held(1.0)) == touched
     assert reasons("Gate-v0", held(0.0)) == {"the base was not quiet before the wall"}
-
-
-def test_the_window_has_a_roof() -> None:
-    def over(action: dict[str, float], seen: Values) -> None:
-        height = 1.0 if seen["end_effector_z"] < 0.8 else 0.0
-        action |= {"delta_x": 1.0, "delta_y": 0.0, "delta_z": height}
-
-    assert reasons("Gate-v0", over) == {"the hand touched the wall"}
 
 
 # --- Tray --------------------------------------------------------------------
@@ -320,40 +261,6 @@ def test_the_zone_and_the_wall_of_the_course_are_those_of_the_other_tasks() -> N
 
 
 # --- Bad input ---------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("task", "fields", "error"),
-    [
-        ("QuietZone-v0", {"zone_x": (-2.0, -1.8)}, "zone_x is -2 to -1.8, expected"),
-        ("QuietZone-v0", {"zone_x": (-0.3, 0.1)}, "zone_x is -0.3 to 0.1, expected"),
-        ("QuietZone-v0", {"zone_length": (0.1, 0.6)}, "do not fit into zone_x"),
-        ("QuietZone-v0", {"zones": 3}, "zones is 3, expected 1 or 2"),
-        (
-            "Gate-v0",
-            {"wall": {"x": (1.9, 2.0)}},
-            "a wall at 1.9 to 2.2 m is not",
-        ),
-        (
-            "Gate-v0",
-            {"wall": {"x": (0.6, 0.6)}},
-            "a wall at 0.6 to 0.8 m is not",
-        ),
-        ("Gate-v0", {"wall": {"slope": (0.5, 2.0)}}, "wall.slope is 0.5 to 2"),
-        ("Tray-v0", {"goal_x": (-2.0, -2.0)}, "is dry after 10 steps, in which"),
-        ("Tray-v0", {"level": (0.5, 1.5)}, "level is 0.5 to 1.5, expected within"),
-        ("MovingReach-v0", {"speed": (0.1, 0.5)}, "which a hand follows"),
-        ("MovingReach-v0", {"speed": (0.1, 0.05)}, "expected the smaller first"),
-        ("Course-v0", {"zone_x": (0.5, 0.7)}, "a zone of 0.4 m does not fit into zone"),
-        ("Course-v0", {"bin_x": (3.5, 3.5)}, "a wall at 3.4 to 3.8 m is not between"),
-        ("Bar-v0", {"beam_x": (-0.5, 0.3)}, "expected between goals and start"),
-    ],
-)
-def test_scenes_that_nobody_can_solve_are_refused_with_numbers(
-    task: str, fields: dict[str, Any], error: str
-) -> None:
-    with pytest.raises(UsageError, match=error):
-        make_task(task, fields)
 
 
 def test_other_levels_and_conventions_are_told_the_nearest(

@@ -19,7 +19,13 @@ import numpy as np
 
 from marl_mm.envs.cruise import ALPHA, BASE, DELTA, HAND, MODE, CruiseTask, names
 from marl_mm.envs.hazard import RiskyTask
-from marl_mm.envs.intervals import Interval, check_intervals
+from marl_mm.envs.intervals import (
+    Interval,
+    check_intervals,
+    check_positive,
+    check_within,
+)
+from marl_mm.envs.load import HIGH
 from marl_mm.envs.order import Order
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Values
@@ -158,10 +164,11 @@ class Bar(RiskyTask):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_intervals(self, "goal_x", "goal_z", "beam_x", "beam_z")
-        positive = ("beam_size", "bar_length", "bar_mass", "largest_tilt")
-        for name in (*positive, "largest_stretch"):
-            if not getattr(self, name) > 0:
-                raise UsageError(f"{name} is {getattr(self, name)}, expected > 0")
+        check_positive(self, "beam_size", "bar_length", "bar_mass")
+        check_positive(self, "largest_tilt", "largest_stretch")
+        for name in ("goal_z", "beam_z"):
+            check_within(name, getattr(self, name), (0.0, HIGH), "what a hand reaches")
+        self.check_way("goal_x", self.goal_x, -self.success_distance, self.max_steps)
         near, far = self.stand_off - self.beam_size, self.goal_x[1] + self.beam_size
         if not near > self.beam_x[1] >= self.beam_x[0] > far:
             low, high = self.beam_x

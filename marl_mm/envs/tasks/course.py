@@ -29,8 +29,13 @@ from marl_mm.envs.cruise import (
     names,
 )
 from marl_mm.envs.grasping import LIFT, grasping
-from marl_mm.envs.intervals import Interval, check_intervals
-from marl_mm.envs.load import StandConfig
+from marl_mm.envs.intervals import (
+    Interval,
+    check_intervals,
+    check_positive,
+    check_within,
+)
+from marl_mm.envs.load import StandConfig, check_reach
 from marl_mm.envs.order import Order
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Terms, Values
@@ -171,7 +176,8 @@ class Course(CruiseTask):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_intervals(self, "zone_x", "zone_length", "bin_x", "bin_y")
+        check_intervals(self, "zone_x", "bin_x", "bin_y")
+        check_positive(self, "zone_length", "zone_limit", "success_distance")
         near, far = self.zone_x
         if self.zone_length[1] > far - near or near < BRAKING:
             raise UsageError(
@@ -184,11 +190,25 @@ class Course(CruiseTask):
                 f"a wall at {start:g} to {end:g} m is not between zone and bin at "
                 f"{self.bin_x[0]:g} m"
             )
-        if not (self.success_distance > 0 and self.failure_reward < 0):
+        if not self.failure_reward < 0:
             raise UsageError(
-                f"success_distance is {self.success_distance}, failure_reward "
-                f"{self.failure_reward}, expected > 0 and < 0"
+                f"failure_reward is {self.failure_reward}, expected below 0"
             )
+        self._check_block()
+
+    def _check_block(self) -> None:
+        """Refuse a block that cannot be taken, held or delivered in time."""
+        stand = self.load
+        check_reach("load.stand_", stand.stand_y, stand.stand_height)
+        check_reach("bin_", self.bin_y, (self.bin_z, self.bin_z))
+        before = self.zone_x[0] + self.stand_off
+        reach = -before, before
+        check_within("load.stand_x", stand.stand_x, reach, "in reach before the zone")
+        back = self.bin_x[1] - self.wall.x[0]
+        self.check_way(
+            "bin_x", self.bin_x, back - self.success_distance, self.max_steps
+        )
+        stand.check_hold(self.max_steps * self.ticks_per_step)
 
     @property
     def highest_return(self) -> float:

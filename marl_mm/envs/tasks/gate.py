@@ -19,7 +19,7 @@ import numpy as np
 
 from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, Targets, names
 from marl_mm.envs.hazard import HazardTask
-from marl_mm.envs.intervals import Interval
+from marl_mm.envs.intervals import Interval, check_positive
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Values
 from marl_mm.envs.tasks.reach import steer
@@ -82,6 +82,7 @@ class Gate(HazardTask):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_positive(self, "quiet_limit")
         near, end, start = self.wall.x[0], self.wall.end, self.stand_off
         if not start + self.quiet_until < near <= end < self.goal_x[0]:
             raise UsageError(

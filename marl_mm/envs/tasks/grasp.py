@@ -13,7 +13,6 @@ from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Terms, Values
 from marl_mm.envs.tasks.carry import GOAL_SIZE, Carry
 from marl_mm.envs.tasks.reach import Reach, steer
-from marl_mm.errors import UsageError
 from marl_mm.layout import Agent, Entry, Layout
 from marl_mm.sim.scene import Mark
 
@@ -76,12 +75,7 @@ class Grasp(Carry):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        ticks = self.max_steps * self.ticks_per_step
-        if self.load.hold_ticks > ticks:
-            raise UsageError(
-                f"load.hold_ticks is {self.load.hold_ticks}, expected at most an "
-                f"episode's {ticks}"
-            )
+        self.load.check_hold(self.max_steps * self.ticks_per_step)
 
     def begin(
         self, attempt: Attempt, rng: np.random.Generator, goal: np.ndarray | None

@@ -25,7 +25,8 @@ from marl_mm.envs.cruise import (
     CruiseTask,
     names,
 )
-from marl_mm.envs.intervals import Interval, check_intervals
+from marl_mm.envs.intervals import Interval, check_intervals, check_positive
+from marl_mm.envs.load import check_reach
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Terms, Values
 from marl_mm.envs.tasks.reach import steer
@@ -140,11 +141,14 @@ class MovingReach(CruiseTask):
             raise UsageError(
                 f"seconds is {self.seconds}, expected 1 to max_steps, {self.max_steps}"
             )
-        if not (self.radius > 0 and self.near_distance > 0):
-            raise UsageError(
-                f"radius is {self.radius:g} m, near_distance {self.near_distance:g} m, "
-                "expected > 0"
-            )
+        check_positive(self, "radius", "near_distance")
+        y, z = (
+            (low - self.radius, high + self.radius)
+            for low, high in (self.circle_y, self.circle_z)
+        )
+        check_reach("with the radius, circle_", y, z)
+        steps = self.max_steps - self.seconds + 1
+        self.check_way("circle_x", self.circle_x, -self.near_distance, steps)
 
     @property
     def highest_return(self) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 
 from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, Targets, names
 from marl_mm.envs.hazard import HazardTask
-from marl_mm.envs.intervals import Interval, check_intervals
+from marl_mm.envs.intervals import Interval, check_intervals, check_positive
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Values
 from marl_mm.envs.tasks.reach import steer
@@ -49,6 +49,10 @@ LAYOUT = Layout(
 
 BRAKING = 0.15
 """Way in which a base at alpha 0 comes to rest at alpha 1: a step of each [m]."""
+
+BEHIND = 0.4
+"""Way beyond the goal's x that the base surely goes [m]: at the end of the script's
+episodes it is 0.42 to 0.47 beyond."""
 
 
 def felt_within(zones: np.ndarray, motion: "Motion") -> float:
@@ -99,15 +103,16 @@ class QuietZone(HazardTask):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_intervals(self, "zone_x", "zone_length")
+        check_intervals(self, "zone_x")
+        check_positive(self, "zone_length", "zone_limit")
         if self.zones not in (1, 2):
             raise UsageError(f"zones is {self.zones}, expected 1 or 2")
         (far, near), longest = self.zone_x, self.zone_length[1]
-        end = self.goal_x[1] - self.stand_off
+        end = self.goal_x[1] - BEHIND
         if not -BRAKING >= near >= far >= end:
             raise UsageError(
                 f"zone_x is {far:g} to {near:g}, expected within {end:g} to "
-                f"{-BRAKING:g} m: behind the base's start, before its end"
+                f"{-BRAKING:g} m: behind the base's start, before its end at the goal"
             )
         if self.zones * (longest + BRAKING) > near - far + BRAKING:
             raise UsageError(

@@ -94,7 +94,7 @@ class Tray(HazardTask):
     own_info: ClassVar[dict[str, str]] = {
         **HazardTask.own_info,
         "slosh_peak": "largest displacement of the liquid within the step [m]",
-        "rim": "displacement at which the liquid spilled at the step's end [m]",
+        "rim": "displacement at which the liquid spilled at the step's start [m]",
     }
 
     max_steps: int = 30
