@@ -11,9 +11,11 @@ import pytest
 import marl_mm
 from marl_mm.cli import main
 from marl_mm.datasets.card import keep_card
+from marl_mm.datasets.named import AXES
 from marl_mm.errors import DatasetError, UsageError
 from marl_mm.runs import recipes
-from marl_mm.runs.recipes import AXES, RECIPES, Recipe, build, rebuild, recorded
+from marl_mm.runs.rebuilding import rebuild
+from marl_mm.runs.recipes import RECIPES, Recipe, build, recorded
 from marl_mm.runs.sources import Source
 
 SMALL = "small-noisy"
