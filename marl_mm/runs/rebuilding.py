@@ -100,7 +100,8 @@ def read_card(card: str | Path) -> Card:
         collecting = _collecting(made_of, where)
         config = _config(made_of)
     except UsageError as error:  # of what was received, not of what was typed
-        raise DatasetError(f"{card}: {error}") from error
+        text = str(error).replace("`", "")  # which names options
+        raise DatasetError(f"{card}: {text}") from error
     collector, packages = made_of["collector"], made_of["packages"]
     return Card(name, expected, collector, config, collecting, packages)
 
