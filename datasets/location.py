@@ -10,6 +10,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from marl_mm.datasets.named import named_ids
 from marl_mm.errors import UsageError
 from marl_mm.words import refuse_control_characters
 
@@ -58,6 +59,9 @@ def datasets_root() -> Path:
 def locate(text: str) -> Location:
     """Location of an id, a short name or a path, whether it exists or not.
 
+    The word of a named dataset, such as gate-noisy, is short for its id,
+    ``marl_mm/gate/noisy-v0``; any other, such as pd, for ``marl_mm/reach/pd-v0``.
+
     Raises:
         UsageError: If the text is empty, has a line break or another control
             character, or is an id of ours without a version.
@@ -66,7 +70,7 @@ def locate(text: str) -> Location:
         raise UsageError("the dataset's name is empty, expected an id or a path")
     refuse_control_characters("the dataset's name", text)
     if _WORD.fullmatch(text):
-        text = f"marl_mm/reach/{_versioned(text)}"
+        text = named_ids().get(text) or f"marl_mm/reach/{_versioned(text)}"
     if ID.fullmatch(text):
         return Location(text, datasets_root() / text)
     if text.startswith("marl_mm/"):

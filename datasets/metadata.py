@@ -15,6 +15,7 @@ from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.datasets.hdf5 import FILE
 from marl_mm.datasets.journal import FILE as JOURNAL
 from marl_mm.datasets.location import ID, SHIPPED, Location, datasets_root, known_ids
+from marl_mm.datasets.named import name_of
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.reference import reference_scores
 from marl_mm.errors import DatasetError, LayoutError, UnknownDatasetError
@@ -126,11 +127,13 @@ def _why_unknown(location: Location) -> str:
             f"the collection into {name} was begun and not finished: go on with "
             "`marl_mm.collect(..., resume=True)`"
         )
+    where = f" below {datasets_root()}" if name == location.id else ""
+    if where and (recipe := name_of(location.id)):
+        return f"no dataset {name}{where}: make it with marl-mm datasets build {recipe}"
     ids = {candidate: Path(candidate).name for candidate in (SHIPPED, *known_ids())}
     close = difflib.get_close_matches(location.folder.name, set(ids.values()), 3, 0.7)
     similar = [candidate for candidate, last in ids.items() if last in close]
     hint = f"did you mean {' or '.join(similar)}?" if similar else "make it first;"
-    where = f" below {datasets_root()}" if name == location.id else ""
     return f"no dataset {name}{where}: {hint} marl-mm datasets list shows all"
 
 

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 from drawings import DRAWINGS
+from named_pages import PAGES as NAMED_PAGES
 from reference_pages import PAGES
 from result_tables import TABLES
 from task_pages import PAGES as TASK_PAGES
@@ -33,7 +34,9 @@ def pages() -> dict[Path, str]:
     """Every page that is made, or has tables, as it should be."""
     made = {
         ROOT / "docs" / name: make()
-        for name, make in (PAGES | TASK_PAGES | DRAWINGS | PICTURES).items()
+        for name, make in (
+            PAGES | NAMED_PAGES | TASK_PAGES | DRAWINGS | PICTURES
+        ).items()
     }
     written = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
     made |= {p: p.read_text() for p in written if p not in made}

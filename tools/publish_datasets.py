@@ -7,9 +7,10 @@ What is finished is on record at once, so that a stopped call is gone on with.
 import json
 import sys
 
+from marl_mm.datasets.named import RECORD
 from marl_mm.files import new_file
 from marl_mm.progress import progress_bars
-from marl_mm.runs.recipes import RECIPES, RECORD, build, recorded
+from marl_mm.runs.recipes import RECIPES, build, recorded
 
 
 def main() -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+from named_pages import other_named, recipes_table
 from study_tables import (
     baselines_table,
     differences_table,
@@ -61,7 +62,6 @@ from marl_mm.eval.studies.targets import STUDIES
 from marl_mm.eval.studies.tuning import TABLE as TUNED_TABLE
 from marl_mm.eval.studies.tuning import tuning_table
 from marl_mm.eval.tables import markdown_table, rate_with_interval
-from marl_mm.runs.recipes import catalogue_rows
 from marl_mm.sim.config import RECORDED_ENGINE
 from marl_mm.versions import engine_text
 
@@ -161,24 +161,6 @@ def _engines_figure() -> str:
         return "Not run yet.\n"
     about = "Goals that policies reach on one engine against the other, by task"
     return f"![{about}](../../eval/results/{name})\n"
-
-
-def _recipes() -> str:
-    """Named datasets, and what they are, as Markdown."""
-    lines = []
-    for row in catalogue_rows():
-        reached, sha = row["success"], row["data_sha256"]
-        lines.append(
-            (
-                f"`{row['name']}`",
-                row["data"],
-                *("" if row[k] is None else str(row[k]) for k in ("steps", "episodes")),
-                "" if reached is None else f"{100 * reached:.1f}",
-                f"`{sha[:12]}`" if sha else "not on record yet",
-            )
-        )
-    header = ("name", "data", "steps", "episodes", "reached [%]", "SHA-256")
-    return markdown_table(header, lines)
 
 
 def _transfer(rows: list[Row]) -> str:
@@ -341,7 +323,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "coordination-worth": partial(_drawn_from, WORTH, worth_table),
     "coordination-teams": partial(_drawn_from, TEAMS, coordination_table),
     "coordination-levels": partial(_drawn_from, TEAMS, levels_table),
-    "recipes": _recipes,
+    "recipes": recipes_table,
+    "named-others": other_named,
     "offline-updates": _offline_updates,
     "known": _known,
     "goals": goals_table,

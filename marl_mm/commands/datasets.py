@@ -50,8 +50,8 @@ def _show(
     """Show a dataset's card, and keep it with the dataset as JSON, Markdown, figure.
 
     Args:
-        dataset: Id such as marl_mm/reach/pd-v0, or pd for short, or path; good-5k
-            ships.
+        dataset: Id such as marl_mm/reach/pd-v0, or pd for short, or path, or name of
+            a named dataset; good-5k ships.
         markdown: Print Markdown.
         json: Print JSON.
     """

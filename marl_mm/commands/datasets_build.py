@@ -1,7 +1,7 @@
 """Commands that build named datasets, list them, and rebuild one from its card."""
 
 import sys
-from pathlib import Path
+from typing import Any
 
 import tyro
 
@@ -10,13 +10,8 @@ from marl_mm.commands.output import print_rows, show
 from marl_mm.commands.wording import as_options
 from marl_mm.errors import DatasetError
 from marl_mm.progress import progress_bars
-from marl_mm.runs.recipes import (
-    build,
-    catalogue_rows,
-    differing_packages,
-    rebuild,
-    refuse_unknown,
-)
+from marl_mm.runs.rebuilding import read_card, rebuild
+from marl_mm.runs.recipes import build, catalogue_rows, named_card, refuse_unknown
 from marl_mm.runs.settings import check_positive
 
 
@@ -53,44 +48,68 @@ def build_named(
         raise DatasetError(f"not as on record: {', '.join(others)}")
 
 
-def list_named(*, json: bool = False) -> None:
-    """List the named datasets that can be built: task, kind of data, hashes on record.
+def list_named(
+    names: tyro.conf.Positional[tuple[str, ...]] = (), *, json: bool = False
+) -> None:
+    """List the named datasets that can be built, or show the cards of some.
 
     Args:
-        json: Print JSON, with the whole SHA-256 of the data.
+        names: Names of recipes whose cards are shown; default a table of all.
+        json: Print the cards as JSON, with the whole SHA-256 of the data.
     """
-    rows = catalogue_rows()
-    if not json:
-        for row in rows:
-            row["data_sha256"] = (row["data_sha256"] or "")[:12]
-            share = row["success"]
-            row["success"] = "" if share is None else f"{100 * share:.1f} %"
-            del row["id"]
-    print_rows(rows, json, "recipes")
+    cards = [named_card(name) for name in names] or catalogue_rows()
+    if json:
+        show(cards)
+    elif names:
+        print("\n\n".join(map(_card_text, cards)))
+    else:
+        print_rows(list(map(_row, cards)), json, "recipes")
+
+
+def _row(card: dict[str, Any]) -> dict[str, Any]:
+    """A card's line in the table of all."""
+    names = ("name", "id", "task", "data", "engine", "steps", "episodes")
+    share = card["success"]
+    return {
+        **{name: card[name] for name in names},
+        "success": "" if share is None else f"{100 * share:.1f} %",
+        "data_sha256": (card["data_sha256"] or "")[:12],
+    }
+
+
+def _card_text(card: dict[str, Any]) -> str:
+    settings = ", ".join(f"{name} {value}" for name, value in card["settings"].items())
+    texts = card | {"settings": settings or "the defaults"}
+    return "\n".join(
+        f"{name.replace('_', ' '):<12}{'-' if value is None else value}"
+        for name, value in texts.items()
+    )
 
 
 def rebuild_card(
-    card: tyro.conf.Positional[Path], *, workers: int = CORES, json: bool = False
+    card: tyro.conf.Positional[str], *, workers: int = CORES, json: bool = False
 ) -> None:
     """Collect a card's dataset again, elsewhere, and compare the data's SHA-256.
 
     Exit code 1 if it is another.
 
     Args:
-        card: File card.json of a collected dataset, which "marl-mm datasets show"
-            keeps with it.
+        card: File card.json of a collected dataset, which "marl-mm datasets build" and
+            "show" keep with it, or the dataset's id, name or path.
         workers: Processes that collect; the dataset does not depend on their number.
         json: Print JSON.
     """
     check_positive(workers=workers)
+    read = read_card(card)
     with progress_bars(vanish=True) as bar:
-        expected, actual = rebuild(card, workers=workers, progress=bar)
+        expected, actual = rebuild(read, workers=workers, progress=bar)
     same = expected == actual
     text = f"{card}: the same data, SHA-256 {actual}"
     if same or json:
         show({"on_card": expected, "rebuilt": actual, "same": same}, text, json)
     if not same:
-        differing = ", ".join(differing_packages(card)) or "none: another processor"
+        differing = ", ".join(read.differing_packages)
+        differing = differing or "none, so that the code or the processor is another"
         raise DatasetError(
             f"{card} has data of SHA-256 {expected}, rebuilt they have {actual}; "
             f"packages that differ: {differing}"

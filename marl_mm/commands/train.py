@@ -45,7 +45,8 @@ class Offline(_Options, training.Offline):
     """Learn from a dataset."""
 
     dataset: str
-    """Id, such as marl_mm/reach/pd-v0 or pd for short, or path; good-5k ships."""
+    """Id, such as marl_mm/reach/pd-v0 or pd for short, or path, or name of a named
+    dataset; good-5k ships."""
 
     start: Annotated[Path | None, tyro.conf.arg(aliases=("--from",))] = None
     """Run of the same algorithm, or folder of such runs by seed, to start from, with

@@ -8,41 +8,19 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
-import marl_mm
-from marl_mm.collectors.registry import COLLECTORS
+from marl_mm.datasets.card import keep_card
 from marl_mm.datasets.dataset import Dataset
-from marl_mm.datasets.location import Location
-from marl_mm.datasets.metadata import read_metadata
+from marl_mm.datasets.named import AXES, RECORD
 from marl_mm.declared import as_record
 from marl_mm.envs.registry import config_dict, make_task
-from marl_mm.errors import DatasetError, UsageError
+from marl_mm.errors import UsageError
 from marl_mm.progress import Bar, silent_bar
-from marl_mm.received import read_json
 from marl_mm.registry import Registry
-from marl_mm.runs.collecting import Collecting, collect_dataset
-from marl_mm.runs.settings import with_values
 from marl_mm.runs.sources import Datasets, Notify, Source, silence
-from marl_mm.sim.config import engine_of, engine_overrides
-from marl_mm.versions import engine_text, versions
-
-RECORD = Path(marl_mm.__file__).parent / "datasets" / "recipes.json"
-"""File of what the recipes gave, by name."""
-
-AXES = {
-    "expert": "the script, and only what reaches the goal",
-    "noisy": "the script with noise that stays for a while, successes and failures",
-    "explore": "much slow noise: 5 to 10 % reach the goal by chance",
-    "rare": "noise that leaves 2 to 5 % of the episodes to reach the goal",
-    "one-bad": "one agent of the team acts at random, another one in each episode",
-    "conventions": "each episode by one of the task's conventions",
-    "stitch": "the script on halves of the way, for tests on the whole of it",
-    "narrow": "the script on the easy level, for tests on the others",
-}
-"""What is asked of algorithms by each kind of data, by its name."""
+from marl_mm.sim.config import engine_overrides
+from marl_mm.versions import engine_text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,7 +145,7 @@ class Built:
         return (
             f"not the dataset on record: {', '.join(self.differs)} differ; that was "
             f"made with {self.recorded['engine']}, this one with {self.row['engine']}, "
-            "and other processors may give other last bits"
+            "and other code or another processor may give other bits"
         )
 
 
@@ -179,6 +157,8 @@ def build(
     notify: Notify = silence,
 ) -> Built:
     """Build a named dataset below ``$MINARI_DATASETS_PATH``; one that is there is read.
+
+    Its card is kept with it.
 
     Args:
         name: Name of a recipe, see ``RECIPES``.
@@ -193,7 +173,9 @@ def build(
     """
     recipe = RECIPES.get(name)
     datasets = Datasets(workers=workers, notify=notify, bar=progress)
-    return Built(recipe, datasets.make(recipe.source), recorded().get(name))
+    dataset = datasets.make(recipe.source)
+    keep_card(dataset)
+    return Built(recipe, dataset, recorded().get(name))
 
 
 def recorded() -> dict[str, dict[str, Any]]:
@@ -202,81 +184,35 @@ def recorded() -> dict[str, dict[str, Any]]:
     return rows
 
 
-def catalogue_rows() -> list[dict[str, Any]]:
-    """A row per recipe: task, kind of data, and the numbers on record."""
-    known = recorded()
-    rows = []
-    for name, recipe in RECIPES.items():
-        source, record = recipe.source, known.get(name, {})
-        rows.append(
-            {
-                "name": name,
-                "id": source.name,
-                "task": source.task,
-                "data": AXES[recipe.axis],
-                "engine": record.get("engine", source.engine),
-                "steps": record.get("steps", source.steps),
-                "episodes": record.get("episodes"),
-                "success": record.get("success"),
-                "data_sha256": record.get("data_sha256"),
-            }
-        )
-    return rows
-
-
-def rebuild(
-    card: str | Path, *, workers: int = 1, progress: Bar = silent_bar
-) -> tuple[str, str]:
-    """Collect a card's dataset again, elsewhere, and throw it away.
-
-    Args:
-        card: File ``card.json`` of a collected dataset.
-        workers: Processes that collect.
-        progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
-
-    Returns:
-        SHA-256 of the data on the card, and of those that were collected now.
+def named_card(name: str) -> dict[str, Any]:
+    """What a named dataset is made of, and what is on record of it.
 
     Raises:
-        DatasetError: If the card is not of a collection, or cannot be read.
+        UsageError: If there is no such recipe.
     """
-    values = read_json(Path(card), DatasetError)
-    made_of, expected = values.get("made_of"), values.get("data_sha256")
-    if not (isinstance(made_of, Mapping) and isinstance(expected, str)):
-        raise DatasetError(
-            f"{card} does not say what its dataset is made of: only collected datasets "
-            "can be rebuilt, by cards that `marl-mm datasets show` has kept"
-        )
-    known = {"task", "collector", "collector_config", "overrides", "seed", "steps"}
-    if missing := sorted(known - made_of.keys()):
-        raise DatasetError(f"{card} lacks {', '.join(missing)} in made_of")
-    collector, overrides = made_of["collector"], made_of["overrides"]
-    default = COLLECTORS.get(collector).config()
-    with TemporaryDirectory() as folder:
-        location = Location(str(values.get("id")), Path(folder, "rebuilt"))
-        collecting = Collecting(
-            steps=made_of["steps"],
-            seed=made_of["seed"],
-            task=made_of["task"],
-            engine=engine_of(overrides),
-            max_steps=overrides.get("max_steps"),
-            workers=workers,
-        )
-        config = with_values(default, made_of["collector_config"])
-        collect_dataset(location, collector, config, collecting, bar=progress)
-        return expected, str(read_metadata(location)["marl_mm"]["data_sha256"])
+    recipe = RECIPES.get(name)
+    source, record = recipe.source, recorded().get(name, {})
+    return {
+        "name": name,
+        "id": source.name,
+        "task": source.task,
+        "axis": recipe.axis,
+        "data": AXES[recipe.axis],
+        "collector": source.collector,
+        "settings": dict(source.settings),
+        "seed": source.seed,
+        "engine": record.get("engine", source.engine),
+        "steps": record.get("steps", source.steps),
+        "episodes": record.get("episodes"),
+        "success": record.get("success"),
+        "data_sha256": record.get("data_sha256"),
+        "build": f"marl-mm datasets build {name}",
+    }
 
 
-def differing_packages(card: str | Path) -> Sequence[str]:
-    """Packages whose versions are not those on a card, with both versions."""
-    values = read_json(Path(card), DatasetError)
-    packages = values.get("made_of", {}).get("packages", {})
-    now = versions()
-    return [
-        f"{name} {then}, here {now.get(name)}"
-        for name, then in packages.items()
-        if now.get(name) != then
-    ]
+def catalogue_rows() -> list[dict[str, Any]]:
+    """A card per recipe, see ``named_card``."""
+    return [named_card(name) for name in RECIPES.names()]
 
 
 def refuse_unknown(names: Sequence[str]) -> None:

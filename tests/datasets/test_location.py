@@ -15,6 +15,13 @@ def test_a_word_is_short_for_an_id(text: str, datasets_home: Path) -> None:
     assert locate(text).name == "marl_mm/reach/pd-v0"
 
 
+def test_a_named_dataset_is_of_its_task(datasets_home: Path) -> None:
+    folder = datasets_home / "marl_mm/quiet-zone/one-bad-v0"
+    named = Location("marl_mm/quiet-zone/one-bad-v0", folder)
+    assert locate("quiet-zone-one-bad") == find("quiet-zone-one-bad") == named
+    assert locate("quiet-zone-one").id == "marl_mm/reach/quiet-zone-one-v0"
+
+
 def test_everything_else_is_a_path(
     datasets_home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,8 +4,13 @@ import json
 import lzma
 from pathlib import Path
 
+import numpy as np
+
+from marl_mm.eval.intervals import mean_interval
 from marl_mm.eval.rows import read_rows
+from marl_mm.eval.studies.coordination import TABLE, WORTH
 from marl_mm.eval.studies.offline import BLOCKS
+from marl_mm.runs.recipes import RECIPES, recorded
 
 RESULTS = Path(__file__).resolve().parents[2] / "eval/results"
 
@@ -39,3 +44,58 @@ def test_imitated_demonstrations_teach_a_grasp_online() -> None:
     (row,) = read_rows(RESULTS / "studies/grasp.csv")
     assert row["seeds"] == 3
     assert row["success_best"] >= 0.95 and row["episodes"] <= 5_000
+
+
+# --- Named datasets, and what comes apart on them ------------------------------
+
+
+def test_every_recipe_is_on_record_and_holds_what_it_is_to_hold() -> None:
+    """Of "rare" and "explore" few episodes reach the goal, of scripts alone all."""
+    rows, only = recorded(), (1.0, 1.0)
+    asked = {"rare": (0.02, 0.05), "explore": (0.05, 0.1), "conventions": only}
+    asked |= dict.fromkeys(("expert", "stitch", "narrow"), only)
+    assert list(rows) == list(RECIPES.names())
+    for name, recipe in RECIPES.items():
+        row = rows[name]
+        assert row["recipe"] == recipe.fingerprint, name
+        reached = row["success"] * row["episodes"]
+        assert row["success"] == round(reached) / row["episodes"], name
+        low, high = asked.get(recipe.axis, (0.0, 1.0))
+        assert low <= row["success"] <= high, name
+    hashes = {row["data_sha256"] for row in rows.values()}
+    assert len(hashes) == len(rows) and {len(text) for text in hashes} == {64}
+
+
+def test_datasets_set_algorithms_apart() -> None:
+    """On six at least, by 30 points, with Student's intervals that do not touch."""
+    rates: dict[str, dict[str, list[float]]] = {}
+    for row in read_rows(RESULTS / "studies/separation.csv"):
+        assert (row["seeds"], row["goals"]) == (5, 200)
+        seeds = [float(text) for text in str(row["success_seeds"]).split()]
+        rates.setdefault(row["dataset"], {})[row["setting"]] = seeds
+    apart, near_all = 0, dict.fromkeys(next(iter(rates.values())), 0)
+    for of in rates.values():
+        assert of.keys() == near_all.keys()
+        worst, *_, best = sorted(of.values(), key=np.mean)
+        points = np.mean(best) - np.mean(worst)
+        apart += bool(points >= 30 and mean_interval(worst)[1] < mean_interval(best)[0])
+        for setting, seeds in of.items():
+            near_all[setting] += bool(np.mean(seeds) > 98)
+    assert apart >= 6 and max(near_all.values()) <= 2
+    assert np.mean(rates["marl_mm/bar/conventions-v0"]["mabc-5k"]) <= 50
+
+
+def test_the_team_decides_what_its_tasks_are_about() -> None:
+    """An alpha that follows the state, a partner that acts, the same convention."""
+    worth = {row["task"]: row for row in read_rows(RESULTS / f"studies/{WORTH}")}
+    for task in ("QuietZone-v0", "Gate-v0", "Tray-v0", "Course-v0"):
+        assert worth[task]["difference"] >= 0.3, task
+        assert worth[task]["expert"] - worth[task]["constant"] >= 0.3, task
+    assert len(worth) == 6
+    assert all(row["random_partner"] <= 0.3 for row in worth.values())
+    teams = read_rows(RESULTS / f"studies/{TABLE}")
+    partners = [row for row in teams if str(row["team"]).startswith("random ")]
+    assert len(partners) == 14 and all(row["success"] <= 0.3 for row in partners)
+    bar = {row["team"]: row["success"] for row in teams if row["task"] == "Bar-v0"}
+    for one, other in (("over", "under"), ("under", "over")):
+        assert bar[f"{one} and {one}"] >= 0.95 and bar[f"{one} and {other}"] < 0.4

@@ -11,9 +11,11 @@ import pytest
 import marl_mm
 from marl_mm.cli import main
 from marl_mm.datasets.card import keep_card
+from marl_mm.datasets.named import AXES, name_of, named_ids
 from marl_mm.errors import DatasetError, UsageError
 from marl_mm.runs import recipes
-from marl_mm.runs.recipes import AXES, RECIPES, Recipe, build, rebuild, recorded
+from marl_mm.runs.rebuilding import rebuild
+from marl_mm.runs.recipes import RECIPES, Recipe, build, recorded
 from marl_mm.runs.sources import Source
 
 SMALL = "small-noisy"
@@ -90,8 +92,11 @@ def test_cards_are_rebuilt_to_the_bit_by_any_number_of_workers(
     small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = build(SMALL).dataset
-    keep_card(data)
-    card = data.location.folder / "card.json"
+    card = data.location.folder / "card.json"  # which build has kept
+    assert main(["datasets", "rebuild", str(card), "--workers", "1"]) == 0
+    assert "the same data, SHA-256" in capsys.readouterr().out
+    for what in ("marl_mm/small/noisy-v0", str(data.location.folder)):
+        assert rebuild(what)[0] == data.metadata["marl_mm"]["data_sha256"]
     for workers in (1, 2):
         expected, actual = rebuild(card, workers=workers)
         assert expected == actual == data.metadata["marl_mm"]["data_sha256"]
@@ -100,7 +105,8 @@ def test_cards_are_rebuilt_to_the_bit_by_any_number_of_workers(
     other = tmp_path / "other.json"
     other.write_text(json.dumps(values))
     assert main(["datasets", "rebuild", str(other), "--workers", "1"]) == 1
-    assert "packages that differ: none" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "differ: none, so that the code or the processor is another" in error
 
 
 def test_what_cannot_be_built_is_refused(
@@ -116,6 +122,46 @@ def test_what_cannot_be_built_is_refused(
         rebuild(_without(shipped.location.folder / "card.json", tmp_path, "made_of"))
     with pytest.raises(DatasetError, match="lacks seed in made_of"):
         rebuild(_without(shipped.location.folder / "card.json", tmp_path, "seed"))
+
+
+def test_the_catalogue_names_each_dataset_and_shows_cards(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["datasets", "catalogue"]) == 0
+    table = capsys.readouterr().out
+    for name, recipe in RECIPES.items():
+        assert f" {name} " in table and f" {recipe.source.name} " in table
+    assert main(["datasets", "catalogue", "bar-noisy"]) == 0
+    card = capsys.readouterr().out
+    row = recorded()["bar-noisy"]
+    assert f"data sha256 {row['data_sha256']}\n" in card
+    assert "noise 0.06, noise_memory 0.8, any_convention True" in card
+    assert "marl-mm datasets build bar-noisy" in card
+    assert main(["datasets", "catalogue", "bar-noisy", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == [recipes.named_card("bar-noisy")]
+    assert main(["datasets", "catalogue", "bar-noisi"]) == 2
+    assert "did you mean bar-noisy?" in capsys.readouterr().err
+
+
+def test_names_of_recipes_are_names_of_datasets(
+    datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ids = {name: recipe.source.name for name, recipe in RECIPES.items()}
+    assert named_ids() == ids and list(map(name_of, ids.values())) == list(ids)
+    assert name_of("marl_mm/reach/pd-v0") is None
+    data = marl_mm.load_dataset("quiet-zone-noisy")  # ships
+    assert data.metadata["dataset_id"] == "marl_mm/quiet-zone/noisy-v0"
+    for command in (
+        ["datasets", "show", "tray-noisy"],
+        ["datasets", "show", "marl_mm/tray/noisy-v0"],
+        ["train", "mabc", "--dataset", "tray-noisy", "--out", str(tmp_path / "run")],
+        ["datasets", "mix", "tray-noisy:20", "--out", "mixed"],
+    ):
+        assert main(command) > 0
+        assert (
+            f"no dataset marl_mm/tray/noisy-v0 below {datasets_home}: make it with "
+            "marl-mm datasets build tray-noisy\n" in capsys.readouterr().err
+        )
 
 
 def _without(card: Path, folder: Path, name: str) -> Path:
