@@ -10,14 +10,17 @@ import numpy as np
 import pytest
 
 import marl_mm
+from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.collectors.replay import replay
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.datasets.location import SHIPPED, locate
 from marl_mm.datasets.named import name_of
 from marl_mm.datasets.shipped import IDS, description_file, shipped_arrays
+from marl_mm.envs.registry import make_task
 from marl_mm.runs.collecting import Collecting, collect_dataset
 from marl_mm.runs.recipes import RECIPES, recorded
+from marl_mm.sim.config import engine_overrides
 
 NAMES = [name_of(name) or name for name in IDS if name != SHIPPED]
 """Names of the named datasets that ship."""
@@ -43,6 +46,20 @@ def test_a_dataset_that_ships_begins_as_it_is_collected_now(
         assert now.dtype == then.dtype and now.tobytes() == then.tobytes(), field
     for field, values in first.info.items():
         assert made.info[field].tobytes() == values.tobytes(), field
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_scripts_decide_in_every_state_as_they_did(name: str) -> None:
+    """In all of them: a constant of the script may matter in few."""
+    source = RECIPES.get(name).source
+    task = make_task(source.task, engine_overrides(source.engine))
+    policy = COLLECTORS.get(source.collector).policy(source.config, task)
+    ships = shipped_arrays(source.name)
+    for number in range(len(ships)):
+        episode = ships.episode(number)
+        policy.begin(np.random.default_rng([episode.seed, 1]), task.layout)  # as it was
+        acts = np.stack([policy.act(state) for state in episode.states[:-1]])
+        assert acts.astype(np.float32).tobytes() == episode.actions.tobytes(), number
 
 
 def test_failures_of_noisy_data_are_replayed_to_the_bit() -> None:
