@@ -9,7 +9,7 @@ from marl_mm.envs.intervals import Interval, check_intervals, check_positive
 from marl_mm.envs.load import check_reach
 from marl_mm.errors import UsageError
 from marl_mm.layout import Entry
-from marl_mm.sim.scene import YELLOW, Mark
+from marl_mm.sim.scene import AMBER, YELLOW, Mark
 
 GATE = (
     *(Entry(f"gate_{axis}", "m") for axis in "xyz"),
@@ -68,26 +68,22 @@ class Window(NamedTuple):
         """
         count, wide, half = 8, 0.3, clearance + FINGER
         deep, (low, high) = thickness / count, (self.z - half, self.z + half)
-        sill = max(low - OVER_BASE, LINTEL)
-        sizes = {  # aside and height of the middle, width, height
-            "left": (half + wide / 2, (high + low - sill) / 2, wide, high - low + sill),
-            "right": (
-                -half - wide / 2,
-                (high + low - sill) / 2,
-                wide,
-                high - low + sill,
-            ),
-            "sill": (0.0, low - sill / 2, 2 * half, sill),
-            "lintel": (0.0, high + LINTEL / 2, 2 * half + 2 * wide, LINTEL),
-        }
+        foot = min(OVER_BASE, low - LINTEL)
+        beside, tall = half + wide / 2, high - foot
+        parts = [  # aside and height of the middle, width, height
+            (beside, foot + tall / 2, wide, tall, YELLOW),
+            (-beside, foot + tall / 2, wide, tall, YELLOW),
+            (0.0, (foot + low) / 2, 2 * half, low - foot, YELLOW),
+            (0.0, high + LINTEL / 2, 2 * half, LINTEL, AMBER),
+        ]
         return [
             Mark(
                 (float(self.x + ahead), float(self.y + self.slope * ahead + aside), z),
                 (deep, width, height),
-                YELLOW,
+                color,
             )
             for ahead in (np.arange(count) + 0.5) * deep
-            for aside, z, width, height in sizes.values()
+            for aside, z, width, height, color in parts
         ]
 
     def way(self, hand: np.ndarray, step: float) -> np.ndarray:

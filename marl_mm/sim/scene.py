@@ -27,6 +27,9 @@ RED: Color = (0.90, 0.25, 0.15, 1.0)
 YELLOW: Color = (0.95, 0.80, 0.15, 0.6)
 """Colour of hazards."""
 
+AMBER: Color = (0.80, 0.45, 0.05, 1.0)
+"""Colour of parts of hazards that would not be seen in front of the others."""
+
 GREY: Color = (0.35, 0.35, 0.4, 1.0)
 """Colour of things that are carried."""
 

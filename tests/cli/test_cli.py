@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-import marl_mm  # noqa: F401  registers the environments
+import marl_mm
 from marl_mm.cli import COMMANDS, main
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
 from marl_mm.datasets.dataset import load_dataset
@@ -23,6 +23,8 @@ from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.shipped import IDS
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.envs.registry import TASKS
+from marl_mm.envs.task import Task
+from marl_mm.envs.tasks.reach import Reach
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
 from marl_mm.runs.policies import own_task
@@ -392,6 +394,27 @@ def test_runs_are_evaluated_on_their_own_task(tmp_path: Path) -> None:
     assert own_task([c]) == own_task(["pd", "pretrained"]) == "Reach-v0"
     with pytest.raises(UsageError, match="choose one with `task`"):
         own_task([a, c])
+
+
+def test_the_script_plays_if_no_policy_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Output
+) -> None:
+    class Unscripted(Reach):
+        expert = Task.expert
+
+    small = ["--fps", "1", "--camera.width", "96", "--camera.height", "64"]
+    strip = str(tmp_path / "film.png")
+    for task in ([], ["--task", "Tray-v0"]):
+        words = ["play", *task, "--strip", strip, "--max-steps", "7", "--overwrite"]
+        assert run(*words, *small, "--engine", "mujoco") == 0
+        assert ": scripted " in capsys.readouterr().out
+    film = marl_mm.play(task="Reach-v0", max_steps=1, fps=1, engine="mujoco")
+    assert film.policy == "scripted"
+    monkeypatch.setitem(TASKS._things, "Reach-v0", Unscripted())
+    film = marl_mm.play(max_steps=1, fps=1, engine="mujoco")
+    assert (film.policy, film.task) == ("pd", "Reach-v0")
+    assert run("play", "--help") == 0
+    assert "Default the task's script" in capsys.readouterr().out
 
 
 @pytest.mark.slow
