@@ -252,7 +252,7 @@ def test_ctrl_c_leaves_what_is_finished(
     [
         (["pd", "--suite", "fly"], "--suite"),
         (["pd", "--partners", "nobody"], "no policy 'nobody'"),
-        (["pretrained", "--task", "Gate-v0", "--partners", "pd"], "another layout"),
+        (["pretrained", "--task", "Grasp-v0", "--partners", "pd"], "another layout"),
     ],
 )
 def test_mistakes_are_one_line(
