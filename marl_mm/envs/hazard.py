@@ -33,7 +33,7 @@ class RiskyTask(CruiseTask, ABC):
 
     failure_reward: float = -30.0
     """Reward of a failure: less than that of any other step. Episodes without one can
-    return less: to stand still returns -39 in QuietZone."""
+    return less: to stand still returns about -39 in QuietZone."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -155,7 +155,9 @@ class WallConfig:
                 "goes further aside than ahead"
             )
         aside = high * self.thickness
-        check_reach("wall.", (self.y[0] - aside, self.y[1] + aside), self.z)
+        check_reach(
+            "with its slant, wall.", (self.y[0] - aside, self.y[1] + aside), self.z
+        )
 
     @property
     def end(self) -> float:

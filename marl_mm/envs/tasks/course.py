@@ -5,7 +5,7 @@ and bin, the balance agent the quiet zone and how far the wall is from the hand;
 see how many sub-goals are reached. An episode fails if the base is told to accelerate
 by more than ``zone_limit`` in the zone, if the finger tips are further than
 ``wall.clearance`` from the middle of the window within the wall, or as in Grasp, until
-the block is delivered.
+the block is delivered. The base passes below the wall.
 
 So alpha has to be high in the zone, and low at the wall and where the time is short.
 The script takes, crosses, passes, delivers and comes back, with alpha at 1 from 15 cm
@@ -18,12 +18,10 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
+from marl_mm.envs.course_layout import BIN, LAYOUT, STAGE, STAGES, ZONE
 from marl_mm.envs.cruise import (
     ALPHA,
-    BASE,
-    DELTA,
     HAND,
-    MODE,
     CruiseTask,
     Targets,
     names,
@@ -42,7 +40,6 @@ from marl_mm.envs.task import Attempt, ScriptConfig, Terms, Values
 from marl_mm.envs.tasks.grasp import (
     BLOCK,
     GRIP,
-    HELD,
     OPENING,
     STAND,
     handled,
@@ -53,47 +50,11 @@ from marl_mm.envs.tasks.reach import steer
 from marl_mm.envs.window import DISTANCE, GATE, WallConfig, Window
 from marl_mm.episode import FAILED
 from marl_mm.errors import UsageError
-from marl_mm.layout import Agent, Entry, Layout
 from marl_mm.sim.config import Camera
 from marl_mm.sim.scene import YELLOW, Mark
 
 if TYPE_CHECKING:
     from marl_mm.envs.drive import Motion
-
-STAGES = ("take", "cross", "pass", "deliver", "return")
-"""Names of the sub-goals, in order."""
-
-ZONE = (Entry("zone_near", "m"), Entry("zone_far", "m"))
-"""Where the base enters and leaves the quiet zone, x in the world."""
-
-BIN = tuple(Entry(f"bin_{axis}", "m") for axis in "xyz")
-"""Place over the bin at which the block is let go, world frame."""
-
-STAGE = Entry("stage", "1", 0.0, len(STAGES))
-"""Number of sub-goals reached."""
-
-WANTED = Entry("stages_wanted", "1", 0.0)
-"""Number that ends the episode."""
-
-LAYOUT = Layout(
-    (
-        *(*HAND, *BASE, MODE, OPENING, HELD, *BLOCK, *STAND),
-        *(*ZONE, *GATE, DISTANCE, *BIN, STAGE, WANTED),
-    ),
-    (*DELTA, GRIP, ALPHA),
-    (
-        Agent(
-            "end_effector",
-            names(*HAND, *BASE, OPENING, HELD, *BLOCK, *STAND, *GATE, *BIN, STAGE),
-            names(*DELTA, GRIP),
-        ),
-        Agent("balance", names(*BASE, MODE, *ZONE, DISTANCE, STAGE), names(ALPHA)),
-    ),
-    compared=names(STAGE),
-    desired=names(WANTED),
-)
-"""Layout of Course: one agent sees block, window and bin, the other one the zone and
-how far the wall is. Both see how far the team has come."""
 
 
 class Track(NamedTuple):

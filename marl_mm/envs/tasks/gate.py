@@ -4,7 +4,7 @@ The hand's agent sees window and goal, the balance agent only how far the wall i
 the hand. As long as that is more than ``quiet_until``, the floor is quiet: an episode
 fails if the base is told to accelerate by more than ``quiet_limit``. Within the wall it
 fails if the finger tips are further than ``wall.clearance`` from the middle of the
-window, which goes aside at a slant.
+window, which goes aside at a slant. The base passes below the wall.
 
 At alpha 0 the base breaks the quiet floor as it sets off; at alpha 1 the hand is not
 accurate enough for the window. So alpha has to fall at the wall. The script steers to
