@@ -146,12 +146,8 @@ def test_what_is_drawn_changes_nothing(engine: str) -> None:
             states.append([core.reset(np.random.default_rng(0))])
             for _ in range(3):
                 states[-1].append(core.step(np.array([1.0, 0.5, 0.1, 0.3])).state)
-<<<<<<< HEAD
     plain, drawn = states
     np.testing.assert_array_equal(plain, drawn)
-=======
-    np.testing.assert_array_equal(states[0], states[1])
->>>>>>> scenes
 
 
 # --- Bad input ---------------------------------------------------------------
