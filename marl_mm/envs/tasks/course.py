@@ -93,7 +93,7 @@ class Course(CruiseTask):
         **dict.fromkeys(names(*ZONE), -9.0),
         DISTANCE.name: 9.0,
     }
-    camera = Camera(target_w=(2.1, 0.0, 0.3), distance=3.9, yaw=12.0, pitch=-32.0)
+    camera = Camera(target_w=(2.4, 0.0, 0.3), distance=4.3, yaw=12.0, pitch=-32.0)
     own_info: ClassVar[dict[str, str]] = {
         **CruiseTask.own_info,
         "points": "number of sub-goals reached in the step",
@@ -102,7 +102,7 @@ class Course(CruiseTask):
         "within the wall [m]",
     }
 
-    max_steps: int = 75
+    max_steps: int = 84
     """Number of steps until truncation: too few for a stable base all the way."""
 
     load: StandConfig = field(default_factory=lambda: StandConfig(mass=(0.05, 1.0)))
@@ -117,10 +117,10 @@ class Course(CruiseTask):
     zone_limit: float = 0.15
     """Largest commanded acceleration of the base within the zone [m/s^2]."""
 
-    wall: WallConfig = field(default_factory=lambda: WallConfig(x=(3.4, 3.6)))
+    wall: WallConfig = field(default_factory=lambda: WallConfig(x=(4.0, 4.2)))
     """Intervals of the wall and its window."""
 
-    bin_x: Interval = (3.95, 4.05)
+    bin_x: Interval = (4.55, 4.65)
     """Interval of x of the bin, world [m]."""
 
     bin_y: Interval = (-0.1, 0.1)
