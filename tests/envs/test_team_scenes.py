@@ -176,7 +176,7 @@ def test_what_is_drawn_changes_nothing(engine: str) -> None:
         ("MovingReach-v0", {"speed": (0.1, 0.5)}, "which a hand follows"),
         ("MovingReach-v0", {"speed": (0.1, 0.05)}, "expected the smaller first"),
         ("Course-v0", {"zone_x": (0.5, 0.7)}, "a zone of 0.4 m does not fit into zone"),
-        ("Course-v0", {"bin_x": (3.5, 3.5)}, "a wall at 3.4 to 3.8 m is not between"),
+        ("Course-v0", {"bin_x": (4.1, 4.1)}, "a wall at 4 to 4.4 m is not between"),
         ("Bar-v0", {"beam_x": (-0.5, 0.3)}, "expected between goals and start"),
         ("QuietZone-v0", {"zone_limit": -1.0}, "zone_limit is -1.0, expected > 0"),
         ("QuietZone-v0", {"zone_length": (-0.2, -0.1)}, "zone_length is -0.2 to -0.1"),
@@ -223,8 +223,8 @@ def test_what_is_drawn_changes_nothing(engine: str) -> None:
         ("Course-v0", {"bin_y": (4.0, 4.0)}, "bin_y is 4 to 4 m, expected within -1.3"),
         ("Course-v0", {"bin_z": 3.0}, "bin_z is 3 to 3 m, expected within 0 to 1.4"),
         ("Course-v0", {"zone_limit": 0.0}, "zone_limit is 0.0, expected > 0"),
-        ("Course-v0", {"max_steps": 5}, "a way of 4.00 m, expected at most 0.5 m"),
-        ("Course-v0", {"load": {"hold_ticks": 100000}}, "at most an episode's 18000"),
+        ("Course-v0", {"max_steps": 5}, "a way of 4.60 m, expected at most 0.5 m"),
+        ("Course-v0", {"load": {"hold_ticks": 100000}}, "at most an episode's 20160"),
         *(
             (f"{kind}-v0", {"random_start_steps": 2}, "is 2, expected 0")
             for kind in KINDS

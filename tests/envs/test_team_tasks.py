@@ -242,6 +242,7 @@ def test_sub_goals_come_in_order_and_give_a_point_each() -> None:
     stage = episode.states[:, episode.layout.state_names.index("stage")]
     assert set(np.diff(stage)) == {0.0, 1.0} and stage[-1] == 5.0
     np.testing.assert_array_equal(episode.rewards, np.diff(stage))
+    assert 60 <= len(episode.rewards) <= 120
 
 
 def test_a_block_let_go_before_the_bin_is_lost_and_over_it_is_not() -> None:

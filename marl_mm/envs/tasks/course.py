@@ -9,7 +9,8 @@ the block is delivered. The base passes below the wall.
 
 So alpha has to be high in the zone, and low at the wall and where the time is short.
 The script takes, crosses, passes, delivers and comes back, with alpha at 1 from 15 cm
-before the zone to its end and 0 elsewhere.
+before the zone to its end and 0 elsewhere. Rewards do not depend on the goal, so that
+hindsight teaches nothing.
 """
 
 from collections.abc import Sequence

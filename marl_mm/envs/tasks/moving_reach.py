@@ -8,6 +8,8 @@ A hand that steers to where the goal is comes too late. Where the goal will be d
 on a rate that only the other agent sees; the hand sees alpha of the last step, by which
 the balance agent can tell. The script's alpha is 0.5 for a goal at rest and 0 or 1 for
 the fastest, by its way round, and its hand steers to where such a goal is next.
+Goals of hindsight ask for the seconds that were reached, often none, and so teach
+little.
 """
 
 from dataclasses import dataclass, replace
