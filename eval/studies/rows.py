@@ -106,6 +106,10 @@ class RowStore:
         pairs = {(row["seed"], row["probe"]) for row in self._rows(cell)}
         return [seed for seed in seeds if not pairs >= set(product([seed], ways))]
 
+    def seeds(self, cell: Cell) -> list[int]:
+        """Seeds of a cell's rows; none without rows."""
+        return sorted({row["seed"] for row in self._rows(cell)})
+
     def engines(
         self, cells: Sequence[Cell], asked: Engine | None
     ) -> dict[tuple[str, str], Engine]:

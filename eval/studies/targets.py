@@ -12,6 +12,7 @@ from marl_mm.eval.metrics import Row
 from marl_mm.eval.studies import (
     alpha,
     baselines,
+    benchmark,
     coordination,
     engines,
     fine_tuning,
@@ -63,6 +64,9 @@ class Comparison:
     agents: Study | None = None
     """Study whose runs are compared, and are trained first."""
 
+    in_parts: bool = False
+    """Whether the table is of those runs whose rows are there, be they all or not."""
+
     plan: Callable[[Any, Bar], str] | None = None
     """Function of options and a factory of progress bars that says what is missing."""
 
@@ -98,6 +102,15 @@ COMPARISONS = {
         robustness.draw_robustness,
         robustness.robustness_table,
         robustness.AGENTS,
+    ),
+    "benchmark": Comparison(
+        benchmark.ABOUT,
+        benchmark.TABLE,
+        benchmark.make_benchmark,
+        benchmark.draw_benchmark,
+        benchmark.benchmark_table,
+        benchmark.AGENTS,
+        in_parts=True,
     ),
     "tuning": Comparison(
         tuning.ABOUT,

@@ -101,7 +101,7 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm ablate``."""
     target, options, studies, comparisons = _parsed(arguments)
     if options.datasets is not None or options.settings is not None:
-        studies = _parts(studies, options, target)
+        studies, comparisons = _parts(studies, comparisons, options, target)
     if options.check:
         check_tables(_checks(options, studies, comparisons))
         return
@@ -151,8 +151,14 @@ def _make(
     return tables, failures
 
 
-def _parts(studies: dict[str, Study], options: Ablate, target: str) -> dict[str, Study]:
-    """The requested part of a study."""
+def _parts(
+    studies: dict[str, Study], comparisons: Comparisons, options: Ablate, target: str
+) -> tuple[dict[str, Study], Comparisons]:
+    """The requested part of a study, or of the runs that a comparison goes on with."""
+    for name, comparison in comparisons.items():
+        if not studies and comparison.agents is not None and comparison.in_parts:
+            part = comparison.agents.part(options.datasets, options.settings)
+            return studies, {name: replace(comparison, agents=part)}
     if len(studies) != 1:
         raise UsageError(f"--settings and --datasets are for a study, not {target}")
     ((name, study),) = studies.items()
@@ -160,7 +166,7 @@ def _parts(studies: dict[str, Study], options: Ablate, target: str) -> dict[str,
     whole = len(part.cells) == len(study.cells)
     if options.check and not whole:
         raise UsageError("--check is for whole tables, without --datasets, --settings")
-    return {name if whole else f"{name}-part": part}
+    return {name if whole else f"{name}-part": part}, comparisons
 
 
 def _parsed(

@@ -1,0 +1,201 @@
+"""The benchmark: offline algorithms on datasets of all axes and of the team's tasks.
+
+Of each dataset it tells which algorithms can be told apart, and over all datasets how
+much of the goals each reaches, and how often it reaches more than another.
+"""
+
+from itertools import combinations, groupby, product
+from pathlib import Path
+
+import numpy as np
+
+from marl_mm.algorithms.registry import ALGORITHMS
+from marl_mm.errors import UsageError
+from marl_mm.eval.aggregates import (
+    Estimate,
+    improvement,
+    interquartile,
+    mean,
+    resampled,
+)
+from marl_mm.eval.grouping import by_goal, grouped
+from marl_mm.eval.intervals import summarize_success
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.rows import write_csv
+from marl_mm.eval.studies.options import StudyOptions
+from marl_mm.eval.studies.rows import RowStore
+from marl_mm.eval.studies.study import Cell, Setting, Study, cell_name
+from marl_mm.eval.tables import markdown_table
+from marl_mm.eval.ties import tie_groups
+from marl_mm.progress import Bar
+from marl_mm.runs.recipes import RECIPES
+from marl_mm.runs.sources import Source
+
+ABOUT = "Benchmark: offline algorithms on datasets of the team's tasks."
+"""Title."""
+
+TABLE, OVERALL, PAIRS = (
+    "benchmark.csv",
+    "benchmark_overall.csv",
+    "benchmark_pairs.csv",
+)
+"""Files of the tables: a row per dataset and algorithm, algorithm, or pair of them."""
+
+ALGORITHM_NAMES = (
+    *("bc", "mabc", "ma-flow-bc", "ma-iql", "td3-bc", "matd3-bc", "ma-rebrac"),
+    *("omar", "maicq", "mac-flow", "best-of-n", "q-chunking"),
+)
+"""Registered names of the algorithms."""
+
+DATASETS = (
+    *("quiet-zone-expert", "quiet-zone-narrow", "quiet-zone-rare"),
+    *("quiet-zone-explore", "quiet-zone-stitch"),
+    *("gate-expert", "gate-noisy", "gate-stitch", "tray-expert", "tray-explore"),
+    *("moving-reach-explore", "moving-reach-one-bad"),
+    *("bar-noisy", "bar-conventions", "course-expert", "course-noisy"),
+)
+"""Names of their recipes; none is of the tuning."""
+
+UPDATES = 5_000
+"""Updates of all algorithms."""
+
+
+Scores = dict[str, np.ndarray]
+"""Success by algorithm on a dataset, by seed and goal, shape (seeds, goals)."""
+
+
+def _setting(algorithm: str) -> Setting:
+    return Setting(
+        f"benchmark-{algorithm}",
+        ALGORITHMS.get(algorithm).title,
+        algorithm,
+        changes={"updates": UPDATES},
+        curve_goals=20,
+    )
+
+
+AGENTS = Study(
+    "Table: the benchmark's runs.",
+    tuple(
+        product(
+            (RECIPES.get(name).source for name in DATASETS),
+            map(_setting, ALGORITHM_NAMES),
+        )
+    ),
+    seeds=5,
+)
+"""Study whose runs are compared."""
+
+
+def make_benchmark(options: StudyOptions, bar: Bar) -> list[Row]:
+    """Draw the tables from the rows of ``AGENTS`` that are there.
+
+    Returns:
+        Rows of the table of datasets and algorithms.
+
+    Raises:
+        UsageError: If there are no rows.
+    """
+    return draw_benchmark(options.results, options.results)
+
+
+def draw_benchmark(results: Path, folder: Path) -> list[Row]:
+    """Write the tables into a folder, from rows in another; likewise."""
+    store, rows = RowStore(results / "rows"), list[Row]()
+    scores: list[Scores] = []
+    there = [cell for cell in AGENTS.cells if store.seeds(cell)]
+    for _, cells in groupby(there, lambda cell: cell_name(cell)[0]):
+        of_source = [_of_cell(store, cell) for cell in cells]
+        reached = {row["algorithm"]: success for row, success in of_source}
+        groups = tie_groups([*reached.values()])
+        rows += [
+            row | {"group": " ".join(map(str, group))}
+            for (row, _), group in zip(of_source, groups, strict=True)
+        ]
+        scores.append(reached)
+    if not rows:
+        raise UsageError(
+            f"{store.folder} has no rows of the benchmark: run marl-mm ablate benchmark"
+        )
+    write_csv(folder / TABLE, rows)
+    _write_overall(folder, rows, scores)
+    return rows
+
+
+def _of_cell(store: RowStore, cell: Cell) -> tuple[Row, np.ndarray]:
+    """A cell's row, and its success by seed and goal."""
+    source, setting = cell
+    assert isinstance(source, Source) and source.engine is not None
+    seeds = store.seeds(cell)
+    rows = store.evaluations(cell, seeds, AGENTS.probes)
+    success = by_goal(rows, "success").reshape(len(seeds), -1)
+    row = {
+        "dataset": source.name,
+        "algorithm": setting.algorithm,
+        "engine": store.engine_text(cell, source.engine),
+        "seeds": len(seeds),
+        "goals": success.shape[1],
+        **summarize_success(rows, "success"),
+    }
+    return row, success
+
+
+def _write_overall(folder: Path, rows: list[Row], scores: list[Scores]) -> None:
+    """Tables over the datasets that every algorithm with rows has learnt from."""
+    there = {name for of_dataset in scores for name in of_dataset}
+    whole = [of_dataset for of_dataset in scores if of_dataset.keys() == there]
+    names = [name for name in ALGORITHM_NAMES if name in there and whole]
+    means = {name: resampled([of[name] for of in whole]) for name in names}
+    first = grouped([row for row in rows if _is_first(row)], "dataset")
+    groups = [[row["algorithm"] for row in group] for group in first.values()]
+    overall = [
+        {
+            "algorithm": name,
+            "datasets": len(whole),
+            **_estimated("iqm", interquartile(means[name])),
+            **_estimated("mean", mean(means[name])),
+            "first": sum(name in group for group in groups),
+            "first_alone": groups.count([name]),
+        }
+        for name in names
+    ]
+    pairs = [
+        {"algorithm": name, "other": other}
+        | _estimated("improvement", improvement(means[name], means[other]))
+        for name, other in combinations(names, 2)
+    ]
+    write_csv(folder / OVERALL, overall)
+    write_csv(folder / PAIRS, pairs)
+
+
+def _estimated(name: str, estimate: Estimate) -> Row:
+    value, *interval = estimate
+    return {name: value, f"{name}_interval": tuple(interval)}
+
+
+def _is_first(row: Row) -> bool:
+    return "1" in str(row["group"]).split()
+
+
+def benchmark_table(rows: list[Row]) -> str:
+    """Success and tie group of every algorithm on each dataset, as Markdown.
+
+    A cell is a mean over seeds with its interval; the last number is the tie group.
+    """
+    of_dataset = grouped(rows, "dataset")
+    lines = []
+    for name in ALGORITHM_NAMES:
+        cells = {row["dataset"]: row for row in rows if row["algorithm"] == name}
+        if cells:
+            lines.append([f"`{name}`", *(_text(cells.get(d)) for d in of_dataset)])
+    heads = ["algorithm", *(dataset.removeprefix("marl_mm/") for dataset in of_dataset)]
+    return markdown_table(heads, lines)
+
+
+def _text(row: Row | None) -> str:
+    if row is None:
+        return ""
+    low, high = (100 * end for end in row["success_interval"])
+    bold = "**" * _is_first(row)
+    rate = f"{bold}{100 * row['success']:.1f}{bold}"
+    return f"{rate} [{low:.0f}, {high:.0f}], {row['group']}"

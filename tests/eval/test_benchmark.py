@@ -1,0 +1,87 @@
+"""Tables of the benchmark, drawn from rows that are written here."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from marl_mm.errors import UsageError
+from marl_mm.eval.rows import read_rows, write_csv
+from marl_mm.eval.studies.benchmark import (
+    AGENTS,
+    DATASETS,
+    OVERALL,
+    PAIRS,
+    TABLE,
+    benchmark_table,
+    draw_benchmark,
+)
+from marl_mm.eval.studies.study import cell_name
+from marl_mm.eval.studies.tuning import DATASETS as TUNING
+from marl_mm.files import write_json
+from marl_mm.runs.recipes import RECIPES
+
+FIRST, SECOND = (RECIPES.get(name).source.name for name in DATASETS[:2])
+
+
+def write(results: Path, dataset: str, algorithm: str, rate: float) -> None:
+    """Write the rows of a cell: of five seeds, of 40 goals each."""
+    names = dataset, f"benchmark-{algorithm}"
+    assert names in map(cell_name, AGENTS.cells)
+    path = results / "rows" / names[0].replace("/", "-") / names[1]
+    rng = np.random.default_rng(0)
+    rows = [
+        {
+            "seed": seed,
+            "probe": "last",
+            "goal": goal,
+            "direction": "backward",
+            "success": int(rng.random() < rate),
+        }
+        for seed in range(5)
+        for goal in range(40)
+    ]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path.with_name(f"{path.name}.json"), {"engine": "mujoco", "probes": {}})
+    write_csv(path.with_name(f"{path.name}.csv.xz"), rows)
+
+
+def test_tie_groups_are_within_datasets_and_the_rest_over_whole_ones(
+    tmp_path: Path,
+) -> None:
+    for algorithm, rate in (("bc", 0.2), ("mabc", 0.9), ("td3-bc", 0.9)):
+        write(tmp_path, FIRST, algorithm, rate)
+    write(tmp_path, SECOND, "bc", 0.9)
+    rows = draw_benchmark(tmp_path, tmp_path)
+    groups = {(row["dataset"], row["algorithm"]): row["group"] for row in rows}
+    assert groups == {
+        (FIRST, "bc"): "2",
+        (FIRST, "mabc"): "1",
+        (FIRST, "td3-bc"): "1",
+        (SECOND, "bc"): "1",
+    }
+    assert len(read_rows(tmp_path / TABLE)) == 4
+    overall = {row["algorithm"]: row for row in read_rows(tmp_path / OVERALL)}
+    assert [row["datasets"] for row in overall.values()] == [1, 1, 1]
+    assert overall["bc"]["first_alone"] == 1 and overall["mabc"]["first"] == 1
+    assert overall["bc"]["iqm"] < 0.3 < 0.8 < overall["mabc"]["iqm"]
+    pairs = {(r["algorithm"], r["other"]): r for r in read_rows(tmp_path / PAIRS)}
+    assert pairs["bc", "mabc"]["improvement"] == 0.0
+    assert pairs["mabc", "td3-bc"]["improvement"] == 0.5
+    line = benchmark_table(rows).splitlines()[-1]
+    assert line.startswith("| `td3-bc` | **") and line.endswith(", 1 |  |")
+
+
+def test_without_rows_there_is_no_table(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="run marl-mm ablate benchmark"):
+        draw_benchmark(tmp_path, tmp_path)
+
+
+def test_no_dataset_is_one_of_the_tuning_and_every_axis_and_task_is_there() -> None:
+    recipes = [RECIPES.get(name) for name in DATASETS]
+    assert not {*DATASETS} & {*TUNING} and len({*DATASETS}) == 16
+    assert {recipe.axis for recipe in recipes} >= {
+        *("expert", "noisy", "explore", "stitch", "conventions", "one-bad"),
+        *("narrow", "rare"),
+    }
+    assert len({recipe.source.task.split("-")[0] for recipe in recipes}) == 6
