@@ -84,7 +84,7 @@ def _task_page(name: str) -> str:
         f"# {name}\n",
         " ".join((f"**{_aim(name)}**", _ends(task), *_best(name))) + "\n",
         f"{film}![Film strip: {actor} at work](../../images/{picture})\n",
-        f"{'Film and film strip' if film else 'Film strip'} of {actor}, on PyBullet{_worlds(task)}. Try it: `marl-mm play "
+        f"{'Film and film strip' if film else 'Film strip'} of {actor}, drawn by PyBullet{_worlds(task)}. Try it: `marl-mm play "
         f"{words} --video FILE.mp4`{more}.\n",
         *_team(task),
         *_levels(name),
