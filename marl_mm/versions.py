@@ -2,6 +2,7 @@
 
 import platform
 from collections.abc import Mapping
+from functools import cache
 from importlib import metadata
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
@@ -40,11 +41,16 @@ def versions(*others: str) -> dict[str, str]:
 
     numbers = {"python": platform.python_version(), "marl-mm": __version__}
     for name in (*PACKAGES, *others):
-        try:
-            numbers[name] = metadata.version(name)
-        except PackageNotFoundError:  # a copied folder, not an installed package
-            numbers[name] = "unknown"
+        numbers[name] = _installed(name)
     return numbers
+
+
+@cache  # reading one takes 10 ms
+def _installed(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except PackageNotFoundError:  # a copied folder, not an installed package
+        return "unknown"
 
 
 def machine() -> dict[str, str]:

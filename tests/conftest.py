@@ -1,6 +1,7 @@
 """What several test files share: the robot, random states, small datasets."""
 
 import os
+import shutil
 import sys
 
 # Tests run beside each other: those of several processes say how many, and threads of
@@ -24,6 +25,8 @@ from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.collectors import replay
 from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.control.records import Reference
+from marl_mm.datasets import shipped
+from marl_mm.datasets.location import Location, datasets_root, locate
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.registry import TASKS, make_task
 from marl_mm.envs.task import Task
@@ -32,6 +35,7 @@ from marl_mm.episode import INFO, Episode
 from marl_mm.errors import UsageError
 from marl_mm.eval.metrics import METRICS
 from marl_mm.layout import Layout
+from marl_mm.processes import process_context
 from marl_mm.registry import Registry
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
@@ -91,6 +95,31 @@ def skipped_without_bullet() -> Iterator[None]:
 def cache_home(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Derived data go into a folder of the tests."""
     os.environ["MARL_MM_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture(autouse=True, scope="session")
+def fork_server(request: pytest.FixtureRequest, cache_home: None) -> None:
+    """What any worker needs is imported once, whichever test has the first one."""
+    if any(item.get_closest_marker("slow") for item in request.session.items):
+        process_context("marl_mm.runs.train")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def ships_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A dataset that ships is written once, and copied to every test that uses it."""
+    written, install = tmp_path_factory.mktemp("shipped"), shipped.install
+
+    def copied(location: Location) -> None:
+        root = written / Path(location.id).name
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("MINARI_DATASETS_PATH", str(root))
+            if not locate(location.id).folder.exists():
+                install(locate(location.id))
+        shutil.copytree(root, datasets_root(), dirs_exist_ok=True)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(shipped, "install", copied)
+        yield
 
 
 @pytest.fixture
@@ -164,11 +193,13 @@ def core() -> Iterator[EpisodeCore]:
 
 @pytest.fixture(params=list(ENGINES))
 def open_world(request: pytest.FixtureRequest) -> Iterator[OpenWorld]:
-    """Builds the core of a task, with its load changed; closed after the test."""
+    """Builds the core of a task, perhaps with fewer steps and its load changed; closed
+    after the test."""
     opened: list[EpisodeCore] = []
 
-    def build(task: str, **load: Any) -> EpisodeCore:
+    def build(task: str, steps: int | None = None, **load: Any) -> EpisodeCore:
         overrides: dict[str, Any] = {"simulation": {"engine": request.param}}
+        overrides |= {"max_steps": steps} if steps else {}
         overrides |= {"load": load} if load else {}
         opened.append(EpisodeCore(make_task(task, overrides)))
         return opened[-1]

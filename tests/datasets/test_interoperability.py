@@ -11,8 +11,10 @@ import pytest
 import stable_baselines3
 
 from marl_mm.datasets import shipped
+from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import SHIPPED, locate
+from marl_mm.datasets.storage import write_dataset
 from marl_mm.envs.goal_env import GoalEnv
 from marl_mm.errors import UsageError
 from marl_mm.runs.recipes import RECIPES, recorded
@@ -81,18 +83,20 @@ def test_torchrl_samples_from_it(good: Dataset, tmp_path: Path) -> None:
     pytest.importorskip("torchrl")
     from torchrl.data.datasets import MinariExperienceReplay
 
+    few = arrays_of([good.arrays.episode(number) for number in range(30)], SHIPPED)
+    write_dataset(locate("marl_mm/reach/few-v0"), few, good.provenance)
     replay = MinariExperienceReplay(
-        SHIPPED,
+        "marl_mm/reach/few-v0",
         batch_size=256,
         root=tmp_path / "torchrl",
         download=False,
         load_from_local_minari=True,
     )
-    assert len(replay) == good.arrays.steps
+    assert len(replay) == few.steps
     batch = replay.sample()
     seen = batch["observation", "observation"].numpy()
     assert seen.shape == (256, 7)
-    known = {row.tobytes() for row in good.joint().observation[:, :7]}
+    known = {row.tobytes() for row in good.joint().observation[: few.steps, :7]}
     assert {row.tobytes() for row in seen} <= known
 
 

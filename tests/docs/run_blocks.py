@@ -1,15 +1,26 @@
 """Runs a page's code blocks in the folder one is in: ``python run_blocks.py PAGE``.
 
+Without a page it reads lines of a page and a folder, and runs each in a process of its
+own, in which only libraries are imported; after each it prints the exit status.
+
 A ``python`` block is run, or, if it has a title, saved as that file; the ``marl-mm``
 lines of a ``bash`` block are commands. Blocks of other languages are only shown. The
 numbers that say how long something takes are made small; everything else is as written.
 """
 
+import gc
+import os
 import re
 import sys
+from importlib import import_module
 from pathlib import Path
 
-from marl_mm.cli import main
+LIBRARIES = (
+    *("torch", "matplotlib.figure", "matplotlib.backends.backend_agg", "numba"),
+    *("scipy.stats", "gymnasium", "minari", "h5py", "pinocchio", "pettingzoo"),
+    *("mujoco", "rich.table", "tyro", "tensorboard.summary.writer.event_file_writer"),
+)
+"""What takes seconds to import."""
 
 BLOCK = re.compile(r"^```(python|bash)(?: title=\"(.*?)\")?\n(.*?)^```$", re.M | re.S)
 
@@ -28,6 +39,7 @@ FEW = {
     "eval": "--max-steps 4 --workers 1",
     "play": "--max-steps 2 --fps 2",
     "ablate": "--workers 1",
+    "bench": "--turns 1 --steps 2 --vector 2",
     "submit": "--episodes 2 --workers 1",
     "verify": "--workers 1",
 }
@@ -60,6 +72,8 @@ def small_command(line: str) -> list[str]:
 
 def run(page: Path) -> None:
     """Run a page's blocks in order; names of one are there in the next."""
+    from marl_mm.cli import main  # in the page's own process
+
     names: dict[str, object] = {"__name__": "page"}
     for language, title, text in BLOCK.findall(page.read_text()):
         if title:
@@ -72,5 +86,25 @@ def run(page: Path) -> None:
                     sys.exit(f"{page}: {line}")
 
 
+def serve() -> None:
+    """Run the pages of standard input, each in a fork that has the libraries."""
+    for name in LIBRARIES:
+        import_module(name)
+    gc.freeze()
+    for line in sys.stdin:
+        page, folder = line.rstrip("\n").split("\t")
+        if not (child := os.fork()):
+            os.chdir(folder)
+            os.environ["MINARI_DATASETS_PATH"] = str(Path(folder, "datasets"))
+            said = os.open("said.txt", os.O_WRONLY | os.O_CREAT)
+            os.dup2(said, 1)
+            os.dup2(said, 2)
+            sys.stdin.close()
+            return run(Path(page))
+        _, status = os.waitpid(child, 0)
+        sys.stdout.write(f"{status}\n")
+        sys.stdout.flush()
+
+
 if __name__ == "__main__":
-    run(Path(sys.argv[1]))
+    run(Path(sys.argv[1])) if sys.argv[1:] else serve()

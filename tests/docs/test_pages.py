@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,7 @@ RUN = [
 OFFLINE = {"OMP_NUM_THREADS": "1", "MPLBACKEND": "agg"}
 
 
+@pytest.mark.slow
 def test_generated_pages_and_tables_are_up_to_date(datasets_home: Path) -> None:
     """If this fails: python tools/pages.py."""
     made = subprocess.run(
@@ -35,20 +37,31 @@ def test_generated_pages_and_tables_are_up_to_date(datasets_home: Path) -> None:
     assert (made.returncode, made.stdout) == (0, ""), made.stderr
 
 
+@pytest.fixture(scope="module")
+def runner() -> Iterator["subprocess.Popen[str]"]:
+    """Runs pages in processes of their own."""
+    script = Path(__file__).with_name("run_blocks.py")
+    with subprocess.Popen(
+        [sys.executable, str(script)],
+        env=os.environ | OFFLINE,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        yield process
+        process.communicate()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("page", RUN, ids=lambda page: str(page.relative_to(ROOT)))
-def test_code_blocks_run_as_written(page: Path, tmp_path: Path) -> None:
-    script = Path(__file__).with_name("run_blocks.py")
-    datasets = {"MINARI_DATASETS_PATH": str(tmp_path / "datasets")}
-    ran = subprocess.run(
-        [sys.executable, str(script), str(page)],
-        cwd=tmp_path,
-        env=os.environ | OFFLINE | datasets,
-        capture_output=True,
-        text=True,
-        timeout=240,
-    )
-    assert ran.returncode == 0, f"{ran.stdout[-1000:]}\n{ran.stderr[-3000:]}"
+def test_code_blocks_run_as_written(
+    page: Path, tmp_path: Path, runner: "subprocess.Popen[str]"
+) -> None:
+    assert runner.stdin is not None and runner.stdout is not None
+    runner.stdin.write(f"{page}\t{tmp_path}\n")
+    runner.stdin.flush()
+    status = runner.stdout.readline()
+    assert status == "0\n", (tmp_path / "said.txt").read_text()[-4000:]
 
 
 def test_links_lead_to_files() -> None:

@@ -282,15 +282,22 @@ def test_infos_are_judged_one_by_one_and_together() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", LOADED)
+@pytest.mark.parametrize(
+    ("task", "engine"),
+    [
+        pytest.param("GraspReach-v0", "bullet", marks=pytest.mark.bullet),
+        *((task, "mujoco") for task in LOADED),
+    ],
+)
 def test_the_scripts_data_depend_on_their_seed_alone(
-    task: str, datasets_home: Path
+    task: str, engine: str, datasets_home: Path
 ) -> None:
     """Not on the number of workers; and they can be replayed, to the last bit."""
     prints = set()
     for workers, seed in (("1", "0"), ("2", "0"), ("1", "1")):
         name = f"marl_mm/{task[:-3].lower()}/with-{workers}-of-{seed}-v0"
         words = ["collect", "scripted", "--task", task, "--steps", "20"]
+        words += ["--engine", engine]
         words += ["--dataset", name, "--workers", workers, "--seed", seed]
         assert main(words) == 0
         prints.add(load_dataset(name).fingerprint)
