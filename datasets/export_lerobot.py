@@ -155,7 +155,13 @@ def _write_parquet(
     }
     table = pyarrow.table(arrays)
     if index is not None:
-        about = {"index_columns": [index], "columns": [], "column_indexes": []}
+        entry = {"name": index, "field_name": index, "metadata": None}
+        kinds = {"pandas_type": "unicode", "numpy_type": "object"}
+        about = {
+            "index_columns": [index],
+            "columns": [entry | kinds],
+            "column_indexes": [],
+        }
         table = table.replace_schema_metadata({"pandas": json.dumps(about)})
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("wb") as file:

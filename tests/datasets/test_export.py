@@ -215,6 +215,8 @@ def test_lerobot_has_frames_episodes_names_and_statistics(
     episodes = parquet.read_table(path / "meta/episodes/chunk-000/file-000.parquet")
     assert tuple(column(episodes, "length")) == LENGTHS
     assert column(episodes, "dataset_to_index").tolist() == [3, 7, 12, 15]
+    tasks = parquet.read_table(path / "meta/tasks.parquet")
+    assert tasks.schema.pandas_metadata["index_columns"] == ["task"]
     info = json.loads((path / "meta/info.json").read_text())
     assert (info["fps"], info["total_frames"]) == (1, sum(LENGTHS))
     assert [*info["features"]] == frames.column_names
