@@ -11,7 +11,6 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import deepcopy
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +19,13 @@ import torch
 from torch import nn
 
 from marl_mm.algorithms.actors import AgentActor
-from marl_mm.algorithms.export_formats import POLICY_FORMATS, Inputs, PolicyFormat
+from marl_mm.algorithms.export_formats import POLICY_FORMATS, Inputs
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.errors import ExportError, LayoutError, UsageError
 from marl_mm.files import new_file
 from marl_mm.layout import Layout, in_order
 from marl_mm.received import check_regular, parse_json
+from marl_mm.versions import refuse_missing
 
 TOLERANCE = 1e-5
 """Largest difference between a file's actions and the policy's."""
@@ -55,7 +55,7 @@ def export_policy(
         OSError: If there is no room for the file; it names the file.
     """
     chosen = POLICY_FORMATS.get(form)
-    _refuse_missing(form, chosen)
+    refuse_missing(form, chosen.packages)
     module = _Exported(policy, agent).eval()
     metadata = module.metadata | {"policy": policy.name, "weights": policy.fingerprint}
     inputs = module.some(_CHECKS)
@@ -86,7 +86,7 @@ def exported_metadata(path: Path) -> dict[str, Any]:
         suffixes = ", ".join(form.suffix for _, form in POLICY_FORMATS.items())
         raise UsageError(f"{path} ends in {path.suffix!r}, expected {suffixes}")
     ((name, form),) = forms
-    _refuse_missing(name, form)
+    refuse_missing(name, form.packages)
     check_regular(path, ExportError)
     try:
         text = form.metadata(path)
@@ -103,12 +103,6 @@ def exported_metadata(path: Path) -> dict[str, Any]:
         raise ExportError(f"{path} is no exported policy ({error!s:.120})") from error
     metadata: dict[str, Any] = values
     return metadata
-
-
-def _refuse_missing(name: str, form: PolicyFormat) -> None:
-    if any(find_spec(package) is None for package in form.packages):
-        needed = ", ".join(form.packages)
-        raise UsageError(f"{needed} missing: pip install 'marl-mm[{name}]'")
 
 
 class _Exported(nn.Module):

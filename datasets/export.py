@@ -1,53 +1,87 @@
-"""Export of datasets as flat arrays in one HDF5 file, which other libraries read."""
+"""Export of datasets to files that other libraries read: a registry of their forms."""
 
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.datasets.hdf5 import write_tables
 from marl_mm.errors import UsageError
-from marl_mm.files import new_file, refuse_existing
+from marl_mm.files import new_file, new_folder, refuse_existing, refuse_foreign
 from marl_mm.registry import Registry
+from marl_mm.versions import refuse_missing
+
+Tables = dict[str, np.ndarray]
+"""Arrays by key."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetForm:
-    """A form of export: the flat arrays of a dataset."""
+    """A form of export: what another library reads."""
 
     about: str
-    """Sentence that describes the arrays."""
+    """Sentence that describes the file or folder."""
 
-    tables: Callable[[Dataset], dict[str, np.ndarray]]
-    """Function of a dataset that returns the arrays by key."""
+    write: Callable[[Dataset, Path], None]
+    """Function that writes a dataset into a new file, or an empty folder."""
+
+    mark: str | None = None
+    """Name of a file in the folder that it writes; None for forms of one file."""
+
+    packages: tuple[str, ...] = ()
+    """Modules that it needs, of the optional extra of its name."""
 
 
-DATASET_FORMS: Registry[DatasetForm] = Registry("form", of=DatasetForm)
+DATASET_FORMS: Registry[DatasetForm] = Registry(
+    "form",
+    modules=(
+        "marl_mm.datasets.export",
+        "marl_mm.datasets.export_files",
+        "marl_mm.datasets.export_lerobot",
+        "marl_mm.datasets.export_vault",
+        "marl_mm.datasets.export_hub",
+    ),
+    of=DatasetForm,
+)
 """All forms of export by name."""
 
 
 def export(dataset: Dataset, form: str, path: Path, overwrite: bool) -> None:
-    """Write all steps of a dataset, one after the other, into an HDF5 file.
+    """Write a dataset in a form that another library reads.
 
     Args:
         dataset: The dataset.
         form: Name of one of ``DATASET_FORMS``.
-        path: File to write.
-        overwrite: Whether an existing file may be replaced.
+        path: File or folder to write, as the form is.
+        overwrite: Whether it may be replaced if it exists; a folder only if it is an
+            earlier one of the form.
 
     Raises:
-        OutputExistsError: If the file exists and may not be replaced.
-        UsageError: If the path is a folder.
+        OutputExistsError: If it exists and may not be replaced.
+        UsageError: If there is no such form, a package that it needs is missing, or the
+            path is a folder where a file is written, or the other way around.
     """
-    if path.is_dir():
-        raise UsageError(f"{path} is a folder, expected a file to write")
-    refuse_existing(path, overwrite)
-    tables = DATASET_FORMS.get(form).tables(dataset)
+    chosen = DATASET_FORMS.get(form)
+    if path.exists() and path.is_dir() != (chosen.mark is not None):
+        is_, expected = ("folder", "file") if path.is_dir() else ("file", "folder")
+        raise UsageError(f"{path} is a {is_}, expected a {expected} to write")
+    if chosen.mark is None:
+        refuse_existing(path, overwrite)
+    else:
+        refuse_foreign(path, overwrite, chosen.mark)
+    refuse_missing(form, chosen.packages)
+    with (new_file if chosen.mark is None else new_folder)(path) as temporary:
+        chosen.write(dataset, temporary)
+
+
+def description(dataset: Dataset, form: str) -> dict[str, Any]:
+    """Id, task, layout, names of entries and agents, as JSON values."""
     layout = dataset.arrays.layout
-    attributes = {
+    return {
         "dataset_id": dataset.metadata["dataset_id"],
         "task": dataset.provenance.task,
         "form": form,
@@ -56,11 +90,24 @@ def export(dataset: Dataset, form: str, path: Path, overwrite: bool) -> None:
         "action": list(layout.action_names),
         "agents": list(dataset.agents()),
     }
-    with new_file(path) as temporary:
-        write_tables(temporary, tables, attributes)
 
 
-def _shared(dataset: Dataset) -> dict[str, np.ndarray]:
+def episode_steps(dataset: Dataset) -> list[slice]:
+    """Places of each episode's steps among all steps."""
+    ends = np.cumsum(dataset.arrays.lengths).tolist()
+    return [slice(*ends_) for ends_ in zip([0, *ends[:-1]], ends, strict=True)]
+
+
+def _add(name: str, about: str, tables: Callable[[Dataset], Tables]) -> None:
+    """Register a form of flat arrays in one HDF5 file."""
+
+    def write(dataset: Dataset, path: Path) -> None:
+        write_tables(path, tables(dataset), description(dataset, name))
+
+    DATASET_FORMS.add(name, DatasetForm(about=about, write=write))
+
+
+def _shared(dataset: Dataset) -> Tables:
     joint = dataset.joint()
     return {
         "rewards": joint.reward,
@@ -70,7 +117,7 @@ def _shared(dataset: Dataset) -> dict[str, np.ndarray]:
     }
 
 
-def _flat(dataset: Dataset) -> dict[str, np.ndarray]:
+def _flat(dataset: Dataset) -> Tables:
     joint = dataset.joint()
     return {
         "observations": joint.observation,
@@ -80,14 +127,14 @@ def _flat(dataset: Dataset) -> dict[str, np.ndarray]:
     }
 
 
-def _d4rl(dataset: Dataset) -> dict[str, np.ndarray]:
+def _d4rl(dataset: Dataset) -> Tables:
     flat = _flat(dataset)
     floats = ("observations", "next_observations", "rewards")
     flat |= {name: flat[name].astype(np.float32) for name in floats}
     return flat | {"infos/goal": flat["observations"][:, dataset.arrays.layout.goal]}
 
 
-def _agents(dataset: Dataset) -> dict[str, np.ndarray]:
+def _agents(dataset: Dataset) -> Tables:
     joint = dataset.joint()
     tables = {"state": joint.observation, "next_state": joint.next_observation}
     for name, view in dataset.agents().items():
@@ -97,21 +144,11 @@ def _agents(dataset: Dataset) -> dict[str, np.ndarray]:
     return tables | _shared(dataset)
 
 
-DATASET_FORMS.add(
+_add(
     "flat",
-    DatasetForm(
-        about="Joint observations (n, d), actions (n, k), next_observations, rewards, "
-        "terminals, timeouts, episodes; types as stored.",
-        tables=_flat,
-    ),
+    "Joint observations (n, d), actions (n, k), next_observations, rewards, terminals, "
+    "timeouts, episodes; types as stored.",
+    _flat,
 )
-DATASET_FORMS.add(
-    "d4rl", DatasetForm(about="The same in float32, and infos/goal.", tables=_d4rl)
-)
-DATASET_FORMS.add(
-    "agents",
-    DatasetForm(
-        about="One group per agent; joint arrays as state and next_state.",
-        tables=_agents,
-    ),
-)
+_add("d4rl", "The same in float32, and infos/goal.", _d4rl)
+_add("agents", "One group per agent; joint arrays as state and next_state.", _agents)

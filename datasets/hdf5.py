@@ -14,6 +14,7 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,9 @@ ROBOT_NUMBERS = 11
 
 _DEPTH = 20
 """Largest number of groups around an array."""
+
+_SMALL = 4_096
+"""Size from which on compression gains more than its records take [bytes]."""
 
 _LEAST_EPISODE = 200
 """Least size of an episode in a file [bytes]; ours have 4,000."""
@@ -108,14 +112,21 @@ def write_hdf5(path: Path, arrays: EpisodeArrays) -> None:
 
 
 def _write(group: Any, name: str, values: np.ndarray, compact: Any) -> None:
-    values = np.ascontiguousarray(values)
+    values = np.asarray(values, order="C")
     large = values.nbytes >= 60_000  # the layout ends at 64 KiB
     kind = h5py.h5t.py_create(values.dtype, logical=True)
     space = h5py.h5s.create_simple(values.shape)
-    dataset = h5py.h5d.create(
-        group.id, name.encode(), kind, space, _without_times() if large else compact
-    )
+    properties, between = _without_times() if large else compact, _with_groups()
+    dataset = h5py.h5d.create(group.id, name.encode(), kind, space, properties, between)
     dataset.write(h5py.h5s.ALL, h5py.h5s.ALL, values)
+
+
+@cache
+def _with_groups() -> Any:
+    """Properties of a link that make the groups in its name."""
+    properties = h5py.h5p.create(h5py.h5p.LINK_CREATE)
+    properties.set_create_intermediate_group(True)
+    return properties
 
 
 def _without_times() -> Any:
@@ -163,18 +174,33 @@ def _attributes(arrays: EpisodeArrays, number: int) -> dict[str, Any]:
 
 
 def write_tables(
-    path: Path, tables: dict[str, np.ndarray], attributes: dict[str, Any]
+    path: Path,
+    tables: Mapping[str, np.ndarray],
+    attributes: Mapping[str, Any],
+    groups: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> None:
-    """Write flat arrays by key, compressed, and attributes of the file.
+    """Write arrays by key, large ones compressed, and attributes.
+
+    Args:
+        path: File to write.
+        tables: Arrays by key, in which "/" divides the names of groups.
+        attributes: Attributes of the file.
+        groups: Attributes of groups, by key.
 
     Raises:
         OSError: If there is no room for the file; it names the file.
     """
+    compact = _without_times()
+    compact.set_layout(h5py.h5d.COMPACT)
 
     def fill(file: Any) -> None:
         for key, values in tables.items():
-            file.create_dataset(key, data=values, compression="gzip", shuffle=True)
-        file.attrs.update(attributes)
+            if values.nbytes < _SMALL:
+                _write(file, key, values, compact)
+            else:
+                file.create_dataset(key, data=values, compression="gzip", shuffle=True)
+        for name, of_group in {"/": attributes, **(groups or {})}.items():
+            file[name].attrs.update(of_group)
 
     _write_new(path, fill)
 

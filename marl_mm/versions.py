@@ -1,12 +1,14 @@
 """Versions of the packages that decide the bytes of a file."""
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import metadata
 from importlib.metadata import PackageNotFoundError
+from importlib.util import find_spec
 from pathlib import Path
 
+from marl_mm.errors import UsageError
 from marl_mm.sim.config import ENGINES, Engine
 
 PACKAGES = (
@@ -59,3 +61,14 @@ def machine() -> dict[str, str]:
     lines = info.read_text().splitlines() if info.exists() else []
     models = [line.partition(":")[2].strip() for line in lines if "model name" in line]
     return {"processor": (models or [name])[0], "system": f"{platform.system()} {name}"}
+
+
+def refuse_missing(extra: str, packages: Iterable[str]) -> None:
+    """Raise where packages of an optional extra are not installed.
+
+    Raises:
+        UsageError: Naming them, and how they are installed.
+    """
+    if missing := [name for name in packages if find_spec(name) is None]:
+        names = ", ".join(missing)
+        raise UsageError(f"{names} missing: pip install 'marl-mm[{extra}]'")

@@ -115,18 +115,20 @@ def _export(
     overwrite: bool = False,
     json: bool = False,
 ) -> None:
-    """Write a dataset as one flat HDF5 file that other libraries read.
+    """Write a dataset as a file or folder that other libraries read.
 
     Args:
         dataset: Id or path.
-        out: File to write.
-        layout: Form of the file.
-        overwrite: Replace the file if it exists.
+        out: File or folder to write.
+        layout: Form of what is written.
+        overwrite: Replace it if it exists.
         json: Print JSON.
     """
     data = read_dataset(dataset)
     export(data, layout, out, overwrite)
-    steps, episodes, size = data.arrays.steps, len(data.arrays), out.stat().st_size
+    steps, episodes = data.arrays.steps, len(data.arrays)
+    files = [file for file in (out, *out.rglob("*")) if file.is_file()]
+    size = sum(file.stat().st_size for file in files)
     result = {
         "file": str(out),
         "layout": layout,
