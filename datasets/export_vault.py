@@ -7,6 +7,7 @@ shape (1, time, ...) for each leaf.
 import errno
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -69,7 +70,7 @@ def _write(path: Path, name: str, values: np.ndarray, shape: list[int]) -> None:
             "chunks": [min(size, 65_536) for size in values.shape],
         },
     }
-    options = {"shape": shape, "dtype": values.dtype, "create": True}
+    options: dict[str, Any] = {"shape": shape, "dtype": values.dtype, "create": True}
     try:
         store = tensorstore.open(spec, **options).result()
         store[tuple(map(slice, values.shape))].write(values).result()
