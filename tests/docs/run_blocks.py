@@ -50,6 +50,7 @@ def small_code(code: str) -> str:
     """Python with small numbers."""
     for name, value in SMALL.items():
         code = re.sub(rf"\b{name}=[\d_]+", f"{name}={value}", code)
+    code = re.sub(r"(marl_mm\.train\(.*), eval_episodes=\d+", r"\1", code)
     code = re.sub(
         r"(marl_mm\.train\(.*?)\)$",
         r"\1, eval_episodes=2, curve_episodes=1, max_steps=4, workers=1)",
