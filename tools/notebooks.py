@@ -1,7 +1,8 @@
 """Executes the notebooks of docs/notebooks, and keeps their outputs, small, with them.
 
 ``python tools/notebooks.py [--check] [NAME ...]``, in a clone with the extra ``dev``. Each
-runs in an empty folder of its own, with datasets of its own; ``--check`` keeps nothing.
+runs in an empty folder of its own, with datasets of its own; ``--check`` keeps nothing,
+and makes the numbers small that say how long something takes.
 """
 
 import base64
@@ -22,16 +23,33 @@ NOTEBOOKS = Path(__file__).resolve().parents[1] / "docs/notebooks"
 WIDTH = 900
 """Largest width of a picture that is kept [px]."""
 
+SMALL = {
+    **dict.fromkeys(("steps", "updates", "curve_every"), 40),
+    **dict.fromkeys(("goals", "episodes", "eval_episodes"), 2),
+    **dict.fromkeys(("curve_goals", "curve_episodes"), 1),
+}
+"""How long things take in a check."""
+
 PICTURE = re.compile(r"data:image/png;base64,([\w+/=\s]+)")
 
 
-def execute(path: Path) -> Any:
-    """A notebook after its cells were run.
+def small_code(code: str) -> str:
+    """A cell with small numbers: arguments, entries, and steps of a mix."""
+    for name, value in SMALL.items():
+        code = re.sub(rf"\b({name}\"?[=:] ?)[\d_]+", rf"\g<1>{value}", code)
+    return re.sub(r"(\b[a-z]+-[a-z]+:)\d+", rf"\g<1>{SMALL['steps']}", code)
+
+
+def execute(path: Path, small: bool = False) -> Any:
+    """A notebook after its cells were run, as they are or with small numbers.
 
     Raises:
         CellExecutionError: If one of them fails.
     """
     notebook = nbformat.read(path, as_version=4)
+    for cell in notebook.cells:
+        if small and cell.cell_type == "code":
+            cell.source = small_code(cell.source)
     with tempfile.TemporaryDirectory() as folder:
         os.environ["MINARI_DATASETS_PATH"] = f"{folder}/datasets"
         resources = {"metadata": {"path": folder}}
@@ -82,8 +100,9 @@ def main() -> None:
     names = words or sorted(path.stem for path in NOTEBOOKS.glob("*.ipynb"))
     for name in names:
         path, begin = NOTEBOOKS / f"{name}.ipynb", time.monotonic()
-        text = nbformat.writes(lean(execute(path))) + "\n"
-        if "--check" not in sys.argv:
+        check = "--check" in sys.argv
+        text = nbformat.writes(lean(execute(path, small=check))) + "\n"
+        if not check:
             path.write_text(text)
         kilobytes = len(text) // 1000
         print(f"{name}: {time.monotonic() - begin:.0f} s, {kilobytes} kB")

@@ -260,6 +260,7 @@ TINY = [
     *("--episodes", "8", "--warm-up", "12", "--updates-per-episode", "3"),
     *("--epoch", "4", "--evaluate-every", "1", "--curve-episodes", "2"),
     *("--eval-episodes", "2", "--capacity", "500", "--max-steps", "5"),
+    *("--engine", "mujoco"),
 ]
 
 
@@ -345,7 +346,7 @@ def test_demonstrations_are_of_the_same_task(
     """And a run with them is resumed to the same bytes."""
     monkeypatch.chdir(tmp_path)
     words = ["collect", "pd", "--steps", "20", "--dataset", "./shown", "--workers", "1"]
-    assert main(words) == 0
+    assert main([*words, "--engine", "mujoco"]) == 0
     words = ["train", "ddpg-her", "--demonstrations", "./shown", "--workers", "1"]
     assert main([*words, "--task", "SmoothReach-v0"]) == 2
     assert "is of Reach-v0, expected SmoothReach-v0" in capsys.readouterr().err

@@ -41,13 +41,16 @@ SMALL: dict[str, Any] = {
     "curve_episodes": 2,
     "max_steps": 5,
 }
+ENGINE: Any = "mujoco"  # the faster one
 DATA, OTHER = "../data", "../other"
 
 
 def collect() -> None:
     location = locate("./new")
     begun = location.folder.exists() or location.working.exists()
-    marl_mm.collect("pd", steps=40, seed=5, dataset="./new", resume=begun)
+    marl_mm.collect(
+        "pd", steps=40, seed=5, dataset="./new", resume=begun, engine=ENGINE
+    )
 
 
 def offline() -> None:
@@ -59,14 +62,16 @@ def offline() -> None:
 def online() -> None:
     begun = Path("run/0/config.json").exists()
     learn: dict[str, Any] = {"episodes": 24, "warm_up": 20, "updates_per_episode": 10}
-    marl_mm.train("maddpg-her", out="run", resume=begun, **learn, **SMALL)
+    marl_mm.train(
+        "maddpg-her", out="run", resume=begun, engine=ENGINE, **learn, **SMALL
+    )
 
 
 def study() -> None:
-    source = Source("pd", "Reach-v0", 40, name="pd")
+    source = Source("pd", "Reach-v0", 40, name="pd", engine=ENGINE)
     settings = [Setting(name, name, name) for name in ("mabc", "td3-bc")]
     cells = [(source, setting) for setting in settings]
-    Study("Two algorithms.", cells, seeds=2).run(
+    Study("Two algorithms.", cells, seeds=1).run(
         "results", runs="runs", budget="smoke", resume=True
     )
 
@@ -139,9 +144,13 @@ def run(kind: str, points: int, folder: Path, seed: int) -> dict[str, int]:
             status = os.fork()
             if not status:
                 dataset = str(folder / name)
-                marl_mm.collect("pd", steps=60, seed=own, dataset=dataset)
+                marl_mm.collect(
+                    "pd", steps=60, seed=own, dataset=dataset, engine=ENGINE
+                )
                 os._exit(0)
             assert os.waitpid(status, 0)[1] == 0
+    quick: dict[str, Any] = {"max_steps": 1, "workers": 1, "engine": ENGINE}
+    marl_mm.evaluate("random", episodes=2, **quick)  # loads compiled code
     gc.freeze()
     place = folder / "work"  # always the same: records hold absolute paths
     status, seconds = attempt(kind, place)

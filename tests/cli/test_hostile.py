@@ -73,9 +73,8 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Files of every kind, as the commands write them."""
     folder = tmp_path_factory.mktemp("good")
-    data = marl_mm.collect(
-        "pd", steps=40, seed=3, dataset=folder / "dataset", max_steps=10
-    )
+    few: dict[str, Any] = {"steps": 40, "max_steps": 10, "engine": "mujoco"}
+    data = marl_mm.collect("pd", seed=3, dataset=folder / "dataset", **few)
     with Journal(folder / "journal") as journal:
         journal.begin({**data.provenance.own_origin.to_json(), "steps_asked": 40})
         for episode in data.episodes:
@@ -85,7 +84,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "eval_episodes": 2,
         "curve_episodes": 2,
     }
-    small["max_steps"] = 4
+    small |= {"max_steps": 4, "engine": "mujoco"}
     marl_mm.train(
         "mabc", data, out=folder / "offline", updates=20, curve_every=20, **small
     )

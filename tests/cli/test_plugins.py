@@ -25,6 +25,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
 
 FEW = ["--eval-episodes", "2", "--curve-episodes", "1", "--workers", "1"]
 SMALL = [*FEW, "--updates", "20", "--curve-every", "20", "--hidden", "8"]
+SMALL += ["--max-steps", "2"]
 
 
 pytestmark = pytest.mark.usefixtures("registries")
@@ -101,7 +102,7 @@ def test_a_changed_plugin_is_refused_unless_allowed(
             check=False,
         )
 
-    assert fresh("--plugin", mine).returncode == 0
+    assert run(*words, "--plugin", mine) == 0
     further = ["--updates", "40", "--resume"]
     renamed = Path(shutil.copy(mine, tmp_path / "same.py"))
     same = fresh("--updates", "30", "--resume", "--plugin", renamed, "--plugin", mine)
@@ -173,7 +174,7 @@ def test_a_task_of_ones_own_goes_through_everything(
     for algorithm in ("mabc", "td3-bc", "matd3-bc"):
         out = tmp_path / algorithm
         train = ["train", algorithm, "--dataset", data, "--out", out, *SMALL]
-        assert run(*train, "--max-steps", 2, *own) == 0
+        assert run(*train, *own) == 0
         policy = load_policy(out / "0")
         assert policy.layout == layout
         assert run("export", out / "0") == 0
@@ -207,7 +208,7 @@ def test_two_layouts_of_equal_width_never_pass_for_each_other(
         words += ["--dataset", data[task]]
         assert run(*words, "--workers", 1, *own) == 0
     train = ["train", "mabc", "--dataset", data["TimedReach-v0"], *SMALL, *own]
-    assert run(*train, "--max-steps", 2, "--out", tmp_path / "run") == 0
+    assert run(*train, "--out", tmp_path / "run") == 0
     capsys.readouterr()
     other = ["--task", "PacedReach-v0", *own]
     refused = [

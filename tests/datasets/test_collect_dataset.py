@@ -64,10 +64,24 @@ def journal_holds(location: Location, episodes: int) -> None:
     raise AssertionError("nothing was collected in two minutes")
 
 
+QUICKLY = ["--workers", "1", "--engine", "mujoco"]
+"""Where nothing is stopped while it simulates."""
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """An uninterrupted collection, elsewhere."""
-    words = ["collect", "random", "--steps", str(STEPS), "--workers", "1"]
+    return collected(tmp_path_factory, "--workers", "1")
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The same on the faster engine."""
+    return collected(tmp_path_factory, *QUICKLY)
+
+
+def collected(tmp_path_factory: pytest.TempPathFactory, *options: str) -> bytes:
+    words = ["collect", "random", "--steps", str(STEPS), *options]
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MINARI_DATASETS_PATH", str(tmp_path_factory.mktemp("whole")))
         assert main([*words, "--dataset", "marl_mm/reach/test-v0"]) == 0
@@ -171,20 +185,20 @@ main(sys.argv[1:])
     ],
 )
 def test_killed_while_the_dataset_is_written(
-    datasets_home: Path, whole: bytes, moment: str
+    datasets_home: Path, quick: bytes, moment: str
 ) -> None:
     """Over a shorter dataset: there is always one of the two, and resuming ends it."""
     name = "marl_mm/reach/test-v0"
-    words = ["collect", "random", "--dataset", name, "--workers", "1"]
+    words = ["collect", "random", "--dataset", name, *QUICKLY]
     assert main([*words, "--steps", "30"]) == 0
     before = data(name)
     more = [*words, "--steps", str(STEPS), "--resume"]
     killed = subprocess.run([sys.executable, "-c", KILLED, *more, moment], check=False)
     assert killed.returncode == -9
-    assert data(name) == (whole if moment.endswith("clear") else before)
+    assert data(name) == (quick if moment.endswith("clear") else before)
     load_dataset(name)
     assert main([*words, "--resume"]) == 0  # as many as were asked for last
-    assert data(name) == whole
+    assert data(name) == quick
     location = locate(name)
     assert not location.working.exists()
     left = {path.name for path in location.folder.parent.iterdir()}
@@ -217,20 +231,20 @@ def test_a_hopeless_collector_leaves_nothing(
     datasets_home: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["collect", "pd", "--kp", "0", "--max-steps", "1", "--dataset", "x"]
-    assert main(words) == 1
+    assert main([*words, "--engine", "mujoco"]) == 1
     assert "reached no goal in 200 episodes in a row" in capsys.readouterr().err
     assert not [path for path in datasets_home.rglob("*") if path.is_file()]
 
 
 @pytest.mark.slow
 def test_a_longer_dataset_goes_on_from_the_shorter(
-    datasets_home: Path, whole: bytes
+    datasets_home: Path, quick: bytes
 ) -> None:
     name = "marl_mm/reach/test-v0"
-    words = ["collect", "random", "--dataset", name, "--workers", "1"]
+    words = ["collect", "random", "--dataset", name, *QUICKLY]
     assert main([*words, "--steps", "30"]) == 0
     assert main([*words, "--steps", str(STEPS), "--resume"]) == 0
-    assert data(name) == whole
+    assert data(name) == quick
     assert main([*words, "--steps", str(STEPS), "--resume"]) == 0  # nothing to do
     assert main([*words, "--steps", "30", "--resume"]) == 2
     assert main([*words, "--steps", str(STEPS), "--resume", "--seed", "1"]) == 2
@@ -239,7 +253,7 @@ def test_a_longer_dataset_goes_on_from_the_shorter(
 @pytest.mark.slow
 @pytest.mark.parametrize("room", [30_000, 70_000])
 def test_a_full_disk_ends_with_one_line_and_a_resumable_collection(
-    datasets_home: Path, whole: bytes, room: int
+    datasets_home: Path, quick: bytes, room: int
 ) -> None:
     """The operating system lets no file grow further, then does.
 
@@ -254,9 +268,9 @@ def test_a_full_disk_ends_with_one_line_and_a_resumable_collection(
         "resource.setrlimit(resource.RLIMIT_FSIZE, (room, room));"
         "sys.exit(main(sys.argv[1:]))"
     )
-    words = ["collect", "random", "--steps", str(STEPS), "--dataset", name]
+    words = ["collect", "random", "--steps", str(STEPS), "--dataset", name, *QUICKLY]
     full = subprocess.run(
-        [sys.executable, "-c", code, *words, "--workers", "1", str(room)],
+        [sys.executable, "-c", code, *words, str(room)],
         capture_output=True,
         text=True,
         check=False,
@@ -265,7 +279,7 @@ def test_a_full_disk_ends_with_one_line_and_a_resumable_collection(
     assert "Traceback" not in full.stderr and "--resume" in full.stderr
     assert not locate(name).folder.exists()
     assert main([*words, "--resume"]) == 0
-    assert data(name) == whole
+    assert data(name) == quick
 
 
 def test_nothing_to_resume_is_a_usage_error(datasets_home: Path) -> None:

@@ -46,17 +46,21 @@ FEW = {
 """Options that commands get beside those of a page."""
 
 
+_GOALS = r",\s*(eval_episodes|curve_episodes|max_steps|workers)=\d+"
+
+
+def _with_few(call: re.Match[str]) -> str:
+    """A call of ``train`` that evaluates hardly anything."""
+    asked = re.sub(_GOALS, "", call[1]).rstrip().rstrip(",")
+    return f"{asked}, eval_episodes=2, curve_episodes=1, max_steps=4, workers=1)"
+
+
 def small_code(code: str) -> str:
     """Python with small numbers."""
     for name, value in SMALL.items():
         code = re.sub(rf"\b{name}=[\d_]+", f"{name}={value}", code)
-    code = re.sub(r", (eval_episodes|curve_episodes|max_steps|workers)=\d+", "", code)
-    code = re.sub(
-        r"(marl_mm\.train\(.*?)\)$",
-        r"\1, eval_episodes=2, curve_episodes=1, max_steps=4, workers=1)",
-        re.sub(r"  #.*", "", code),
-        flags=re.M,
-    )
+    code = re.sub(r"  #.*", "", code)
+    code = re.sub(r"(marl_mm\.train\((?:[^()]|\([^()]*\))*)\)", _with_few, code)
     evaluated = r"(marl_mm\.(?:evaluate|robustness|cross_play)\([^)]*)\)"
     code = re.sub(evaluated, r"\1, max_steps=4)", code)
     return re.sub(r"(marl_mm\.play\([^)]*)\)", r"\1, max_steps=2, fps=2)", code)

@@ -1,4 +1,4 @@
-"""Notebooks run from their first cell to their last."""
+"""Notebooks run from their first cell to their last, with small numbers."""
 
 import subprocess
 import sys

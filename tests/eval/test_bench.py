@@ -13,7 +13,7 @@ from marl_mm.control.config import Form
 from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import MarlMmError, UsageError
-from marl_mm.eval.bench import learning
+from marl_mm.eval.bench import learning, online
 from marl_mm.eval.bench.abuse import abuse
 from marl_mm.eval.bench.control import bench_control
 from marl_mm.eval.bench.env import bench_env
@@ -127,29 +127,32 @@ def test_abuse_is_seeded() -> None:
 
 
 @pytest.mark.slow
-def test_bench_online_times_ours_and_theirs_in_turns() -> None:
+def test_bench_online_times_ours_and_theirs_in_turns(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(online, "_TURN", 10)
     counts: list[int] = []
     result = bench_online(
-        100, episodes=3, advance=lambda done, note: counts.append(done)
+        20, episodes=1, advance=lambda done, note: counts.append(done)
     )
     names = {"ddpg-her", "ddpg-her-no-layer-norm", "maddpg-her", "sb3-ddpg-her"}
-    assert sum(counts) == 100 * len(names)
+    assert sum(counts) == 20 * len(names)
     assert result["updates_per_second"].keys() == names
     assert all(rate > 0 for rate in result["updates_per_second"].values())
     assert result["ddpg-her_over_sb3"] > 0
-    alone = bench_online(100, sb3=False, episodes=3)
+    alone = bench_online(10, sb3=False, episodes=1)
     assert alone["updates_per_second"].keys() == names - {"sb3-ddpg-her"}
 
 
 @pytest.mark.slow
 def test_bench_success_compares_success_after_equal_steps() -> None:
     counts: list[int] = []
-    success = bench_success(60, goals=2, advance=lambda done, note: counts.append(done))
+    success = bench_success(30, goals=2, advance=lambda done, note: counts.append(done))
     assert success.keys() == {"ddpg-her", "sb3-ddpg-her"}
     for measured in success.values():
         low, high = measured["interval"]
         assert 0 <= low <= measured["success_rate"] <= high <= 1
-    assert 2 * 60 <= sum(counts) < 2 * 60 + 5 * 25  # whole cycles, whole episodes
+    assert 2 * 30 <= sum(counts) < 2 * 30 + 5 * 25  # whole cycles, whole episodes
 
 
 @pytest.mark.slow
@@ -164,9 +167,9 @@ def test_bench_offline_times_all_in_turns() -> None:
 
         return advance
 
-    timings = bench_offline(3, 0, None, bar)
+    timings = bench_offline(1, 0, None, bar)
     planned = counts.pop("planned")
-    assert set(counts.values()) == {2 * 3} and planned == sum(counts.values())
+    assert set(counts.values()) == {2 * 1} and planned == sum(counts.values())
     offline = {n for n in ALGORITHMS.names() if not ALGORITHMS.get(n).online}
     for timing in timings.values():
         assert offline < set(timing) == set(counts)

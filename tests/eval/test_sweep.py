@@ -12,6 +12,7 @@ import pytest
 
 from marl_mm.cli import main
 from marl_mm.collectors.pd import PdConfig
+from marl_mm.control.config import Form
 from marl_mm.control.priorities import stability_share
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.studies import sweep
@@ -21,6 +22,7 @@ from marl_mm.eval.studies.sweep_summary import (
     summarize_loads,
     worth_of_a_rule,
 )
+from marl_mm.sim.config import Engine
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tools"))
 TABLES: Any = importlib.import_module("sweep_tables")
@@ -202,13 +204,19 @@ def test_the_command_resumes_to_the_same_bytes(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("form", ["blend", "rhp"])
-def test_alpha_trades_the_hand_for_the_base(form: str) -> None:
+@pytest.mark.parametrize(
+    ("form", "engine"),
+    [
+        pytest.param("blend", "bullet", marks=pytest.mark.bullet),
+        ("rhp", "mujoco"),
+    ],
+)
+def test_alpha_trades_the_hand_for_the_base(form: Form, engine: Engine) -> None:
     """Backward, d_mm and steps grow, d_mp and jerk shrink from alpha to alpha."""
-    cell = SweepCell("Reach-v0", "blend", PdConfig(), 8, 3)
+    cell = SweepCell("Reach-v0", form, PdConfig(), 8, 3, engine=engine)
     rows: list[Row] = []
     for alpha in (0.0, 0.4, 0.7, 1.0):
-        rows += run_cell(replace(cell, form=form, pd=PdConfig(alpha=alpha)))  # type: ignore[arg-type]
+        rows += run_cell(replace(cell, pd=PdConfig(alpha=alpha)))
     back = [
         one
         for one in summarize_cells(rows)

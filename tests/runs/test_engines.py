@@ -14,7 +14,12 @@ from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.metadata import sign_metadata
 from marl_mm.errors import UsageError
 
-FEW: dict[str, Any] = {"eval_episodes": 2, "curve_episodes": 1, "hidden": (8,)}
+FEW: dict[str, Any] = {
+    "eval_episodes": 2,
+    "curve_episodes": 1,
+    "hidden": (8,),
+    "max_steps": 3,
+}
 
 
 def run(*words: object) -> int:
