@@ -1,4 +1,4 @@
-"""Export, import and 80 damaged files: what comes in is whole, or is named."""
+"""Export, import and 200 damaged files: what comes in is whole, or is named."""
 
 import json
 import subprocess
@@ -21,7 +21,7 @@ from marl_mm.episode import Episode
 
 MakeEpisode = Callable[..., Episode]
 ID = "marl_mm/reach/test-v0"
-FUZZED = 80
+FUZZED = 200
 
 
 @pytest.fixture
@@ -261,7 +261,7 @@ def fuzz(path: Path, rng: np.random.Generator) -> str:
 def test_damaged_files_give_clear_errors(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """80 of them: the dataset is refused, and its file alone is refused or whole."""
+    """200 of them: the dataset is refused, and its file alone is refused or whole."""
     path = dataset / "data" / "main_data.hdf5"
     good = path.read_bytes()
     whole = load_dataset(ID).arrays
