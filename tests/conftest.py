@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import sys
 
 # Tests run beside each other: those of several processes say how many, and threads of
@@ -41,6 +42,9 @@ from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
 from marl_mm.sim.config import ENGINES, is_installed
+
+# Where a shell runs the tests in the background, Ctrl-C would be ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 MakeEpisode = Callable[..., Episode]
