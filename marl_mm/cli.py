@@ -16,7 +16,7 @@ from marl_mm.words import check_words
 COMMANDS = {
     "quickstart": "collect, train and evaluate in a few minutes, with a report",
     "collect": "collect a dataset with a scripted or a learnt policy",
-    "datasets": "list, show, mix, split, filter, verify, export, import, delete",
+    "datasets": "catalogue, build, list, show, verify, mix, export, import and more",
     "cache": "show or clear what was derived from datasets",
     "train": "train a policy: from a dataset, or online",
     "runs": "list runs with their scores",
