@@ -71,7 +71,7 @@ def test_stable_baselines3_and_demonstrations_in_the_same_table(
     for path in tmp_path.glob("rows/*/*.curve.csv.xz"):  # epochs of 4, every second
         assert [row["episode"] for row in read_rows(path)] == [8]
     assert len(read_rows(tmp_path / "online-part.csv")) == 2
-    metadata = runs / "datasets/demonstrations/data/metadata.json"
+    (metadata,) = (runs / "datasets").glob("demonstrations*/data/metadata.json")
     metadata.write_text(metadata.read_text().replace('"seed": 0', '"seed": 1'))
     capsys.readouterr()
     assert ablate(runs, tmp_path / "y", "online", "--settings", settings[0]) == 1
