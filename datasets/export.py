@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from marl_mm.datasets.dataset import Dataset
-from marl_mm.datasets.hdf5 import write_tables
+from marl_mm.datasets.hdf5_files import write_tables
 from marl_mm.errors import UsageError
 from marl_mm.files import new_file, new_folder, refuse_existing, refuse_foreign
 from marl_mm.registry import Registry

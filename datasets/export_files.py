@@ -14,7 +14,7 @@ from marl_mm.datasets.export import (
     description,
     episode_steps,
 )
-from marl_mm.datasets.hdf5 import write_tables
+from marl_mm.datasets.hdf5_files import write_tables
 
 _GYM = 2
 """robomimic's ``EnvType.GYM_TYPE``."""

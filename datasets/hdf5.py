@@ -1,20 +1,13 @@
-"""Minari's HDF5 format, ``episode_i/...``; the only file that reads and writes it.
+"""Minari's HDF5 format, ``episode_i/...``; the only module that reads and writes it.
 
 Arrays are written in HDF5's compact layout, which Minari reads like its own. It needs a
 fifth of the space: most episodes are so short that the records about chunks would
 outweigh the numbers.
 """
 
-import errno
-import math
-import os
 import re
-import resource
-import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,35 +15,26 @@ import h5py
 import numpy as np
 
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
+from marl_mm.datasets.hdf5_files import (
+    LONGEST_TEXT,
+    compact,
+    open_hdf5,
+    write_array,
+    write_new,
+)
 from marl_mm.episode import Episode
-from marl_mm.errors import DatasetError, MarlMmError
-from marl_mm.files import named_errors
+from marl_mm.errors import DatasetError
 from marl_mm.layout import Layout
-from marl_mm.received import check_regular, is_printable, most_unpacked, printable_name
+from marl_mm.received import check_regular, is_printable
 
 FILE = "main_data.hdf5"
-
-_DAMAGE = (
-    *(OSError, KeyError, ValueError, RuntimeError, TypeError, MemoryError),
-    OverflowError,
-)
-"""Exceptions that h5py raises for damaged files."""
 
 _START = "initial_configuration"
 
 _ACHIEVED = "observations/achieved_goal"
 
-_LINE = 300
-"""Largest length of a text [characters]."""
-
 ROBOT_NUMBERS = 11
 """Numbers of a robot's configuration: base's place, cosine, sine, seven joints."""
-
-_DEPTH = 20
-"""Largest number of groups around an array."""
-
-_SMALL = 4_096
-"""Size from which on compression gains more than its records take [bytes]."""
 
 _LEAST_EPISODE = 200
 """Least size of an episode in a file [bytes]; ours have 4,000."""
@@ -96,8 +80,7 @@ def write_hdf5(path: Path, arrays: EpisodeArrays) -> None:
     Raises:
         OSError: If there is no room for the file; it names the file.
     """
-    compact = _without_times()
-    compact.set_layout(h5py.h5d.COMPACT)
+    within = compact()
 
     def fill(file: Any) -> None:
         for number in range(len(arrays)):
@@ -106,34 +89,9 @@ def write_hdf5(path: Path, arrays: EpisodeArrays) -> None:
             for key, values in _contents(arrays.episode(number)).items():
                 folder, _, name = key.rpartition("/")
                 parent = group.require_group(folder) if folder else group
-                _write(parent, name, values, compact)
+                write_array(parent, name, values, within)
 
-    _write_new(path, fill, libver=("v110", "v110"))
-
-
-def _write(group: Any, name: str, values: np.ndarray, compact: Any) -> None:
-    values = np.asarray(values, order="C")
-    large = values.nbytes >= 60_000  # the layout ends at 64 KiB
-    kind = h5py.h5t.py_create(values.dtype, logical=True)
-    space = h5py.h5s.create_simple(values.shape)
-    properties, between = _without_times() if large else compact, _with_groups()
-    dataset = h5py.h5d.create(group.id, name.encode(), kind, space, properties, between)
-    dataset.write(h5py.h5s.ALL, h5py.h5s.ALL, values)
-
-
-@cache
-def _with_groups() -> Any:
-    """Properties of a link that make the groups in its name."""
-    properties = h5py.h5p.create(h5py.h5p.LINK_CREATE)
-    properties.set_create_intermediate_group(True)
-    return properties
-
-
-def _without_times() -> Any:
-    """Properties of an array that keep the time of writing out of the file."""
-    properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    properties.set_obj_track_times(False)
-    return properties
+    write_new(path, fill, libver=("v110", "v110"))
 
 
 def _contents(episode: Episode) -> dict[str, np.ndarray]:
@@ -171,142 +129,6 @@ def _attributes(arrays: EpisodeArrays, number: int) -> dict[str, Any]:
         "source_episode": int(arrays.origin_episodes[number]),
         _START: episode.start,
     }
-
-
-def write_tables(
-    path: Path,
-    tables: Mapping[str, np.ndarray],
-    attributes: Mapping[str, Any],
-    groups: Mapping[str, Mapping[str, Any]] | None = None,
-) -> None:
-    """Write arrays by key, large ones compressed, and attributes.
-
-    Args:
-        path: File to write.
-        tables: Arrays by key, in which "/" divides the names of groups.
-        attributes: Attributes of the file.
-        groups: Attributes of groups, by key.
-
-    Raises:
-        OSError: If there is no room for the file; it names the file.
-    """
-    compact = _without_times()
-    compact.set_layout(h5py.h5d.COMPACT)
-
-    def fill(file: Any) -> None:
-        for key, values in tables.items():
-            if values.nbytes < _SMALL:
-                _write(file, key, values, compact)
-            else:
-                file.create_dataset(key, data=values, compression="gzip", shuffle=True)
-        for name, of_group in {"/": attributes, **(groups or {})}.items():
-            file[name].attrs.update(of_group)
-
-    _write_new(path, fill)
-
-
-def _write_new(path: Path, fill: Callable[[Any], None], **options: Any) -> None:
-    """Write a new HDF5 file, which a function fills, by way of memory.
-
-    On a full disk, HDF5 itself complains on stderr and may end the process. Its own
-    files in memory have other bytes than those on a disk, so it writes one of the
-    operating system's; the driver "stdio" does not mind that it has no path.
-
-    Raises:
-        OSError: If there is no room for the file; it names the file.
-    """
-    limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
-    if limit != resource.RLIM_INFINITY and _size(fill, options) > limit:
-        # It holds in memory, too.
-        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
-    with os.fdopen(os.memfd_create(FILE), "r+b") as memory:
-        name = f"/proc/self/fd/{memory.fileno()}"
-        with h5py.File(name, "w", driver="stdio", **options) as file:
-            fill(file)
-        with named_errors(path), path.open("wb") as disk:
-            shutil.copyfileobj(memory, disk)
-
-
-def _size(fill: Callable[[Any], None], options: Mapping[str, Any]) -> int:
-    """Size of a file before HDF5 cuts what it kept in reserve [bytes]."""
-    nowhere = {"driver": "core", "backing_store": False}
-    with h5py.File(FILE, "w", **nowhere, **options) as file:
-        fill(file)
-        file.flush()
-        return len(file.id.get_file_image())
-
-
-@contextmanager
-def open_hdf5(path: Path) -> Iterator[Any]:
-    """Open an HDF5 file for reading, once all objects in it are looked at.
-
-    Raises:
-        DatasetError: If the file is damaged, or a part that the block reads. Also if
-            an object lies elsewhere or has several names, or all arrays together are
-            too large for the file.
-    """
-    size = check_regular(path, DatasetError)
-    try:
-        with h5py.File(path, "r") as file:
-            _check_objects(path, file, most_unpacked(size))
-            yield file
-    except MarlMmError:
-        raise
-    except _DAMAGE as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise DatasetError(f"{path} is damaged ({reason:.160})") from error
-
-
-def _check_objects(path: Path, file: Any, most: int) -> None:
-    """Raise for a file whose objects are not all in it, each under one name.
-
-    Args:
-        path: The file, for messages.
-        file: The open file.
-        most: Largest size of all arrays together [bytes].
-
-    Raises:
-        DatasetError: Naming the object.
-    """
-    addresses = {h5py.h5o.get_info(file.id).addr}
-    names: list[bytes] = []
-
-    def fault(name: bytes, link: Any) -> str | None:
-        """What is wrong with a link; HDF5 goes on for as long as it is None."""
-        if link.type != h5py.h5l.TYPE_HARD:
-            why = "is a link to another place, expected the object itself"
-        elif link.u in addresses or name.count(b"/") >= _DEPTH:
-            why = "is an object of several names, or in too many groups"
-        else:
-            addresses.add(link.u)
-            names.append(name)
-            return None
-        return f"{_shown(name)} {why}"
-
-    native = h5py.h5.ITER_NATIVE
-    if (problem := file.id.links.visit(fault, order=native, info=True)) is not None:
-        raise DatasetError(f"{path}, {problem}")
-    size = 0
-    for name in names:
-        node = h5py.h5o.open(file.id, name)
-        if not isinstance(node, h5py.h5d.DatasetID):
-            continue
-        how = node.get_create_plist()
-        if how.get_layout() == h5py.h5d.VIRTUAL or how.get_external_count():
-            raise DatasetError(
-                f"{path}, {_shown(name)} is stored in other files, expected all data "
-                "in this one"
-            )
-        size += math.prod(node.shape or ()) * node.get_type().get_size()
-        if size > most:
-            raise DatasetError(
-                f"{path}, {_shown(name)} and others have {size:,} bytes, expected at "
-                f"most {most:,} in a file of this size"
-            )
-
-
-def _shown(name: bytes) -> str:
-    return printable_name(name[:_LINE].decode(errors="backslashreplace"))
 
 
 def read_hdf5(
@@ -390,7 +212,11 @@ class _Attributes:
     def text(self, name: str) -> str:
         """A line of text."""
         value = self._group.attrs.get(name)
-        if not isinstance(value, str) or len(value) > _LINE or not is_printable(value):
+        if (
+            not isinstance(value, str)
+            or len(value) > LONGEST_TEXT
+            or not is_printable(value)
+        ):
             raise self._refused(name, value, "a line of text")
         return value
 

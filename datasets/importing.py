@@ -17,10 +17,10 @@ from marl_mm.datasets.hdf5 import (
     episode_fields,
     episode_groups,
     is_of_episodes,
-    open_hdf5,
     optional,
     states_of,
 )
+from marl_mm.datasets.hdf5_files import open_hdf5
 from marl_mm.datasets.metadata import METADATA_BYTES
 from marl_mm.datasets.plausible import problems_of
 from marl_mm.envs.registry import DEFAULT, make_task

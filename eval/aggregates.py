@@ -9,8 +9,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # its stats take a second, and come when they are used
 
-from marl_mm.eval.intervals import CONFIDENCE
+from marl_mm.eval.intervals import percentile_interval
 
 RESAMPLES = 2_000
 """Number of resamplings."""
@@ -54,10 +55,8 @@ def resampled(scores: Sequence[np.ndarray]) -> Means:
 
 def interquartile(means: Means) -> Estimate:
     """Mean over seeds and datasets without the lowest and the highest quarter."""
-    ordered = np.sort(np.concatenate(means, axis=1), axis=1)
-    left_out = ordered.shape[1] // 4
-    inner = ordered[:, left_out : ordered.shape[1] - left_out]
-    return _estimate(inner.mean(axis=1), means)
+    every = np.concatenate(means, axis=1)
+    return _estimate(scipy.stats.trim_mean(every, 0.25, axis=1), means)
 
 
 def mean(means: Means) -> Estimate:
@@ -85,6 +84,4 @@ def _estimate(values: np.ndarray, of: Means) -> Estimate:
     """The first value, and the interval that the others give."""
     if min(means.shape[1] for means in of) == 1:
         return Estimate(float(values[0]), np.nan, np.nan)
-    tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(values[1:], [tail, 1 - tail])
-    return Estimate(float(values[0]), float(low), float(high))
+    return Estimate(float(values[0]), *percentile_interval(values[1:]))

@@ -53,9 +53,13 @@ def bootstrap_interval(
     """95 % percentile interval of the mean, by resampling with a fixed seed."""
     rng = np.random.default_rng(0)
     picks = rng.integers(len(values), size=(resamples, len(values)))
-    means = np.asarray(values)[picks].mean(axis=1)
+    return percentile_interval(np.asarray(values)[picks].mean(axis=1))
+
+
+def percentile_interval(drawn: np.ndarray) -> tuple[float, float]:
+    """The inner 95 % of numbers that a bootstrap drew."""
     tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(means, [tail, 1 - tail])
+    low, high = np.quantile(drawn, [tail, 1 - tail])
     return float(low), float(high)
 
 
@@ -179,6 +183,4 @@ def interquartile_interval(scores: np.ndarray) -> tuple[float, float]:
     picks = rng.integers(len(scores), size=(_RESAMPLES, *scores.shape))
     drawn = np.take_along_axis(scores[None], picks, axis=1)
     means = scipy.stats.trim_mean(drawn.reshape(_RESAMPLES, -1), 0.25, axis=1)
-    tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(means, [tail, 1 - tail])
-    return float(low), float(high)
+    return percentile_interval(means)

@@ -2,8 +2,7 @@
 
 from itertools import product
 
-from marl_mm.algorithms.registry import ALGORITHMS
-from marl_mm.eval.studies.study import LAST, Setting, Study
+from marl_mm.eval.studies.study import LAST, Study, setting_of
 from marl_mm.eval.studies.tuning_ranges import RANGES
 from marl_mm.runs.recipes import RECIPES
 
@@ -14,15 +13,7 @@ DATASETS = ("quiet-zone-noisy", "gate-expert")
 """Names of their recipes."""
 
 LEARNERS = tuple(
-    Setting(
-        f"{name}-baseline",
-        ALGORITHMS.get(name).title,
-        name,
-        changes={"updates": UPDATES},
-        goals=50,
-        curve_every=1_000,
-        curve_goals=20,
-    )
+    setting_of(f"{name}-baseline", name, UPDATES, goals=50, curve_every=1_000)
     for name in (*RANGES, "cal-ql", "ma-cal-ql")
 )
 """Algorithms that learn from a dataset alone."""

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.errors import UsageError
 from marl_mm.eval.aggregates import (
     Estimate,
@@ -24,7 +23,7 @@ from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.rows import RowStore
-from marl_mm.eval.studies.study import Cell, Setting, Study, cell_name
+from marl_mm.eval.studies.study import Cell, Study, cell_name, setting_of
 from marl_mm.eval.tables import markdown_table
 from marl_mm.eval.ties import tie_groups
 from marl_mm.progress import Bar
@@ -64,22 +63,15 @@ Scores = dict[str, np.ndarray]
 """Success by algorithm on a dataset, by seed and goal, shape (seeds, goals)."""
 
 
-def _setting(algorithm: str) -> Setting:
-    return Setting(
-        f"benchmark-{algorithm}",
-        ALGORITHMS.get(algorithm).title,
-        algorithm,
-        changes={"updates": UPDATES},
-        curve_goals=20,
-    )
-
-
 AGENTS = Study(
     "Table: the benchmark's runs.",
     tuple(
         product(
             (RECIPES.get(name).source for name in DATASETS),
-            map(_setting, ALGORITHM_NAMES),
+            (
+                setting_of(f"benchmark-{name}", name, UPDATES)
+                for name in ALGORITHM_NAMES
+            ),
         )
     ),
     seeds=5,
@@ -103,9 +95,11 @@ def draw_benchmark(results: Path, folder: Path) -> list[Row]:
     """Write the tables into a folder, from rows in another; likewise."""
     store, rows = RowStore(results / "rows"), list[Row]()
     scores: list[Scores] = []
-    there = [cell for cell in AGENTS.cells if store.seeds(cell)]
-    for _, cells in groupby(there, lambda cell: cell_name(cell)[0]):
-        of_source = [_of_cell(store, cell) for cell in cells]
+    for _, cells in groupby(AGENTS.cells, lambda cell: cell_name(cell)[0]):
+        there = [(cell, seeds) for cell in cells if (seeds := store.seeds(cell))]
+        if not there:
+            continue
+        of_source = [_of_cell(store, *one) for one in there]
         reached = {row["algorithm"]: success for row, success in of_source}
         groups = tie_groups([*reached.values()])
         rows += [
@@ -122,11 +116,10 @@ def draw_benchmark(results: Path, folder: Path) -> list[Row]:
     return rows
 
 
-def _of_cell(store: RowStore, cell: Cell) -> tuple[Row, np.ndarray]:
+def _of_cell(store: RowStore, cell: Cell, seeds: list[int]) -> tuple[Row, np.ndarray]:
     """A cell's row, and its success by seed and goal."""
     source, setting = cell
     assert isinstance(source, Source) and source.engine is not None
-    seeds = store.seeds(cell)
     rows = store.evaluations(cell, seeds, AGENTS.probes)
     success = by_goal(rows, "success").reshape(len(seeds), -1)
     row = {

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from marl_mm.algorithms.checkpoint import FILE
-from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.envs.registry import fewest_steps
 from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Setup
@@ -25,7 +24,7 @@ from marl_mm.eval.robustness import robustness
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.cells import read_cells, run_cells, write_cells
 from marl_mm.eval.studies.options import StudyOptions
-from marl_mm.eval.studies.study import Setting, Study, cell_name
+from marl_mm.eval.studies.study import Study, cell_name, setting_of
 from marl_mm.eval.suite import ROBUSTNESS, conditions
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar, silent_bar
@@ -58,16 +57,10 @@ UPDATES = 5_000
 """Updates of all algorithms."""
 
 
-def _setting(algorithm: str) -> Setting:
-    title = ALGORITHMS.get(algorithm).title
-    few: dict[str, Any] = {"changes": {"updates": UPDATES}, "curve_goals": 20}
-    return Setting(f"robust-{algorithm}", title, algorithm, **few)
-
-
 AGENTS = Study(
     "Table: teams and joint actors before they are disturbed.",
     tuple(
-        (RECIPES.get(recipe).source, _setting(name))
+        (RECIPES.get(recipe).source, setting_of(f"robust-{name}", name, UPDATES))
         for recipe, form in product(SOURCES.values(), FORMS)
         for name in form
     ),

@@ -2,20 +2,15 @@
 
 from itertools import product
 
-from marl_mm.eval.studies.study import Setting, Study
+from marl_mm.eval.studies.study import Study, setting_of
 from marl_mm.runs.recipes import RECIPES
 
 UPDATES = 5_000
 """Updates of all algorithms."""
 
 LEARNERS = tuple(
-    Setting(f"{name}-5k", about, name, changes={"updates": UPDATES}, curve_goals=20)
-    for name, about in (
-        ("mabc", "MABC"),
-        ("td3-bc", "TD3+BC"),
-        ("matd3-bc", "MATD3+BC"),
-        ("iql", "IQL"),
-    )
+    setting_of(f"{name}-5k", name, UPDATES)
+    for name in ("mabc", "td3-bc", "matd3-bc", "iql")
 )
 """Algorithms that are compared."""
 

@@ -121,6 +121,19 @@ class Setting:
         return ALGORITHMS.get(self.algorithm).online
 
 
+def setting_of(name: str, algorithm: str, updates: int, **more: Any) -> Setting:
+    """Setting of a study of several algorithms: the tuned preset, with its title.
+
+    Args:
+        name: Name of the setting's folder.
+        algorithm: Registered name of the algorithm.
+        updates: Number of updates.
+        **more: Other fields of the setting.
+    """
+    title = ALGORITHMS.get(algorithm).title
+    return Setting(name, title, algorithm, changes={"updates": updates}, **more)
+
+
 @dataclass(frozen=True)
 class Probe:
     """An evaluation of a trained run."""

@@ -26,7 +26,7 @@ from marl_mm.algorithms.mabc import Mabc
 from marl_mm.algorithms.mabc_config import MabcConfig
 from marl_mm.algorithms.runlog import METRICS, RunLog
 from marl_mm.cli import main
-from marl_mm.datasets import cache, hdf5
+from marl_mm.datasets import cache, hdf5_files
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.provenance import Provenance
@@ -213,9 +213,9 @@ def test_files_by_way_of_memory_have_the_bytes_of_those_on_a_disk(
     for options in ({}, {"libver": ("v110", "v110")}):
         with h5py.File(tmp_path / "disk", "w", **options) as file:
             fill(file)
-        hdf5._write_new(tmp_path / "memory", fill, **options)
+        hdf5_files.write_new(tmp_path / "memory", fill, **options)
         with room_for(100_000_000):
-            hdf5._write_new(tmp_path / "limited", fill, **options)
+            hdf5_files.write_new(tmp_path / "limited", fill, **options)
         expected = (tmp_path / "disk").read_bytes()
         assert (tmp_path / "memory").read_bytes() == expected
         assert (tmp_path / "limited").read_bytes() == expected
