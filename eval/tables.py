@@ -122,6 +122,12 @@ def rate_with_interval(row: Mapping[str, Any], name: str = "success") -> str:
     return f"{rate_with_deviation(row, name)} [{low:.1f}, {high:.1f}]"
 
 
+def rate_in_interval(rate: float, interval: tuple[float, float]) -> str:
+    """A rate and its interval [%], such as 87.6 [83, 92]."""
+    low, high = (100 * end for end in interval)
+    return f"{100 * rate:.1f} [{low:.0f}, {high:.0f}]"
+
+
 def engines_of(evaluations: Sequence[Evaluation]) -> str:
     """Engines of evaluations, with their versions where they are known."""
     engines = dict.fromkeys(evaluation.engine for evaluation in evaluations)

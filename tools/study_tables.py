@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from math import ceil
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,11 @@ from marl_mm.eval.studies.study import Study, cell_name
 from marl_mm.eval.studies.summary import returns_of
 from marl_mm.eval.studies.table import RETURN
 from marl_mm.eval.suite import ROBUSTNESS
-from marl_mm.eval.tables import markdown_table, rate_with_interval
+from marl_mm.eval.tables import (
+    markdown_table,
+    rate_in_interval,
+    rate_with_interval,
+)
 
 _AT_EQUAL_STEPS = ("ddpg-her", "maddpg-her", SB3, "ddpg-her-no-layer-norm")
 """Settings compared at equal steps of the environment; without layer norm ours has the
@@ -82,23 +87,18 @@ def differences_table(study: Study, store: RowStore, baseline: str) -> str:
 
 
 def separation_table(summary: Sequence[Row]) -> str:
-    """What algorithms reach from each dataset, and how far apart they are, as Markdown.
-
-    Intervals are Student's over seeds alone: they say whether another training would
-    order the algorithms alike, on goals that are the same for all.
-    """
+    """What algorithms reach from each dataset, and how far apart they are, as Markdown."""
     about = {setting.name: setting.about for _, setting in SEPARATION.cells}
     lines = []
     for name, rows in grouped(summary, "dataset").items():
-        rates = {row["setting"]: _of_seeds(row) for row in rows}
-        ranked = sorted(rates.values(), key=np.mean)
-        worst, best = ranked[0], ranked[-1]
-        points = np.mean(best) - np.mean(worst)
-        touch = mean_interval(worst)[1] >= mean_interval(best)[0]
+        by_setting = {row["setting"]: row for row in rows}
+        worst, *_, best = sorted(rows, key=itemgetter("success"))
+        points = 100 * (best["success"] - worst["success"])
+        touch = worst["success_interval"][1] >= best["success_interval"][0]
         lines.append(
             [
                 f"`{_short(name)}`",
-                *(_with_student(rates[key]) for key in about),
+                *(_rate(by_setting[key]) for key in about),
                 f"{points:.1f}",
                 "touch" if touch else "apart",
             ]
@@ -138,15 +138,8 @@ def known_table(rows: Sequence[Row]) -> str:
     return markdown_table(("algorithm", "ours", "d3rlpy's", "overlap"), lines)
 
 
-def _of_seeds(row: Row) -> list[float]:
-    """Success rates of a row's seeds [%]."""
-    return [float(rate) for rate in str(row["success_seeds"]).split()]
-
-
-def _with_student(rates: Sequence[float]) -> str:
-    """A mean with Student's 95 % interval over seeds."""
-    low, high = mean_interval(rates)
-    return f"{np.mean(rates):.1f} [{max(low, 0.0):.0f}, {min(high, 100.0):.0f}]"
+def _rate(row: Row) -> str:
+    return rate_in_interval(row["success"], row["success_interval"])
 
 
 def fine_tuning_table(store: RowStore, summary: Sequence[Row]) -> str:
@@ -155,17 +148,17 @@ def fine_tuning_table(store: RowStore, summary: Sequence[Row]) -> str:
     Start, dip, regret and steps are by the learning curves' goals, means over seeds.
     """
     lines = []
-    ended = {(row["dataset"], row["setting"]): _of_seeds(row) for row in summary}
+    ended = {(row["dataset"], row["setting"]): row for row in summary}
     for cell in FINE_TUNING.cells:
         if cell_name(cell) not in ended:
             continue
-        rates = ended[cell_name(cell)]
-        curves = store.curves(cell, range(len(rates)))
+        row = ended[cell_name(cell)]
+        curves = store.curves(cell, range(row["seeds"]))
         online = [
             [
-                {"env_steps": row["env_steps"], "success/all": row["success_all"]}
-                for row in rows
-                if not math.isnan(row["env_steps"])
+                {"env_steps": point["env_steps"], "success/all": point["success_all"]}
+                for point in rows
+                if not math.isnan(point["env_steps"])
             ]
             for rows in grouped(curves, "seed").values()
         ]
@@ -182,7 +175,7 @@ def fine_tuning_table(store: RowStore, summary: Sequence[Row]) -> str:
                 f"{100 * np.mean([one['online/regret'] for one in fared_each]):.0f}",
                 f"{middle:,.0f}" if middle < math.inf else "-",
                 f"{len(reached)} of {len(steps)}",
-                _with_student(rates),
+                _rate(row),
             ]
         )
     header = ["dataset", "way", "start [%]", "dip [points]", "regret [%]"]

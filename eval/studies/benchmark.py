@@ -24,7 +24,7 @@ from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.study import Cell, Study, cell_name, setting_of
-from marl_mm.eval.tables import markdown_table
+from marl_mm.eval.tables import markdown_table, rate_in_interval
 from marl_mm.eval.ties import tie_groups
 from marl_mm.progress import Bar
 from marl_mm.runs.recipes import RECIPES
@@ -188,7 +188,5 @@ def benchmark_table(rows: list[Row]) -> str:
 def _text(row: Row | None) -> str:
     if row is None:
         return ""
-    low, high = (100 * end for end in row["success_interval"])
-    bold = "**" * _is_first(row)
-    rate = f"{bold}{100 * row['success']:.1f}{bold}"
-    return f"{rate} [{low:.0f}, {high:.0f}], {row['group']}"
+    rate = rate_in_interval(row["success"], row["success_interval"])
+    return f"{f'**{rate}**' if _is_first(row) else rate}, {row['group']}"

@@ -21,7 +21,7 @@ from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.cells import read_cells, run_cells, write_cells
 from marl_mm.eval.studies.options import PolicyOptions
 from marl_mm.eval.studies.policies import Contestant, PolicyCell, run_cell
-from marl_mm.eval.tables import markdown_table
+from marl_mm.eval.tables import markdown_table, rate_in_interval
 from marl_mm.progress import Bar
 
 ABOUT = "Teams that lack something, beside their experts: what coordination is worth."
@@ -242,5 +242,4 @@ def worth_table(rows: Sequence[Row]) -> str:
 def _rate(row: Row | None) -> str:
     if row is None:
         return ""
-    low, high = row["interval"]
-    return f"{100 * row['success']:.1f} [{100 * low:.0f}, {100 * high:.0f}]"
+    return rate_in_interval(row["success"], row["interval"])

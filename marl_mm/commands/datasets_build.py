@@ -109,9 +109,7 @@ def rebuild_card(
         show({"on_card": expected, "rebuilt": actual, "same": same}, text, json)
     if not same:
         differing = ", ".join(read.differing_packages)
-        differing = (
-            differing or "none, so that the code, the processor or the card is another"
-        )
+        differing = differing or "none, so that code, processor or card is another"
         raise DatasetError(
             f"{card} has data of SHA-256 {expected}, rebuilt they have {actual}; "
             f"packages that differ: {differing}"

@@ -106,7 +106,7 @@ def test_cards_are_rebuilt_to_the_bit_by_any_number_of_workers(
     other.write_text(json.dumps(values))
     assert main(["datasets", "rebuild", str(other), "--workers", "1"]) == 1
     error = capsys.readouterr().err
-    assert "differ: none, so that the code or the processor is another" in error
+    assert "differ: none, so that code, processor or card is another" in error
 
 
 def test_what_cannot_be_built_is_refused(
