@@ -176,6 +176,7 @@ def _rows(values: dict[str, Any]) -> list[tuple[str, str]]:
     texts = {
         key: _histogram_text(value) if key.endswith("_histogram") else _text(value)
         for key, value in values.items()
+        if value is not None
     }
     texts["success"] = ", ".join(
         f"{direction} {_percent(value['rate'])} of {value['episodes']}"

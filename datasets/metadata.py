@@ -3,7 +3,6 @@
 They hold layout, provenance, statistics and hashes: one of the data, one of themselves.
 """
 
-import difflib
 import hashlib
 import json
 from pathlib import Path
@@ -18,7 +17,7 @@ from marl_mm.datasets.location import ID, SHIPPED, Location, datasets_root, know
 from marl_mm.datasets.named import name_of
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.reference import reference_scores
-from marl_mm.errors import DatasetError, LayoutError, UnknownDatasetError
+from marl_mm.errors import DatasetError, LayoutError, UnknownDatasetError, meant
 from marl_mm.layout import Layout
 from marl_mm.received import check_kind, read_json, refuse_links_out
 from marl_mm.version1 import dataset_layout
@@ -130,11 +129,8 @@ def _why_unknown(location: Location) -> str:
     where = f" below {datasets_root()}" if name == location.id else ""
     if where and (recipe := name_of(location.id)):
         return f"no dataset {name}{where}: make it with marl-mm datasets build {recipe}"
-    ids = {candidate: Path(candidate).name for candidate in (SHIPPED, *known_ids())}
-    close = difflib.get_close_matches(location.folder.name, set(ids.values()), 3, 0.7)
-    similar = [candidate for candidate, last in ids.items() if last in close]
-    hint = f"did you mean {' or '.join(similar)}?" if similar else "make it first;"
-    return f"no dataset {name}{where}: {hint} marl-mm datasets list shows all"
+    hint = meant(location.id, (SHIPPED, *known_ids()), 0.7)
+    return f"no dataset {name}{where}{hint}: marl-mm datasets list shows all"
 
 
 def new_metadata(

@@ -5,6 +5,34 @@ parameters in backquotes, as Python has them. The command line prints it as one 
 with options for parameters, and exits with the class's ``exit_code``.
 """
 
+from collections.abc import Iterable
+from difflib import SequenceMatcher
+from pathlib import Path
+
+
+def meant(name: str, names: Iterable[str], at_least: float = 0.6) -> str:
+    """Words for a message about an unknown name: the names that are nearest to it.
+
+    Args:
+        name: The unknown name; of one with slashes the last part counts.
+        names: Names that are known, alike.
+        at_least: Smallest similarity of a name that is hinted, from 0 to 1.
+
+    Returns:
+        `` (did you mean A or B?)``, or nothing where no name is near.
+    """
+    likeness = SequenceMatcher(b=Path(name).name)
+    ratios = {}
+    for other in names:
+        likeness.set_seq1(Path(other).name)
+        ratios[other] = likeness.ratio()
+    best = max(ratios.values(), default=0.0)
+    if best < at_least:
+        return ""
+    near = [other for other, ratio in ratios.items() if ratio > best - 0.05]
+    words = " or ".join([", ".join(near[:-1]), near[-1]]) if near[1:] else near[0]
+    return f" (did you mean {words}?)"
+
 
 class MarlMmError(Exception):
     """Base of all errors; by itself, a failure of something asked for correctly."""

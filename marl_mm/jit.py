@@ -6,6 +6,7 @@ therefore named after the contents of all sources of compiled code.
 """
 
 import hashlib
+import logging
 import tempfile
 from collections.abc import Callable
 from functools import cache
@@ -117,8 +118,13 @@ def _cache_folder() -> Path:
     for parent in (package / "__pycache__", Path.home() / ".cache" / "marl_mm"):
         folder = parent / name
         try:
+            new = not folder.exists()
             folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=folder):
+                if new:
+                    logging.getLogger("marl_mm").warning(
+                        "the first use compiles controller and model: half a minute"
+                    )
                 return folder
         except OSError:
             continue

@@ -54,8 +54,10 @@ def layout_diff(layout: Layout, other: Layout, agents: bool = True) -> list[str]
 def _changes(part: str, items: Sequence[Any], others: Sequence[Any]) -> list[str]:
     """Entries or agents that are missing on one side, differ, or stand elsewhere."""
     here, there = ({item.name: item for item in side} for side in (items, others))
-    changes = [f"{part} {here[n]}: not there" for n in here if n not in there]
-    changes += [f"{part} {there[n]}: only there" for n in there if n not in here]
+    lost = [str(here[name]) for name in here if name not in there]
+    new = [str(there[name]) for name in there if name not in here]
+    changes = [f"{part} {', '.join(lost)}: not there"] * bool(lost)
+    changes += [f"{part} {', '.join(new)}: only there"] * bool(new)
     for name in filter(there.__contains__, here):
         changes += _unequal(part, here[name], there[name])
     if not changes and list(here) != list(there):

@@ -1,6 +1,5 @@
 """Registries: things of a kind by name, built in, from plug-ins or added by hand."""
 
-import difflib
 import importlib
 import re
 import sys
@@ -8,7 +7,7 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Generic, TypeVar
 
-from marl_mm.errors import UsageError
+from marl_mm.errors import UsageError, meant
 
 T = TypeVar("T")
 
@@ -114,11 +113,9 @@ class Registry(Generic[T]):
         """
         self._load()
         if name not in self._things:
-            close = difflib.get_close_matches(name, self._things, 1)
-            hint = f"; did you mean {close[0]}?" if close else "."
             raise UsageError(
-                f"unknown {self.kind} {name!r}, expected one of "
-                f"{', '.join(self._things)}{hint} What a plug-in adds needs "
+                f"unknown {self.kind} {name!r}{meant(name, self._things)}, expected "
+                f"one of {', '.join(self._things)}. What a plug-in adds needs "
                 "`marl_mm.plugins.load(...)`"
             )
         return self._things[name]

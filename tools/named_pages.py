@@ -3,14 +3,13 @@
 from collections.abc import Callable
 from typing import Any
 
-from marl_mm.datasets.shipped import IDS
 from marl_mm.eval.tables import markdown_table
 from marl_mm.runs.recipes import RECIPES, catalogue_rows, named_card
 
 
 def other_named() -> str:
     """How many named datasets do not ship, as a sentence."""
-    number = sum(recipe.source.name not in IDS for _, recipe in RECIPES.items())
+    number = sum(not card["ships"] for card in catalogue_rows())
     return (
         f"{number} more [named datasets](named.md) are built, by `marl-mm datasets "
         "build NAME`.\n"
@@ -52,7 +51,7 @@ def _section(name: str) -> str:
     card = named_card(name)
     settings = ", ".join(f"{key} {value}" for key, value in card["settings"].items())
     by = f"`{card['collector']}`, {settings or 'its defaults'}; seed {card['seed']}"
-    ships = "; ships with the package" * (card["id"] in IDS)
+    ships = "; ships with the package" * card["ships"]
     rows = [
         ("id", f"{card['id']}{ships}"),
         ("data", f"{card['axis']}: {card['data']}"),

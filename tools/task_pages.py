@@ -319,8 +319,10 @@ def _tasks_index() -> str:
         + _overview(paper)
         + "\n## The team decides\n\n"
         "What one agent has to know, another one sees. Each is registered in three "
-        "levels: `Gate-easy-v0`, `Gate-v0` and `Gate-hard-v0`, and so on. `Bar-v0` has "
-        "two robots and four agents.\n\n"
+        "levels: `Gate-easy-v0`, `Gate-v0`, which is the medium one, and "
+        "`Gate-hard-v0`, and so on. In `QuietZone-halves-v0` and `Gate-halves-v0` an "
+        "episode is half of the way, for data to be stitched. `Bar-v0` has two robots "
+        "and four agents.\n\n"
         + _overview(team)
         + "\n## Blocks and stands\n\n<!-- drawn -->\n<!-- /drawn -->\n"
     )

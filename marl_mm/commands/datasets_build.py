@@ -68,12 +68,12 @@ def list_named(
 
 def _row(card: dict[str, Any]) -> dict[str, Any]:
     """A card's line in the table of all."""
-    names = ("name", "id", "task", "data", "engine", "steps", "episodes")
     share = card["success"]
     return {
-        **{name: card[name] for name in names},
+        **{name: card[name] for name in ("name", "task", "steps", "episodes")},
         "success": "" if share is None else f"{100 * share:.1f} %",
-        "data_sha256": (card["data_sha256"] or "")[:12],
+        "ships": "yes" if card["ships"] else "",
+        "data": card["data"],
     }
 
 

@@ -1,6 +1,5 @@
 """Commands from functions and dataclasses, through tyro; its complaints in one line."""
 
-import difflib
 import inspect
 import io
 import re
@@ -15,7 +14,7 @@ import tyro
 
 from marl_mm.cli import ABOUT_PLUGINS
 from marl_mm.declared import refuse_taken
-from marl_mm.errors import UsageError
+from marl_mm.errors import UsageError, meant
 
 T = TypeVar("T")
 
@@ -95,11 +94,9 @@ def parse_subcommand(
     """
     word = arguments[0] if arguments else ""
     if word and not word.startswith("-") and word not in commands:
-        close = difflib.get_close_matches(word, commands, 1)
-        hint = f"; did you mean {close[0]}?" if close else "."
         raise UsageError(
-            f"{prog} knows no {word!r}, expected one of {', '.join(commands)}{hint} "
-            "What a plug-in adds needs --plugin"
+            f"{prog} knows no {word!r}{meant(word, commands)}, expected one of "
+            f"{', '.join(commands)}. What a plug-in adds needs --plugin"
         )
     kinds = [_kind(name, kind) for name, kind in commands.items()]
     helped = f"{prog} {word}" if word in commands else prog

@@ -9,7 +9,7 @@ import gymnasium
 
 from marl_mm.declared import defaults
 from marl_mm.envs.task import Task
-from marl_mm.errors import UsageError
+from marl_mm.errors import UsageError, meant
 from marl_mm.layout import Layout
 from marl_mm.registry import Registry
 
@@ -109,7 +109,8 @@ def _replaced(config: Any, overrides: Mapping[str, Any], path: str) -> Any:
     for name, value in overrides.items():
         if name not in known:
             raise UsageError(
-                f"unknown field {path + name!r}, expected one of {', '.join(known)}"
+                f"unknown field {path + name!r}{meant(name, known)}, expected one of "
+                f"{', '.join(known)}"
             )
         current = getattr(config, name)
         if is_dataclass(current) or hasattr(current, "_asdict"):

@@ -170,8 +170,8 @@ def _report(
 Made by `marl-mm quickstart --seed {options.seed}{" --small" * options.small}`.
 A PD agent collected {dataset["episodes"]} successful episodes, {dataset["steps"]} steps
 (`dataset/`, Minari HDF5). MABC trained two decentralised actors on that file
-(`{run}/`). All policies were then evaluated on the same goals, half ahead and half
-behind.
+(`{run}/`). All policies were then evaluated on the same goals, half ahead (forward)
+and half behind (backward).
 
 {evaluation_markdown(evaluations)}
 {engines_of(evaluations).capitalize()}.

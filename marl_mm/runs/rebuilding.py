@@ -93,7 +93,10 @@ def read_card(card: str | Path) -> Card:
     where = f"{card}: made_of"
     _refuse_other_keys(made_of, _MADE_OF, where)
     if missing := sorted(_MADE_OF.keys() - made_of.keys()):
-        raise DatasetError(f"{card} lacks {', '.join(missing)} in made_of")
+        raise DatasetError(
+            f"{card} lacks {', '.join(missing)} in made_of: keep the card anew with "
+            "`marl-mm datasets show`"
+        )
     for key, kind in _MADE_OF.items():
         _check_value(made_of[key], kind, f"{where}: {key}")
     try:

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from marl_mm.datasets import shipped
 from marl_mm.datasets.card import keep_card
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.datasets.named import AXES, RECORD
@@ -206,6 +207,7 @@ def named_card(name: str) -> dict[str, Any]:
         "episodes": record.get("episodes"),
         "success": record.get("success"),
         "data_sha256": record.get("data_sha256"),
+        "ships": source.name in shipped.IDS,
         "build": f"marl-mm datasets build {name}",
     }
 

@@ -1,6 +1,5 @@
 """Settings by name: checked, replaced, and taken from what was done before."""
 
-import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar, get_type_hints
@@ -8,7 +7,7 @@ from typing import Any, TypeVar, get_type_hints
 from typeguard import TypeCheckError, check_type
 
 from marl_mm.algorithms.config_checks import LARGEST
-from marl_mm.errors import UsageError
+from marl_mm.errors import UsageError, meant
 
 T = TypeVar("T")
 
@@ -35,11 +34,9 @@ def with_settings(owner: str, record: T, settings: Mapping[str, Any]) -> T:
     kinds = dict(_kinds(record))
     for name, value in settings.items():
         if name not in kinds:
-            close = difflib.get_close_matches(name, kinds, 1)
-            hint = f"; did you mean {close[0]}?" if close else ""
             raise UsageError(
-                f"{owner} has no setting {name!r}, expected some of "
-                f"{', '.join(sorted(kinds))}{hint}"
+                f"{owner} has no setting {name!r}{meant(name, kinds)}, expected some "
+                f"of {', '.join(sorted(kinds))}"
             )
         try:
             check_type(value, kinds[name])

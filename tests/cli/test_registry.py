@@ -1,6 +1,7 @@
 """Registries: names, order, origins, and what they refuse."""
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -66,10 +67,15 @@ def test_an_unknown_name_is_told_all_and_the_nearest() -> None:
     with pytest.raises(UsageError) as refused:
         ALGORITHMS.get("mabs")
     text = str(refused.value)
-    assert text.startswith("unknown algorithm 'mabs', expected one of bc, mabc, ")
-    assert "did you mean mabc?" in text and text.endswith(
-        "needs `marl_mm.plugins.load(...)`"
-    )
+    known = "unknown algorithm 'mabs' (did you mean mabc?), expected one of bc, mabc, "
+    assert text.startswith(known)
+    assert text.endswith("needs `marl_mm.plugins.load(...)`")
+
+
+def test_of_a_level_that_is_no_task_all_levels_are_named() -> None:
+    near = "did you mean Gate-easy-v0, Gate-v0 or Gate-hard-v0?"
+    with pytest.raises(UsageError, match=re.escape(near)):
+        TASKS.get("Gate-medium-v0")
 
 
 def test_what_is_built_in_comes_in_one_order_whatever_was_imported_first() -> None:

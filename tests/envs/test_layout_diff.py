@@ -22,7 +22,7 @@ def test_equal_layouts_do_not_differ() -> None:
 @pytest.mark.parametrize(
     ("other", "named"),
     [
-        (HANDLING, "state opening \\[m\\] in \\[-0.1, 0.1\\]: only there"),
+        (HANDLING, "state opening \\[m\\] in \\[-0.1, 0.1\\], .*: only there"),
         (replace(REACH, team=(BALANCE, HAND)), "order of the agent: end_effector, bal"),
         (
             replace(REACH, team=(HAND, replace(BALANCE, sees=("base_x",)))),

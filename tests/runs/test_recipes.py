@@ -130,7 +130,7 @@ def test_the_catalogue_names_each_dataset_and_shows_cards(
     assert main(["datasets", "catalogue"]) == 0
     table = capsys.readouterr().out
     for name, recipe in RECIPES.items():
-        assert f" {name} " in table and f" {recipe.source.name} " in table
+        assert f" {name} " in table and f" {recipe.source.task} " in table
     assert main(["datasets", "catalogue", "bar-noisy"]) == 0
     card = capsys.readouterr().out
     row = recorded()["bar-noisy"]
