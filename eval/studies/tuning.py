@@ -6,7 +6,7 @@ updates, seeds and goals for all. The best mean over datasets and seeds is chose
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from itertools import product
@@ -19,10 +19,12 @@ import numpy as np
 
 from marl_mm.algorithms.registry import preset
 from marl_mm.config_diff import as_json
+from marl_mm.datasets.dataset import Dataset
 from marl_mm.errors import DivergedError, MarlMmError, UsageError
 from marl_mm.eval.grouping import grouped, mean_of
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
+from marl_mm.eval.selection import scores
 from marl_mm.eval.studies.cells import read_cells, run_cells, write_cells
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.tuning_ranges import RANGES
@@ -30,6 +32,7 @@ from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.received import read_json
 from marl_mm.runs.recipes import RECIPES, build, refuse_unknown
+from marl_mm.runs.run import Run
 from marl_mm.runs.settings import check_positive, with_settings
 from marl_mm.runs.train import trained
 from marl_mm.runs.training import Offline
@@ -43,6 +46,8 @@ TABLE = "tuning.csv"
 
 DATASETS = ("tray-noisy", "moving-reach-noisy")
 """Recipes of the datasets, which are in no table of results."""
+
+_DIVERGED: Row = {"success": 0.0, "return": -math.inf}
 
 _SEED = 7
 """Seed of the goals, which those of results are not."""
@@ -100,8 +105,8 @@ class TuningCell:
     dataset: str
     """Name of the dataset's recipe."""
 
-    seed: int
-    """Seed of weights and batches."""
+    seeds: tuple[int, ...]
+    """Seeds of weights and batches, which are trained side by side."""
 
     updates: int
     """Number of updates."""
@@ -122,7 +127,7 @@ class TuningCell:
     @property
     def label(self) -> str:
         """Label in the progress bar."""
-        return f"{self.algorithm} {self.number} {self.dataset} {self.seed}"
+        return f"{self.algorithm} {self.number} {self.dataset}"
 
 
 def settings_of(algorithm: str, count: int) -> list[dict[str, Any]]:
@@ -154,7 +159,7 @@ def settings_of(algorithm: str, count: int) -> list[dict[str, Any]]:
 
 def cells_of(options: TuningOptions) -> dict[str, list[TuningCell]]:
     """Runs by algorithm."""
-    seeds = options.seeds or (0, 1)
+    seeds = tuple(options.seeds or (0, 1))
     tried, updates, goals, data = (
         (2, 20, 2, ("gate-expert",))  # which ships
         if options.small
@@ -162,17 +167,15 @@ def cells_of(options: TuningOptions) -> dict[str, list[TuningCell]]:
     )
     return {
         name: [
-            TuningCell(name, number, tuple(some.items()), on, seed, updates, goals)
-            for (number, some), on, seed in product(
-                enumerate(settings_of(name, tried)), data, seeds
-            )
+            TuningCell(name, number, tuple(some.items()), on, seeds, updates, goals)
+            for (number, some), on in product(enumerate(settings_of(name, tried)), data)
         ]
         for name in options.algorithms
     }
 
 
 def run_cell(cell: TuningCell) -> list[Row]:
-    """Train and evaluate; the row of the run, of one that diverged without success."""
+    """Train and evaluate; a row per seed, without success where one diverged."""
     default = replace(preset(cell.algorithm), updates=cell.updates)
     training = Offline(
         algorithm=cell.algorithm,
@@ -185,21 +188,42 @@ def run_cell(cell: TuningCell) -> list[Row]:
         logger=(),
     )
     data = build(cell.dataset).dataset
-    measured: Mapping[str, Any] = {"success_rate": 0.0, "return": -math.inf}
-    with TemporaryDirectory() as folder, suppress(DivergedError):
-        (run,) = trained(training, data, Path(folder), (cell.seed,), silent_bar)
-        measured = run.evaluated.summary["all"]
+    try:
+        measured = _measured(training, data, cell.seeds)
+    except DivergedError:  # of one of them
+        measured = {}
+        for seed in cell.seeds:
+            with suppress(DivergedError):
+                measured |= _measured(training, data, (seed,))
     return [
         {
             "algorithm": cell.algorithm,
             "setting": cell.number,
             "dataset": cell.dataset,
-            "seed": cell.seed,
-            "success": measured["success_rate"],
-            "return": measured["return"],
+            "seed": seed,
+            **measured.get(seed, _DIVERGED),
             "changes": json.dumps(dict(cell.changes)),
         }
+        for seed in cell.seeds
     ]
+
+
+def _measured(training: Offline, data: Dataset, seeds: Sequence[int]) -> dict[int, Row]:
+    """Success, return and scores of the runs of seeds, by seed."""
+    with TemporaryDirectory() as folder:
+        runs = list(trained(training, data, Path(folder), seeds, silent_bar))
+        return dict(zip(seeds, (_row(run, data) for run in runs), strict=True))
+
+
+def _row(run: Run, data: Dataset) -> Row:
+    summary = run.evaluated.summary["all"]
+    values = [row["q/policy"] for row in run.metrics if "q/policy" in row]
+    return {
+        "success": summary["success_rate"],
+        "return": summary["return"],
+        "critic": values[-1] if values else None,
+        **scores(run.policy, data.arrays)._asdict(),
+    }
 
 
 def make_tuning(options: TuningOptions, bar: Bar) -> list[Row]:
