@@ -23,6 +23,7 @@ from reference_pages import (
 
 from marl_mm.envs.registry import TASKS, kind_of
 from marl_mm.envs.task import Task
+from marl_mm.envs.tasks.bar import Bar
 from marl_mm.envs.tasks.carry import Carry
 from marl_mm.envs.tasks.course import Course
 from marl_mm.envs.tasks.grasp import Grasp
@@ -228,6 +229,8 @@ def _reward(task: Task) -> str:
 
 def _reward_of_team(task: Any) -> str:
     failures = ", ".join(f'"{reason}"' for reason in _reasons(task))
+    if isinstance(task, Bar):
+        failures += ', or "collision of" two links'
     if isinstance(task, Course):
         return (
             f"A point for each of the {task.highest_return:g} sub-goals that is reached "

@@ -131,25 +131,30 @@ class CruiseTask(Task, ABC):
                 f"{type(self).__name__} would not watch what happens in unseen steps"
             )
 
-    def check_way(self, name: str, x: Interval, more: float, steps: int) -> None:
+    def check_way(
+        self, name: str, x: Interval, y: Interval, more: float, steps: int
+    ) -> None:
         """Raise for places that no hand gets to in time.
 
         Args:
-            name: What is there, such as "goal_x".
+            name: What is there, such as "goal_".
             x: Interval of their x, world [m].
-            more: Way beside that to x [m]; negative where it is enough to be near.
+            y: Interval of their y, world [m].
+            more: Way beside that [m]; negative where it is enough to be near.
             steps: Number of steps that there are for it.
 
         Raises:
             UsageError: Naming them, the way, and what a hand goes.
         """
-        way = max(abs(end - self.stand_off) for end in x) + more
-        if way > (longest := self.action_scale * steps):
-            raise UsageError(
-                f"{name} is {x[0]:g} to {x[1]:g} m, a way of {way:.2f} m, expected at "
-                f"most {longest:g} m, as far as a hand goes in {steps} of max_steps, "
-                f"{self.max_steps}"
-            )
+        for axis, interval, start in (("x", x, self.stand_off), ("y", y, 0.0)):
+            way = max(abs(end - start) for end in interval) + more
+            if way > (longest := self.action_scale * steps):
+                low, high = interval
+                raise UsageError(
+                    f"{name}{axis} is {low:g} to {high:g} m, a way of {way:.2f} m, "
+                    f"expected at most {longest:g} m, as far as a hand goes in {steps} "
+                    f"of max_steps, {self.max_steps}"
+                )
 
     # --- Start ---------------------------------------------------------------
 

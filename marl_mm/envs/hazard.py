@@ -12,6 +12,7 @@ from marl_mm.envs.intervals import Interval, check_intervals, check_positive
 from marl_mm.envs.load import check_reach
 from marl_mm.envs.task import Attempt, ScriptConfig, Terms
 from marl_mm.episode import FAILED
+from marl_mm.errors import UsageError
 from marl_mm.sim.scene import Mark
 
 if TYPE_CHECKING:
@@ -37,7 +38,11 @@ class RiskyTask(CruiseTask, ABC):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_positive(self, "success_distance")
+        check_positive(self, "success_distance", "goal_reward")
+        if not self.failure_reward < 0:
+            raise UsageError(
+                f"failure_reward is {self.failure_reward:g}, expected below 0"
+            )
 
     @property
     def highest_return(self) -> float:
@@ -80,7 +85,8 @@ class HazardTask(RiskyTask):
         super().__post_init__()
         check_intervals(self, "goal_x", "goal_y", "goal_z")
         check_reach("goal_", self.goal_y, self.goal_z)
-        self.check_way("goal_x", self.goal_x, -self.success_distance, self.max_steps)
+        near = -self.success_distance
+        self.check_way("goal_", self.goal_x, self.goal_y, near, self.max_steps)
 
     # --- The hazard ----------------------------------------------------------
 

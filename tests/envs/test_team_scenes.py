@@ -9,6 +9,7 @@ import pytest
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.registry import TASKS, fewest_steps, make_task
 from marl_mm.envs.task import Values
+from marl_mm.envs.tasks.quiet_zone import QuietZone
 from marl_mm.envs.window import Window
 from marl_mm.errors import UsageError
 from tests.envs.teams import KINDS, episodes
@@ -150,6 +151,14 @@ def test_what_is_drawn_changes_nothing(engine: str) -> None:
     np.testing.assert_array_equal(plain, drawn)
 
 
+def test_a_zone_as_long_as_its_room_is_drawn() -> None:
+    for ends in ((-0.6, -0.15), (-0.55, -0.15), (-0.65, -0.25)):
+        length = ends[1] - ends[0]
+        task = QuietZone(zone_x=ends, zone_length=(length, length))
+        zones = task.draw(np.random.default_rng(0))
+        np.testing.assert_allclose(zones, [ends[::-1]], atol=1e-9)
+
+
 # --- Bad input ---------------------------------------------------------------
 
 
@@ -171,7 +180,7 @@ def test_what_is_drawn_changes_nothing(engine: str) -> None:
             "a wall at 0.6 to 0.8 m is not",
         ),
         ("Gate-v0", {"wall": {"slope": (0.5, 2.0)}}, "wall.slope is 0.5 to 2"),
-        ("Tray-v0", {"goal_x": (-2.0, -2.0)}, "is dry after 10 steps, in which"),
+        ("Tray-v0", {"goal_x": (-2.0, -2.0)}, "dry in 10 steps: goal_x is -2 to"),
         ("Tray-v0", {"level": (0.5, 1.5)}, "level is 0.5 to 1.5, expected within"),
         ("MovingReach-v0", {"speed": (0.1, 0.5)}, "which a hand follows"),
         ("MovingReach-v0", {"speed": (0.1, 0.05)}, "expected the smaller first"),
@@ -196,6 +205,11 @@ def test_what_is_drawn_changes_nothing(engine: str) -> None:
         ("Gate-v0", {"wall": {"thickness": -0.1}}, "wall.thickness is -0.1, expected"),
         ("Gate-v0", {"quiet_limit": -1.0}, "quiet_limit is -1.0, expected > 0"),
         ("Gate-v0", {"goal_x": (50.0, 60.0)}, "a way of 59.30 m, expected at most 1.7"),
+        ("Gate-v0", {"wall": {"y": (0.9, 0.9)}}, "a way of 1.95 m through the window"),
+        ("Gate-v0", {"failure_reward": 5.0}, "failure_reward is 5, expected below 0"),
+        ("Gate-v0", {"goal_reward": -50.0}, "goal_reward is -50.0, expected > 0"),
+        ("Tray-v0", {"goal_y": (1.3, 1.3)}, "dry in 10 steps: goal_y is 1.3 to 1.3 m"),
+        ("MovingReach-v0", {"ticks_per_step": 480}, "at most 0.05, which a hand"),
         ("Gate-v0", {"max_steps": 3}, "a way of 1.20 m, expected at most 0.3 m"),
         ("Tray-v0", {"goal_z": (5.0, 5.0)}, "goal_z is 5 to 5 m, expected within 0 to"),
         ("MovingReach-v0", {"circle_z": (5.0, 5.0)}, "circle_z is 4.85 to 5.15 m"),

@@ -13,6 +13,7 @@ here: the script sets it to 0.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from math import sqrt
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -40,6 +41,9 @@ if TYPE_CHECKING:
 
 BEADS = 21
 """Number of balls that draw the bar in a picture."""
+
+BEAD = 0.015
+"""Radius of such a ball [m]."""
 
 SIDES = ("left", "right")
 """Names of the robots; the right one stands at the bar's length beside the left one."""
@@ -168,7 +172,8 @@ class Bar(RiskyTask):
         check_positive(self, "largest_tilt", "largest_stretch")
         for name in ("goal_z", "beam_z"):
             check_within(name, getattr(self, name), (0.0, HIGH), "what a hand reaches")
-        self.check_way("goal_x", self.goal_x, -self.success_distance, self.max_steps)
+        near = -self.success_distance
+        self.check_way("goal_", self.goal_x, (0.0, 0.0), near, self.max_steps)
         near, far = self.stand_off - self.beam_size, self.goal_x[1] + self.beam_size
         if not near > self.beam_x[1] >= self.beam_x[0] > far:
             low, high = self.beam_x
@@ -268,10 +273,11 @@ class Bar(RiskyTask):
     def _marks(self, side: int, beam: np.ndarray, goal: np.ndarray) -> list[Mark]:
         x, z = beam.tolist()
         middle = 0.1 + (0.5 - side) * -self.bar_length
+        edge = sqrt(2) * (self.beam_size - BEAD)  # a bar's surface passes its edges
         return [
             Mark((float(goal[0]), middle, float(goal[1]))),
-            Mark((x, middle, z), (0.05, 0.2, 0.05), YELLOW),
-            *[Mark((0.0, 0.0, -1.0), (0.015,), GREY)] * BEADS,
+            Mark((x, middle, z), (edge, 0.2, edge), YELLOW),
+            *[Mark((0.0, 0.0, -1.0), (BEAD,), GREY)] * BEADS,
         ]
 
     def moved_marks(self, attempt: Attempt) -> list[dict[int, tuple[float, ...]]]:

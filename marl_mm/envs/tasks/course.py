@@ -167,9 +167,8 @@ class Course(CruiseTask):
         reach = -before, before
         check_within("load.stand_x", stand.stand_x, reach, "in reach before the zone")
         back = self.bin_x[1] - self.wall.x[0]
-        self.check_way(
-            "bin_x", self.bin_x, back - self.success_distance, self.max_steps
-        )
+        near = back - self.success_distance
+        self.check_way("bin_", self.bin_x, self.bin_y, near, self.max_steps)
         stand.check_hold(self.max_steps * self.ticks_per_step)
 
     @property
@@ -199,7 +198,7 @@ class Course(CruiseTask):
 
     def _draw(self, rng: np.random.Generator) -> Track:
         length = rng.uniform(*self.zone_length)
-        near = rng.uniform(self.zone_x[0], self.zone_x[1] - length)
+        near = rng.uniform(self.zone_x[0], max(self.zone_x[1] - length, self.zone_x[0]))
         window = self.wall.draw(rng)
         bin_w = np.array([rng.uniform(*self.bin_x), rng.uniform(*self.bin_y)])
         return Track(

@@ -89,6 +89,20 @@ class Gate(HazardTask):
                 f"a wall at {near:g} to {end:g} m is not between the start at "
                 f"{start:g} m and the goals at {self.goal_x[0]:g} m"
             )
+        self._check_detour()
+
+    def _check_detour(self) -> None:
+        """Refuse a window so far aside that no hand gets through it to the goal."""
+        near, wall_y = self.wall.x[1], self.wall.y
+        there = max(near - self.stand_off, *map(abs, wall_y))
+        aside = max(abs(goal - window) for goal in self.goal_y for window in wall_y)
+        way = there + max(self.goal_x[1] - near, aside) - self.success_distance
+        if way > (longest := self.action_scale * self.max_steps):
+            raise UsageError(
+                f"wall.y is {wall_y[0]:g} to {wall_y[1]:g} m, a way of {way:.2f} m "
+                f"through the window to the goal, expected at most {longest:g} m, as "
+                f"far as a hand goes in max_steps, {self.max_steps}"
+            )
 
     def draw(self, rng: np.random.Generator) -> Window:
         """The window."""

@@ -134,23 +134,25 @@ class MovingReach(CruiseTask):
         super().__post_init__()
         check_intervals(self, "circle_x", "circle_y", "circle_z", "speed")
         slow, fast = self.speed
-        if not 0.0 < slow <= fast <= self.action_scale:
+        longest = self.action_scale / self.seconds_per_step
+        if not 0.0 < slow <= fast <= longest:
             raise UsageError(
                 f"speed is {slow:g} to {fast:g} m/s, expected above 0 and at most "
-                f"{self.action_scale:g}, which a hand follows"
+                f"{longest:g}, which a hand follows"
             )
         if not 1 <= self.seconds <= self.max_steps:
             raise UsageError(
                 f"seconds is {self.seconds}, expected 1 to max_steps, {self.max_steps}"
             )
-        check_positive(self, "radius", "near_distance")
+        check_positive(self, "radius", "near_distance", "goal_reward")
         y, z = (
             (low - self.radius, high + self.radius)
             for low, high in (self.circle_y, self.circle_z)
         )
         check_reach("with the radius, circle_", y, z)
         steps = self.max_steps - self.seconds + 1
-        self.check_way("circle_x", self.circle_x, -self.near_distance, steps)
+        near = -self.near_distance
+        self.check_way("circle_", self.circle_x, self.circle_y, near, steps)
 
     @property
     def highest_return(self) -> float:

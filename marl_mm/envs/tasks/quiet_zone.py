@@ -127,7 +127,11 @@ class QuietZone(HazardTask):
         drawn = []
         for number in range(self.zones):
             length = rng.uniform(*self.zone_length)
-            start = near - number * (room + BRAKING) - rng.uniform(0.0, room - length)
+            start = (
+                near
+                - number * (room + BRAKING)
+                - rng.uniform(0.0, max(room - length, 0.0))
+            )
             drawn.append((start, start - length))
         return np.array(drawn)
 

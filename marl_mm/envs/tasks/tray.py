@@ -143,12 +143,13 @@ class Tray(HazardTask):
                 f"leak is {self.leak:g}, frequency {self.frequency:g}, damping "
                 f"{self.damping:g}, expected > 0, > 0, and 0 to 1"
             )
-        way = self.stand_off - self.goal_x[0] - self.success_distance
-        if way > self.action_scale * low / self.leak:
-            raise UsageError(
-                f"a cup of level {low:g} is dry after {low / self.leak:.0f} steps, in "
-                f"which no hand goes {way:.2f} m to a goal at {self.goal_x[0]:g} m"
-            )
+        self.check_way(
+            f"a cup of level {low:g} is dry in {low / self.leak:.0f} steps: goal_",
+            self.goal_x,
+            self.goal_y,
+            -self.success_distance,
+            int(low / self.leak),
+        )
 
     def draw(self, rng: np.random.Generator) -> Cup:
         """The cup, at rest."""
