@@ -85,7 +85,7 @@ def read_card(card: str | Path) -> Card:
     if not (isinstance(made_of, Mapping) and isinstance(expected, str)):
         raise DatasetError(
             f"{card} does not say what its dataset is made of: only collected datasets "
-            "can be rebuilt, by cards that `marl-mm datasets show` or `build` has kept"
+            "can be rebuilt, by cards that marl-mm datasets show or build has kept"
         )
     name = values.get("id")
     if not isinstance(name, str) or not ID.fullmatch(name):
@@ -95,7 +95,7 @@ def read_card(card: str | Path) -> Card:
     if missing := sorted(_MADE_OF.keys() - made_of.keys()):
         raise DatasetError(
             f"{card} lacks {', '.join(missing)} in made_of: keep the card anew with "
-            "`marl-mm datasets show`"
+            "marl-mm datasets show"
         )
     for key, kind in _MADE_OF.items():
         _check_value(made_of[key], kind, f"{where}: {key}")
@@ -125,12 +125,19 @@ def rebuild(
     Raises:
         UnknownDatasetError: If there is no such card or dataset.
         DatasetError: If the card is not of a collection, or says what makes no sense.
+        KeyboardInterrupt: After Ctrl-C.
     """
     card = card if isinstance(card, Card) else read_card(card)
     with TemporaryDirectory() as folder:
         location = Location(card.id, Path(folder, "rebuilt"))
         collecting = replace(card.collecting, workers=workers)
-        collect_dataset(location, card.collector, card.config, collecting, bar=progress)
+        done = collect_dataset(
+            location, card.collector, card.config, collecting, bar=progress
+        )
+        if not done.complete:
+            raise KeyboardInterrupt(
+                "stopped before the data were whole: nothing is kept"
+            )
         actual = str(read_metadata(location)["marl_mm"]["data_sha256"])
     return card.data_sha256, actual
 

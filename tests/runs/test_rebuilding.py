@@ -9,6 +9,7 @@ import pytest
 import marl_mm
 from marl_mm.cli import main
 from marl_mm.datasets.card import kept_card
+from marl_mm.progress import Advance
 from marl_mm.runs import rebuilding
 
 
@@ -119,3 +120,19 @@ def test_packages_that_differ_are_named_with_both_versions(
     path.write_text(json.dumps(card | {"made_of": made_of}))
     numpy, other = rebuilding.read_card(path).differing_packages
     assert numpy.startswith("numpy 0.1, here ") and other == "no-such 1, here None"
+
+
+def test_a_rebuild_that_is_stopped_says_nothing_of_the_data(
+    card: dict[str, Any], tmp_path: Path
+) -> None:
+    def stopped(label: str, total: float) -> Advance:
+        def advance(amount: float, text: str) -> None:
+            if amount:
+                raise KeyboardInterrupt
+
+        return advance
+
+    path = tmp_path / "card.json"
+    path.write_text(json.dumps(card))
+    with pytest.raises(KeyboardInterrupt, match="nothing is kept"):
+        rebuilding.rebuild(path, progress=stopped)
