@@ -52,7 +52,7 @@ class Gate(HazardTask):
     about = "Reach a goal through a narrow window, after a way on a quiet floor."
     layout = LAYOUT
     hidden: ClassVar[dict[str, float]] = {DISTANCE.name: 9.0}
-    camera = Camera(target_w=(1.1, 0.0, 0.4), distance=2.4, yaw=40.0, pitch=-35.0)
+    camera = Camera(target_w=(1.0, 0.0, 0.45), distance=2.6, yaw=-40.0, pitch=-42.0)
     own_info: ClassVar[dict[str, str]] = {
         **HazardTask.own_info,
         "floor_acceleration": "largest acceleration of the base where the floor is "
