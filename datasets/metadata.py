@@ -14,7 +14,7 @@ from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.datasets.hdf5 import FILE
 from marl_mm.datasets.journal import FILE as JOURNAL
 from marl_mm.datasets.location import ID, SHIPPED, Location, datasets_root, known_ids
-from marl_mm.datasets.named import name_of
+from marl_mm.datasets.named import name_of, named_ids
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.reference import reference_scores
 from marl_mm.errors import DatasetError, LayoutError, UnknownDatasetError, meant
@@ -130,6 +130,7 @@ def _why_unknown(location: Location) -> str:
     if where and (recipe := name_of(location.id)):
         return f"no dataset {name}{where}: make it with marl-mm datasets build {recipe}"
     hint = meant(location.id, (SHIPPED, *known_ids()), 0.7)
+    hint = hint or meant(location.folder.name.removesuffix("-v0"), named_ids(), 0.8)
     return f"no dataset {name}{where}{hint}: marl-mm datasets list shows all"
 
 

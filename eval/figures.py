@@ -82,6 +82,8 @@ def _over_directions(
     """Evaluations on a learning curve, a line per direction."""
     for direction in ("all", "forward", "backward"):
         rows = [row for row in metrics if f"{name}/{direction}" in row]
+        if not rows:
+            continue
         values = [scale * row[f"{name}/{direction}"] for row in rows]
         times = [row[clock] for row in rows]
         axis.plot(times, values, "o-", ms=3, label=direction, color=COLORS[direction])

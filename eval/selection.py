@@ -46,13 +46,19 @@ class Scores(NamedTuple):
     """Minus the mean square distance to the data's actions, in halves of ranges."""
 
 
-def scores(policy: LearnedPolicy, arrays: EpisodeArrays, seed: int = 0) -> Scores:
+def scores(
+    policy: LearnedPolicy,
+    arrays: EpisodeArrays,
+    seed: int = 0,
+    updates: int = UPDATES,
+) -> Scores:
     """Scores of a policy, from data whose rewards are those of its task.
 
     Args:
         policy: The policy; of a plan of several actions the first counts.
         arrays: Episodes.
         seed: Seed of critics, batches, and noise of policies that draw.
+        updates: Number of gradient steps of fitted Q evaluation.
     """
     layout = arrays.layout
     low, high = (
@@ -66,7 +72,7 @@ def scores(policy: LearnedPolicy, arrays: EpisodeArrays, seed: int = 0) -> Score
         before = torch.as_tensor(~arrays.is_last_state())
         done = (torch.as_tensor(arrays.actions) - low) / (high - low) * 2 - 1
         distance = (chosen[before] - done).square().mean()
-        joint, *each = _fitted(arrays, states, chosen, done)
+        joint, *each = _fitted(arrays, states, chosen, done, updates)
     return Scores(joint, float(np.mean(each)), -float(distance))
 
 
@@ -87,6 +93,7 @@ def _fitted(
     states: torch.Tensor,
     chosen: torch.Tensor,
     done: torch.Tensor,
+    updates: int,
 ) -> list[float]:
     """Mean values of first states, of the joint critic and then of each agent's."""
     first = torch.as_tensor(arrays.is_first_state())
@@ -102,7 +109,7 @@ def _fitted(
     members = [nn.Sequential(*perceptron(widths, layer_norm=True)) for _ in masks]
     critics = Ensemble(members)
     targets, learner = critics.copy(), Learner(critics, RATE)
-    for _ in range(UPDATES):
+    for _ in range(updates):
         picked = torch.randint(len(here), (BATCH,))
         with torch.no_grad():
             value = targets(masks * after[picked])[..., 0]

@@ -32,10 +32,11 @@ def table_rows(evaluations: Sequence[Evaluation]) -> list[tuple[str, ...]]:
     """One row per policy and direction, formatted."""
     rows: list[tuple[str, ...]] = []
     for evaluation in evaluations:
+        goals = evaluation.summary["all"]["episodes"]
         for direction in _DIRECTIONS:
             summary = evaluation.summary.get(direction)
-            if summary is None:
-                continue
+            if summary is None or (summary["episodes"] == goals and direction != "all"):
+                continue  # or all lie that way
             low, high = (100 * bound for bound in summary["interval"])
             steps = summary["steps_to_success"]
             rows.append(

@@ -177,7 +177,9 @@ def _simulated() -> str:
     old = [record for record in records if "engine" not in record]
     packages = [record["packages"] for record in old if "packages" in record]
     engines = {engine_text(RECORDED_ENGINE, versions) for versions in packages}
-    return f"Tables on pages that name no engine are of {' and '.join(sorted(engines))}.\n"
+    return (
+        f"Tables on pages that name no engine are of {' and '.join(sorted(engines))}.\n"
+    )
 
 
 def _over_imitation(name: str) -> str:

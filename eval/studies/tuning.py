@@ -19,19 +19,19 @@ import numpy as np
 
 from marl_mm.algorithms.registry import preset
 from marl_mm.config_diff import as_json
-from marl_mm.datasets.dataset import Dataset
+from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.errors import DivergedError, MarlMmError, UsageError
 from marl_mm.eval.grouping import grouped, mean_of
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
-from marl_mm.eval.selection import scores
+from marl_mm.eval.selection import UPDATES, Scores, scores
 from marl_mm.eval.studies.cells import read_cells, run_cells, write_cells
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.tuning_ranges import RANGES
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.received import read_json
-from marl_mm.runs.recipes import RECIPES, build, refuse_unknown
+from marl_mm.runs.recipes import RECIPES, build, named_card, refuse_unknown
 from marl_mm.runs.run import Run
 from marl_mm.runs.settings import check_positive, with_settings
 from marl_mm.runs.train import trained
@@ -187,7 +187,7 @@ def run_cell(cell: TuningCell) -> list[Row]:
         stop_diverging=False,
         logger=(),
     )
-    data = build(cell.dataset).dataset
+    data = load_dataset(cell.dataset)
     try:
         measured = _measured(training, data, cell.seeds)
     except DivergedError:  # of one of them
@@ -212,17 +212,21 @@ def _measured(training: Offline, data: Dataset, seeds: Sequence[int]) -> dict[in
     """Success, return and scores of the runs of seeds, by seed."""
     with TemporaryDirectory() as folder:
         runs = list(trained(training, data, Path(folder), seeds, silent_bar))
-        return dict(zip(seeds, (_row(run, data) for run in runs), strict=True))
+        tried = min(UPDATES, training.config.updates)
+        return {
+            seed: _row(run, scores(run.policy, data.arrays, updates=tried))
+            for seed, run in zip(seeds, runs, strict=True)
+        }
 
 
-def _row(run: Run, data: Dataset) -> Row:
+def _row(run: Run, scored: Scores) -> Row:
     summary = run.evaluated.summary["all"]
     values = [row["q/policy"] for row in run.metrics if "q/policy" in row]
     return {
         "success": summary["success_rate"],
         "return": summary["return"],
         "critic": values[-1] if values else None,
-        **scores(run.policy, data.arrays)._asdict(),
+        **scored._asdict(),
     }
 
 
@@ -241,7 +245,8 @@ def make_tuning(options: TuningOptions, bar: Bar) -> list[Row]:
     for name in dict.fromkeys(
         cell.dataset for listed in cells.values() for cell in listed
     ):
-        build(name, workers=options.workers, progress=bar)
+        if not named_card(name)["ships"]:
+            build(name, workers=options.workers, progress=bar)
     rows_folder, runs = _rows_folder(options.results), options.runs_folder / "tuning"
     for name, listed in cells.items():
         if _is_made(rows_folder / f"{name}.json", listed):
