@@ -26,7 +26,10 @@ def constant(*action: float) -> LearnedPolicy:
 
 @pytest.fixture(scope="module")
 def scored(tried: EpisodeArrays) -> dict[tuple[float, float], Scores]:
-    return {action: scores(constant(*action), tried) for action in (LIKE, UNLIKE)}
+    return {
+        action: scores(constant(*action), tried, updates=600)
+        for action in (LIKE, UNLIKE)
+    }
 
 
 def test_a_critic_that_sees_all_knows_what_the_agents_do_together(
@@ -50,4 +53,4 @@ def test_the_distance_to_the_data_is_that_of_its_actions(
 def test_scores_are_the_same_bytes_again(
     tried: EpisodeArrays, scored: dict[tuple[float, float], Scores]
 ) -> None:
-    assert scores(constant(*LIKE), tried) == scored[LIKE]
+    assert scores(constant(*LIKE), tried, updates=600) == scored[LIKE]
