@@ -44,6 +44,13 @@ from marl_mm.eval.bench.tables import (
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies.alpha import worth_table as alpha_worth_table
+from marl_mm.eval.studies.budgets import (
+    BUDGETS_FIGURE,
+    BUDGETS_TABLE,
+    SELECTION_TABLE,
+    budgets_table,
+    selection_table,
+)
 from marl_mm.eval.studies.coordination import TABLE as TEAMS
 from marl_mm.eval.studies.coordination import (
     WORTH,
@@ -154,13 +161,11 @@ def _fine_tuning(summary: list[Row]) -> str:
     return fine_tuning_table(RowStore(RESULTS / "studies/rows"), summary)
 
 
-def _engines_figure() -> str:
-    """The figure of policies on both engines, or that they are not run yet."""
-    name = f"studies/{FIGURE}"
-    if not (RESULTS / name).exists():
+def _figure(name: str, about: str) -> str:
+    """A figure of what is made in hours, or that it is not made yet."""
+    if not (RESULTS / "studies" / name).exists():
         return "Not run yet.\n"
-    about = "Goals that policies reach on one engine against the other, by task"
-    return f"![{about}](../../eval/results/{name})\n"
+    return f"![{about}](../../eval/results/studies/{name})\n"
 
 
 def _transfer(rows: list[Row]) -> str:
@@ -313,13 +318,22 @@ TABLES: dict[str, Callable[[], str]] = {
     "script": _script,
     "simulated": _simulated,
     "transfer": partial(_drawn_from, "transfer.csv", _transfer),
-    "engines-figure": _engines_figure,
+    "engines-figure": partial(
+        _figure,
+        FIGURE,
+        "Goals that policies reach on one engine against the other, by task",
+    ),
+    "budgets-figure": partial(
+        _figure, BUDGETS_FIGURE, "Goals that the chosen policy reaches, over episodes"
+    ),
     "engines-agreement": partial(_drawn_from, AGREEMENT, agreement_table),
     "engines-differences": partial(_drawn_from, TABLE, engine_differences_table),
     "baselines": partial(_drawn_from, "baselines.csv", baselines_table),
     "separation": partial(_drawn_from, "separation.csv", separation_table),
     "fine-tuning": partial(_drawn_from, "fine-tuning.csv", _fine_tuning),
     "tuning": partial(_drawn_from, TUNED_TABLE, tuning_table),
+    "budgets": partial(_drawn_from, BUDGETS_TABLE, budgets_table),
+    "selection": partial(_drawn_from, SELECTION_TABLE, selection_table),
     "disturbances": disturbances_table,
     "robustness": partial(_drawn_from, ROBUSTNESS_TABLE, robustness_table),
     "coordination-worth": partial(_drawn_from, WORTH, worth_table),

@@ -25,6 +25,7 @@ from marl_mm.eval.grouping import grouped, mean_of
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.selection import UPDATES, Scores, scores
+from marl_mm.eval.studies.budgets import draw_budgets
 from marl_mm.eval.studies.cells import read_cells, run_cells, write_cells
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.tuning_ranges import RANGES
@@ -270,7 +271,7 @@ def _is_made(record: Path, cells: Sequence[TuningCell]) -> bool:
 
 
 def draw_tuning(results: Path, folder: Path) -> list[Row]:
-    """Write the table into a folder, from rows in another.
+    """Write tables and curves into a folder, from rows in another.
 
     Returns:
         Rows of the table: a setting's mean success on each dataset and on all, its
@@ -280,11 +281,13 @@ def draw_tuning(results: Path, folder: Path) -> list[Row]:
         UsageError: If there are no rows.
     """
     summary: list[Row] = []
-    for algorithm, rows in read_cells(_rows_folder(results)).items():
+    of_algorithms = read_cells(_rows_folder(results))
+    for algorithm, rows in of_algorithms.items():
         tried = [_summed(algorithm, *item) for item in grouped(rows, "setting").items()]
         best = max(tried, key=lambda row: (row["success"], row["return"]))
         summary += [row | {"chosen": int(row is best)} for row in tried]
     write_csv(folder / TABLE, summary)
+    draw_budgets([row for rows in of_algorithms.values() for row in rows], folder)
     return summary
 
 

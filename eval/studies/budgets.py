@@ -1,0 +1,191 @@
+"""What tuning costs in episodes, and which policy to take without any.
+
+Both are computed from the runs of the tuning: every run is a policy whose success is
+known, beside scores that the data alone gave.
+
+- By budget: a bandit (UCB1, Auer 2002) chooses which policy of an algorithm acts in the
+  next episode; after so many the one with the highest mean is taken (as in Unifloral,
+  arXiv 2504.11453). Beside it the expected best of some policies that are drawn and
+  evaluated at length (Kurenkov and Kolesnikov 2022, arXiv 2110.04156).
+- Without episodes: the rank correlation of a score with success, and the success that
+  is lost by taking the policy with the highest score (regret at 1).
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy  # its stats take a second, and come when they are used
+from matplotlib.figure import Figure
+
+from marl_mm.eval.figures import save_small
+from marl_mm.eval.grouping import grouped, mean_of
+from marl_mm.eval.intervals import percentile_interval
+from marl_mm.eval.metrics import Row
+from marl_mm.eval.rows import write_csv
+from marl_mm.eval.tables import markdown_table
+
+BUDGETS_TABLE, SELECTION_TABLE = "budgets.csv", "selection.csv"
+"""Files of the tables."""
+
+BUDGETS_FIGURE = "budgets.png"
+"""File of the curves."""
+
+BUDGETS = (0, 5, 10, 20, 50, 100, 200)
+"""Numbers of episodes in the table."""
+
+SCORES = ("cloning", "fqe", "fqe_agents", "critic")
+"""Scores from data alone."""
+
+_REPEATS = 500
+"""Number of times that a bandit is run."""
+
+
+def found(rates: np.ndarray, episodes: int, seed: int = 0) -> np.ndarray:
+    """Success of the policy that a bandit takes, after each number of episodes.
+
+    Args:
+        rates: Success rate of each policy, shape (n,): of the episodes that it acts in.
+        episodes: Largest number of episodes.
+        seed: Seed of the order of the policies and of the episodes' ends.
+
+    Returns:
+        Shape (repeats, 1 + episodes); before any episode the first policy is taken.
+    """
+    rng = np.random.default_rng(seed)
+    arms = rng.permuted(np.tile(rates, (_REPEATS, 1)), axis=1)
+    counts, reached = np.zeros((2, *arms.shape))
+    each = np.arange(_REPEATS)
+    taken = [arms[:, 0]]
+    for number in range(1, episodes + 1):
+        tried = np.maximum(counts, 1)
+        hopes = reached / tried + np.sqrt(2 * np.log(number) / tried)
+        chosen = np.where(counts, hopes, np.inf).argmax(axis=1)
+        counts[each, chosen] += 1
+        reached[each, chosen] += rng.random(_REPEATS) < arms[each, chosen]
+        means = np.where(counts, reached / np.maximum(counts, 1), -1)
+        taken.append(arms[each, means.argmax(axis=1)])
+    return np.stack(taken, axis=1)
+
+
+def expected_best(rates: np.ndarray, count: int) -> float:
+    """Expected largest of some success rates that are drawn with replacement.
+
+    Args:
+        rates: Success rate of each policy, shape (n,).
+        count: Number that are drawn.
+    """
+    share = np.arange(len(rates) + 1) / len(rates)
+    return float(np.sort(rates) @ np.diff(share**count))
+
+
+def draw_budgets(rows: Sequence[Row], folder: Path) -> None:
+    """Write both tables and the curves, of the runs of the tuning."""
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    of_data = grouped(rows, "dataset")
+    axes: Any = figure.subplots(1, len(of_data), sharey=True, squeeze=False)[0]
+    budgets: list[Row] = []
+    for axis, (dataset, on) in zip(axes, of_data.items(), strict=True):
+        for number, (algorithm, some) in enumerate(grouped(on, "algorithm").items()):
+            rates = np.array([row["success"] for row in some])
+            curve = found(rates, BUDGETS[-1])
+            style = ("-", "--", ":")[number // 10]
+            axis.plot(100 * curve.mean(axis=0), style, lw=1.2, label=algorithm)
+            for budget in BUDGETS:
+                budgets.append(
+                    {
+                        "dataset": dataset,
+                        "algorithm": algorithm,
+                        "policies": len(rates),
+                        "episodes": budget,
+                        "success": curve[:, budget].mean(),
+                        "success_interval": percentile_interval(curve[:, budget]),
+                        "best_of_3": expected_best(rates, 3),
+                        "best_of_12": expected_best(rates, 12),
+                        "best": rates.max(),
+                    }
+                )
+        axis.set(title=dataset, xlabel="episodes for choosing", ylim=(-2, 102))
+    axes[0].set(ylabel="goals that the chosen policy reaches [%]")
+    axes[-1].legend(frameon=False, fontsize=7, loc="upper left", bbox_to_anchor=(1, 1))
+    write_csv(folder / BUDGETS_TABLE, budgets)
+    write_csv(folder / SELECTION_TABLE, _selections(of_data))
+    save_small(figure, folder / BUDGETS_FIGURE)
+
+
+def _selections(of_data: dict[str, list[Row]]) -> list[Row]:
+    """A row per dataset and score that the rows have."""
+    return [
+        {"dataset": dataset, "score": score, **_selection(rows, score)}
+        for dataset, on in of_data.items()
+        for score in SCORES
+        if (rows := [row for row in on if row.get(score) not in (None, "")])
+    ]
+
+
+def _selection(rows: Sequence[Row], score: str) -> Row:
+    """How a score chooses among all policies, and among those of one algorithm."""
+    within = [_chosen(some, score) for some in grouped(rows, "algorithm").values()]
+    ranked = [values for values in within if not np.isnan(values["correlation"])]
+    return {
+        "policies": len(rows),
+        **_chosen(rows, score),
+        "algorithms": len(within),
+        "correlation_within": mean_of(ranked, "correlation") if ranked else np.nan,
+        "regret_within": mean_of(within, "regret"),
+    }
+
+
+def _chosen(rows: Sequence[Row], score: str) -> Row:
+    """Spearman's correlation of a score with success, nan of equals; regret at 1."""
+    scores, rates = (
+        np.array([row[name] for row in rows], dtype=float)
+        for name in (score, "success")
+    )
+    equal = np.ptp(scores) == 0 or np.ptp(rates) == 0
+    correlation = np.nan if equal else scipy.stats.spearmanr(scores, rates).statistic
+    return {
+        "correlation": float(correlation),
+        "regret": float(rates.max() - rates[scores.argmax()]),
+    }
+
+
+def budgets_table(rows: Sequence[Row]) -> str:
+    """Goals reached after some numbers of episodes, as Markdown."""
+    lines = []
+    for (dataset, algorithm), some in grouped(rows, "dataset", "algorithm").items():
+        after = {row["episodes"]: row for row in some}
+        rates = [f"{100 * after[n]['success']:.1f}" for n in BUDGETS]
+        low, high = (100 * end for end in after[BUDGETS[-1]]["success_interval"])
+        best = (some[0][name] for name in ("best_of_3", "best_of_12", "best"))
+        rates[-1] += f" [{low:.0f}, {high:.0f}]"
+        lines.append(
+            [
+                f"`{dataset}`",
+                f"`{algorithm}`",
+                *rates,
+                *(f"{100 * r:.1f}" for r in best),
+            ]
+        )
+    header = ["dataset", "algorithm", *(f"{n} episodes" for n in BUDGETS)]
+    return markdown_table([*header, "best of 3", "best of 12", "best"], lines)
+
+
+def selection_table(rows: Sequence[Row]) -> str:
+    """How the scores choose, as Markdown."""
+    lines = [
+        [
+            f"`{row['dataset']}`",
+            row["score"].replace("_", ", "),
+            str(row["policies"]),
+            f"{row['correlation']:.2f}",
+            f"{100 * row['regret']:.1f}",
+            f"{row['correlation_within']:.2f}",
+            f"{100 * row['regret_within']:.1f}",
+        ]
+        for row in rows
+    ]
+    header = ["dataset", "score", "policies", "correlation", "regret [points]"]
+    within = ["correlation within an algorithm", "regret within one [points]"]
+    return markdown_table([*header, *within], lines)

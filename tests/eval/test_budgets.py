@@ -1,0 +1,67 @@
+"""What choosing a policy costs in episodes, and what scores of data alone are worth."""
+
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from marl_mm.eval.rows import read_rows
+from marl_mm.eval.studies.budgets import (
+    BUDGETS,
+    BUDGETS_FIGURE,
+    BUDGETS_TABLE,
+    SELECTION_TABLE,
+    draw_budgets,
+    expected_best,
+    found,
+)
+
+RATES = np.array([0.1, 0.3, 0.9, 0.5])
+
+
+def test_a_bandit_begins_at_random_and_ends_with_the_best() -> None:
+    curve = found(RATES, 200)
+    assert curve.shape == (500, 201)
+    assert curve[:, 0].mean() == pytest.approx(RATES.mean(), abs=0.05)
+    assert (curve[:, 200] == 0.9).mean() > 0.95
+    np.testing.assert_array_equal(curve, found(RATES, 200))
+
+
+def test_of_one_that_always_and_one_that_never_succeeds_two_episodes_tell() -> None:
+    assert (found(np.array([0.0, 1.0, 0.0]), 5)[:, 3:] == 1.0).all()
+
+
+def test_policies_that_are_alike_cost_nothing_to_choose() -> None:
+    assert (found(np.full(6, 0.4), 20) == 0.4).all()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_the_expected_best_is_the_mean_over_all_draws(count: int) -> None:
+    draws = [max(drawn) for drawn in product(RATES, repeat=count)]
+    assert expected_best(RATES, count) == pytest.approx(np.mean(draws))
+
+
+def test_a_score_like_success_chooses_the_best_and_its_opposite_the_worst(
+    tmp_path: Path,
+) -> None:
+    rows = [
+        {
+            **{"dataset": "tray-noisy", "algorithm": name, "success": rate},
+            **{"cloning": rate**3, "fqe": -rate, "fqe_agents": 0.0, "critic": None},
+        }
+        for name, rates in (("bc", RATES), ("iql", RATES / 2))
+        for rate in rates
+    ]
+    draw_budgets(rows, tmp_path)
+    cloning, fqe, agents = read_rows(tmp_path / SELECTION_TABLE)
+    assert cloning["correlation"] == cloning["correlation_within"] == 1.0
+    assert cloning["regret"] == cloning["regret_within"] == 0.0
+    assert fqe["correlation"] == fqe["correlation_within"] == -1.0
+    assert fqe["regret"] == pytest.approx(0.85)
+    assert fqe["regret_within"] == pytest.approx((0.8 + 0.4) / 2)
+    assert np.isnan(agents["correlation"]) and agents["policies"] == 8
+    budgets = read_rows(tmp_path / BUDGETS_TABLE)
+    assert [row["episodes"] for row in budgets] == [*BUDGETS, *BUDGETS]
+    assert budgets[0]["best"] == 0.9 and budgets[-1]["best"] == 0.45
+    assert (tmp_path / BUDGETS_FIGURE).exists()
