@@ -59,6 +59,7 @@ def _section(name: str) -> str:
         ("collector", by),
         ("size", _size(card)),
         ("SHA-256", f"`{card['data_sha256']}`"),
+        ("made with", card["packages"]),
         ("build", f"`{card['build']}`"),
     ]
     return f"## {name}\n\n{markdown_table(('', ''), rows)}"

@@ -54,6 +54,9 @@ class Recipe:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
+_DECIDING = ("python", "mujoco-core", "numba", "numpy")
+"""Packages whose versions decide a dataset's bits."""
+
 RECIPES: Registry[Recipe] = Registry("recipe", [], of=Recipe)
 """All recipes by name."""
 
@@ -127,14 +130,16 @@ class Built:
             "steps": arrays.steps,
             "episodes": len(arrays),
             "success": float(arrays.successes().mean()),
+            "packages": _versions_text(record["packages"]),
             "data_sha256": record["data_sha256"],
         }
 
     @property
     def differs(self) -> tuple[str, ...]:
-        """Names of the numbers that are not those on record."""
+        """Names of the numbers that are not those on record, but for versions."""
         row, recorded = self.row, self.recorded or {}
-        return tuple(name for name, value in recorded.items() if row[name] != value)
+        names = (name for name in recorded if name != "packages")
+        return tuple(name for name in names if row[name] != recorded[name])
 
     @property
     def verdict(self) -> str:
@@ -145,8 +150,9 @@ class Built:
             return "the dataset on record, to the bit"
         return (
             f"not the dataset on record: {', '.join(self.differs)} differ; that was "
-            f"made with {self.recorded['engine']}, this one with {self.row['engine']}, "
-            "and other code or another processor may give other bits"
+            f"made with {self.recorded['packages']}, this one with "
+            f"{self.row['packages']}, and other code or another processor may give "
+            "other bits"
         )
 
 
@@ -179,6 +185,11 @@ def build(
     return Built(recipe, dataset, recorded().get(name))
 
 
+def _versions_text(packages: Mapping[str, str]) -> str:
+    """Versions of what computes an episode, in words."""
+    return ", ".join(f"{name} {packages[name]}" for name in _DECIDING)
+
+
 def recorded() -> dict[str, dict[str, Any]]:
     """What the recipes gave, by name."""
     rows: dict[str, dict[str, Any]] = json.loads(RECORD.read_text())
@@ -206,6 +217,7 @@ def named_card(name: str) -> dict[str, Any]:
         "steps": record.get("steps", source.steps),
         "episodes": record.get("episodes"),
         "success": record.get("success"),
+        "packages": record.get("packages"),
         "data_sha256": record.get("data_sha256"),
         "ships": source.name in shipped.IDS,
         "build": f"marl-mm datasets build {name}",

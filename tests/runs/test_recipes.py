@@ -84,7 +84,7 @@ def test_a_build_is_what_is_on_record_or_says_what_differs(
     put(small, data_sha256="0" * 64)
     assert main(["datasets", "build", SMALL, "--workers", "1"]) == 1
     told = capsys.readouterr()
-    assert "data_sha256 differ; that was made with mujoco" in told.out
+    assert "data_sha256 differ; that was made with python" in told.out
     assert f"not as on record: {SMALL}" in told.err
 
 
