@@ -124,7 +124,8 @@ class WallConfig:
     """Intervals of the wall and its window, which the seed draws.
 
     Only the finger tips are held against the window: the base passes below the wall,
-    and the arm's last links above it, through the lintel of pictures.
+    and the arm's last links above it, through the lintel of pictures. Aside and above
+    the wall has no end; pictures show a part of it.
     """
 
     x: Interval
