@@ -101,6 +101,10 @@ def _cells(
     return list(asked.values())
 
 
+CORES = 2, 16, 64
+"""Numbers of cores for which a plan says the time."""
+
+
 # --- How long ----------------------------------------------------------------
 
 
@@ -127,8 +131,21 @@ def hours(jobs: Iterable[Job], workers: int) -> float:
     return sum(job.seconds for job in jobs) / workers / 3600
 
 
+def cost(jobs: Sequence[Job]) -> str:
+    """Estimated hours of these jobs on more and more cores, a run on each, in words.
+
+    Cores are like this machine's; no number of them is faster than the longest run.
+    """
+    left = [job for job in jobs if not job.done]
+    longest = max((job.seconds for job in left), default=0.0) / 3600
+    times = [f"{max(hours(left, n), longest):.2f} on {n}" for n in CORES]
+    return (
+        f"Hours by the number of cores, of all machines together: {', '.join(times)}."
+    )
+
+
 def plan_table(jobs: Sequence[Job], workers: int, measured: bool) -> str:
-    """Missing runs, a line per cell, as Markdown; the last line is the sum."""
+    """Missing runs, a line per cell and their sum, as Markdown, and what they cost."""
 
     def line(source: str, about: str, jobs: Sequence[Job]) -> list[str]:
         left = [job for job in jobs if not job.done]
@@ -142,4 +159,4 @@ def plan_table(jobs: Sequence[Job], workers: int, measured: bool) -> str:
     lines.append(line("all", "", jobs))
     header = ["dataset", "setting", "runs missing"]
     header += [f"hours, {workers} at once"] if measured else []
-    return markdown_table(header, lines)
+    return markdown_table(header, lines) + f"\n{cost(jobs)}\n" * measured

@@ -5,6 +5,7 @@ import json
 import lzma
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -513,10 +514,12 @@ def test_a_plan_says_what_is_missing_and_trains_nothing(
 ) -> None:
     asked = ["ablate", f"{own}:WIDTHS", "--runs", str(tmp_path / "runs"), "--plan"]
     assert main([*asked, "--seeds", "0", "--workers", "1"]) == 0
-    *_, total = capsys.readouterr().out.splitlines()
+    *_, total, _, cost = capsys.readouterr().out.splitlines()
     _, what, _, missing, hours, _ = total.split("|")
     assert (what.strip(), missing.strip()) == ("all", "2 of 2")
     assert 0.001 < float(hours) < 1.0
+    on_2, on_16, on_64 = (float(h) for h in re.findall(r"([\d.]+) on", cost))
+    assert float(hours) >= on_2 >= on_16 == on_64  # each of two runs has a core
     assert not (tmp_path / "runs").exists()
 
 
@@ -549,7 +552,7 @@ def test_a_plan_says_what_is_collected_first(
         assert main([*asked, "--settings", "mabc"]) == 0
         text = capsys.readouterr()
         assert f"{deed} first" in text.err
-        *_, total = text.out.splitlines()
+        *_, total, _, _ = text.out.splitlines()
         cells = len([c for c in STUDIES[name].cells if c[1].name == "mabc"])
         assert f"| {cells} of {cells} |" in total and float(total.split("|")[-2]) > 0
     assert not runs.exists()
