@@ -73,7 +73,7 @@ def test_an_unknown_name_is_told_all_and_the_nearest() -> None:
 
 
 def test_of_a_level_that_is_no_task_all_levels_are_named() -> None:
-    near = "did you mean Gate-easy-v0, Gate-v0 or Gate-hard-v0?"
+    near = "did you mean Gate-easy-v0, Gate-v0, Gate-hard-v0 or Gate-halves-v0?"
     with pytest.raises(UsageError, match=re.escape(near)):
         TASKS.get("Gate-medium-v0")
 
