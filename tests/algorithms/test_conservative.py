@@ -65,6 +65,7 @@ def valued(learner: Any, *actions: Any, place: float = 0.0) -> np.ndarray:
 # --- Games -------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "changes"),
     [("cql", GENTLE), ("cfcql", GENTLE), ("omar", GENTLE), ("maicq", QUICK)],
@@ -81,6 +82,7 @@ def quadratic() -> EpisodeArrays:
     return steps_of(actions, -np.square(miss) - 0.1 * np.square(apart), team())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["cql", "cfcql", "omar", "cal-ql", "ma-cal-ql", "rlpd", "ma-rlpd"]
 )
@@ -91,18 +93,21 @@ def test_critics_lead_a_team_to_its_best_actions(name: str) -> None:
     np.testing.assert_allclose(actions, 0.5, atol=0.35)
 
 
+@pytest.mark.slow
 def test_an_agent_that_suits_the_data_s_others_misses_the_team_s_best() -> None:
     """Each one's best against uniform actions of the other is 1 / 1.1."""
     learner = trained("cfcql", quadratic(), 450, **GENTLE, others="data")
     np.testing.assert_allclose(acted(learner), 1 / 1.1, atol=0.12)
 
 
+@pytest.mark.slow
 def test_agents_that_learn_in_turn_suit_each_other() -> None:
     """The second one makes up for what the first does, although data do not."""
     actions = acted(trained("maicq", quadratic(), 450, **QUICK))
     np.testing.assert_allclose(actions.sum(axis=1), 1.0, atol=0.1)
 
 
+@pytest.mark.slow
 def test_a_search_leaves_the_lower_of_two_hills() -> None:
     """From 0 the gradient leads to the broad one; the narrow one is higher."""
     action = np.random.default_rng(0).uniform(-1, 1, (2_000, 1))
@@ -115,6 +120,7 @@ def test_a_search_leaves_the_lower_of_two_hills() -> None:
         np.testing.assert_allclose(acted(learner), top, atol=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("temperature", "share"), [(0.05, 1.0), (1e6, 0.5)])
 def test_the_next_step_is_worth_its_weighted_mean(
     temperature: float, share: float
@@ -136,6 +142,7 @@ INSIDE = [0.5, 0.5]
 """Actions of both agents in the data, but for a little noise."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cql", "cfcql"])
 def test_values_outside_of_the_data_are_below_those_inside(name: str) -> None:
     spread = 0.05 * np.random.default_rng(0).standard_normal((500, 2))

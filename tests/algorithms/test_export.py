@@ -48,6 +48,7 @@ def states() -> np.ndarray:
     return states
 
 
+@pytest.mark.slow
 def test_torchscript_acts_without_the_package(
     mabc: Path, states: np.ndarray, tmp_path: Path
 ) -> None:
@@ -73,6 +74,7 @@ def test_the_best_policy_has_a_file_of_its_own(mabc: Path) -> None:
     assert (mabc / "best-policy.ts").exists()
 
 
+@pytest.mark.slow
 def test_onnx_of_one_agent_acts_on_its_own_observation(
     mabc: Path, states: np.ndarray, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -91,6 +93,7 @@ def test_onnx_of_one_agent_acts_on_its_own_observation(
     np.testing.assert_allclose(found, expected, atol=TOLERANCE)
 
 
+@pytest.mark.slow
 def test_a_joint_policy_as_onnx(states: np.ndarray, tmp_path: Path) -> None:
     policy = load_pretrained()
     exported = export_policy(policy, tmp_path / "p.onnx", "onnx")
@@ -104,6 +107,7 @@ def test_a_joint_policy_as_onnx(states: np.ndarray, tmp_path: Path) -> None:
     np.testing.assert_allclose(found, expected, atol=TOLERANCE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["torchscript", "onnx"])
 @pytest.mark.parametrize("name", ["ma-flow-bc", "mac-flow", "q-chunking"])
 def test_policies_that_draw_and_plan(name: str, form: str, tmp_path: Path) -> None:

@@ -42,6 +42,7 @@ def test_students_of_a_joint_teacher_learn_its_mean_over_what_they_do_not_know(
     assert kept(acted[:, None]) < 0.12
 
 
+@pytest.mark.slow
 def test_a_student_matches_two_modes_in_one_step() -> None:
     """Their mean, which an actor without noise learns, is none of them."""
     actions = np.where(np.arange(200) < 100, 1.0, -1.0)[:, None]
@@ -52,6 +53,7 @@ def test_a_student_matches_two_modes_in_one_step() -> None:
     assert 0.35 < np.mean(acted > 0) < 0.65
 
 
+@pytest.mark.slow
 def test_students_of_the_best_of_n_all_choose_the_better_convention() -> None:
     """Whichever it is."""
     settings: Any = {"seeds": (0, 1), "samples": 8, "flow_steps": 5}
@@ -91,6 +93,7 @@ def plans() -> EpisodeArrays:
     return steps_of(PLANS[chosen].reshape(-1, 1), rewards.ravel(), team(1), length=2)
 
 
+@pytest.mark.slow
 def test_a_plan_of_several_steps_agrees_with_itself() -> None:
     """Its second action does not look, and yet is the opposite of the first."""
     settings: Any = {"distillation": 0.3, "flow_steps": 5}
@@ -104,6 +107,7 @@ def test_a_plan_of_several_steps_agrees_with_itself() -> None:
     assert (then[:, 2] != then[:, 0]).all()  # a new plan
 
 
+@pytest.mark.slow
 def test_values_of_chunks_are_discounted_sums() -> None:
     """By hand: rewards 1, 2, 4 of three steps, half as much a step later."""
     rewards = np.tile([1.0, 2.0, 4.0], 20)

@@ -137,6 +137,7 @@ def test_updates_by_hand(arrays: EpisodeArrays, kind: type[Rebrac]) -> None:
                 )
 
 
+@pytest.mark.slow
 def test_the_better_convention_draws_as_far_as_imitation_lets_it() -> None:
     """Where the value rises evenly from 0 to 1 on the way between the conventions, t
     from -1 to 1, the loss 2 beta t^2 - log(1 + t) is least where 4 beta t (1 + t) = 1.
@@ -151,6 +152,7 @@ def test_the_better_convention_draws_as_far_as_imitation_lets_it() -> None:
         assert way == pytest.approx((np.sqrt(2.0) - 1.0) / 2.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_step_pays_for_the_distance_from_the_next() -> None:
     """Agents clone the mean of the second step's actions, which is 0."""
     second = np.random.default_rng(0).uniform(-1.0, 1.0, (200, 2))

@@ -65,6 +65,7 @@ def test_means_of_two_conventions_are_none_of_them() -> None:
         np.testing.assert_allclose(acted[0, 0], [0.0, 0.0], atol=0.1)
 
 
+@pytest.mark.slow
 def test_a_joint_flow_keeps_to_conventions_and_flows_of_agents_do_not() -> None:
     """Each agent's own actions are those of the data; half of the pairs are not."""
     large: Any = {"updates": 2_000, "hidden": (64, 64), "batch_size": 128}
@@ -77,6 +78,7 @@ def test_a_joint_flow_keeps_to_conventions_and_flows_of_agents_do_not() -> None:
         assert 0.4 < np.mean(actions[:, 0, 0] > 0) < 0.6
 
 
+@pytest.mark.slow
 def test_iql_follows_the_better_convention() -> None:
     data = conventions(rewards=(1.0, 0.0))
     for name in ("iql", "ma-iql"):

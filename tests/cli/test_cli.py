@@ -396,6 +396,7 @@ def test_runs_are_evaluated_on_their_own_task(tmp_path: Path) -> None:
         own_task([a, c])
 
 
+@pytest.mark.slow
 @pytest.mark.bullet
 def test_the_script_plays_if_no_policy_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Output

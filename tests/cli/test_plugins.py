@@ -194,6 +194,7 @@ def test_a_task_of_ones_own_goes_through_everything(
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.bullet
 def test_two_layouts_of_equal_width_never_pass_for_each_other(
     datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -254,6 +255,7 @@ def test_a_joint_policy_acts_for_another_team(
 # --- A collector -------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_collector_of_ones_own_collects_replays_and_plays(
     datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -301,6 +303,7 @@ def test_from_python_a_plugin_is_loaded_or_registered() -> None:
     }
 
 
+@pytest.mark.slow
 def test_what_a_script_registers_works_in_workers(tmp_path: Path) -> None:
     """A guarded script of one's own, which workers import as their main module."""
     script = tmp_path / "mine.py"
@@ -420,6 +423,7 @@ def test_a_metric_is_checked_and_measured(
     assert "metric 'way' is array" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.bullet
 def test_nothing_in_a_file_loads_a_plugin(
     datasets_home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -62,6 +62,7 @@ def test_a_dataset_of_version_1_is_mixed_and_filtered(files: Path) -> None:
     assert made.metadata["marl_mm"]["schema"] == 3
 
 
+@pytest.mark.slow
 def test_the_shipped_data_replay_to_the_bit(datasets_home: Path) -> None:
     """Some of them; ``datasets verify good-5k --replay`` does all."""
     whole = load_dataset("good-5k")
@@ -106,6 +107,7 @@ def assert_same(run: Path, algorithm: str) -> None:
             assert value == there[key], key
 
 
+@pytest.mark.slow
 @pytest.mark.bullet
 @pytest.mark.usefixtures("products_of_float32")
 @pytest.mark.parametrize("algorithm", ["mabc", "td3-bc", "matd3-bc"])

@@ -36,6 +36,7 @@ def test_the_shipped_dataset_is_small_whole_and_good(good: Dataset) -> None:
     assert load_dataset(SHIPPED).fingerprint == good.fingerprint
 
 
+@pytest.mark.slow
 def test_the_others_that_ship_are_the_named_ones_on_record(datasets_home: Path) -> None:
     assert sum(shipped.arrays_file(name).stat().st_size for name in shipped.IDS) < 8e6
     ids = {recipe.source.name: name for name, recipe in RECIPES.items()}

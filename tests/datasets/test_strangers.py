@@ -542,6 +542,7 @@ def test_another_tasks_name_is_found(
     assert [match in problem for problem in verify(locate(str(gift)))] == [True]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("recipe", [{"counts": 3}, {"counts": ["a", None]}])
 def test_a_recipe_of_any_keys_is_shown(
     gift: Path, capsys: Output, recipe: dict[str, Any]
@@ -588,6 +589,7 @@ def test_names_of_folders_are_spelled_out(
     assert not {"\x1b", "\x07", "\u202e"} & set(shown) and "\n  b" not in shown
 
 
+@pytest.mark.slow
 def test_a_card_of_other_data_is_named(gift: Path) -> None:
     assert main(["datasets", "show", str(gift)]) == 0
     path = gift / "card.json"
@@ -598,6 +600,7 @@ def test_a_card_of_other_data_is_named(gift: Path) -> None:
     assert verify(locate(str(gift))) == []
 
 
+@pytest.mark.slow
 def test_names_are_shown_as_text(gift: Path, capsys: Output) -> None:
     """In Markdown no cell, picture or HTML begins, in a terminal no style."""
     name = "![t](http://127.0.0.1/x) <b>|[red]`"

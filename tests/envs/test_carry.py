@@ -169,6 +169,7 @@ def test_the_gripper_presses_and_moves_as_its_data_sheet_says() -> None:
         assert float(limit.attrib["velocity"]) == config.grip_speed
 
 
+@pytest.mark.slow
 def test_the_margin_is_of_the_load_as_it_is(open_world: OpenWorld) -> None:
     """While the joints still weigh what was taken, and if nobody ever knows it."""
     margins: dict[tuple[str, float], float] = {}
@@ -204,6 +205,7 @@ def test_pads_press_with_the_grip_s_force(iterations: int) -> None:
     core.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("task", "goal"),
     [

@@ -16,6 +16,7 @@ def drive() -> Iterator[Drive]:
     drive.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "target", [(0.8, 0.3, 0.8), (0.7, -0.3, 0.5), (0.55, 0.1, 0.9)]
 )

@@ -179,6 +179,7 @@ def test_same_seed_same_bytes_twice_in_a_process_and_in_another(task: str) -> No
     assert not {*first.split()} & {*others}
 
 
+@pytest.mark.slow
 @pytest.mark.bullet
 def test_an_empty_world_is_as_it_was_before_there_were_blocks() -> None:
     """The dataset that ships is older; to the last bit where processors round alike."""
@@ -215,6 +216,7 @@ def test_an_empty_world_has_nothing_of_a_block_to_spend_time_on(
     assert iterations == SimulationConfig().grasp_iterations
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "task",  # levels are the same with other numbers
     [t for t, task in TASKS.items() if task.fails and t.count("-") == 1],

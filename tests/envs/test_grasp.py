@@ -54,6 +54,7 @@ def over_the_block(
     return state
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", HANDLED)
 def test_the_script_takes_the_block_where_it_is_to_go(
     task: str, open_world: OpenWorld

@@ -88,6 +88,7 @@ def random_episode(layout: Layout, seed: int, steps: int = 4) -> Episode:
     )
 
 
+@pytest.mark.slow
 @given(layouts())
 @settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
 def test_a_dataset_of_any_layout_comes_back_equal(

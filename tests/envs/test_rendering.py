@@ -37,6 +37,7 @@ def test_films_run_at_the_speed_of_the_robot(ticks: int, fps: float) -> None:
         env.close()
 
 
+@pytest.mark.slow
 def test_gymnasium_records_an_episode(tmp_path: Path) -> None:
     env = gymnasium.make(
         "marl_mm/Reach-v0", render_mode="rgb_array", overrides={"max_steps": 3}

@@ -43,6 +43,7 @@ def run(task: Task, policy: Policy, workers: int) -> list[Episode]:
         return list(rollouts.run(policy, PLANS))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["blend", "rhp"])
 def test_threads_and_processes_run_the_same_episodes(
     monkeypatch: pytest.MonkeyPatch, form: str

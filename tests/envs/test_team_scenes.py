@@ -45,6 +45,7 @@ LIMITS = {
 """What a step's number is held against, by task and field."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("task", "field"), LIMITS)
 def test_an_episode_fails_just_beyond_its_limit(task: str, field: str) -> None:
     """An expert's highest number, with limits 2 % above it and 2 % below."""

@@ -192,6 +192,7 @@ def agreed(*conventions: str) -> Change:
     return change
 
 
+@pytest.mark.slow
 def test_teams_of_one_convention_pass_the_beam_and_mixed_ones_do_not() -> None:
     for convention in ("over", "under"):
         change = agreed(convention, convention)
@@ -254,6 +255,7 @@ def test_a_block_let_go_before_the_bin_is_lost_and_over_it_is_not() -> None:
     assert episode.reason == "dropped" and episode.rewards[-1] == -1.0
 
 
+@pytest.mark.slow
 def test_the_zone_and_the_wall_of_the_course_are_those_of_the_other_tasks() -> None:
     (hurried,) = episodes("Course-v0", 1, held(0.0))
     assert hurried.reason == "the base was not quiet in the zone"

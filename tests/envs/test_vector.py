@@ -93,6 +93,7 @@ def test_numbers_and_infos_are_those_of_gymnasiums_own_vector(
     vector.close()
 
 
+@pytest.mark.slow
 def test_whole_steps_and_tasks_that_fail_are_the_same_too() -> None:
     for task, engine in (("Reach-v0", "mujoco"), ("CarryReach-v0", "bullet")):
         overrides = {"simulation": {"engine": engine}, "max_steps": 2}
@@ -415,6 +416,7 @@ def test_an_interrupt_waits_for_the_step_and_a_reset_goes_on(
     reference.close()
 
 
+@pytest.mark.slow
 @pytest.mark.bullet
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGKILL])
 def test_nothing_is_left_of_a_script_that_is_stopped(tmp_path: Path, kind: int) -> None:

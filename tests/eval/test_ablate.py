@@ -100,6 +100,7 @@ def _diverge(training: Training, data: None, seed: int, run: Path, bar: Bar) -> 
     raise DivergedError("loss/critic is nan")
 
 
+@pytest.mark.slow
 def test_a_run_that_diverged_counts_as_it_was_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

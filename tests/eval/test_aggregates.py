@@ -37,6 +37,7 @@ def test_the_interval_of_a_mean_is_that_of_seeds_and_goals() -> None:
     assert (high - low) / 2 / 1.96 > 2 * deviation
 
 
+@pytest.mark.slow
 def test_the_true_mean_is_within_the_interval_about_as_often_as_it_says() -> None:
     """Of 200 experiments with true mean 0.5 the interval misses it in 1 to 12 %."""
     missed = 0

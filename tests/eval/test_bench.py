@@ -181,6 +181,7 @@ def test_bench_offline_times_all_in_turns() -> None:
         assert row["reference"] == AUTHORS
 
 
+@pytest.mark.slow
 def test_a_python_without_d3rlpy_is_refused() -> None:
     with pytest.raises(UsageError, match=r"no d3rlpy that works: .*d3rlpy"):
         bench_offline(3, 0, Path(sys.executable), silent_bar)

@@ -32,6 +32,7 @@ def scored(tried: EpisodeArrays) -> dict[tuple[float, float], Scores]:
     }
 
 
+@pytest.mark.slow
 def test_a_critic_that_sees_all_knows_what_the_agents_do_together(
     scored: dict[tuple[float, float], Scores],
 ) -> None:
@@ -42,6 +43,7 @@ def test_a_critic_that_sees_all_knows_what_the_agents_do_together(
         assert abs(score.fqe_agents) < 0.3
 
 
+@pytest.mark.slow
 def test_the_distance_to_the_data_is_that_of_its_actions(
     tried: EpisodeArrays, scored: dict[tuple[float, float], Scores]
 ) -> None:
@@ -50,6 +52,7 @@ def test_the_distance_to_the_data_is_that_of_its_actions(
         assert score.cloning == pytest.approx(-distance, rel=0.05)
 
 
+@pytest.mark.slow
 def test_scores_are_the_same_bytes_again(
     tried: EpisodeArrays, scored: dict[tuple[float, float], Scores]
 ) -> None:

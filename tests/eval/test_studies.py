@@ -540,6 +540,7 @@ def test_a_plan_of_several_targets_trains_nothing_either(
     assert not list(tmp_path.glob("[!d]*"))  # but its home of datasets
 
 
+@pytest.mark.slow
 def test_a_plan_says_what_is_collected_first(
     datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

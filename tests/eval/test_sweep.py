@@ -105,6 +105,7 @@ def test_response_by_hand() -> None:
     assert response["hump"] == pytest.approx(0.006)
 
 
+@pytest.mark.slow
 def test_loads_are_carried_by_all_alphas_to_the_same_goals() -> None:
     cells = load_cells(2, 0)
     assert len({(cell.mass, cell.pd.alpha) for cell in cells}) == len(cells)
