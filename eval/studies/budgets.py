@@ -120,7 +120,7 @@ def _selections(of_data: dict[str, list[Row]]) -> list[Row]:
         {"dataset": dataset, "score": score, **_selection(rows, score)}
         for dataset, on in of_data.items()
         for score in SCORES
-        if (rows := [row for row in on if row.get(score) not in (None, "")])
+        if (rows := [row for row in on if not np.isnan(row.get(score, np.nan))])
     ]
 
 

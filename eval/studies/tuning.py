@@ -48,7 +48,11 @@ TABLE = "tuning.csv"
 DATASETS = ("tray-noisy", "moving-reach-noisy")
 """Recipes of the datasets, which are in no table of results."""
 
-_DIVERGED: Row = {"success": 0.0, "return": -math.inf}
+_DIVERGED: Row = {
+    **{"success": 0.0, "return": -math.inf, "critic": math.nan},
+    **dict.fromkeys(Scores._fields, math.nan),
+}
+"""Numbers of a run that diverged."""
 
 _SEED = 7
 """Seed of the goals, which those of results are not."""
@@ -226,7 +230,7 @@ def _row(run: Run, scored: Scores) -> Row:
     return {
         "success": summary["success_rate"],
         "return": summary["return"],
-        "critic": values[-1] if values else None,
+        "critic": values[-1] if values else math.nan,
         **scored._asdict(),
     }
 

@@ -48,7 +48,7 @@ def test_a_score_like_success_chooses_the_best_and_its_opposite_the_worst(
     rows = [
         {
             **{"dataset": "tray-noisy", "algorithm": name, "success": rate},
-            **{"cloning": rate**3, "fqe": -rate, "fqe_agents": 0.0, "critic": None},
+            **{"cloning": rate**3, "fqe": -rate, "fqe_agents": 0.0, "critic": np.nan},
         }
         for name, rates in (("bc", RATES), ("iql", RATES / 2))
         for rate in rates

@@ -2,12 +2,14 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.cli import main
-from marl_mm.errors import UsageError
+from marl_mm.errors import DivergedError, UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies import tuning
@@ -19,6 +21,7 @@ from marl_mm.eval.studies.tuning import (
     settings_of,
 )
 from marl_mm.eval.studies.tuning_ranges import RANGES
+from marl_mm.runs import train
 
 GOES_ON_ONLINE = {"rlpd", "ma-rlpd", "cal-ql", "ma-cal-ql"}
 """Algorithms that are made for own episodes after the data."""
@@ -102,3 +105,22 @@ def test_an_algorithm_that_is_tuned_already_is_not_run_again(
     assert main([*words, *more]) == 0
     assert set(ran) == {"mabc"}
     assert main(["ablate", "tuning", "--check", "--out", str(tmp_path / "out")]) == 0
+
+
+@pytest.mark.slow
+def test_a_run_that_diverges_counts_as_one_that_reaches_nothing(
+    datasets_home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And leaves the others of its setting as they are."""
+
+    def trained(*arguments: Any) -> Any:
+        if 1 in arguments[3]:
+            raise DivergedError("the critic is nan")
+        return train.trained(*arguments)
+
+    monkeypatch.setattr(tuning, "trained", trained)
+    cell = TuningCell("bc", 0, (), "gate-expert", (0, 1), updates=20, goals=2)
+    first, second = tuning.run_cell(cell)
+    assert first.keys() == second.keys()
+    assert np.isfinite(first["cloning"]) and np.isnan(second["cloning"])
+    assert second["success"] == 0.0 and second["return"] == -np.inf
