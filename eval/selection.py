@@ -26,6 +26,8 @@ DISCOUNT = 0.99
 """Discount of the values."""
 
 HIDDEN = 128, 128
+"""Widths of the critics' hidden layers."""
+
 RATE, TARGET_RATE = 1e-3, 0.01
 """Learning rate, and share of the way that targets go to the critics at each update."""
 

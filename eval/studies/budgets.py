@@ -92,20 +92,20 @@ def draw_budgets(rows: Sequence[Row], folder: Path) -> None:
             curve = found(rates, BUDGETS[-1])
             style = ("-", "--", ":")[number // 10]
             axis.plot(100 * curve.mean(axis=0), style, lw=1.2, label=algorithm)
+            about = {"dataset": dataset, "algorithm": algorithm, "policies": len(rates)}
+            bests = {
+                "best_of_3": expected_best(rates, 3),
+                "best_of_12": expected_best(rates, 12),
+                "best": rates.max(),
+            }
             for budget in BUDGETS:
-                budgets.append(
-                    {
-                        "dataset": dataset,
-                        "algorithm": algorithm,
-                        "policies": len(rates),
-                        "episodes": budget,
-                        "success": curve[:, budget].mean(),
-                        "success_interval": percentile_interval(curve[:, budget]),
-                        "best_of_3": expected_best(rates, 3),
-                        "best_of_12": expected_best(rates, 12),
-                        "best": rates.max(),
-                    }
-                )
+                taken = curve[:, budget]
+                found_then = {
+                    "episodes": budget,
+                    "success": taken.mean(),
+                    "success_interval": percentile_interval(taken),
+                }
+                budgets.append(about | found_then | bests)
         axis.set(title=dataset, xlabel="episodes for choosing", ylim=(-2, 102))
     axes[0].set(ylabel="goals that the chosen policy reaches [%]")
     axes[-1].legend(frameon=False, fontsize=7, loc="upper left", bbox_to_anchor=(1, 1))

@@ -101,11 +101,10 @@ def _cells(
     return list(asked.values())
 
 
+# --- How long ----------------------------------------------------------------
+
 CORES = 2, 16, 64
 """Numbers of cores for which a plan says the time."""
-
-
-# --- How long ----------------------------------------------------------------
 
 
 def estimated(jobs: Sequence[Job], bar: Bar) -> list[Job]:

@@ -132,23 +132,32 @@ class CruiseTask(Task, ABC):
             )
 
     def check_way(
-        self, name: str, x: Interval, y: Interval, more: float, steps: int
+        self,
+        name: str,
+        x: Interval,
+        more: float,
+        steps: int,
+        y: Interval = (0.0, 0.0),
     ) -> None:
         """Raise for places that no hand gets to in time.
 
         Args:
             name: What is there, such as "goal_".
             x: Interval of their x, world [m].
-            y: Interval of their y, world [m].
-            more: Way beside that [m]; negative where it is enough to be near.
+            more: Way beside that to x [m]; negative where it is enough to be near.
             steps: Number of steps that there are for it.
+            y: Interval of their y, world [m].
 
         Raises:
             UsageError: Naming them, the way, and what a hand goes.
         """
-        for axis, interval, start in (("x", x, self.stand_off), ("y", y, 0.0)):
-            way = max(abs(end - start) for end in interval) + more
-            if way > (longest := self.action_scale * steps):
+        longest = self.action_scale * steps
+        for axis, interval, start, more_to in (
+            ("x", x, self.stand_off, more),
+            ("y", y, 0.0, min(more, 0.0)),
+        ):
+            way = max(abs(end - start) for end in interval) + more_to
+            if way > longest:
                 low, high = interval
                 raise UsageError(
                     f"{name}{axis} is {low:g} to {high:g} m, a way of {way:.2f} m, "

@@ -86,7 +86,7 @@ class HazardTask(RiskyTask):
         check_intervals(self, "goal_x", "goal_y", "goal_z")
         check_reach("goal_", self.goal_y, self.goal_z)
         near = -self.success_distance
-        self.check_way("goal_", self.goal_x, self.goal_y, near, self.max_steps)
+        self.check_way("goal_", self.goal_x, near, self.max_steps, self.goal_y)
 
     # --- The hazard ----------------------------------------------------------
 

@@ -173,7 +173,7 @@ class Bar(RiskyTask):
         for name in ("goal_z", "beam_z"):
             check_within(name, getattr(self, name), (0.0, HIGH), "what a hand reaches")
         near = -self.success_distance
-        self.check_way("goal_", self.goal_x, (0.0, 0.0), near, self.max_steps)
+        self.check_way("goal_", self.goal_x, near, self.max_steps)
         near, far = self.stand_off - self.beam_size, self.goal_x[1] + self.beam_size
         if not near > self.beam_x[1] >= self.beam_x[0] > far:
             low, high = self.beam_x

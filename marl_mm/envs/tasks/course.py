@@ -168,7 +168,7 @@ class Course(CruiseTask):
         check_within("load.stand_x", stand.stand_x, reach, "in reach before the zone")
         back = self.bin_x[1] - self.wall.x[0]
         near = back - self.success_distance
-        self.check_way("bin_", self.bin_x, self.bin_y, near, self.max_steps)
+        self.check_way("bin_", self.bin_x, near, self.max_steps, self.bin_y)
         stand.check_hold(self.max_steps * self.ticks_per_step)
 
     @property

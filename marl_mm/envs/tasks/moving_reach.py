@@ -152,7 +152,7 @@ class MovingReach(CruiseTask):
         check_reach("with the radius, circle_", y, z)
         steps = self.max_steps - self.seconds + 1
         near = -self.near_distance
-        self.check_way("circle_", self.circle_x, self.circle_y, near, steps)
+        self.check_way("circle_", self.circle_x, near, steps, self.circle_y)
 
     @property
     def highest_return(self) -> float:

@@ -146,9 +146,9 @@ class Tray(HazardTask):
         self.check_way(
             f"a cup of level {low:g} is dry in {low / self.leak:.0f} steps: goal_",
             self.goal_x,
-            self.goal_y,
             -self.success_distance,
             int(low / self.leak),
+            self.goal_y,
         )
 
     def draw(self, rng: np.random.Generator) -> Cup:
