@@ -74,8 +74,8 @@ def improvement(means: Means, others: Means) -> Estimate:
         others: Means of the other one, on the same datasets.
     """
     signs = [
-        np.sign(one[:, :, None] - other[:, None, :]).mean(axis=(1, 2))
-        for one, other in zip(means, others, strict=True)
+        np.sign(first[:, :, None] - second[:, None, :]).mean(axis=(1, 2))
+        for first, second in zip(means, others, strict=True)
     ]
     return _estimate((np.mean(signs, axis=0) + 1) / 2, [*means, *others])
 

@@ -15,6 +15,9 @@ from marl_mm.files import new_file
 
 COLORS = {"forward": "#1b6ca8", "backward": "#c8553d", "all": "#333333"}
 
+MARGINS = {"left": 0.08, "right": 0.99, "bottom": 0.15, "top": 0.96, "wspace": 0.3}
+"""Margins of a row of axes; a layout that is computed takes as long as the drawing."""
+
 
 def learning_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
     """Success, imitation and, with critics, Q over updates of an offline run.
@@ -22,8 +25,8 @@ def learning_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
     A dotted line is where it goes on online.
     """
     critics = any("q/data" in row for row in metrics)
-    figure = Figure(figsize=(9 + 3 * critics, 3.2), layout="constrained")
-    success, imitation, *value = figure.subplots(1, 2 + critics)
+    figure = Figure(figsize=(9 + 3 * critics, 3.2))
+    success, imitation, *value = figure.subplots(1, 2 + critics, gridspec_kw=MARGINS)
     _over_directions(success, metrics, "step", "success", 100)
     success.set(ylabel="goals reached [%]", ylim=(-3, 103))
     for key in dict.fromkeys(key for row in metrics for key in row):
@@ -46,8 +49,8 @@ def learning_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
 
 def online_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
     """Success rate, return, Q and alpha over episodes, from an online run's metrics."""
-    figure = Figure(figsize=(12, 3.0), layout="constrained")
-    success, returns, value, alpha = figure.subplots(1, 4)
+    figure = Figure(figsize=(12, 3.2))
+    success, returns, value, alpha = figure.subplots(1, 4, gridspec_kw=MARGINS)
     _over_directions(success, metrics, "episode", "success", 100)
     success.set(ylabel="goals reached [%]", ylim=(-3, 103))
     _over_directions(returns, metrics, "episode", "return")

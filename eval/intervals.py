@@ -37,7 +37,7 @@ def paired_interval(
     2012): other than a bootstrap's it has a width where they agree on every goal.
     """
     better, worse = (
-        1 + sum(one > two for one, two in zip(*pair, strict=True))
+        1 + sum(first > second for first, second in zip(*pair, strict=True))
         for pair in ((successes, others), (others, successes))
     )
     goals = len(successes) + 2

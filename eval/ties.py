@@ -55,11 +55,11 @@ def tie_groups(results: Sequence[np.ndarray]) -> list[tuple[int, ...]]:
     pairs = list(combinations(range(len(results)), 2))
     p_values = holm([p_of_difference(results[a], results[b]) for a, b in pairs])
     groups = [set(range(len(results)))]
-    for (one, other), p in zip(pairs, p_values, strict=True):
+    for (first, second), p in zip(pairs, p_values, strict=True):
         if p < 1 - CONFIDENCE:  # no group may have both (Piepho 2004)
-            both = [group for group in groups if {one, other} <= group]
+            both = [group for group in groups if {first, second} <= group]
             groups = [group for group in groups if group not in both]
-            for part in (group - {out} for group in both for out in (one, other)):
+            for part in (group - {out} for group in both for out in (first, second)):
                 if not any(part <= group for group in groups):
                     groups = [group for group in groups if not group < part] + [part]
     means = [float(scores.mean()) for scores in results]

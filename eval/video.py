@@ -1,10 +1,11 @@
 """Videos and film strips of an episode, from PyBullet's CPU renderer."""
 
+import math
 import os
 import signal
 import subprocess
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Collection, Sequence
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import IO, Any, NamedTuple, Protocol
 
@@ -25,6 +26,9 @@ from marl_mm.progress import Advance, silent
 from marl_mm.sim.config import RATE, Camera
 
 FORMATS = (".mp4", ".gif")
+
+WAYS = "forward", "backward"
+"""Directions of the first two goals of a seed."""
 
 Strips = Sequence[tuple[str, Sequence[tuple[str, np.ndarray]]]]
 """Rows of a film strip: a label, and pairs of a note and its picture."""
@@ -56,24 +60,33 @@ class Recorder:
         world: World to film.
         camera: Place of the camera.
         fps: Frames per simulated second; 0 takes none.
+        wanted: Numbers of the frames to take; None takes all.
     """
 
-    def __init__(self, world: Rendered, camera: Camera, fps: int) -> None:
+    def __init__(
+        self,
+        world: Rendered,
+        camera: Camera,
+        fps: int,
+        wanted: Collection[int] | None = None,
+    ) -> None:
         self._world, self._camera, self._fps = world, camera, fps
-        self._elapsed = 0
+        self._elapsed = self._number = 0
+        self._wanted = wanted
         self.frames: list[np.ndarray] = []
         """Frames, each of shape (height, width, 3), uint8."""
 
     def __call__(self, tick: Tick) -> None:
         """Take a frame if it is time for the next after this tick."""
         self._elapsed += tick.robot == 0
-        if self._fps and self._elapsed * self._fps > len(self.frames) * RATE:
-            self.frames.append(self._world.render(self._camera))
+        if self._elapsed * self._fps > self._number * RATE:
+            self.add()
 
     def add(self) -> None:
-        """Take the last frame."""
-        if self._fps:
+        """Take the next frame now, as the last one is."""
+        if self._fps and (self._wanted is None or self._number in self._wanted):
             self.frames.append(self._world.render(self._camera))
+        self._number += 1
 
 
 def film_episode(
@@ -84,6 +97,7 @@ def film_episode(
     fps: int,
     gui: bool = False,
     advance: Advance = silent,
+    wanted: Collection[int] | None = None,
 ) -> tuple[Episode, list[np.ndarray]]:
     """Run an episode and render it.
 
@@ -95,12 +109,13 @@ def film_episode(
         fps: Frames per simulated second; 0 renders nothing, for watching the window.
         gui: Whether to open PyBullet's window.
         advance: Called with the number of finished steps.
+        wanted: Numbers of the frames to render; None renders all.
 
     Returns:
         The episode, and frames of shape (height, width, 3), uint8.
     """
     core = EpisodeCore(config, visual=True, gui=gui)
-    film = Recorder(core, camera, fps)
+    film = Recorder(core, camera, fps, wanted)
 
     def watch(tick: Tick) -> None:
         film(tick)
@@ -142,9 +157,7 @@ def film_both_ways(
             twice the task's most.
     """
     result = TwoWays([], [], [])
-    for plan, direction in zip(
-        goal_set(config, 2, seed), ("forward", "backward"), strict=True
-    ):
+    for plan, direction in zip(goal_set(config, 2, seed), WAYS, strict=True):
         episode, frames = film_episode(
             config, policy, plan, Camera(), fps, advance=advance
         )
@@ -160,8 +173,32 @@ def pictures_of(
     frames: Sequence[np.ndarray], fps: int, count: int = 5
 ) -> list[tuple[str, np.ndarray]]:
     """Pictures of an episode at even times, with their steps, for ``film_strip``."""
-    ends = [round(i * (len(frames) - 1) / (count - 1)) for i in range(count)]
-    return [(f"step {i // fps}", frames[i]) for i in ends]
+    return [(f"step {i // fps}", frames[i]) for i in _evenly(len(frames) - 1, count)]
+
+
+def _evenly(last: int, count: int) -> list[int]:
+    """Numbers of frames at even times, from 0 to the last."""
+    return [round(i * last / (count - 1)) for i in range(count)]
+
+
+def strips_both_ways(config: Task, policy: Policy, seed: int) -> Strips:
+    """The strips of ``film_both_ways`` at a frame a second, without its other frames.
+
+    Args:
+        config: Task of the episode.
+        policy: Policy that acts.
+        seed: Seed of the goals.
+    """
+    strips = []
+    for plan, direction in zip(goal_set(config, 2, seed), WAYS, strict=True):
+        with closing(EpisodeCore(config)) as core:
+            steps = len(run_episode(core, policy, plan))
+        wanted = _evenly(math.ceil(steps * config.ticks_per_step / RATE), 5)
+        _, frames = film_episode(config, policy, plan, Camera(), 1, wanted=wanted)
+        taken = dict(zip(sorted({*wanted}), frames, strict=True))
+        pictures = [(f"step {number}", taken[number]) for number in wanted]
+        strips.append((f"{direction}: {steps} steps", pictures))
+    return strips
 
 
 def write_video(path: Path, frames: Sequence[np.ndarray], fps: int) -> None:

@@ -163,7 +163,7 @@ def fine_tuning_table(store: RowStore, summary: Sequence[Row]) -> str:
             for rows in grouped(curves, "seed").values()
         ]
         fared_each = [fared(rows) for rows in online]
-        steps = [one.get("online/steps_to_95", math.inf) for one in fared_each]
+        steps = [seed.get("online/steps_to_95", math.inf) for seed in fared_each]
         reached = [f"{some:,.0f}" for some in sorted(steps) if some < math.inf]
         middle = float(np.median(steps))
         lines.append(
@@ -171,8 +171,8 @@ def fine_tuning_table(store: RowStore, summary: Sequence[Row]) -> str:
                 f"`{_short(cell_name(cell)[0])}`",
                 cell[1].about,
                 f"{100 * np.mean([rows[0]['success/all'] for rows in online]):.0f}",
-                f"{100 * np.mean([one['online/dip'] for one in fared_each]):.0f}",
-                f"{100 * np.mean([one['online/regret'] for one in fared_each]):.0f}",
+                f"{100 * np.mean([seed['online/dip'] for seed in fared_each]):.0f}",
+                f"{100 * np.mean([seed['online/regret'] for seed in fared_each]):.0f}",
                 f"{middle:,.0f}" if middle < math.inf else "-",
                 f"{len(reached)} of {len(steps)}",
                 _rate(row),

@@ -109,12 +109,12 @@ def _speed_up(
 ) -> float:
     """Times the steps per second of one environment, with the resets that fall due."""
     overrides = engine_overrides(engine)
-    one = TaskVector(task, 1, 1, overrides)
+    single = TaskVector(task, 1, 1, overrides)
     many = TaskVector(task, vector, workers, overrides)
     ratios = []
     for turn in range(-1, turns):  # the first warms up
         times = []
-        for envs, count in ((one, steps), (many, max(1, 2 * steps // vector))):
+        for envs, count in ((single, steps), (many, max(1, 2 * steps // vector))):
             envs.reset(seed=seed + max(turn, 0))
             envs.action_space.seed(seed + max(turn, 0))
             begun = perf_counter()
@@ -123,7 +123,7 @@ def _speed_up(
             times.append((perf_counter() - begun) / count / envs.num_envs)
         if turn >= 0:
             ratios.append(times[0] / times[1])
-    one.close()
+    single.close()
     many.close()
     return float(np.median(ratios))
 

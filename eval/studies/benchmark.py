@@ -99,7 +99,7 @@ def draw_benchmark(results: Path, folder: Path) -> list[Row]:
         there = [(cell, seeds) for cell in cells if (seeds := store.seeds(cell))]
         if not there:
             continue
-        of_source = [_of_cell(store, *one) for one in there]
+        of_source = [_of_cell(store, cell, seeds) for cell, seeds in there]
         reached = {row["algorithm"]: success for row, success in of_source}
         groups = tie_groups([*reached.values()])
         rows += [

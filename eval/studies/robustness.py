@@ -294,7 +294,7 @@ def _changes(rows: Sequence[Row]) -> dict[str, np.ndarray]:
     changes = {}
     for name, some in by_name.items():
         every = grouped(some, "agent", "strength").values()
-        mean = np.mean([by_goal(one, "success") for one in every], axis=0)
+        mean = np.mean([by_goal(rows, "success") for rows in every], axis=0)
         changes[name] = (mean - clean).reshape(seeds, -1)
     return {**changes, ALL: np.mean([*changes.values()], axis=0)}
 

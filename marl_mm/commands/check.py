@@ -152,6 +152,6 @@ def _examined(subject: Subject) -> Iterator[Finding]:
 
 
 def _line(finding: Finding) -> str:
-    holds = "broken" if finding.broken else "holds "
+    verdict = "fails" if finding.broken else "holds"
     why = f": {finding.broken}" if finding.broken else ""
-    return f"{holds} {finding.subject}: {finding.claim}{why}"
+    return f"{verdict}  {finding.subject}: {finding.claim}{why}"

@@ -74,7 +74,7 @@ def file_claims(mutations: int, seed: int) -> dict[str, Claim]:
         shown = "; ".join(f"{t.number}, {t.mutation}: {t.outcome}" for t in broken[:3])
         demand(not broken, f"{len(broken)} of {mutations} mutations: {shown}")
 
-    claims: dict[str, Claim] = {"whole, plausible and of known form": fingerprint}
+    claims: dict[str, Claim] = {"it is whole, plausible and of known form": fingerprint}
     if mutations:
         claims[f"{mutations} mutations are refused, or harmless"] = hostile
     return claims

@@ -25,9 +25,6 @@ from marl_mm.runs.folder import (
 )
 from marl_mm.sim.config import Engine
 
-_FPS = 1
-"""Pictures per simulated second of a film strip."""
-
 
 @dataclass(frozen=True)
 class Run:
@@ -85,7 +82,7 @@ class Run:
     def film_strip(self, seed: int = 0) -> bytes:
         """Pictures of the policy's episodes on a seed's first goals, as a PNG."""
         from marl_mm.envs.registry import make_task
-        from marl_mm.eval.video import draw_film_strip, film_both_ways
+        from marl_mm.eval.video import draw_film_strip, strips_both_ways
 
         if seed in self._strips:
             return self._strips[seed]
@@ -93,8 +90,7 @@ class Run:
         engine = cast(Engine, self.config.engine)
         task = make_task(self.config.task, task_overrides(max_steps, engine))
         picture = io.BytesIO()
-        both = film_both_ways(task, self.policy, seed, _FPS)
-        draw_film_strip(picture, both.strips)
+        draw_film_strip(picture, strips_both_ways(task, self.policy, seed))
         self._strips[seed] = picture.getvalue()
         return self._strips[seed]
 

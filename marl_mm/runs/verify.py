@@ -246,8 +246,8 @@ def _alike(claimed: Scored, again: Scored) -> bool:
         (claimed.first_action, again.first_action),
     )
     return all(
-        len(one) == len(two) and np.allclose(one, two, rtol=0, atol=_FIRST_ACTION)
-        for one, two in pairs
+        len(old) == len(new) and np.allclose(old, new, rtol=0, atol=_FIRST_ACTION)
+        for old, new in pairs
     )
 
 

@@ -22,11 +22,13 @@ def mac_flow() -> Any:
     return learner_of("mac-flow", conventions((1.0, 0.9)), updates=1_500)
 
 
+@pytest.mark.slow
 def test_a_joint_teacher_keeps_to_conventions(mac_flow: Any) -> None:
     teacher = LearnedPolicy("teacher", mac_flow.flow.agents(0), mac_flow.layout)
     assert kept(played(teacher)) > 0.85
 
 
+@pytest.mark.slow
 def test_students_of_a_joint_teacher_learn_its_mean_over_what_they_do_not_know(
     mac_flow: Any,
 ) -> None:

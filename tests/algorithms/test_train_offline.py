@@ -145,6 +145,7 @@ def test_a_killed_process_ends_the_command_and_leaves_checkpoints(
         assert np.isfinite(load_policy(tmp_path / seed).act(np.zeros(10))).all()
 
 
+@pytest.mark.slow
 @pytest.mark.bullet
 def test_a_folder_left_empty_by_an_interrupt_is_no_run(tmp_path: Path) -> None:
     (tmp_path / "0").mkdir()

@@ -1384,8 +1384,8 @@ def test_check_of_a_plug_in_with_a_mistake_ends_with_1(
         expect(broken(findings), {NAMES: why, RESUMES: "expected 'planted-mabc'"})
     else:
         first, *rest = captured.out.splitlines()
-        assert first == f"broken algorithm planted-mabc: {NAMES}: {why}"
-        assert sum(line.startswith("broken ") for line in rest) == 1
+        assert first == f"fails  algorithm planted-mabc: {NAMES}: {why}"
+        assert sum(line.startswith("fails ") for line in rest) == 1
 
 
 @pytest.mark.slow

@@ -44,7 +44,7 @@ SHARES = {
 }
 """Shares of the mutations, by what is changed."""
 
-USUAL, ALL = 320, 5_000
+USUAL, ALL = 160, 5_000
 """Number of mutations in the usual test run, and alone."""
 
 CHUNK = 40
@@ -176,6 +176,7 @@ def test_commands_meet_mutations_with_a_line(
 # --- Checkpoints -------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_no_flipped_bit_of_a_checkpoint_goes_unnoticed(
     good: Path, tmp_path: Path
 ) -> None:

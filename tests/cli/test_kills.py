@@ -1,6 +1,6 @@
 """Whatever is killed at whatever moment goes on to the same bytes.
 
-Three random moments for each kind of work; with MARL_MM_KILLS=100 as many of each:
+Two random moments for each kind of work; with MARL_MM_KILLS=100 as many of each:
 
     MARL_MM_KILLS=100 pytest tests/cli/test_kills.py -o faulthandler_timeout=0
 """
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-POINTS = int(os.environ.get("MARL_MM_KILLS", "3"))
+POINTS = int(os.environ.get("MARL_MM_KILLS", "2"))
 """Number of moments for each kind of work."""
 
 KINDS = ("collect", "offline", "online", "study", "mix", "cache")

@@ -119,6 +119,7 @@ def test_offline_runs_go_on_as_they_did(files: Path, algorithm: str) -> None:
     assert_same(run, algorithm)
 
 
+@pytest.mark.slow
 @pytest.mark.bullet
 def test_an_online_run_goes_on_as_it_did(files: Path) -> None:
     run = files / "runs" / "maddpg-her"

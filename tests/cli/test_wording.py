@@ -25,6 +25,7 @@ def test_parameters_in_backquotes_are_options(text: str, words: str) -> None:
     assert as_options(text) == words
 
 
+@pytest.mark.slow
 def test_python_names_the_parameter_and_the_command_line_the_option(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

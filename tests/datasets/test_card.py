@@ -33,6 +33,7 @@ def test_a_notebook_shows_numbers_and_figure(shipped: Dataset) -> None:
     assert base64.b64decode(picture, validate=True).startswith(PNG)
 
 
+@pytest.mark.slow
 def test_names_of_strangers_are_text(shipped: Dataset, tmp_path: Path) -> None:
     name = "<script>alert(1)</script>$\\frac{$"
     shipped.metadata["dataset_id"] = name
@@ -44,6 +45,7 @@ def test_names_of_strangers_are_text(shipped: Dataset, tmp_path: Path) -> None:
     assert (tmp_path / "card.png").read_bytes().startswith(PNG)
 
 
+@pytest.mark.slow
 def test_cards_of_version_1_are_well_and_forged_ones_are_not(tmp_path: Path) -> None:
     data = marl_mm.collect("random", dataset=tmp_path / "mine", steps=30)
     path = data.location.folder / "card.json"

@@ -62,6 +62,7 @@ def equal(values: Any, expected: np.ndarray) -> None:
     np.testing.assert_array_equal(values, expected.astype(values.dtype))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_what_exists_is_kept_and_nothing_else_is_written(
     dataset: Dataset, tmp_path: Path, form: str

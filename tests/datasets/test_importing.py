@@ -21,7 +21,7 @@ from marl_mm.episode import Episode
 
 MakeEpisode = Callable[..., Episode]
 ID = "marl_mm/reach/test-v0"
-FUZZED = 200
+FUZZED = 50
 
 
 @pytest.fixture
@@ -40,6 +40,7 @@ def run(*words: object) -> int:
     return main(list(map(str, words)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", ["flat", "agents", "minari"])
 def test_what_goes_out_comes_in(
     dataset: Path, tmp_path: Path, layout: str, capsys: pytest.CaptureFixture[str]
@@ -118,6 +119,7 @@ def test_schema_errors_name_key_got_and_expected(
     assert not locate("marl_mm/reach/bad-v0").folder.exists()
 
 
+@pytest.mark.slow
 def test_the_task_is_the_files(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -141,6 +143,7 @@ def test_the_task_is_the_files(
     assert str(path) in complaint and "or give --task" in complaint
 
 
+@pytest.mark.slow
 def test_another_package_of_our_name_is_not_imported(
     dataset: Path, tmp_path: Path
 ) -> None:
@@ -206,6 +209,7 @@ def test_what_is_missing_is_named_at_once(
         assert "is no HDF5 file, or a damaged one" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_verify_finds_what_only_it_looks_at(
     dataset: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -261,7 +265,7 @@ def fuzz(path: Path, rng: np.random.Generator) -> str:
 def test_damaged_files_give_clear_errors(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """200 of them: the dataset is refused, and its file alone is refused or whole."""
+    """The dataset is refused, and its file alone is refused or whole."""
     path = dataset / "data" / "main_data.hdf5"
     good = path.read_bytes()
     whole = load_dataset(ID).arrays

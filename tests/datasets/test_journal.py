@@ -100,6 +100,7 @@ def test_a_killed_writer_loses_nothing_it_finished(tmp_path: Path) -> None:
         assert sorted(journal.episodes(REACH)) == finished == list(range(7))
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_named_and_costs_nothing_finished(tmp_path: Path) -> None:
     """The operating system refuses to let the file grow, as on a full disk."""
     full = write(tmp_path / "x", "full")

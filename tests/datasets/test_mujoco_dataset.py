@@ -44,6 +44,7 @@ def test_it_replays_to_the_last_bit(
     assert "all is well" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("workers", "threads"), [(1, True), (2, True), (2, False)])
 def test_it_is_collected_again_to_the_last_bit(
     shipped: Dataset, workers: int, threads: bool, monkeypatch: pytest.MonkeyPatch

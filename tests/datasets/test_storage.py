@@ -72,6 +72,7 @@ def test_reading_back_is_bit_equal(written: Path, episodes: list[Episode]) -> No
         )
 
 
+@pytest.mark.slow
 def test_a_card_that_was_cut_off_is_named_and_made_again(written: Path) -> None:
     assert main(["datasets", "show", ID]) == 0
     path = written / "card.json"
@@ -322,6 +323,7 @@ def test_one_bit_more_or_less_is_seen(written: Path) -> None:
         load_dataset(ID)
 
 
+@pytest.mark.slow
 def test_the_cache_is_only_a_cache(
     written: Path, episodes: list[Episode], own_cache: Path
 ) -> None:

@@ -266,6 +266,7 @@ def test_data_that_lie_elsewhere_are_refused(
     assert not Path(out).exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "value", "match"),
     [
@@ -362,6 +363,7 @@ def test_implausible_attributes_are_refused_though_signed(
     refused(gift, match, capsys)
 
 
+@pytest.mark.slow
 def test_a_seed_that_is_none_counts_as_unknown_when_imported(
     gift: Path, tmp_path: Path
 ) -> None:
@@ -428,6 +430,7 @@ def many_episodes(file: Any) -> None:
         file.id.links.create_hard(name, file.id, b"episode_0")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "bomb", [declared_rows, packed_zeros, sum_of_rows, many_episodes]
 )
@@ -447,6 +450,7 @@ def test_bombs_in_data_are_refused_cheaply(
     assert not Path(out).exists()
 
 
+@pytest.mark.slow
 def test_a_text_that_is_repeated_fills_no_memory(tmp_path: Path) -> None:
     """3,000 texts of 1 MB each, which are one in the file."""
     path = tmp_path / "texts.hdf5"

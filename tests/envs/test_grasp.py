@@ -312,12 +312,12 @@ def test_all_algorithms_learn_to_handle(
 ) -> None:
     """From the script's data, and online with and without it."""
     collect = ["collect", "scripted", "--task", "Grasp-v0", "--steps", "30"]
-    assert main([*collect, "--workers", "1"]) == 0
+    assert main([*collect, "--workers", "1", "--engine", "mujoco"]) == 0
     data = "marl_mm/grasp/scripted-v0"
     few = ["--eval-episodes", "2", "--curve-episodes", "1", "--max-steps", "3"]
     offline = ["--dataset", data, "--updates", "20", *few, "--workers", "1"]
     online = ["--task", "Grasp-v0", "--episodes", "4", "--warm-up", "2", *few]
-    online += ["--updates-per-episode", "2", "--workers", "1"]
+    online += ["--updates-per-episode", "2", "--workers", "1", "--engine", "mujoco"]
     for words in (
         ["mabc", *offline],
         ["td3-bc", *offline],

@@ -68,6 +68,7 @@ def gymnasiums(task: str, n: int, overrides: dict[str, Any]) -> Any:
 # --- The numbers -------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2, 3])
 @pytest.mark.parametrize(("engine", "backend"), PLACES)
 def test_numbers_and_infos_are_those_of_gymnasiums_own_vector(
@@ -107,6 +108,7 @@ def test_whole_steps_and_tasks_that_fail_are_the_same_too() -> None:
         vector.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2, 3])
 @pytest.mark.parametrize(("engine", "backend"), PLACES)
 def test_arrays_of_agents_are_those_of_single_teams(
@@ -222,6 +224,7 @@ def test_what_it_returns_is_the_callers() -> None:
     vector.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["bullet", "mujoco"])
 def test_pictures_are_of_every_environment(engine: str) -> None:
     camera = GoalEnv("Reach-v0").task.camera
@@ -273,6 +276,7 @@ ACTIONS: list[tuple[Any, str]] = [
 ]
 
 
+@pytest.mark.slow
 def test_wrong_actions_are_told_before_any_environment_acts() -> None:
     vector = opened(3)
     reference = opened(3)
@@ -360,6 +364,7 @@ def workers() -> list[psutil.Process]:
     return [child for child in me.children(recursive=True) if child.ppid() != me.pid]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("engine", "backend"), PLACES)
 def test_closing_twice_is_harmless_and_leaves_nothing(
     engine: str, backend: Any
@@ -397,6 +402,7 @@ def test_a_killed_worker_is_told_and_the_others_end() -> None:
         vector.step(np.tile(MIDDLE, (4, 1)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("engine", "backend"), PLACES)
 def test_an_interrupt_waits_for_the_step_and_a_reset_goes_on(
     monkeypatch: pytest.MonkeyPatch, engine: str, backend: Any

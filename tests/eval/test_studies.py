@@ -67,17 +67,18 @@ NARROW = Probe(
     "narrow", "elsewhere", overrides={"goal_y": (-0.1, 0.1)}, task="PreciseReach-v0"
 )
 PROBES = LAST, BEST, HELD, NARROW
-CELLS = [("good-5k", one) for one in settings]
+SIXTY = Source(steps=60, name="sixty", engine="mujoco")  # the faster engine
+CELLS = [(SIXTY, setting) for setting in settings]
 WIDTHS = Study("TD3+BC by width.", CELLS, PROBES, True)
 FAILS = Study(
     "One of two.",
     [
-        ("good-5k", Setting("huge", "huge", changes={"batch_size": 4321})),
-        ("good-5k", settings[0]),
+        (SIXTY, Setting("huge", "huge", changes={"batch_size": 4321})),
+        (SIXTY, settings[0]),
     ],
 )
 WILD = Setting("wild", "wild", changes={"critic_learning_rate": 1e38})
-DIVERGES = Study("What diverges counts as it is.", [("good-5k", WILD)])
+DIVERGES = Study("What diverges counts as it is.", [(SIXTY, WILD)])
 ELSEWHERE = Study("Of data that nobody has.", [("none", settings[0])])
 FEW = {"updates": 100, "hidden": (16, 16)}
 TINY = Study(
@@ -90,7 +91,7 @@ TINY = Study(
     ],
 )
 """
-"""Studies of one's own, of the dataset that ships."""
+"""Studies of one's own, of a dataset that is collected first."""
 
 RESULTS = Path(__file__).resolve().parents[2] / "eval/results/studies"
 
@@ -101,7 +102,7 @@ FILES = ["widths.csv", "widths.png"]
 
 
 @pytest.fixture
-def own(tmp_path: Path) -> Path:
+def own(tmp_path: Path, datasets_home: Path) -> Path:
     path = tmp_path / "own.py"
     path.write_text(OWN)
     return path
@@ -161,6 +162,7 @@ def test_the_papers_figures_stand_beside_its_own_settings_only() -> None:
     assert str(same) == "34.00 +- 32.19 (Table 4)"
 
 
+@pytest.mark.slow
 def test_what_is_committed_was_made_as_declared(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -308,15 +310,17 @@ def test_a_study_of_ones_own_is_made_once_and_checked(
     cells = [(row["setting"], row["probe"]) for row in table]
     assert cells == list(product(settings, probes))
     for row in table:
-        rows = read_rows(results / f"rows/good-5k/{row['setting']}.csv.xz")
-        own_rows = [one for one in rows if one["probe"] == row["probe"]]
+        rows = read_rows(results / f"rows/sixty/{row['setting']}.csv.xz")
+        own_rows = [each for each in rows if each["probe"] == row["probe"]]
         assert len(own_rows) == 2 * 2  # seeds, goals
-        mean = sum(one["success"] for one in own_rows) / len(own_rows)
+        mean = sum(each["success"] for each in own_rows) / len(own_rows)
         assert row["success"] == pytest.approx(mean)
-        assert all(one["alpha"] == 0.5 for one in own_rows) == (row["probe"] == "held")
+        assert all(each["alpha"] == 0.5 for each in own_rows) == (
+            row["probe"] == "held"
+        )
     assert all((results / file).stat().st_size > 200 for file in FILES)
     for probe, task in (("held", "Reach-v0"), ("narrow", "PreciseReach-v0")):
-        evaluation = runs / f"good-5k/width-16/0/eval_{probe}.json"
+        evaluation = runs / f"sixty/width-16/0/eval_{probe}.json"
         assert json.loads(evaluation.read_text())["task"] == task
 
     assert main(words(own, runs, "--check")) == 0
@@ -368,7 +372,7 @@ def test_a_run_that_fails_does_not_stop_the_others(
     complaint = capsys.readouterr().err
     assert "2 of 4 runs failed, the same with --resume tries" in complaint
     assert "huge/1: " in complaint and "MemoryError" in complaint
-    assert (tmp_path / "runs/results/rows/good-5k/width-16.csv.xz").exists()
+    assert (tmp_path / "runs/results/rows/sixty/width-16.csv.xz").exists()
     assert main([*asked, "--settings", "width-16"]) == 0
     assert (tmp_path / "runs/results/fails-part.csv").exists()
     assert not (tmp_path / "runs/results/fails.csv").exists()
@@ -397,13 +401,13 @@ def unfinished(runs: Path) -> list[Path]:
 
 @pytest.mark.slow
 def test_killing_it_again_and_again_changes_nothing(own: Path, tmp_path: Path) -> None:
-    """Ten times while it is at work, before and after checkpoints."""
+    """Six times while it is at work, before and after checkpoints."""
     assert main(words(own, tmp_path / "whole")) == 0
     asked = words(own, tmp_path / "killed", "--resume", "--workers", "2")
     moments, killed, cut = random.Random(0), 0, 0
     context = get_context("forkserver")  # which imports everything once
     context.set_forkserver_preload(["marl_mm.commands.ablate"])
-    while killed < 10:
+    while killed < 6:
         job = context.Process(target=main, args=(asked,))
         job.start()
         while killed % 2 and job.is_alive() and not unfinished(tmp_path / "killed"):
@@ -498,6 +502,7 @@ def test_a_run_that_kills_its_process_takes_no_other_along(
     assert sorted(job.run.name for job in done) == ["0", "2", "3"]
 
 
+@pytest.mark.slow
 def test_a_run_whose_rows_cannot_be_kept_counts_as_failed(tmp_path: Path) -> None:
     def refuse(job: Job) -> None:
         raise MarlMmError("other rows")
@@ -565,12 +570,12 @@ from marl_mm.eval.studies import BEST, LAST, Mix, Online, Setting, Source, Study
 FEW = {"hidden": (16, 16)}
 IMITATED = Setting("few", "few", changes=FEW)
 HINDSIGHT = Setting("her", "hindsight", "ddpg-her", changes=FEW)
-PD = Source("pd", steps=60, settings={"alpha_rule": "room"}, name="shown")
-ANY = Mix("any", [(PD, 40), (Source("random", steps=60), 40)])
+ROOM = {"alpha_rule": "room"}
+PD = Source("pd", steps=60, settings=ROOM, name="shown", engine="mujoco")
+ANY = Mix("any", [(PD, 40), (Source("random", steps=60, engine="mujoco"), 40)])
 ALL = Study(
     "Every way to learn.",
     [
-        ("good-5k", IMITATED),
         (PD, IMITATED),
         (ANY, IMITATED),
         (Online(), HINDSIGHT),
@@ -592,22 +597,23 @@ def test_python_and_the_command_make_the_same_of_every_way_to_learn(
     path.write_text(EVERYTHING)
     runs = tmp_path / "command"
     small = ["--budget", "smoke", "--workers", "1", "--runs", str(runs)]
-    assert main(["ablate", f"{path}:ALL", *small]) == 0
+    assert main(["ablate", f"{path}:ALL", *small, "--engine", "mujoco"]) == 0
     text = capsys.readouterr()
     assert "30 steps of pd" not in text.out and "30 steps of pd in Reach" in text.err
     names: dict[str, Any] = {}
     exec(EVERYTHING, names)
-    table = names["ALL"].run(runs=tmp_path / "python", name="all", budget="smoke")
+    same: dict[str, Any] = {"name": "all", "budget": "smoke", "engine": "mujoco"}
+    table = names["ALL"].run(runs=tmp_path / "python", **same)
     assert capsys.readouterr() == ("", "")
     assert contents(tmp_path / "python/results") == contents(runs / "results")
-    sources = ["good-5k", "shown", "any", "online-Reach-v0", "online-Reach-v0-shown"]
+    sources = ["shown", "any", "online-Reach-v0", "online-Reach-v0-shown"]
     rows = [(row["dataset"], row["probe"]) for row in table.rows]
     assert rows == [*product(sources, ("last", "best"))]
     assert table.markdown() in text.out
     page = table._repr_html_()
     assert "<table>" in page and "image/png" in page
     with pytest.raises(UsageError, match="exists already"):
-        names["ALL"].run(runs=tmp_path / "python", name="all", budget="smoke")
+        names["ALL"].run(runs=tmp_path / "python", **same)
 
 
 @pytest.mark.slow
@@ -667,7 +673,7 @@ def test_what_there_is_no_data_for_is_collected_first(
             ["own.py:WIDTHS", "--settings", "width-8"],
             "--settings has no 'width-8': exp",
         ),
-        (["own.py:WIDTHS", "--datasets"], "--datasets is empty: expected good-5k"),
+        (["own.py:WIDTHS", "--datasets"], "--datasets is empty: expected sixty"),
         (["own.py:WIDTHS", "--seeds", "0", "0"], "seeds"),
         (["all", "--settings", "td3-bc"], "--settings and --datasets are for a study"),
         (["own.py:ELSEWHERE"], "no dataset marl_mm/reach/none-v0"),

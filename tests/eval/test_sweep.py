@@ -30,7 +30,7 @@ TABLES: Any = importlib.import_module("sweep_tables")
 SMALL = SweepCell("Reach-v0", "blend", PdConfig(alpha=0.5), 2, 0, 12)
 ARGUMENTS = (
     *("--alphas", "3", "--goals", "2", "--worth-goals", "2", "--load-goals", "0"),
-    *("--workers", "1"),
+    *("--workers", "1", "--engine", "mujoco"),
     *("--forms", "blend", "--tasks", "Reach-v0", "SmoothReach-v0"),
 )
 
@@ -214,7 +214,7 @@ def test_the_command_resumes_to_the_same_bytes(
 )
 def test_alpha_trades_the_hand_for_the_base(form: Form, engine: Engine) -> None:
     """Backward, d_mm and steps grow, d_mp and jerk shrink from alpha to alpha."""
-    cell = SweepCell("Reach-v0", form, PdConfig(), 8, 3, engine=engine)
+    cell = SweepCell("Reach-v0", form, PdConfig(), 4, 3, engine=engine)
     rows: list[Row] = []
     for alpha in (0.0, 0.4, 0.7, 1.0):
         rows += run_cell(replace(cell, pd=PdConfig(alpha=alpha)))

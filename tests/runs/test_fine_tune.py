@@ -75,6 +75,7 @@ def test_rows_go_on_with_env_steps_and_how_the_run_fares(whole: Run) -> None:
     assert len(own["reward"]) == online[-1]["env_steps"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("when", ["before", "in", "after"])
 def test_a_run_that_is_stopped_goes_on_to_the_same_end(
     whole: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, when: str
@@ -99,6 +100,7 @@ def test_a_run_that_is_stopped_goes_on_to_the_same_end(
     assert same(tmp_path / "0", whole.folder)
 
 
+@pytest.mark.slow
 def test_a_run_started_from_another_is_as_if_it_were_one(
     whole: Run, tmp_path: Path
 ) -> None:
@@ -116,12 +118,14 @@ def online() -> dict[str, Any]:
     return {name: SMALL[name] for name in ("online_every", "online_cycle", "logger")}
 
 
+@pytest.mark.slow
 def test_more_own_steps_are_gone_on_to(whole: Run, tmp_path: Path) -> None:
     trained("matd3-bc", tmp_path, online_steps=40)
     trained("matd3-bc", tmp_path, online_steps=60, resume=True)
     assert same(tmp_path / "0", whole.folder)
 
 
+@pytest.mark.slow
 def test_workers_do_not_count(whole: Run, tmp_path: Path) -> None:
     trained("matd3-bc", tmp_path, online_steps=60, workers=2)
     assert same(tmp_path / "0", whole.folder)
@@ -197,6 +201,7 @@ def test_what_a_run_cannot_start_from_is_refused_and_stays(
     assert before == {path: path.read_bytes() for path in before}
 
 
+@pytest.mark.slow
 def test_a_start_may_be_gone_once_the_run_has_its_own_checkpoint(
     offline: Run, whole: Run, tmp_path: Path
 ) -> None:

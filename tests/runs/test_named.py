@@ -48,6 +48,7 @@ def test_a_dataset_that_ships_begins_as_it_is_collected_now(
         assert made.info[field].tobytes() == values.tobytes(), field
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_scripts_decide_in_every_state_as_they_did(name: str) -> None:
     """In all of them: a constant of the script may matter in few."""

@@ -111,6 +111,7 @@ def test_train_online_gives_the_bytes_of_the_command(
     )
 
 
+@pytest.mark.slow
 def test_evaluate_gives_the_bytes_of_the_command(
     tmp_path: Path, quiet: Callable[[], None]
 ) -> None:
@@ -163,6 +164,7 @@ def test_an_interrupted_collection_is_a_valid_dataset(tmp_path: Path) -> None:
     assert whole.fingerprint == uninterrupted.fingerprint
 
 
+@pytest.mark.slow
 def test_loggers_are_chosen_by_name_and_change_no_byte(
     tmp_path: Path, datasets_home: Path
 ) -> None:
@@ -205,6 +207,7 @@ def test_a_run_is_repeated_from_its_record(
     assert "name its --dataset" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_runs_are_listed_with_their_scores_whatever_is_damaged(
     tmp_path: Path, datasets_home: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

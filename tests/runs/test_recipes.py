@@ -88,6 +88,7 @@ def test_a_build_is_what_is_on_record_or_says_what_differs(
     assert f"not as on record: {SMALL}" in told.err
 
 
+@pytest.mark.slow
 def test_cards_are_rebuilt_to_the_bit_by_any_number_of_workers(
     small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -143,6 +144,7 @@ def test_the_catalogue_names_each_dataset_and_shows_cards(
     assert "did you mean bar-noisy?" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_names_of_recipes_are_names_of_datasets(
     datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -29,9 +29,11 @@ report(
         "rewards": np.concatenate([e.rewards for e in buffer.episodes])[:, 0],
         "terminated": [e.terminated for e in buffer.episodes],
         "lengths": [e.size() for e in buffer.episodes],
-        "transition observations": [one.observation for one in picked],
-        "transition terminals": [one.terminal for one in picked],
-        "next_observations": [o.next_observation for o in picked if not o.terminal],
+        "transition observations": [step.observation for step in picked],
+        "transition terminals": [step.terminal for step in picked],
+        "next_observations": [
+            step.next_observation for step in picked if not step.terminal
+        ],
     },
     {
         **{key: known[key] for key in ("observations", "actions", "rewards")},

@@ -223,8 +223,8 @@ class MovingReach(CruiseTask):
         _, y, z = goal - centre
         angle = np.arctan2(z, y) + rate * self.seconds_per_step
         way = self._place(centre, angle) - hand
-        told = float(np.clip(0.5 + state[RATE.name] / (2 * fastest), 0.0, 1.0))
-        return steer(script.kp * way) | {ALPHA.name: told}
+        alpha = float(np.clip(0.5 + state[RATE.name] / (2 * fastest), 0.0, 1.0))
+        return steer(script.kp * way) | {ALPHA.name: alpha}
 
 
 _MEDIUM = MovingReach()

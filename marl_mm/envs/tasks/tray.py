@@ -189,8 +189,8 @@ class Tray(HazardTask):
 
     def expert(self, state: Values, script: ScriptConfig) -> Values:
         """Steps as long as the level that alpha tells allows, straight to the goal."""
-        told = min(state[MODE.name] / FULL_ALPHA, 1.0)
-        rim = self.rim_dry + (self.rim_full - self.rim_dry) * told
+        level = min(state[MODE.name] / FULL_ALPHA, 1.0)
+        rim = self.rim_dry + (self.rim_full - self.rim_dry) * level
         longest = rim / SWING
         way = script.kp * np.array([state[g.name] - state[h.name] for g, h in _PAIRS])
         way *= min(1.0, longest / max(float(np.linalg.norm(way)), longest))
