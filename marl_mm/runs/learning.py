@@ -31,7 +31,7 @@ from marl_mm.runs.folder import (
     run_config,
     task_of,
 )
-from marl_mm.runs.starts import copy_start, start_of
+from marl_mm.runs.starts import copy_start, start_hash, start_of
 from marl_mm.runs.training import Offline, Online, Training
 from marl_mm.sim.config import default_engine, engine_of
 
@@ -88,10 +88,15 @@ def begin_runs(
 ) -> None:
     """Make the folders of runs, or note in them what they go on with."""
     for seed, run in runs.items():
-        fresh = not goes_on(run, training)
-        begin_run(run, run_config(training, dataset, seed), training)
-        if fresh and isinstance(training, Offline) and training.start is not None:
-            copy_start(start_of(training.start, seed), run)
+        config, start = run_config(training, dataset, seed), None
+        if isinstance(training, Offline) and not goes_on(run, training):
+            start = training.start and start_of(training.start, seed)
+        if start:
+            settings = {**config.settings, **start_hash(start)}
+            config = replace(config, settings=settings)
+        begin_run(run, config, training)
+        if start:
+            copy_start(start, run)
 
 
 def train_run(

@@ -1,5 +1,6 @@
 """Runs that start with what another has learnt, and go on from there."""
 
+import hashlib
 import shutil
 from pathlib import Path
 from typing import Any
@@ -91,6 +92,12 @@ def check_start(training: Offline, config: RunConfig, out: Path) -> None:
             )
     read_checkpoint(start, training.algorithm)
     refuse_links_out(start, [METRICS, BEST, FILE], CheckpointError)
+
+
+def start_hash(start: Path) -> dict[str, str]:
+    """What a run's record holds of the checkpoint that it starts from."""
+    with (start / FILE).open("rb") as file:
+        return {"start_sha256": hashlib.file_digest(file, "sha256").hexdigest()}
 
 
 def copy_start(start: Path, run: Path) -> None:

@@ -1,5 +1,6 @@
 """Offline to online: runs from a dataset that go on with episodes of their own."""
 
+import hashlib
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -210,7 +211,9 @@ def test_a_start_may_be_gone_once_the_run_has_its_own_checkpoint(
         "out": tmp_path / "runs",
         "start": tmp_path / "start",
     }
-    marl_mm.train("matd3-bc", online_steps=40, **asked)
+    (run,) = marl_mm.train("matd3-bc", online_steps=40, **asked)
+    began = hashlib.sha256((tmp_path / "start" / FILE).read_bytes()).hexdigest()
+    assert run.config.settings["start_sha256"] == began
     shutil.rmtree(tmp_path / "start")
     again: dict[str, Any] = {"resume": True, "out": tmp_path / "runs", "logger": ()}
     marl_mm.train("matd3-bc", online_steps=60, **again)
