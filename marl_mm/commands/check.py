@@ -57,9 +57,9 @@ def main(
     Each task, algorithm, collector and metric of a plug-in is put through the package's
     own contract tests, in short: seeds, resuming, several seeds at once, shapes and
     ranges, exports, PettingZoo's and Gymnasium's tests, replays, hindsight, workers,
-    NaN. Tasks run on MuJoCo. Files are datasets, runs, checkpoints, exported policies, journals of
-    collections, records and rows of results; nothing in them is run. Exit code 1 if a
-    claim does not hold.
+    NaN. Tasks run on MuJoCo. Files are datasets, runs, checkpoints, exported policies,
+    journals of collections, records and rows of results; nothing in them is run. Exit
+    code 1 if a claim does not hold.
 
     Args:
         what: Plug-ins, FILE.py or module, which are run; names of what is registered;
