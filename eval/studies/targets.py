@@ -71,7 +71,9 @@ class Comparison:
     """Function of options and a factory of progress bars that says what is missing."""
 
 
-COMPARISONS = {
+Comparisons = dict[str, Comparison]
+
+COMPARISONS: Comparisons = {
     "alpha": Comparison(
         alpha.ABOUT,
         alpha.WORTH,

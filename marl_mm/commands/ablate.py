@@ -1,29 +1,28 @@
 """marl-mm ablate: tables and figures of the paper, and ours, from raw runs."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 
-import marl_mm
 from marl_mm.commands.parser import Subcommand, parse_subcommand
 from marl_mm.commands.wording import as_options
 from marl_mm.errors import FailedRunsError, MarlMmError, UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import to_json
+from marl_mm.eval.studies.checks import Check, checks_of, raise_together, states_of
 from marl_mm.eval.studies.coordination import CoordinationOptions
-from marl_mm.eval.studies.engine import Engine, compare
+from marl_mm.eval.studies.engine import Engine
 from marl_mm.eval.studies.engines import EnginesOptions
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.robustness import RobustnessOptions
 from marl_mm.eval.studies.study import Study
-from marl_mm.eval.studies.sweep import draw_sweep
 from marl_mm.eval.studies.targets import (
     COMPARISONS,
     GROUPS,
     STUDIES,
     Comparison,
+    Comparisons,
     study_of,
 )
 from marl_mm.eval.studies.tuning import TuningOptions
@@ -32,9 +31,6 @@ from marl_mm.progress import progress_bars
 from marl_mm.workers import available_cores
 
 _OF_FILE = ".py:"
-
-_COMMITTED = Path(marl_mm.__file__).parent / "eval" / "results"
-"""Folder of the committed results, in a clone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,16 +90,13 @@ _OPTIONS = {
 """Options of targets that have others than all have."""
 
 
-Comparisons = dict[str, Comparison]
-
-
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm ablate``."""
     target, options, studies, comparisons = _parsed(arguments)
     if options.datasets is not None or options.settings is not None:
         studies, comparisons = _parts(studies, comparisons, options, target)
     if options.check:
-        check_tables(_checks(options, studies, comparisons))
+        print_states(checks_of(options, studies, comparisons))
         return
     with progress_bars(vanish=True) as bar:
         engine = Engine(options, _notify, bar)
@@ -119,7 +112,13 @@ def main(arguments: Sequence[str]) -> None:
         tables, failures = _make(engine, studies, comparisons, quiet=options.json)
     if options.json:
         print(to_json(tables))
-    _raise(failures)
+    raise_together(failures)
+
+
+def print_states(checks: Sequence[Check]) -> None:
+    """Print of every table whether it is what its rows give."""
+    for path, state in states_of(checks):
+        print(f"{path}: {state}")
 
 
 def _agents(comparisons: Comparisons) -> dict[str, Study]:
@@ -208,60 +207,3 @@ def _parsed(
 
 def _notify(text: str) -> None:
     print(as_options(text), file=sys.stderr)
-
-
-# --- Whether tables are what their rows give ---------------------------------
-
-Check = tuple[Path, Callable[[Path], object]]
-"""A folder of tables, and what draws them into another folder."""
-
-
-def _checks(
-    options: Ablate, studies: dict[str, Study], comparisons: Comparisons
-) -> Sequence[Check]:
-    """Checks of the existing tables."""
-    moved = options.out or options.runs or options.engine
-    committed = not (moved or options.small)
-    if committed and _COMMITTED.exists():
-        options = replace(options, out=_COMMITTED / "studies")
-    results, engine = options.results, Engine(options)
-    checks: list[Check] = [
-        (results, partial(engine.draw, name, study))
-        for name, study in studies.items()
-        if len(studies) == 1 or (results / f"{name}.csv").exists()
-    ]
-    checks += [
-        (results, partial(comparison.draw, results))
-        for comparison in comparisons.values()
-        if not studies or (results / comparison.file).exists()
-    ]
-    swept = _COMMITTED / "alpha"
-    if committed and len(studies) == len(STUDIES) and swept.exists():
-        checks.append((swept, partial(draw_sweep, swept)))
-    return checks
-
-
-def check_tables(checks: Sequence[Check]) -> None:
-    """Print of every table whether it is what its rows give.
-
-    Raises:
-        MarlMmError: If one is not; failures do not stop the others.
-    """
-    failures: list[MarlMmError] = []
-    for folder, draw in checks:
-        try:
-            for path, state in compare(folder, draw).items():
-                print(f"{path}: {state}")
-                if state != "the same":
-                    why = "not what the rows there give; draw again with --overwrite"
-                    failures.append(MarlMmError(f"{path}: {why}"))
-        except MarlMmError as error:
-            failures.append(error)
-    _raise(failures)
-
-
-def _raise(failures: Sequence[MarlMmError]) -> None:
-    if len(failures) == 1:
-        raise failures[0]
-    if failures:
-        raise FailedRunsError("; ".join(map(str, failures)))

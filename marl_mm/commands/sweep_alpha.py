@@ -4,7 +4,7 @@ from typing import Annotated
 
 import tyro
 
-from marl_mm.commands.ablate import check_tables
+from marl_mm.commands.ablate import print_states
 from marl_mm.commands.options import CORES
 from marl_mm.commands.parser import command
 from marl_mm.eval.rows import to_json
@@ -39,7 +39,7 @@ def main(
     """
     if check:
         sweep.check_settings()
-        check_tables([(sweep.out, lambda folder: draw_sweep(sweep.out, folder))])
+        print_states([(sweep.out, lambda folder: draw_sweep(sweep.out, folder))])
         return
     with progress_bars() as bar:
         tables = run_sweep(sweep, workers, resume, overwrite, bar)
