@@ -23,7 +23,13 @@ from marl_mm.eval.metrics import (
     summarize_directions,
 )
 from marl_mm.eval.tables import evaluation_markdown
-from marl_mm.eval.video import film_episode, film_strip, write_video
+from marl_mm.eval.video import (
+    film_both_ways,
+    film_episode,
+    film_strip,
+    strips_both_ways,
+    write_video,
+)
 from marl_mm.sim.config import Camera
 
 MakeEpisode = Callable[..., Episode]
@@ -164,6 +170,22 @@ def test_a_film_has_the_frames_of_the_episode(tmp_path: Path, name: str) -> None
     assert [path.name for path in tmp_path.iterdir()] == [name]
     film_strip(tmp_path / "strip.png", [("pd", [("step 0", frames[0])])])
     assert (tmp_path / "strip.png").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.bullet
+def test_strips_are_those_of_a_whole_film() -> None:
+    """Pictures and steps, where an episode has fewer frames than pictures, too."""
+    for seconds in (2, 4):
+        task, policy = Reach(max_steps=seconds), PdPolicy(PdConfig())
+        whole = film_both_ways(task, policy, 0, 1).strips
+        for (label, pictures), (same, again) in zip(
+            whole, strips_both_ways(task, policy, 0), strict=True
+        ):
+            assert label == same
+            for (note, picture), (known, drawn) in zip(pictures, again, strict=True):
+                assert note == known
+                np.testing.assert_array_equal(picture, drawn)
 
 
 @pytest.mark.slow
