@@ -15,7 +15,7 @@ from marl_mm.files import new_file
 
 COLORS = {"forward": "#1b6ca8", "backward": "#c8553d", "all": "#333333"}
 
-MARGINS = {"left": 0.08, "right": 0.99, "bottom": 0.15, "top": 0.96, "wspace": 0.3}
+_MARGINS = {"left": 0.08, "right": 0.99, "bottom": 0.15, "top": 0.96, "wspace": 0.3}
 """Margins of a row of axes; a layout that is computed takes as long as the drawing."""
 
 
@@ -26,7 +26,7 @@ def learning_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
     """
     critics = any("q/data" in row for row in metrics)
     figure = Figure(figsize=(9 + 3 * critics, 3.2))
-    success, imitation, *value = figure.subplots(1, 2 + critics, gridspec_kw=MARGINS)
+    success, imitation, *value = figure.subplots(1, 2 + critics, gridspec_kw=_MARGINS)
     _over_directions(success, metrics, "step", "success", 100)
     success.set(ylabel="goals reached [%]", ylim=(-3, 103))
     for key in dict.fromkeys(key for row in metrics for key in row):
@@ -50,7 +50,7 @@ def learning_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
 def online_curve(metrics: Sequence[dict[str, Any]], path: Path) -> None:
     """Success rate, return, Q and alpha over episodes, from an online run's metrics."""
     figure = Figure(figsize=(12, 3.2))
-    success, returns, value, alpha = figure.subplots(1, 4, gridspec_kw=MARGINS)
+    success, returns, value, alpha = figure.subplots(1, 4, gridspec_kw=_MARGINS)
     _over_directions(success, metrics, "episode", "success", 100)
     success.set(ylabel="goals reached [%]", ylim=(-3, 103))
     _over_directions(returns, metrics, "episode", "return")

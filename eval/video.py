@@ -83,7 +83,7 @@ class Recorder:
             self.add()
 
     def add(self) -> None:
-        """Take the next frame now, as the last one is."""
+        """Take the next frame now, whatever the time."""
         if self._fps and (self._wanted is None or self._number in self._wanted):
             self.frames.append(self._world.render(self._camera))
         self._number += 1

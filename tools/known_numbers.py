@@ -4,6 +4,7 @@ Hopper-v5 of Gymnasium, learnt by Stable-Baselines3's SAC; the file is its repla
 our environment, with the extra "bench" and ``pip install glfw imageio``:
 
     python tools/known_numbers.py collect hopper.npz
+    python tools/known_numbers.py about hopper.npz
     python tools/known_numbers.py ours hopper.npz
 
 In an environment of its own (Python 3.11; d3rlpy==2.8.1, torch==2.13.0, numpy==2.4.6,
@@ -59,6 +60,16 @@ def collect(path: Path) -> None:
         terminated=replay.dones[:, 0] * (1 - replay.timeouts[:, 0]) > 0,
         ended=replay.dones[:, 0] > 0,
     )
+
+
+def about(path: Path) -> str:
+    """Number of the file's whole episodes, and their returns."""
+    with np.load(path) as data:
+        ends = np.flatnonzero(data["ended"]) + 1
+        *whole, _ = np.split(data["reward"], ends)
+    returns = [episode.sum() for episode in whole]
+    mean, highest = np.mean(returns), max(returns)
+    return f"{len(returns)} episodes, mean return {mean:.0f}, highest {highest:.0f}"
 
 
 def mean_return(act: Act) -> float:
@@ -166,6 +177,8 @@ def main() -> None:
     what, path = sys.argv[1], Path(sys.argv[2])
     if what == "collect":
         collect(path)
+    if what in ("collect", "about"):
+        print(about(path))
         return
     train = {"ours": ours, "d3rlpy": theirs}[what]
     digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]

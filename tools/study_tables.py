@@ -7,6 +7,7 @@ from operator import itemgetter
 from typing import Any
 
 import numpy as np
+import scipy.stats
 
 from marl_mm.algorithms.fine_tune import fared
 from marl_mm.eval.bench import SB3
@@ -32,6 +33,7 @@ from marl_mm.eval.tables import (
     rate_in_interval,
     rate_with_interval,
 )
+from marl_mm.eval.ties import holm
 
 _AT_EQUAL_STEPS = ("ddpg-her", "maddpg-her", SB3, "ddpg-her-no-layer-norm")
 """Settings compared at equal steps of the environment; without layer norm ours has the
@@ -119,8 +121,12 @@ def baselines_table(summary: Sequence[Row]) -> str:
 
 
 def known_table(rows: Sequence[Row]) -> str:
-    """Returns of ours and d3rlpy's on the same file, as Markdown."""
-    lines = []
+    """Returns of ours and d3rlpy's on the same file, as Markdown.
+
+    P-values are of Welch's test, corrected together.
+    """
+    lines: list[list[str]] = []
+    p_values: list[float] = []
     for algorithm, some in grouped(rows, "algorithm").items():
         returns = {
             maker: [float(row["return"]) for row in made]
@@ -134,8 +140,14 @@ def known_table(rows: Sequence[Row]) -> str:
             for maker in ("ours", "d3rlpy")
         )
         overlap = "yes" if low <= their_high and their_low <= high else "no"
-        lines.append((f"`{algorithm}`", *cells, overlap))
-    return markdown_table(("algorithm", "ours", "d3rlpy's", "overlap"), lines)
+        lines.append([f"`{algorithm}`", *cells, overlap])
+        test = scipy.stats.ttest_ind(
+            returns["ours"], returns["d3rlpy"], equal_var=False
+        )
+        p_values.append(float(test.pvalue))
+    for line, p in zip(lines, holm(p_values), strict=True):
+        line.append(f"{p:.2f}")
+    return markdown_table(("algorithm", "ours", "d3rlpy's", "overlap", "p"), lines)
 
 
 def _rate(row: Row) -> str:
