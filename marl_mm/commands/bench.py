@@ -146,7 +146,7 @@ class BenchEnv(_Bench):
     steps: int = 10
     """Environment steps of a turn with random actions."""
 
-    vector: int = 8
+    vector: int = 32
     """Environments of a vector that takes turns with a single one."""
 
     workers: int = 2
