@@ -35,18 +35,20 @@ Means = Sequence[np.ndarray]
 (1 + ``RESAMPLES``, seeds)."""
 
 
-def resampled(scores: Sequence[np.ndarray]) -> Means:
+def resampled(scores: Sequence[np.ndarray], number: int = 0) -> Means:
     """Means of all seeds, and of seeds and goals that are drawn anew.
 
     Args:
         scores: Scores of each dataset by seed and goal, shape (seeds, goals).
+        number: Number of the algorithm: the seeds of another are drawn anew, its goals
+            are the same.
     """
     means = []
-    for number, of_dataset in enumerate(scores):
+    for place, of_dataset in enumerate(scores):
         seeds, goals = of_dataset.shape
-        rng = np.random.default_rng((number, goals))
+        rng = np.random.default_rng((place, goals))
         shares = rng.multinomial(goals, np.full(goals, 1 / goals), RESAMPLES) / goals
-        rng = np.random.default_rng((number, seeds))
+        rng = np.random.default_rng((place, seeds, number))
         picks = rng.integers(seeds, size=(RESAMPLES, seeds))
         drawn = np.take_along_axis(shares @ of_dataset.T, picks, axis=1)
         means.append(np.concatenate([of_dataset.mean(axis=1)[None], drawn]))

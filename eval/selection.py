@@ -19,7 +19,7 @@ from marl_mm.algorithms.networks import Normalizer, perceptron
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.datasets.arrays import EpisodeArrays
 
-UPDATES, BATCH = 1_500, 256
+UPDATES, BATCH = 3_000, 256
 """Gradient steps of fitted Q evaluation, and steps in a batch of each."""
 
 DISCOUNT = 0.99
@@ -28,7 +28,7 @@ DISCOUNT = 0.99
 HIDDEN = 128, 128
 """Widths of the critics' hidden layers."""
 
-RATE, TARGET_RATE = 1e-3, 0.01
+RATE, TARGET_RATE = 1e-3, 0.05
 """Learning rate, and share of the way that targets go to the critics at each update."""
 
 _FLOOR = 0.01

@@ -23,7 +23,8 @@ from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.rows import RowStore
-from marl_mm.eval.studies.study import Cell, Study, cell_name, setting_of
+from marl_mm.eval.studies.study import Cell, Setting, Study, cell_name, setting_of
+from marl_mm.eval.studies.tuned import CHOSEN
 from marl_mm.eval.tables import markdown_table, rate_in_interval
 from marl_mm.eval.ties import tie_groups
 from marl_mm.progress import Bar
@@ -55,8 +56,30 @@ DATASETS = (
 )
 """Names of their recipes; none is of the tuning."""
 
+TESTED = {
+    "quiet-zone-narrow": "QuietZone-hard-v0",
+    "quiet-zone-stitch": "QuietZone-v0",
+    "gate-stitch": "Gate-v0",
+}
+"""Tasks of the evaluations that are not the data's, by the name of the recipe."""
+
 UPDATES = 5_000
 """Updates of all algorithms."""
+
+
+def _setting(algorithm: str, task: str | None) -> Setting:
+    """Setting of an algorithm: what the tuning chose."""
+    parts = ("benchmark", algorithm) if task is None else (task, algorithm)
+    return setting_of(
+        "-".join(parts).lower(),
+        algorithm,
+        UPDATES,
+        CHOSEN.get(algorithm, {}),
+        task=task,
+        curve_every=UPDATES,
+        curve_goals=2,
+        measured=("steps", "return"),
+    )
 
 
 Scores = dict[str, np.ndarray]
@@ -66,13 +89,8 @@ Scores = dict[str, np.ndarray]
 AGENTS = Study(
     "Table: the benchmark's runs.",
     tuple(
-        product(
-            (RECIPES.get(name).source for name in DATASETS),
-            (
-                setting_of(f"benchmark-{name}", name, UPDATES)
-                for name in ALGORITHM_NAMES
-            ),
-        )
+        (RECIPES.get(name).source, _setting(algorithm, TESTED.get(name)))
+        for name, algorithm in product(DATASETS, ALGORITHM_NAMES)
     ),
     seeds=5,
 )
@@ -102,8 +120,13 @@ def draw_benchmark(results: Path, folder: Path) -> list[Row]:
         of_source = [_of_cell(store, cell, seeds) for cell, seeds in there]
         reached = {row["algorithm"]: success for row, success in of_source}
         groups = tie_groups([*reached.values()])
+        best = groups[int(np.argmax([row["success"] for row, _ in of_source]))]
         rows += [
-            row | {"group": " ".join(map(str, group))}
+            row
+            | {
+                "group": " ".join(map(str, group)),
+                "first": int({*group} & {*best} != set()),
+            }
             for (row, _), group in zip(of_source, groups, strict=True)
         ]
         scores.append(reached)
@@ -124,6 +147,7 @@ def _of_cell(store: RowStore, cell: Cell, seeds: list[int]) -> tuple[Row, np.nda
     success = by_goal(rows, "success").reshape(len(seeds), -1)
     row = {
         "dataset": source.name,
+        "task": setting.task or source.task,
         "algorithm": setting.algorithm,
         "engine": store.engine_text(cell, source.engine),
         "seeds": len(seeds),
@@ -138,9 +162,15 @@ def _write_overall(folder: Path, rows: list[Row], scores: list[Scores]) -> None:
     there = {name for of_dataset in scores for name in of_dataset}
     whole = [of_dataset for of_dataset in scores if of_dataset.keys() == there]
     names = [name for name in ALGORITHM_NAMES if name in there and whole]
-    means = {name: resampled([of[name] for of in whole]) for name in names}
-    first = grouped([row for row in rows if _is_first(row)], "dataset")
-    groups = [[row["algorithm"] for row in group] for group in first.values()]
+    means = {
+        name: resampled([of[name] for of in whole], number)
+        for number, name in enumerate(names)
+    }
+    groups = [
+        [row["algorithm"] for row in of_dataset if row["first"]]
+        for of_dataset in grouped(rows, "dataset").values()
+        if {row["algorithm"] for row in of_dataset} == there
+    ]
     overall = [
         {
             "algorithm": name,
@@ -166,14 +196,11 @@ def _estimated(name: str, estimate: Estimate) -> Row:
     return {name: value, f"{name}_interval": tuple(interval)}
 
 
-def _is_first(row: Row) -> bool:
-    return "1" in str(row["group"]).split()
-
-
 def benchmark_table(rows: list[Row]) -> str:
     """Success and tie group of every algorithm on each dataset, as Markdown.
 
-    A cell is a mean over seeds with its interval; the last number is the tie group.
+    A cell is a mean over seeds with its interval, bold where it cannot be told from the
+    best of the dataset; the last number is the tie group.
     """
     of_dataset = grouped(rows, "dataset")
     lines = []
@@ -189,4 +216,4 @@ def _text(row: Row | None) -> str:
     if row is None:
         return ""
     rate = rate_in_interval(row["success"], row["success_interval"])
-    return f"{f'**{rate}**' if _is_first(row) else rate}, {row['group']}"
+    return f"{f'**{rate}**' if row['first'] else rate}, {row['group']}"

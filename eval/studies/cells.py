@@ -85,8 +85,8 @@ def write_cells(path: Path, cells: Sequence[C], rows: dict[C, list[Row]]) -> Non
         rows: Rows by cell.
     """
     about = [asdict(cast(Any, cell)) for cell in cells]
-    write_json(path.with_suffix(".json"), {"cells": about, "packages": versions()})
     write_csv(path.with_suffix(".csv.xz"), [row for c in cells for row in rows[c]])
+    write_json(path.with_suffix(".json"), {"cells": about, "packages": versions()})
 
 
 def read_cells(folder: Path) -> dict[str, list[Row]]:
@@ -116,10 +116,10 @@ def _file(cell: Any, folder: Path) -> Path:
 
 @cache
 def _sources() -> str:
-    """SHA-256 of the sources that decide what an episode is."""
+    """SHA-256 of the sources that decide what is learnt, and what an episode is."""
     package = Path(marl_mm.__file__).parent
-    digest = sha256()
-    for folder in ("collectors", "control", "envs", "robot", "sim"):
+    digest = sha256((package / "eval/selection.py").read_bytes())
+    for folder in ("algorithms", "collectors", "control", "envs", "robot", "sim"):
         for path in sorted((package / folder).rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -73,7 +73,9 @@ class Learner:
         """Task of the evaluations."""
         if isinstance(self.training, OnlineTraining):
             return self.training.task
-        assert self.source is not None
+        assert isinstance(self.training, Offline) and self.source is not None
+        if self.training.task is not None:
+            return self.training.task
         return Provenance.from_json(read_metadata(self.source)["marl_mm"]).task
 
     @property
@@ -167,6 +169,7 @@ def training_of(
         training = default_training(
             setting.algorithm,
             setting.preset,
+            task=setting.task,
             curve_every=setting.curve_every,
             curve_episodes=setting.curve_goals or 20,
             stop_diverging=False,  # a table's runs have all their updates
@@ -194,7 +197,8 @@ def made_of(setting: Setting, training: Training) -> dict[str, Any]:
         return sb3.made_of(training)
     made = {"algorithm": training.algorithm} | as_record(training.config)
     made |= training.recorded
-    if isinstance(training, OnlineTraining):
-        made["task"] = training.task
+    task = training.task if isinstance(training, OnlineTraining) else setting.task
+    if task is not None:  # else the dataset's
+        made["task"] = task
     # Rows are of the device and the precision that were best where they were made.
     return {key: made[key] for key in made if key not in ("device", "precision")}

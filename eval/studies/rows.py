@@ -184,7 +184,8 @@ class RowStore:
         self, cell: Cell, runs: Mapping[int, Path], probes: Sequence[Probe]
     ) -> None:
         pairs = product(runs.items(), probes)
-        new = [row for (seed, run), probe in pairs for row in _goals(run, seed, probe)]
+        measured = cell[1].measured
+        new = [r for (s, run), probe in pairs for r in _goals(run, s, probe, measured)]
         made = set(product(runs, [probe.name for probe in probes]))
         kept = [r for r in self._rows(cell) if (r["seed"], r["probe"]) not in made]
         rows = sorted(new + kept, key=itemgetter("seed", "probe", "goal"))
@@ -304,8 +305,10 @@ def _clock(run: Path) -> str:
     return "episode" if "episode" in read_metrics(run)[0] else "step"
 
 
-def _goals(run: Path, seed: int, probe: Probe) -> Iterator[Row]:
-    measured = _MEASURED[_clock(run)]
+def _goals(
+    run: Path, seed: int, probe: Probe, measured: Sequence[str] | None
+) -> Iterator[Row]:
+    measured = _MEASURED[_clock(run)] if measured is None else measured
     for row in read_json(probe.file(run), MarlMmError)["episodes"]:
         yield {
             "seed": seed,

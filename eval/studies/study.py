@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 from marl_mm.algorithms.fine_tuning import FineTuning
@@ -18,6 +19,8 @@ from marl_mm.sim.config import Engine
 
 if TYPE_CHECKING:
     from marl_mm.eval.studies.table import Table
+
+_NONE: Mapping[str, Any] = MappingProxyType({})
 
 
 def _check_name(name: str) -> None:
@@ -90,8 +93,15 @@ class Setting:
     curve_goals: int | None = None
     """Number of goals of each of these points; default 20 offline and 50 online."""
 
+    task: str | None = None
+    """Registered name of the task of the evaluations, of offline runs; default the
+    dataset's."""
+
     max_steps: int | None = None
     """Steps of an episode; default the task's."""
+
+    measured: tuple[str, ...] | None = None
+    """Columns of evaluated goals that rows keep beside the success; default all."""
 
     fine_tuning: FineTuning = field(default_factory=FineTuning)
     """How offline runs go on with own episodes; none by default."""
@@ -121,17 +131,25 @@ class Setting:
         return ALGORITHMS.get(self.algorithm).online
 
 
-def setting_of(name: str, algorithm: str, updates: int, **more: Any) -> Setting:
+def setting_of(
+    name: str,
+    algorithm: str,
+    updates: int,
+    changes: Mapping[str, Any] = _NONE,
+    **more: Any,
+) -> Setting:
     """Setting of a study of several algorithms: the tuned preset, with its title.
 
     Args:
         name: Name of the setting's folder.
         algorithm: Registered name of the algorithm.
         updates: Number of updates.
+        changes: Other hyper-parameters that replace the preset's.
         **more: Other fields of the setting.
     """
     title = ALGORITHMS.get(algorithm).title
-    return Setting(name, title, algorithm, changes={"updates": updates}, **more)
+    changes = {**changes, "updates": updates}
+    return Setting(name, title, algorithm, changes=changes, **more)
 
 
 @dataclass(frozen=True)

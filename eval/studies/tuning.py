@@ -5,39 +5,34 @@ updates, seeds and goals for all. The best mean over datasets and seeds is chose
 """
 
 import json
-import math
 from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import product
-from math import prod
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from marl_mm.algorithms.registry import preset
 from marl_mm.config_diff import as_json
-from marl_mm.datasets.dataset import Dataset, load_dataset
-from marl_mm.errors import DivergedError, MarlMmError, UsageError
+from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.grouping import grouped, mean_of
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
-from marl_mm.eval.selection import UPDATES, Scores, scores
 from marl_mm.eval.studies.budgets import draw_budgets
 from marl_mm.eval.studies.cells import read_cells, run_cells, write_cells
 from marl_mm.eval.studies.options import StudyOptions
+from marl_mm.eval.studies.tuning_cells import (
+    TuningCell,
+    cell_of,
+    run_cell,
+    settings_of,
+)
 from marl_mm.eval.studies.tuning_ranges import RANGES
 from marl_mm.eval.tables import markdown_table
-from marl_mm.progress import Bar, silent_bar
+from marl_mm.progress import Bar
 from marl_mm.received import read_json
-from marl_mm.runs.recipes import RECIPES, build, named_card, refuse_unknown
-from marl_mm.runs.run import Run
-from marl_mm.runs.settings import check_positive, with_settings
-from marl_mm.runs.train import trained
-from marl_mm.runs.training import Offline
-from marl_mm.sim.config import engine_overrides
+from marl_mm.runs.recipes import build, named_card, refuse_unknown
+from marl_mm.runs.settings import check_positive
 
 ABOUT = "Tuning: what each algorithm reaches with each of twelve settings."
 """Title."""
@@ -47,15 +42,6 @@ TABLE = "tuning.csv"
 
 DATASETS = ("tray-noisy", "moving-reach-noisy")
 """Recipes of the datasets, which are in no table of results."""
-
-_DIVERGED: Row = {
-    **{"success": 0.0, "return": -math.inf, "critic": math.nan},
-    **dict.fromkeys(Scores._fields, math.nan),
-}
-"""Numbers of a run that diverged."""
-
-_SEED = 7
-"""Seed of the goals, which those of results are not."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +58,7 @@ class TuningOptions(StudyOptions):
     tried: int = 12
     """Number of settings of each algorithm, its preset among them."""
 
-    updates: int = 2_000
+    updates: int = 5_000
     """Updates of every run."""
 
     goals: int = 50
@@ -94,74 +80,6 @@ class TuningOptions(StudyOptions):
                 )
 
 
-@dataclass(frozen=True)
-class TuningCell:
-    """A run: everything its row depends on."""
-
-    algorithm: str
-    """Registered name of the algorithm."""
-
-    number: int
-    """Number of the setting; 0 is the preset."""
-
-    changes: tuple[tuple[str, Any], ...]
-    """Hyper-parameters that replace the preset's."""
-
-    dataset: str
-    """Name of the dataset's recipe."""
-
-    seeds: tuple[int, ...]
-    """Seeds of weights and batches, which are trained side by side."""
-
-    updates: int
-    """Number of updates."""
-
-    goals: int
-    """Number of goals."""
-
-    @property
-    def task(self) -> str:
-        """Registered name of the task."""
-        return RECIPES.get(self.dataset).source.task
-
-    @property
-    def overrides(self) -> dict[str, Any]:
-        """Settings of the task that are replaced."""
-        return engine_overrides(RECIPES.get(self.dataset).source.engine)
-
-    @property
-    def label(self) -> str:
-        """Label in the progress bar."""
-        return f"{self.algorithm} {self.number} {self.dataset}"
-
-
-def settings_of(algorithm: str, count: int) -> list[dict[str, Any]]:
-    """Hyper-parameters to try: none, and then draws from the ranges, none twice.
-
-    Args:
-        algorithm: Registered name of the algorithm.
-        count: Number of settings.
-
-    Raises:
-        UsageError: If the ranges have fewer.
-    """
-    ranges, default = RANGES[algorithm], preset(algorithm)
-    sizes = [len(values) for values in ranges.values()]
-    if prod(sizes) < count:
-        raise UsageError(
-            f"`tried` is {count}, expected at most {prod(sizes)}: {algorithm} has no "
-            "more settings"
-        )
-    listed: list[dict[str, Any]] = [{}]
-    for number in np.random.default_rng(0).permutation(prod(sizes)):
-        places = np.unravel_index(number, sizes)
-        pairs = zip(ranges.items(), places, strict=True)
-        drawn = {name: values[place] for (name, values), place in pairs}
-        if any(getattr(default, name) != value for name, value in drawn.items()):
-            listed.append(drawn)
-    return listed[:count]
-
-
 def cells_of(options: TuningOptions) -> dict[str, list[TuningCell]]:
     """Runs by algorithm."""
     seeds = tuple(options.seeds or (0, 1))
@@ -172,66 +90,10 @@ def cells_of(options: TuningOptions) -> dict[str, list[TuningCell]]:
     )
     return {
         name: [
-            TuningCell(name, number, tuple(some.items()), on, seeds, updates, goals)
+            cell_of(name, number, some, on, seeds, updates, goals)
             for (number, some), on in product(enumerate(settings_of(name, tried)), data)
         ]
         for name in options.algorithms
-    }
-
-
-def run_cell(cell: TuningCell) -> list[Row]:
-    """Train and evaluate; a row per seed, without success where one diverged."""
-    default = replace(preset(cell.algorithm), updates=cell.updates)
-    training = Offline(
-        algorithm=cell.algorithm,
-        config=with_settings(cell.algorithm, default, dict(cell.changes)),
-        eval_episodes=cell.goals,
-        eval_seed=_SEED,
-        curve_every=cell.updates,
-        curve_episodes=1,
-        stop_diverging=False,
-        logger=(),
-    )
-    data = load_dataset(cell.dataset)
-    try:
-        measured = _measured(training, data, cell.seeds)
-    except DivergedError:  # of one of them
-        measured = {}
-        for seed in cell.seeds:
-            with suppress(DivergedError):
-                measured |= _measured(training, data, (seed,))
-    return [
-        {
-            "algorithm": cell.algorithm,
-            "setting": cell.number,
-            "dataset": cell.dataset,
-            "seed": seed,
-            **measured.get(seed, _DIVERGED),
-            "changes": json.dumps(dict(cell.changes)),
-        }
-        for seed in cell.seeds
-    ]
-
-
-def _measured(training: Offline, data: Dataset, seeds: Sequence[int]) -> dict[int, Row]:
-    """Success, return and scores of the runs of seeds, by seed."""
-    with TemporaryDirectory() as folder:
-        runs = list(trained(training, data, Path(folder), seeds, silent_bar))
-        tried = min(UPDATES, training.config.updates)
-        return {
-            seed: _row(run, scores(run.policy, data.arrays, updates=tried))
-            for seed, run in zip(seeds, runs, strict=True)
-        }
-
-
-def _row(run: Run, scored: Scores) -> Row:
-    summary = run.evaluated.summary["all"]
-    values = [row["q/policy"] for row in run.metrics if "q/policy" in row]
-    return {
-        "success": summary["success_rate"],
-        "return": summary["return"],
-        "critic": values[-1] if values else math.nan,
-        **scored._asdict(),
     }
 
 

@@ -49,7 +49,7 @@ RANGES: Mapping[str, Mapping[str, Sequence[Any]]] = {
     "omar": _CQL | {"mix": (0.5, 0.7, 0.9)},
     "maicq": {
         **_CRITIC,
-        "temperature": (0.03, 0.1, 0.3, 1.0),
+        "temperature": (0.1, 0.3, 1.0, 3.0, 10.0),
         "critic_temperature": (0.3, 1.0, 10.0),
     },
     "fql": _FLOW_Q,

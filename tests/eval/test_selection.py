@@ -44,6 +44,17 @@ def test_a_critic_that_sees_all_knows_what_the_agents_do_together(
 
 
 @pytest.mark.slow
+def test_a_long_episode_is_worth_the_sum_of_its_rewards() -> None:
+    """Values have to come back from the end of 20 steps, in as few updates as usual."""
+    actions = np.random.default_rng(0).uniform(-1, 1, (4_000, 2))
+    arrays = steps_of(actions, np.ones(4_000), team(), length=20)
+    value = (1 - DISCOUNT**20) / (1 - DISCOUNT)
+    score = scores(constant(*LIKE), arrays)
+    assert score.fqe == pytest.approx(value, rel=0.05)
+    assert score.fqe_agents == pytest.approx(value, rel=0.05)
+
+
+@pytest.mark.slow
 def test_the_distance_to_the_data_is_that_of_its_actions(
     tried: EpisodeArrays, scored: dict[tuple[float, float], Scores]
 ) -> None:

@@ -1,27 +1,33 @@
 """Tuning: what is tried of each algorithm, and what is chosen."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from marl_mm.algorithms.registry import ALGORITHMS
+from marl_mm.algorithms.registry import ALGORITHMS, preset
 from marl_mm.cli import main
+from marl_mm.config_diff import as_json
 from marl_mm.errors import DivergedError, UsageError
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.rows import write_csv
-from marl_mm.eval.studies import tuning
-from marl_mm.eval.studies.tuning import (
+from marl_mm.eval.rows import read_rows, write_csv
+from marl_mm.eval.studies import tuning, tuning_cells
+from marl_mm.eval.studies.tuned import CHOSEN
+from marl_mm.eval.studies.tuning import TABLE, TuningOptions, cells_of, draw_tuning
+from marl_mm.eval.studies.tuning_cells import (
     TuningCell,
-    TuningOptions,
-    cells_of,
-    draw_tuning,
+    cell_of,
+    run_cell,
     settings_of,
 )
 from marl_mm.eval.studies.tuning_ranges import RANGES
 from marl_mm.runs import train
+from marl_mm.runs.settings import with_settings
+
+RESULTS = Path(__file__).resolve().parents[2] / "eval/results/studies"
 
 GOES_ON_ONLINE = {"rlpd", "ma-rlpd", "cal-ql", "ma-cal-ql"}
 """Algorithms that are made for own episodes after the data."""
@@ -85,6 +91,28 @@ def test_the_best_mean_over_datasets_and_seeds_is_chosen(tmp_path: Path) -> None
     assert "learning_rate` 2" in tuning.tuning_table(summary)
 
 
+def test_what_is_chosen_is_what_the_committed_table_says() -> None:
+    table = RESULTS / TABLE
+    chosen = {
+        row["algorithm"]: json.loads(row["changes"])
+        for row in (read_rows(table) if table.exists() else [])
+        if row["chosen"]
+    }
+    assert as_json(dict(CHOSEN)) == chosen
+    for name, changes in CHOSEN.items():
+        with_settings(name, ALGORITHMS.get(name).presets["tuned"], changes)
+
+
+def test_rows_are_of_the_presets_values_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A preset that changes makes another run of the setting that names no change."""
+    options = TuningOptions(algorithms=("bc",))
+    (before, *_) = cells_of(options)["bc"]
+    changed = replace(preset("bc"), learning_rate=0.5)
+    monkeypatch.setattr(tuning_cells, "preset", lambda name: changed)
+    (after, *_) = cells_of(options)["bc"]
+    assert before.changes == after.changes == () and before != after
+
+
 @pytest.mark.slow
 def test_an_algorithm_that_is_tuned_already_is_not_run_again(
     datasets_home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -99,7 +127,6 @@ def test_an_algorithm_that_is_tuned_already_is_not_run_again(
         ran.append(cell.algorithm)
         return run_cell(cell)
 
-    run_cell = tuning.run_cell
     monkeypatch.setattr(tuning, "run_cell", run)
     more = ["--runs", str(tmp_path / "b"), "--algorithms", "bc", "mabc", "--resume"]
     assert main([*words, *more]) == 0
@@ -118,9 +145,9 @@ def test_a_run_that_diverges_counts_as_one_that_reaches_nothing(
             raise DivergedError("the critic is nan")
         return train.trained(*arguments)
 
-    monkeypatch.setattr(tuning, "trained", trained)
-    cell = TuningCell("bc", 0, (), "gate-expert", (0, 1), updates=20, goals=2)
-    first, second = tuning.run_cell(cell)
+    monkeypatch.setattr(tuning_cells, "trained", trained)
+    cell = cell_of("bc", 0, {}, "gate-expert", (0, 1), updates=20, goals=2)
+    first, second = run_cell(cell)
     assert first.keys() == second.keys()
     assert np.isfinite(first["cloning"]) and np.isnan(second["cloning"])
     assert second["success"] == 0.0 and second["return"] == -np.inf
