@@ -56,8 +56,9 @@ ALGORITHMS.add(
         loss="-Q_1(s, pi(s)), with Q low outside of the data",
         about="CQL: conservative critics, and one actor that sees and sets everything.",
         source="Kumar 2020",
-        advice="For data of mixed quality without gaps. Where they show one way only, "
-        "cloning is as good and quicker.",
+        advice="Made for data of mixed quality without gaps. The preset was tuned on "
+        "Reach-v0 and does not transfer: tune `conservatism` first. Where the data "
+        "show one way only, cloning is as good and quicker.",
         learner=Imported("marl_mm.algorithms.cfcql:Cql"),
         presets={TUNED: CfcqlConfig()},
     ),
@@ -69,8 +70,9 @@ ALGORITHMS.add(
         loss="-Q_1(s, (pi_i(o_i), a_-i)), with Q low where one agent leaves the data",
         about="CFCQL: critics that are conservative in one agent at a time.",
         source="Shao 2023",
-        advice="For data of mixed quality and several agents, above all many. It does "
-        "not say which of several conventions to keep if all are worth the same.",
+        advice="Made for data of mixed quality and several agents, above all many. The "
+        "preset does not transfer: tune `conservatism` first. It does not say which of "
+        "several conventions to keep if all are worth the same.",
         learner=Imported("marl_mm.algorithms.cfcql:Cfcql"),
         presets={TUNED: CfcqlConfig()},
     ),

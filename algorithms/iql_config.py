@@ -30,9 +30,9 @@ ALGORITHMS.add(
         about="IQL: in-sample values, advantage-weighted cloning, one joint actor.",
         source="Kostrikov 2022",
         advice="Where good and bad steps are mixed and no critic shall be asked for "
-        "actions that the data do not show, so that it cannot run away. It is cloning "
-        "all the same: from good data weights are nearly alike and BC does, and what "
-        "no step of the data does it does not do either.",
+        "actions that the data do not show, so that it cannot run away. It remains "
+        "weighted cloning: on good data the weights are nearly equal, so that BC is "
+        "enough, and it never goes beyond the data's actions.",
         departs="Actors give one action and imitate by squared errors, as all here; "
         "the source fits a Gaussian by likelihood. Normalised critics and clipped "
         "targets are ours, as for TD3+BC.",

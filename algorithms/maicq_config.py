@@ -31,7 +31,7 @@ ALGORITHMS.add(
         loss="softmax(A_i / alpha) MSE(a_i, pi_i(o_i)), agent after agent",
         about="MAICQ: in-sample critics, and agents improved one after the other.",
         source="Yang 2021",
-        advice="For data of mixed quality, and where teams keep to conventions: later "
+        advice="Made for data of mixed quality, and for teams with conventions: later "
         "agents suit what earlier ones have learnt. It stays near the data's actions.",
         learner=Imported("marl_mm.algorithms.maicq:Maicq"),
         presets={TUNED: MaicqConfig()},

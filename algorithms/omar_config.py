@@ -57,7 +57,8 @@ ALGORITHMS.add(
         about="OMAR: conservative critics, and actors that follow a search.",
         source="Pan 2022",
         advice="For data of several ways of different worth: the search crosses the "
-        "valleys between them, which CFCQL's gradient does not. It is the slowest.",
+        "valleys between them, which CFCQL's gradient does not. It is "
+        "slow: see the table of updates per second.",
         learner=Imported("marl_mm.algorithms.omar:Omar"),
         presets={TUNED: OmarConfig()},
     ),

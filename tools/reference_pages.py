@@ -66,10 +66,17 @@ def baseline_rows(name: str) -> list[Row]:
 def online_rows() -> list[Row]:
     """Rows of online learning by this package's algorithms, with its task."""
     from marl_mm.eval.studies.online import CELLS
+    from marl_mm.eval.studies.targets import STUDIES
 
     rows = []
-    for row in read_rows(RESULTS / "studies/online.csv"):
-        source, setting = CELLS[row["setting"]]
+    grasping = {setting.name: (s, setting) for s, setting in STUDIES["grasp"].cells}
+    every = [
+        row
+        for name in ("online", "grasp")
+        for row in read_rows(RESULTS / f"studies/{name}.csv")
+    ]
+    for row in every:
+        source, setting = {**CELLS, **grasping}[row["setting"]]
         if setting.library == "marl_mm":
             columns = {"algorithm": setting.algorithm, "about": setting.about}
             rows.append({**row, **columns, "task": source.task})
@@ -107,6 +114,7 @@ def _algorithm_page(name: str) -> str:
             f"Goals reached on {' and '.join(DATASETS)}, which ship, while it learns with "
             "its preset: one seed, 20 goals a point.\n"
         )
+    ours = algorithm.source == "ours"
     parts = [
         f"# {NAMES[name]}\n",
         f"**{algorithm.about}** Source: {algorithm.source}. {_headline(name)}\n",
@@ -114,15 +122,21 @@ def _algorithm_page(name: str) -> str:
         f"```sh\nmarl-mm train {name}{data} --seeds 0 1 2\n```\n",
         "## Loss\n",
         f"Of the actors:\n\n```text\n{algorithm.loss}\n```\n",
-        f"[{file}](../../../{file}), in the paper's order:\n",
+        f"[{file}](../../../{file}){'' if ours else ', in the order of its source'}:\n",
         f"```text\n{first}\n\n{rest}\n```\n",
         "## Who sees what\n",
         f"![Who sees what in training and in acting](../../{kind(name).picture})\n",
         "Of the paper's two agents, as of any others; algorithms that are made of the "
         "same networks have the same picture.\n",
-        "## What departs from the paper\n",
-        algorithm.departs and f"{algorithm.departs}\n",
-        _departures(name),
+        *(
+            []
+            if ours
+            else [
+                "## What departs from the source\n",
+                algorithm.departs and f"{algorithm.departs}\n",
+                _departures(name),
+            ]
+        ),
         "## Results\n",
         curve,
         _algorithm_results(name),
@@ -267,9 +281,9 @@ def _algorithms_index() -> str:
         for name, algorithm in ALGORITHMS.items()
     ]
     return (
-        "# Algorithms\n\n**From good data start with MABC; where failures or random "
-        "steps are among them take one with critics, where they show several ways one "
-        "that draws, and without data DDPG + HER.**\n\n"
+        "# Algorithms\n\n**From good data start with MABC. With failures or random steps "
+        "among them take TD3+BC or MATD3+BC, with several conventions a flow model, and "
+        "without data DDPG + HER.**\n\n"
         + markdown_table(("algorithm", "loss of the actors", "learns", "source"), rows)
     )
 

@@ -317,8 +317,8 @@ def _tasks_index() -> str:
         "parallel one, `parallel_env(TASK)`.\n\n"
         "## The paper's task, and blocks\n\n"
         "The first three differ in numbers only; the others have a block. "
-        "Start with `Reach-v0`; compare algorithms on `SmoothReach-v0`, "
-        "`PreciseReach-v0` and `GraspReach-v0`, which still separate them.\n\n"
+        "Start with `Reach-v0`; compare algorithms on `GraspReach-v0` and on the coordination "
+        "tasks below, which separate them.\n\n"
         + _overview(paper)
         + "\n## The team decides\n\n"
         "What one agent has to know, another one sees. Each is registered in three "

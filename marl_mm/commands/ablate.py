@@ -180,7 +180,7 @@ def _parsed(
         raise UsageError(f"name a study of the file, such as {word}:STUDY")
     every: dict[str, Study | Comparison] = {**STUDIES, **COMPARISONS}
     abouts = {name: thing.about for name, thing in every.items()} | {
-        "paper": "The paper's own: Tables 4 and 5 and Figs. 4 to 10, in one night.",
+        "paper": "The paper's own: Tables 4 and 5, Figs. 4, 5 and 7 to 10, in a night.",
         "all": "Every table and figure of the paper's tasks, on one engine.",
     }
     if _OF_FILE in word:

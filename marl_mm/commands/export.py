@@ -30,7 +30,7 @@ def main(
     """Write a policy as TorchScript or ONNX, to run beside a real controller.
 
     The file takes observations, float32, shape (n, d), and returns actions, shape
-    (n, k), in the action space: displacements of the end-effector's target [m] and
+    (n, k), in the action space: displacements of the end-effector's target [0.1 m] and
     alpha. Names of all entries and the actions' bounds lie in the file. Its actions are
     compared with the policy's before it appears.
 
