@@ -66,17 +66,21 @@ def baseline_rows(name: str) -> list[Row]:
 def online_rows() -> list[Row]:
     """Rows of online learning by this package's algorithms, with its task."""
     from marl_mm.eval.studies.online import CELLS
+    from marl_mm.eval.studies.study import Online
     from marl_mm.eval.studies.targets import STUDIES
 
     rows = []
-    grasping = {setting.name: (s, setting) for s, setting in STUDIES["grasp"].cells}
+    cells = {**CELLS}
+    for source, setting in STUDIES["grasp"].cells:
+        assert isinstance(source, Online)
+        cells[setting.name] = source, setting
     every = [
         row
         for name in ("online", "grasp")
         for row in read_rows(RESULTS / f"studies/{name}.csv")
     ]
     for row in every:
-        source, setting = {**CELLS, **grasping}[row["setting"]]
+        source, setting = cells[row["setting"]]
         if setting.library == "marl_mm":
             columns = {"algorithm": setting.algorithm, "about": setting.about}
             rows.append({**row, **columns, "task": source.task})

@@ -5,7 +5,7 @@ loses to a disturbance is compared goal by goal, and with it what the team keeps
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from marl_mm.algorithms.checkpoint import FILE
+from marl_mm.config_diff import as_json
 from marl_mm.envs.registry import fewest_steps
-from marl_mm.errors import UsageError
+from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.evaluate import Setup
 from marl_mm.eval.grouping import by_goal, grouped, mean_of
 from marl_mm.eval.intervals import interval_of_mean
@@ -25,9 +26,11 @@ from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.cells import read_cells, run_cells, write_cells
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.study import Study, cell_name, setting_of
+from marl_mm.eval.studies.tuned import CHOSEN
 from marl_mm.eval.suite import ROBUSTNESS, conditions
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar, silent_bar
+from marl_mm.received import read_json
 from marl_mm.runs.recipes import RECIPES
 from marl_mm.runs.run import Run
 from marl_mm.runs.settings import check_positive
@@ -60,9 +63,12 @@ UPDATES = 5_000
 AGENTS = Study(
     "Table: teams and joint actors before they are disturbed.",
     tuple(
-        (RECIPES.get(recipe).source, setting_of(f"robust-{name}", name, UPDATES))
-        for recipe, form in product(SOURCES.values(), FORMS)
-        for name in form
+        (
+            RECIPES.get(recipe).source,
+            setting_of(f"robust-{name}", name, UPDATES, CHOSEN.get(team, {})),
+        )
+        for recipe, (joint, team) in product(SOURCES.values(), FORMS)
+        for name in (joint, team)  # both with what the tuning chose for the team
     ),
 )
 """Study whose runs are disturbed."""
@@ -139,41 +145,46 @@ def _names(options: StudyOptions) -> Sequence[str]:
     return ("noisy", "wheel friction") if options.small else [*ROBUSTNESS]
 
 
-def cells_of(options: RobustnessOptions) -> list[RobustCell]:
-    """Runs under the suite, all of which have to be trained.
-
-    Raises:
-        UsageError: If a run is gone.
-    """
+def cells_of(
+    options: RobustnessOptions, dataset: str, setting: str
+) -> list[RobustCell]:
+    """Runs of a setting under the suite, a seed each, their weights left open."""
+    source = RECIPES.get(SOURCES[dataset]).source
+    max_steps = fewest_steps(source.task, 4) if options.small else None
     goals = 2 if options.small else options.goals
-    cells = []
-    for dataset, setting in map(cell_name, AGENTS.cells):
-        source = RECIPES.get(SOURCES[dataset]).source
-        max_steps = fewest_steps(source.task, 4) if options.small else None
-        overrides = _overrides(source, max_steps)
-        listed, _ = conditions(source.task, overrides, _names(options))
-        words = tuple(map(str, listed))
-        for seed in options.seeds_of(AGENTS):
-            weights = _run(options, dataset, setting, seed).policy.fingerprint
-            of_run = dataset, setting, seed, weights
-            cells.append(RobustCell(*of_run, goals, words, max_steps))
-    return cells
+    overrides = _overrides(source, max_steps)
+    listed, _ = conditions(source.task, overrides, _names(options))
+    words = tuple(map(str, listed))
+    return [
+        RobustCell(dataset, setting, seed, "", goals, words, max_steps)
+        for seed in options.seeds_of(AGENTS)
+    ]
 
 
-def _run(options: StudyOptions, dataset: str, setting: str, seed: int) -> Run:
-    (cell,) = (c for c in AGENTS.cells if cell_name(c) == (dataset, setting))
-    run = Run(options.run_folder(cell, seed))
+def _are_made(record: Path, cells: Sequence[RobustCell]) -> bool:
+    """Whether rows are those of these cells, of whatever weights."""
+    if not record.exists():
+        return False
+    made = read_json(record, MarlMmError).get("cells", [])
+    wanted = as_json({"cells": [asdict(cell) for cell in cells]})["cells"]
+    return bool([{**cell, "weights": ""} for cell in made] == wanted)
+
+
+def _run(options: StudyOptions, of: RobustCell) -> Run:
+    names = of.dataset, of.setting
+    (cell,) = (cell for cell in AGENTS.cells if cell_name(cell) == names)
+    run = Run(options.run_folder(cell, of.seed))
     if not (run.folder / FILE).exists():
         raise UsageError(
             f"{run.folder} is gone, and {options.store.folder} has its evaluations: "
-            "name another folder with `out`, or bring the run back"
+            f"delete those of {of.setting}, or bring the run back"
         )
     return run
 
 
 def run_cell(options: RobustnessOptions, cell: RobustCell) -> list[Row]:
     """A row per condition and goal. Noise is in units of the dataset's spread."""
-    run = _run(options, cell.dataset, cell.setting, cell.seed)
+    run = _run(options, cell)
     data = dataset_of(run.config)
     assert data is not None
     setup = Setup(cell.task, cell.overrides, cell.goals, seed=0)
@@ -218,13 +229,21 @@ def make_robustness(options: RobustnessOptions, bar: Bar) -> list[Row]:
         KeyboardInterrupt: After Ctrl-C; finished runs are kept.
     """
     options.check_settings()
-    cells, folder = cells_of(options), options.runs_folder / "robustness"
+    folder = options.runs_folder / "robustness"
     run = partial(run_cell, options)
-    rows = run_cells(run, cells, folder, options.workers, (bar, "robustness"))
-    for name in map(cell_name, AGENTS.cells):
-        listed = [cell for cell in cells if (cell.dataset, cell.setting) == name]
-        file = "-".join(name).replace("/", "-")
-        write_cells(_rows_folder(options.results) / file, listed, rows)
+    for dataset, setting in map(cell_name, AGENTS.cells):
+        file = f"{dataset}-{setting}".replace("/", "-")
+        path = _rows_folder(options.results) / file
+        cells = cells_of(options, dataset, setting)
+        if _are_made(path.with_suffix(".json"), cells):
+            continue
+        cells = [
+            replace(cell, weights=_run(options, cell).policy.fingerprint)
+            for cell in cells
+        ]
+        advance_of = bar, f"robustness {setting}"
+        rows = run_cells(run, cells, folder, options.workers, advance_of)
+        write_cells(path, cells, rows)
     return draw_robustness(options.results, options.results)
 
 

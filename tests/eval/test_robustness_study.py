@@ -107,5 +107,8 @@ def test_it_is_trained_disturbed_once_and_checked(
     assert len(ran) == 2
     assert main(["ablate", "robustness", "--check", *runs]) == 0
     (tmp_path / "runs/marl_mm-quiet-zone-expert-v0/robust-bc").rename(tmp_path / "bc")
+    assert main([*words, "--resume"]) == 0  # its rows are there
+    (made,) = (tmp_path / "out/rows/robustness").glob("*-robust-bc.json")
+    made.unlink()
     assert main([*words, "--resume"]) == 2
     assert "robust-bc/0 is gone" in capsys.readouterr().err
