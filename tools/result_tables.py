@@ -39,7 +39,10 @@ from marl_mm.eval.bench.tables import (
     abuse_table,
     bench_table,
     data_table,
+    env_table,
     offline_speed_table,
+    tick_table,
+    vector_table,
 )
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows
@@ -90,6 +93,12 @@ def _worth() -> str:
 
 def _loads() -> str:
     return load_table(read_rows(RESULTS / "alpha/loads.csv"))
+
+
+def _env() -> str:
+    paths = sorted((RESULTS / "env").glob("*.json"), reverse=True)  # Reach first
+    results = {path.stem: json.loads(path.read_text()) for path in paths}
+    return "\n".join(table(results) for table in (env_table, vector_table, tick_table))
 
 
 def _bench() -> str:
@@ -299,6 +308,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "worth": _worth,
     "loads": _loads,
     "bench": _bench,
+    "env": _env,
     "abuse": _abuse,
     "data": _data,
     "online": _online,

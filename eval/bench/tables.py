@@ -155,3 +155,45 @@ def data_table(result: Mapping[str, Any]) -> str:
         ),
     ]
     return markdown_table(("what", "measured", "beside"), lines)
+
+
+def env_table(results: Mapping[str, Mapping[str, Any]]) -> str:
+    """Environment steps per second of the engines, by task, as Markdown."""
+    lines = []
+    for task, result in results.items():
+        for alpha in ("random alpha", "alpha 1"):
+            speed = result[f"{alpha}: steps/s"]
+            times = result[f"{alpha}: times the steps/s of bullet"]
+            lines.append(
+                (
+                    f"`{task}`, {alpha}",
+                    f"{speed['bullet']:.0f}",
+                    f"{speed['mujoco']:.0f}",
+                    f"{times['mujoco']:.1f}",
+                    f"{times['mujoco, loop in Python']:.1f}",
+                )
+            )
+    head = ("task and alpha", "PyBullet, steps/s", "MuJoCo, steps/s", "of PyBullet's")
+    return markdown_table((*head, "loop in Python, of PyBullet's"), lines)
+
+
+def tick_table(results: Mapping[str, Mapping[str, Any]]) -> str:
+    """Where the time of a compiled tick goes, by task, as Markdown."""
+    ticks = [result["mujoco: us of a tick"] for result in results.values()]
+    lines = [(part, *(f"{tick[part]:.2f}" for tick in ticks)) for part in ticks[0]]
+    return markdown_table(
+        ("part of a tick", *(f"`{task}` [us]" for task in results)), lines
+    )
+
+
+def vector_table(results: Mapping[str, Mapping[str, Any]]) -> str:
+    """Speed of a vector of environments over a single one, by task, as Markdown."""
+    lines = []
+    for task, result in results.items():
+        settings = result["options"]
+        count, workers = settings["vector"], settings["workers"]
+        label = f"vector of {count}, {workers} workers: times the steps/s of one"
+        times = (f"{result[label][engine]:.2f}" for engine in ("bullet", "mujoco"))
+        lines.append((f"`{task}`", str(count), str(workers), *times))
+    head = ("task", "environments", "workers", "on PyBullet", "on MuJoCo")
+    return markdown_table(head, lines)

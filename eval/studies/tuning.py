@@ -1,4 +1,4 @@
-"""Tuning: as many settings for every offline algorithm, on data of no other table.
+"""Tuning: as many settings for every offline algorithm, on data that the benchmark lacks.
 
 Each algorithm has its preset and others drawn from ranges of its own, the same number,
 updates, seeds and goals for all. The best mean over datasets and seeds is chosen.
@@ -40,8 +40,8 @@ ABOUT = "Tuning: what each algorithm reaches with each of twelve settings."
 TABLE = "tuning.csv"
 """File of the table, a row per algorithm and setting."""
 
-DATASETS = ("tray-noisy", "moving-reach-noisy")
-"""Recipes of the datasets, which are in no table of results."""
+DATASETS = ("quiet-zone-noisy", "bar-one-bad")
+"""Recipes of the datasets, which are not the benchmark's."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -32,8 +32,11 @@ of them runs at a time."""
 
 def threads_serve(task: Task, workers: int) -> bool:
     """Whether threads run a task's steps side by side, as compiled calls let them."""
-    compiled = task.simulation.engine != "bullet" and (
-        type(task).at_tick is Task.at_tick and task.controller.solver == "active-set"
+    compiled = (
+        task.simulation.engine != "bullet"
+        and task.controller.solver == "active-set"
+        and type(task).at_tick is Task.at_tick
+        and not task.handles  # two threads make 1.5 times as many steps, processes 1.8
     )
     return compiled and workers <= MOST_THREADS
 

@@ -121,6 +121,9 @@ class Task(ABC):
     fails: ClassVar[bool] = False
     """Whether an episode can end in failure."""
 
+    handles: ClassVar[bool] = False
+    """Whether robots have blocks, whose contacts are looked at within a step, too."""
+
     conventions: ClassVar[tuple[str, ...]] = ()
     """Names of the ways of the expert, where the agents have to agree on one."""
 

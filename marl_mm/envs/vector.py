@@ -246,7 +246,8 @@ class GoalVector(TaskVector):
 
     Every number is that of n single environments to the last bit, whatever the workers.
     Up to four workers are threads where a step is one compiled call (engine
-    ``"mujoco"``); they are processes elsewhere, with some of the environments in each.
+    ``"mujoco"``, no blocks); they are processes elsewhere, with some of the
+    environments in each.
 
     Args:
         task: Registered name of the task.

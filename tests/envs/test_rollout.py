@@ -68,6 +68,9 @@ def test_threads_and_processes_run_the_same_episodes(
 
 
 def test_threads_serve_only_where_steps_leave_others_be() -> None:
+    for name in ("Grasp-v0", "Bar-v0", "Course-v0"):  # looks at contacts are Python
+        blocks = make_task(name, {"simulation": {"engine": "mujoco"}})
+        assert not slots.threads_serve(blocks, 2)
     for settings, workers, serve in (
         ({"simulation": {"engine": "mujoco"}}, 4, True),
         ({"simulation": {"engine": "mujoco"}}, 5, False),

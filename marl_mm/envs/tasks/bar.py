@@ -125,6 +125,7 @@ class Bar(RiskyTask):
     camera = Camera(target_w=(0.0, 0.0, 0.5), distance=2.0, yaw=-75.0, pitch=-16.0)
     robots = 2
     conventions = ("over", "under")
+    handles: ClassVar[bool] = True
     own_info: ClassVar[dict[str, str]] = {
         **{
             name: f"{text}; of two hands and bases the larger"

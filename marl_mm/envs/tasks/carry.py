@@ -22,6 +22,7 @@ class Carry(Reach):
 
     about = "Bring a load of unknown mass in the hand to a goal ahead or behind."
     fails: ClassVar[bool] = True
+    handles: ClassVar[bool] = True
 
     load: LoadConfig = field(default_factory=lambda: LoadConfig(failure_reward=-50.0))
     """Intervals of the block in the hand."""
