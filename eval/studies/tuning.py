@@ -1,4 +1,4 @@
-"""Tuning: as many settings for every offline algorithm, on data that the benchmark lacks.
+"""Tuning: as many settings for every offline algorithm, on data of no benchmark table.
 
 Each algorithm has its preset and others drawn from ranges of its own, the same number,
 updates, seeds and goals for all. The best mean over datasets and seeds is chosen.
