@@ -195,5 +195,5 @@ def vector_table(results: Mapping[str, Mapping[str, Any]]) -> str:
         label = f"vector of {count}, {workers} workers: times the steps/s of one"
         times = (f"{result[label][engine]:.2f}" for engine in ("bullet", "mujoco"))
         lines.append((f"`{task}`", str(count), str(workers), *times))
-    head = ("task", "environments", "workers", "PyBullet, times one", "MuJoCo, times one")
+    head = ("task", "environments", "workers", "PyBullet, of one", "MuJoCo, of one")
     return markdown_table(head, lines)
