@@ -47,6 +47,14 @@ from marl_mm.eval.bench.tables import (
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies.alpha import worth_table as alpha_worth_table
+from marl_mm.eval.studies.benchmark import (
+    OVERALL,
+    PAIRS,
+    benchmark_table,
+    overall_table,
+    pairs_table,
+)
+from marl_mm.eval.studies.benchmark import TABLE as BENCHMARK
 from marl_mm.eval.studies.budgets import (
     BUDGETS_FIGURE,
     BUDGETS_TABLE,
@@ -341,6 +349,9 @@ TABLES: dict[str, Callable[[], str]] = {
     "baselines": partial(_drawn_from, "baselines.csv", baselines_table),
     "separation": partial(_drawn_from, "separation.csv", separation_table),
     "fine-tuning": partial(_drawn_from, "fine-tuning.csv", _fine_tuning),
+    "benchmark": partial(_drawn_from, BENCHMARK, benchmark_table),
+    "benchmark-overall": partial(_drawn_from, OVERALL, overall_table),
+    "benchmark-pairs": partial(_drawn_from, PAIRS, pairs_table),
     "tuning": partial(_drawn_from, TUNED_TABLE, tuning_table),
     "budgets": partial(_drawn_from, BUDGETS_TABLE, budgets_table),
     "selection": partial(_drawn_from, SELECTION_TABLE, selection_table),

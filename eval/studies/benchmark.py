@@ -42,8 +42,8 @@ TABLE, OVERALL, PAIRS = (
 """Files of the tables: a row per dataset and algorithm, algorithm, or pair of them."""
 
 ALGORITHM_NAMES = (
-    *("bc", "mabc", "ma-flow-bc", "ma-iql", "td3-bc", "matd3-bc", "ma-rebrac"),
-    *("omar", "maicq", "mac-flow", "best-of-n", "q-chunking"),
+    *("bc", "mabc", "flow-bc", "ma-flow-bc", "ma-iql", "td3-bc", "matd3-bc"),
+    *("ma-rebrac", "omar", "maicq", "mac-flow", "best-of-n", "q-chunking"),
 )
 """Registered names of the algorithms."""
 
@@ -217,3 +217,40 @@ def _text(row: Row | None) -> str:
         return ""
     rate = rate_in_interval(row["success"], row["success_interval"])
     return f"{f'**{rate}**' if row['first'] else rate}, {row['group']}"
+
+
+def overall_table(rows: list[Row]) -> str:
+    """What algorithms reach over all datasets, as Markdown."""
+    lines = [
+        [
+            f"`{row['algorithm']}`",
+            rate_in_interval(row["iqm"], row["iqm_interval"]),
+            rate_in_interval(row["mean"], row["mean_interval"]),
+            f"{row['first']} of {row['datasets']}",
+            str(row["first_alone"]),
+        ]
+        for row in rows
+    ]
+    heads = ["algorithm", "IQM [%]", "mean [%]", "not told from the best", "best alone"]
+    return markdown_table(heads, lines)
+
+
+def pairs_table(rows: list[Row]) -> str:
+    """Probability that a row's algorithm reaches more than a column's, as Markdown.
+
+    Bold where the interval excludes one half.
+    """
+    chances = {}
+    for row in rows:
+        low, high = row["improvement_interval"]
+        for pair, value in (
+            ((row["algorithm"], row["other"]), row["improvement"]),
+            ((row["other"], row["algorithm"]), 1 - row["improvement"]),
+        ):
+            chances[pair] = f"{value:.2f}" if low <= 0.5 <= high else f"**{value:.2f}**"
+    names = [name for name in ALGORITHM_NAMES if any(name in pair for pair in chances)]
+    lines = [
+        [f"`{name}`", *(chances.get((name, other), "") for other in names)]
+        for name in names
+    ]
+    return markdown_table(["more often than", *(f"`{name}`" for name in names)], lines)

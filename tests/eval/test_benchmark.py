@@ -15,6 +15,8 @@ from marl_mm.eval.studies.benchmark import (
     TABLE,
     benchmark_table,
     draw_benchmark,
+    overall_table,
+    pairs_table,
 )
 from marl_mm.eval.studies.study import cell_name
 from marl_mm.eval.studies.tuning import DATASETS as TUNING
@@ -69,6 +71,8 @@ def test_tie_groups_are_within_datasets_and_the_rest_over_whole_ones(
     pairs = {(r["algorithm"], r["other"]): r for r in read_rows(tmp_path / PAIRS)}
     assert pairs["bc", "mabc"]["improvement"] == 0.0
     assert pairs["mabc", "td3-bc"]["improvement"] == 0.5
+    assert "| `mabc` | **1.00** |  | 0.50 |" in pairs_table(read_rows(tmp_path / PAIRS))
+    assert "| 1 of 1 | 0 |" in overall_table(read_rows(tmp_path / OVERALL))
     line = benchmark_table(rows).splitlines()[-1]
     assert line.startswith("| `td3-bc` | **") and line.endswith(", 1 |  |")
 
