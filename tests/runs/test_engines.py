@@ -132,7 +132,8 @@ def test_mujoco_takes_the_place_of_pybullet_and_says_so_once(
     (result,) = json.loads(without_bullet("eval", "pd", *words).stdout)
     assert result["engine"] == "mujoco"
     runs = "--out", tmp_path, "--updates", 20, "--eval-episodes", 2, "--workers", 1
-    ended = without_bullet("train", "mabc", "--dataset", "pd", *runs)
+    curve = "--curve-episodes", 1
+    ended = without_bullet("train", "mabc", "--dataset", "pd", *runs, *curve)
     assert ended.returncode == 0, ended.stderr
     assert json.loads((tmp_path / "0/config.json").read_text())["engine"] == "mujoco"
     assert without_bullet("datasets", "verify", "pd", "--replay").returncode == 0
