@@ -208,6 +208,11 @@ def test_a_zone_as_long_as_its_room_is_drawn() -> None:
         ("Gate-v0", {"goal_x": (50.0, 60.0)}, "a way of 59.30 m, expected at most 1.7"),
         ("Gate-v0", {"wall": {"y": (0.9, 0.9)}}, "a way of 1.95 m through the window"),
         ("Gate-v0", {"failure_reward": 5.0}, "failure_reward is 5, expected below 0"),
+        (
+            "Course-v0",
+            {"load": {"failure_reward": -3.0}},
+            "-3, expected -10, as it has",
+        ),
         ("Gate-v0", {"goal_reward": -50.0}, "goal_reward is -50.0, expected > 0"),
         ("Tray-v0", {"goal_y": (1.3, 1.3)}, "dry in 10 steps: goal_y is 1.3 to 1.3 m"),
         ("MovingReach-v0", {"ticks_per_step": 480}, "at most 0.05, which a hand"),

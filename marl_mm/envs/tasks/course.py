@@ -157,6 +157,12 @@ class Course(CruiseTask):
             raise UsageError(
                 f"failure_reward is {self.failure_reward}, expected below 0"
             )
+        given, unused = self.load.failure_reward, StandConfig().failure_reward
+        if given != unused:
+            raise UsageError(
+                f"load.failure_reward is {given:g}, expected {unused:g}, as it has no "
+                "effect here: `failure_reward` is the reward of all failures"
+            )
         self._check_block()
 
     def _check_block(self) -> None:
