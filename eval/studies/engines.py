@@ -5,7 +5,7 @@ agents from datasets of each engine and evaluates them on both: a 2 x 2 table.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
@@ -147,8 +147,8 @@ def make_engines(options: EnginesOptions, bar: Bar) -> list[Row]:
     folder, pool = options.cells_folder, options.workers
     rows = run_cells(run_cell, cells, folder, pool, (bar, "engines"))
     for task in options.tasks:
-        of_task = [cell for cell in cells if cell.task == task]
-        write_cells(_rows_folder(options.results) / task, of_task, rows)
+        of_task = {recorded(cell): rows[cell] for cell in cells if cell.task == task}
+        write_cells(_rows_folder(options.results) / task, [*of_task], of_task)
     return draw_engines(options.results, options.results)
 
 
@@ -163,6 +163,16 @@ def cells_of(task: str, options: EnginesOptions) -> list[PolicyCell]:
         for contestant in (every[::8] if options.small else every)
         for engine in ENGINES
     ]
+
+
+def recorded(cell: PolicyCell) -> PolicyCell:
+    """A cell with its agent's run by source, setting and seed, wherever it lies."""
+    settings = {
+        name: "/".join(Path(value).parts[-3:]) if name == "agent" else value
+        for name, value in cell.contestant.settings
+    }
+    contestant = replace(cell.contestant, settings=tuple(settings.items()))
+    return replace(cell, contestant=contestant)
 
 
 def _weights(contestant: Contestant) -> str:

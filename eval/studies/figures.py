@@ -1,6 +1,7 @@
 """Learning curves of a study, as the paper draws them; the learnt alpha."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
@@ -138,7 +139,7 @@ def engines_figure(summary: Sequence[Row], path: Path) -> None:
     looks = dict(zip(_kinds(summary), product("o^sv", PAPER_COLORS), strict=False))
     columns = min(3, len(tasks))
     lines = -(-len(tasks) // columns)
-    figure = Figure(figsize=(3.2 * columns, 3.4 * lines), layout="constrained")
+    figure = Figure(figsize=(3.2 * columns, 3.7 * lines), layout="constrained")
     axes: Any = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True)
     for axis in axes.flat[len(tasks) :]:
         axis.remove()
@@ -151,7 +152,7 @@ def engines_figure(summary: Sequence[Row], path: Path) -> None:
                 for key in ("success", "success_beside")
             )
             axis.plot(first, other, shape, ms=4, color=color, label=kind)
-        axis.set(title=task, aspect="equal")
+        axis.set(title=task, box_aspect=1)
         axis.legend(frameon=False, fontsize=8)
     figure.supxlabel(f"goals reached on {summary[0]['engine']} [%]", fontsize=10)
     figure.supylabel(f"goals reached on {summary[0]['beside']} [%]", fontsize=10)
@@ -159,10 +160,11 @@ def engines_figure(summary: Sequence[Row], path: Path) -> None:
 
 
 def _kinds(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """Rows by the first word of the policies' names, such as pd or medium."""
+    """Rows by the beginning of the policies' names, such as pd, medium or td3-bc."""
     kinds: dict[str, list[Row]] = {}
     for row in rows:
-        kinds.setdefault(row["policy"].partition("-")[0], []).append(row)
+        kind = re.split(r"-(?=kp|noise|room|good|\d)", row["policy"])[0]
+        kinds.setdefault(kind, []).append(row)
     return kinds
 
 

@@ -12,7 +12,12 @@ from marl_mm.errors import UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies import figures
-from marl_mm.eval.studies.engines import TRANSFER, EnginesOptions, contestants
+from marl_mm.eval.studies.engines import (
+    TRANSFER,
+    EnginesOptions,
+    contestants,
+    recorded,
+)
 from marl_mm.eval.studies.engines_summary import (
     MEASURES,
     agreement,
@@ -20,6 +25,7 @@ from marl_mm.eval.studies.engines_summary import (
     paired,
     pearson,
 )
+from marl_mm.eval.studies.policies import PolicyCell
 
 MUJOCO = {"simulation": {"engine": "mujoco"}}
 
@@ -91,6 +97,8 @@ def test_agents_whose_runs_are_there_take_part(tmp_path: Path) -> None:
     *_, agent = contestants("SmoothReach-v0", options)
     assert agent.name == "mabc-good-10k-bullet"
     assert agent.settings == (("agent", str(run)),)
+    cell = recorded(PolicyCell("SmoothReach-v0", "bullet", agent, 2))
+    assert cell.contestant.settings == (("agent", "good-10k-bullet/mabc/0"),)
 
 
 @pytest.mark.bullet
