@@ -114,7 +114,8 @@ class WholeBodyController:
         Raises:
             NonFiniteStateError: If the state holds, or the solution would hold, a NaN.
         """
-        self._check_wrench(terms)
+        if self._limits.zmp:
+            self._check_wrench(terms)
         if self.config.solver == "active-set":
             command, finite = self._compiled(state, terms, reference, priorities)
         else:
@@ -143,8 +144,11 @@ class WholeBodyController:
         line = packed(track._replace(points=np.empty(0)))
         unchanging = self._packed, line, track.points, *priorities
 
+        balance = self._limits.zmp
+
         def command(k: int, state: RobotState, terms: ModelTerms) -> Command:
-            self._check_wrench(terms)
+            if balance:
+                self._check_wrench(terms)
             u, torque = np.empty(VARIABLES), np.empty(7)
             finite, rest = tick_along(*state, *terms, k, *unchanging, u, torque)
             if not finite:
@@ -154,7 +158,7 @@ class WholeBodyController:
         return command
 
     def _check_wrench(self, terms: ModelTerms) -> None:
-        if self._limits.zmp and not terms.wrench.any():
+        if not terms.wrench.any():
             raise UsageError(
                 "limits.zmp is on, but the model gives no wrench: "
                 "RobotModel(config, balance=True)"

@@ -88,6 +88,7 @@ class RobotModel:
         placement = self._data.oMf[self._frame]
         self._pose = placement.translation, placement.rotation  # views of the data
         self._no_acceleration = np.zeros(self._model.nv)
+        self._full = np.zeros(self._model.nv)
         self._mass = pin.computeTotalMass(self._model)
         grasp = self._model.frames[self._frame]
         self._hand, self._grasp_h = grasp.parentJoint, grasp.placement
@@ -153,9 +154,8 @@ class RobotModel:
             state: State of the robot.
             acceleration: Controller's variables u, shape (9,).
         """
-        full = np.zeros(self._model.nv)
-        full[ACTUATED] = acceleration
-        model, data = self._model, self._data
+        model, data, full = self._model, self._data, self._full
+        full[0], full[2:] = acceleration[0], acceleration[1:]
         pin.computeCentroidalMomentumTimeVariation(model, data, *state, full)
         x, y, z = data.com[0].tolist()
         (fx, fy, fz), (mx, my, _) = data.dhg.linear.tolist(), data.dhg.angular.tolist()
