@@ -186,6 +186,9 @@ def check_types(state: Any, fresh: Any, where: str = "state") -> None:
     elif isinstance(state, Mapping) and isinstance(fresh, Mapping):
         for key in state.keys() & fresh.keys():
             check_types(state[key], fresh[key], str(key))
+    elif isinstance(state, list | tuple) and isinstance(fresh, list | tuple):
+        for old, new in zip(state, fresh, strict=False):
+            check_types(old, new, where)
 
 
 def _check_values(value: Any) -> None:

@@ -111,7 +111,7 @@ def train_online(
         saved = algorithm.episodes
         try:
             while saved < total and not is_flat(log.rows, schedule.patience):
-                end = min(saved + schedule.epoch, total)
+                end = min((saved // schedule.epoch + 1) * schedule.epoch, total)
                 row = _epoch(algorithm, run_episodes, end, advance)
                 number = end // schedule.epoch
                 if number % schedule.evaluate_every == 0 or end == total:

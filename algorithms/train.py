@@ -157,9 +157,10 @@ def _note(measured: Mapping[str, torch.Tensor]) -> str:
         for key, value in measured.items()
         if key.count("/") == 1 and key.startswith("loss/") and "imitation" not in key
     }
-    critic = losses.pop("loss/critic", "")  # there is no room for agents' names
-    text = [f"critic {critic}"] if critic else []
-    return ", ".join([*text, f"actor {' '.join(losses.values())}"])
+    shared = ("critic", "value", "conservative", "flow")
+    text = [f"{n} {losses.pop(f'loss/{n}')}" for n in shared if f"loss/{n}" in losses]
+    # The rest are the agents', for whose names there is no room.
+    return ", ".join([*text, *([f"actor {' '.join(losses.values())}"] * bool(losses))])
 
 
 def each_seeds(

@@ -129,7 +129,11 @@ class Dataset:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Hash of all observations, actions and rewards, 16 hex digits."""
+        """Hash of the transitions, 16 hex digits: states, actions, rewards, episodes.
+
+        An episode's last state, and why it ended, are not in it, as records of
+        version 1 hold this hash; they are in ``data_sha256`` of the metadata.
+        """
         joint, digest = self._joint, hashlib.sha256()
         for array in (joint.observation, joint.action, joint.reward, joint.episode):
             digest.update(array.tobytes())

@@ -6,7 +6,7 @@ from itertools import product
 from typing import Any
 
 from marl_mm.envs.load import LoadConfig
-from marl_mm.envs.registry import make_task
+from marl_mm.envs.registry import make_task, merged
 from marl_mm.envs.task import Task
 from marl_mm.errors import UsageError
 from marl_mm.eval.disturbances import Disturbed, Dropped, Frozen, Late, Noisy
@@ -186,7 +186,7 @@ def conditions(
             ]
             continue
         try:
-            changed = [_merged(overrides, how(clean, each)) for each in strengths]
+            changed = [merged(overrides, how(clean, each)) for each in strengths]
             for each in changed:
                 make_task(task, each)  # raises
         except UsageError as error:
@@ -195,11 +195,3 @@ def conditions(
             pairs = zip(strengths, changed, strict=True)
             listed += [Condition(name, "", *pair) for pair in pairs]
     return listed, left_out
-
-
-def _merged(overrides: Changes, changes: Changes) -> Changes:
-    merged = dict(overrides)
-    for name, value in changes.items():
-        nested = isinstance(value, Mapping)
-        merged[name] = {**overrides.get(name, {}), **value} if nested else value
-    return merged

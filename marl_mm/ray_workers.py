@@ -29,7 +29,7 @@ class RayWorkers:
     def __init__(
         self,
         workers: int,
-        initializer: Callable[..., None],
+        initializer: Callable[..., None] | None = None,
         arguments: tuple[Any, ...] = (),
     ) -> None:
         if workers < 1:
@@ -64,12 +64,14 @@ class RayWorkers:
         if self._started:
             ray.shutdown()
 
-    def map(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+    def map(
+        self, function: Callable[[T], R], items: Iterable[T], ahead: int = 2
+    ) -> Iterator[R]:
         """Results in the order of ``items``; see ``Workers.map``."""
         waiting: dict[int, R] = {}
         following = 0
         numbered = _Numbered(function)
-        for number, result in self.completed(numbered, enumerate(items)):
+        for number, result in self.completed(numbered, enumerate(items), ahead):
             waiting[number] = result
             while following in waiting:
                 yield waiting.pop(following)

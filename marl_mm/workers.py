@@ -52,8 +52,16 @@ class Pool(Protocol):
     def close(self) -> None:
         """End the processes."""
 
-    def map(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-        """Results in the order of ``items``, which may be endless."""
+    def map(
+        self, function: Callable[[T], R], items: Iterable[T], ahead: int = 4
+    ) -> Iterator[R]:
+        """Results in the order of ``items``, which may be endless.
+
+        Args:
+            function: The function.
+            items: Its arguments.
+            ahead: Number of items that each worker has been handed at a time.
+        """
 
     def completed(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
         """Results in the order in which they are ready."""
@@ -62,7 +70,7 @@ class Pool(Protocol):
 def open_pool(
     executor: Executor,
     workers: int,
-    initializer: Callable[..., None],
+    initializer: Callable[..., None] | None,
     arguments: tuple[Any, ...],
 ) -> Pool:
     """Processes of this machine, or of a Ray cluster.
@@ -268,7 +276,11 @@ def ordered_map(
     initializer: Callable[..., None] | None = None,
     arguments: tuple[Any, ...] = (),
     ahead: int = 4,
+    executor: Executor = "local",
 ) -> Iterator[R]:
-    """Results of a map over new ``Workers``, in the order of ``items``."""
-    with Workers(workers, initializer, arguments) as pool:
+    """Results of a map over new workers, in the order of ``items``."""
+    pool = open_pool(executor, workers, initializer, arguments)
+    try:
         yield from pool.map(function, items, ahead)
+    finally:
+        pool.close()

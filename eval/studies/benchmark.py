@@ -163,8 +163,8 @@ def _write_overall(folder: Path, rows: list[Row], scores: list[Scores]) -> None:
     whole = [of_dataset for of_dataset in scores if of_dataset.keys() == there]
     names = [name for name in ALGORITHM_NAMES if name in there and whole]
     means = {
-        name: resampled([of[name] for of in whole], number)
-        for number, name in enumerate(names)
+        name: resampled([of[name] for of in whole], ALGORITHM_NAMES.index(name))
+        for name in names
     }
     groups = [
         [row["algorithm"] for row in of_dataset if row["first"]]

@@ -103,7 +103,7 @@ def draw_budgets(rows: Sequence[Row], folder: Path) -> None:
                 found_then = {
                     "episodes": budget,
                     "success": taken.mean(),
-                    "success_interval": percentile_interval(taken),
+                    "success_middle": percentile_interval(taken),
                 }
                 budgets.append(about | found_then | bests)
         axis.set(title=dataset, xlabel="episodes for choosing", ylim=(-2, 102))
@@ -157,7 +157,7 @@ def budgets_table(rows: Sequence[Row]) -> str:
     for (dataset, algorithm), some in grouped(rows, "dataset", "algorithm").items():
         after = {row["episodes"]: row for row in some}
         rates = [f"{100 * after[n]['success']:.1f}" for n in BUDGETS]
-        low, high = (100 * end for end in after[BUDGETS[-1]]["success_interval"])
+        low, high = (100 * end for end in after[BUDGETS[-1]]["success_middle"])
         best = (some[0][name] for name in ("best_of_3", "best_of_12", "best"))
         rates[-1] += f" [{low:.0f}, {high:.0f}]"
         lines.append(

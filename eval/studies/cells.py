@@ -16,7 +16,7 @@ from marl_mm.eval.rows import as_read, read_rows, write_csv
 from marl_mm.files import write_json
 from marl_mm.progress import Bar
 from marl_mm.versions import versions
-from marl_mm.workers import ordered_map
+from marl_mm.workers import Executor, ordered_map
 
 
 class ActedCell(Protocol):
@@ -44,6 +44,7 @@ def run_cells(
     folder: Path,
     workers: int,
     advance_of: tuple[Bar, str],
+    executor: Executor = "local",
 ) -> dict[C, list[Row]]:
     """Rows of cells; those that are finished are kept in a folder.
 
@@ -53,6 +54,7 @@ def run_cells(
         folder: Folder of the kept rows, a file per cell.
         workers: Number of processes.
         advance_of: Factory of progress bars, and the bar's label.
+        executor: Processes of this machine, or of a Ray cluster that shares its files.
 
     Raises:
         KeyboardInterrupt: After Ctrl-C, saying how to go on.
@@ -63,7 +65,7 @@ def run_cells(
     advance = bar(label, len(cells))
     advance(len(rows), "")
     try:
-        results = ordered_map(run, missing, workers, ahead=1)
+        results = ordered_map(run, missing, workers, ahead=1, executor=executor)
         for cell, values in zip(missing, results, strict=True):
             rows[cell] = as_read(values)
             write_json(_file(cell, folder), values)
@@ -116,12 +118,17 @@ def _file(cell: Any, folder: Path) -> Path:
 
 @cache
 def _sources() -> str:
-    """SHA-256 of the sources that decide what is learnt, and what an episode is."""
-    package = Path(marl_mm.__file__).parent
-    digest = sha256((package / "eval/selection.py").read_bytes())
-    for folder in ("algorithms", "collectors", "control", "envs", "robot", "sim"):
-        for path in sorted((package / folder).rglob("*.py")):
-            digest.update(path.read_bytes())
+    """SHA-256 of what decides what is learnt, what an episode is and what is measured.
+
+    That is sources, the robot's description, and the weights that ship.
+    """
+    package, digest = Path(marl_mm.__file__).parent, sha256()
+    folders = ("algorithms", "collectors", "control", "envs", "robot", "sim")
+    patterns = [f"{folder}/**/*" for folder in folders]
+    for pattern in (*patterns, "eval/*", "episode.py", "layout.py", "policy.py"):
+        for path in sorted(package.glob(pattern)):
+            if path.suffix in (".py", ".urdf", ".safetensors"):
+                digest.update(path.read_bytes())
     return digest.hexdigest()
 
 

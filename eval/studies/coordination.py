@@ -119,7 +119,8 @@ def make_coordination(options: CoordinationOptions, bar: Bar) -> list[Row]:
         check_task(make_task(task, first.overrides))
     every = [cell for listed in cells.values() for cell in listed]
     folder = options.runs_folder / "coordination"
-    rows = run_cells(run_cell, every, folder, options.workers, (bar, "coordination"))
+    pool = options.workers, (bar, "coordination"), options.executor
+    rows = run_cells(run_cell, every, folder, *pool)
     for task, listed in cells.items():
         write_cells(_rows_folder(options.results) / task, listed, rows)
     return draw_coordination(options.results, options.results)

@@ -144,8 +144,8 @@ def make_engines(options: EnginesOptions, bar: Bar) -> list[Row]:
     cells = [cell for task in options.tasks for cell in cells_of(task, options)]
     for task, engine in product(options.tasks, ENGINES):  # before any work is done
         check_task(make_task(task, {"simulation": {"engine": engine}}))
-    folder, pool = options.cells_folder, options.workers
-    rows = run_cells(run_cell, cells, folder, pool, (bar, "engines"))
+    pool = options.workers, (bar, "engines"), options.executor
+    rows = run_cells(run_cell, cells, options.cells_folder, *pool)
     for task in options.tasks:
         of_task = {recorded(cell): rows[cell] for cell in cells if cell.task == task}
         write_cells(_rows_folder(options.results) / task, [*of_task], of_task)

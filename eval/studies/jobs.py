@@ -10,6 +10,7 @@ from typing import Any
 from marl_mm.algorithms import checkpoint
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.registry import ALGORITHMS
+from marl_mm.envs.registry import merged
 from marl_mm.errors import MarlMmError, WorkerDiedError
 from marl_mm.eval.evaluate import evaluate
 from marl_mm.eval.studies.held import FixedAlpha
@@ -204,7 +205,7 @@ def _probe(job: Job, probe: Probe) -> None:
         training.eval_episodes,
         training.eval_seed,
         probe.task or job.learner.task,
-        {**training.overrides, **probe.overrides},
+        merged(training.overrides, probe.overrides),
         advance=_named(job)(probe.name, training.eval_episodes),
     )
     write_json(probe.file(job.run), {**evaluation.to_json(), "probe": probe.way})

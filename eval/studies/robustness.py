@@ -65,10 +65,12 @@ AGENTS = Study(
     tuple(
         (
             RECIPES.get(recipe).source,
-            setting_of(f"robust-{name}", name, UPDATES, CHOSEN.get(team, {})),
+            setting_of(
+                f"robust-{name}", name, UPDATES, CHOSEN.get(name, CHOSEN.get(team, {}))
+            ),
         )
         for recipe, (joint, team) in product(SOURCES.values(), FORMS)
-        for name in (joint, team)  # both with what the tuning chose for the team
+        for name in (joint, team)  # what the tuning chose, else that of the team
     ),
 )
 """Study whose runs are disturbed."""
@@ -242,7 +244,8 @@ def make_robustness(options: RobustnessOptions, bar: Bar) -> list[Row]:
             for cell in cells
         ]
         advance_of = bar, f"robustness {setting}"
-        rows = run_cells(run, cells, folder, options.workers, advance_of)
+        pool = options.workers, advance_of, options.executor
+        rows = run_cells(run, cells, folder, *pool)
         write_cells(path, cells, rows)
     return draw_robustness(options.results, options.results)
 

@@ -19,6 +19,7 @@ from typing import Any
 
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.config_diff import as_json, refuse_other_config
+from marl_mm.envs.registry import merged
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.grouping import grouped
 from marl_mm.eval.metrics import Row
@@ -72,7 +73,7 @@ def is_probed(
     with damage_named(str(path), MarlMmError):
         return bool(
             len(evaluation["episodes"]) == goals
-            and evaluation["overrides"] == as_json({**overrides, **probe.overrides})
+            and evaluation["overrides"] == as_json(merged(overrides, probe.overrides))
             and evaluation.get("probe", usual.way) == as_json(probe.way)
         )
 

@@ -73,6 +73,11 @@ class TuningOptions(StudyOptions):
         super().check_settings()
         check_positive(tried=self.tried, updates=self.updates, goals=self.goals)
         refuse_unknown(self.data)
+        if self.precision != "auto":
+            raise UsageError(
+                f"`precision` is {self.precision}, expected auto: tuning has that of "
+                "the presets"
+            )
         for name in self.algorithms:
             if name not in RANGES:
                 raise UsageError(
@@ -119,7 +124,8 @@ def make_tuning(options: TuningOptions, bar: Bar) -> list[Row]:
         if _is_made(rows_folder / f"{name}.json", listed):
             continue
         advance_of = bar, f"tuning {name}"
-        rows = run_cells(run_cell, listed, runs, options.workers, advance_of)
+        pool = options.workers, advance_of, options.executor
+        rows = run_cells(run_cell, listed, runs, *pool)
         write_cells(rows_folder / name, listed, rows)
     return draw_tuning(options.results, options.results)
 

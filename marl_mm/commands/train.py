@@ -90,10 +90,13 @@ def main(arguments: Sequence[str]) -> None:
         refuse_dataset(word, dataset)
     if repeated is not None:
         from marl_mm.runs.folder import settings_of
+        from marl_mm.runs.starts import refuse_changed_start
         from marl_mm.runs.train import dataset_of
 
         if not dataset:
             dataset_of(repeated)  # is that which it learnt from
+        if not start and "--resume" not in arguments:
+            refuse_changed_start(repeated)
         commands[word] = _subcommand(word, TUNED, settings_of(repeated))
     elif "--resume" in arguments and word in commands and not named:
         from marl_mm.runs.folder import saved_settings

@@ -88,7 +88,7 @@ def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
         )
         if not finite:
             raise no_command(RobotState(q, v), track.target_w, priorities)
-        if not np.isfinite(v).all():
+        if not (np.isfinite(q).all() and np.isfinite(v).all()):
             break  # ``read`` says what diverged
         if hand is not None:
             if payload.learns:

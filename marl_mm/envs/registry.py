@@ -75,6 +75,17 @@ def make_task(name: str = DEFAULT, overrides: Mapping[str, Any] | None = None) -
     return task
 
 
+def merged(overrides: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Overrides of ``make_task``, with others on top of them, nested as they are."""
+    result = dict(overrides)
+    for name, value in changes.items():
+        before = result.get(name)
+        if isinstance(before, Mapping) and isinstance(value, Mapping):
+            value = merged(before, value)
+        result[name] = value
+    return result
+
+
 def fewest_steps(name: str, least: int) -> int:
     """Number of steps of a quick episode of a task: as few as it allows.
 

@@ -107,10 +107,8 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
                 seeds[i] = seeding.np_random()[1]
             arguments[i] = seeds[i], options.get("goal")
         self._call("reset", arguments)
-        self._seeds = [
-            old if new is None else new
-            for old, new in zip(self._seeds, seeds, strict=True)
-        ]
+        for i in np.flatnonzero(mask):
+            self._seeds[i] = self._seeds[i] if seeds[i] is None else seeds[i]
         return self._observation(self._slots.states), {}
 
     def step(

@@ -19,7 +19,7 @@ from marl_mm.sim.config import engine_of
 def collect(
     collector: str = "pd",
     *,
-    task: str = DEFAULT,
+    task: str | None = None,
     dataset: str | Path | None = None,
     config: Any = None,
     progress: Bar = silent_bar,
@@ -29,10 +29,12 @@ def collect(
 
     Args:
         collector: Name of a registered collector.
-        task: Registered name of the task.
+        task: Registered name of the task; default Reach-v0, or when resuming that of
+            the dataset.
         dataset: Id below ``$MINARI_DATASETS_PATH``, or path; default
             ``marl_mm/TASK/COLLECTOR-v0``.
-        config: Settings of the collector; default its own.
+        config: Settings of the collector; default its own, or when resuming those that
+            the dataset was begun with.
         progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
         **settings: Fields of ``Collecting`` (``steps``, ``seed``, ``workers``,
             ``resume`` ...) and of the collector's config, by name.
@@ -42,13 +44,13 @@ def collect(
         OtherConfigError: If the dataset to resume was collected otherwise.
         KeyboardInterrupt: After Ctrl-C; the dataset holds the episodes until then.
     """
-    config = config if config is not None else COLLECTORS.get(collector).config()
-    collecting = Collecting(task=task)
-    name = str(dataset) if dataset is not None else default_dataset(task, collector)
-    if settings.get("resume"):
-        saved = begun_settings(name, collector)
-        collecting = with_values(collecting, saved)
-        config = with_values(config, saved)
+    own = COLLECTORS.get(collector).config()
+    name = default_dataset(task or DEFAULT, collector) if dataset is None else dataset
+    name = str(name)
+    saved = begun_settings(name, collector) if settings.get("resume") else {}
+    config = with_values(own, saved) if config is None else config
+    asked = {} if task is None else {"task": task}
+    collecting = with_values(Collecting(), saved | asked)
     collector_values = {k: v for k, v in settings.items() if not hasattr(collecting, k)}
     rest = {k: v for k, v in settings.items() if k not in collector_values}
     data, complete = collect_into(

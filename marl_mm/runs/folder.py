@@ -180,6 +180,9 @@ def begin_run(run: Path, config: RunConfig, training: Training) -> None:
     further = before.continued(config.plugins, settings)
     if further != before:  # what was made of where it ended before goes
         _remove(run, *_MADE)
+    goals = {"eval_episodes": config.settings["eval_episodes"]}
+    further = further.continued(config.plugins, goals)
+    if further != before:
         write_json(run / CONFIG, further.to_json())
 
 

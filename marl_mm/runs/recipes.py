@@ -126,7 +126,9 @@ class Built:
         arrays, record = self.dataset.arrays, self.dataset.metadata["marl_mm"]
         return {
             "recipe": self.recipe.fingerprint,
-            "engine": engine_text(self.recipe.source.engine or "bullet"),
+            "engine": engine_text(
+                self.recipe.source.engine or "bullet", record["packages"]
+            ),
             "steps": arrays.steps,
             "episodes": len(arrays),
             "success": float(arrays.successes().mean()),

@@ -108,10 +108,14 @@ Data = Source | Mix | str
 def seeded(data: Source | Mix, seed: int) -> Source | Mix:
     """A declaration, and all that it begins with or is drawn from, of another seed."""
     if isinstance(data, Source):
-        first = data.first and replace(data.first, seed=seed)
-        return replace(data, seed=seed, first=first)
-    parts = [(replace(source, seed=seed), steps) for source, steps in data.parts]
+        return _seeded(data, seed)
+    parts = [(_seeded(source, seed), steps) for source, steps in data.parts]
     return replace(data, seed=seed, parts=parts)
+
+
+def _seeded(source: Source, seed: int) -> Source:
+    first = source.first and _seeded(source.first, seed)
+    return replace(source, seed=seed, first=first)
 
 
 def engine_named_by(data: Data) -> Engine | None:

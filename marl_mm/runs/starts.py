@@ -100,6 +100,25 @@ def start_hash(start: Path) -> dict[str, str]:
         return {"start_sha256": hashlib.file_digest(file, "sha256").hexdigest()}
 
 
+def refuse_changed_start(config: RunConfig) -> None:
+    """Raise for a run whose start has another checkpoint than when it was made.
+
+    Raises:
+        UsageError: Naming the checkpoint.
+    """
+    recorded = config.settings.get("start_sha256")
+    if recorded is None:
+        return
+    start = start_of(config.settings["start"], config.seed)
+    if not (start / FILE).exists():
+        raise UsageError(f"the run started from {start / FILE}, and there is none")
+    if start_hash(start)["start_sha256"] != recorded:
+        raise UsageError(
+            f"{start / FILE} is not the checkpoint that the run started from, as it "
+            "has gone on since: name its `start`"
+        )
+
+
 def copy_start(start: Path, run: Path) -> None:
     """Copy what a run has learnt, and its rows; the checkpoint last."""
     for name in (METRICS, BEST, FILE):

@@ -18,7 +18,7 @@ from marl_mm.runs.folder import (
 from marl_mm.runs.run import Run
 from marl_mm.runs.seeds import train_seeds
 from marl_mm.runs.settings import with_settings, with_values
-from marl_mm.runs.starts import started_settings
+from marl_mm.runs.starts import refuse_changed_start, started_settings
 from marl_mm.runs.training import Offline, Online, training_of
 
 
@@ -93,11 +93,15 @@ def repeat(
         **settings: Settings in place of the run's, by name.
 
     Raises:
-        UsageError: If the run's dataset is gone or another, or the new run exists.
+        UsageError: If the run's dataset, or the checkpoint that it started from, is
+            gone or another, or the new run exists.
     """
     training = with_values(training_of(config.algorithm), settings_of(config))
     training = with_settings(config.algorithm, training, settings)
-    dataset = dataset_of(config) if isinstance(training, Offline) else None
+    if not {"start", "resume"} & settings.keys():
+        refuse_changed_start(config)
+    dataset = None if "demonstrations" in settings else dataset_of(config)
+    dataset = dataset if isinstance(training, Offline) else None
     (run,) = trained(training, dataset, Path(out), (config.seed,), progress)
     return run
 

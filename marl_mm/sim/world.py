@@ -93,6 +93,7 @@ class World(Protocol):
 
         Raises:
             NonFiniteStateError: If the simulation has diverged.
+            MarlMmError: If the engine warns of its state.
         """
 
     def attitude(self) -> tuple[float, float]:

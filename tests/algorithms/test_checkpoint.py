@@ -14,7 +14,7 @@ import torch
 
 from marl_mm.algorithms import pretrained
 from marl_mm.algorithms.actors import blank_actor
-from marl_mm.algorithms.checkpoint import FILE
+from marl_mm.algorithms.checkpoint import FILE, check_types
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.archives import PICKLE_BYTES
 from marl_mm.envs.registry import make_task
@@ -129,6 +129,14 @@ def test_weights_and_names_of_other_kinds_are_refused(
     torch.save(contents, gift)
     with pytest.raises(CheckpointError, match=match.replace("[", r"\[")):
         load_policy(gift)
+
+
+def test_tensors_of_other_types_are_found_in_lists_too() -> None:
+    states = {"seeds": [{"critic": torch.ones(2)}, {"critic": torch.ones(2)}]}
+    check_types(states, states)
+    other = {"seeds": [states["seeds"][0], {"critic": torch.ones(2).double()}]}
+    with pytest.raises(ValueError, match=r"critic has torch.float64, expected"):
+        check_types(other, states)
 
 
 def test_shipped_policies_with_huge_records_are_refused(tmp_path: Path) -> None:

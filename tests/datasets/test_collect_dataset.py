@@ -6,14 +6,17 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import psutil
 import pytest
 
+import marl_mm
 from marl_mm.cli import main
 from marl_mm.collectors.collect import collect
 from marl_mm.collectors.medium import MediumConfig, MediumPolicy
+from marl_mm.collectors.pd import PdConfig
 from marl_mm.collectors.pretrained import PretrainedConfig, PretrainedPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.collectors.registry import everything
@@ -300,6 +303,19 @@ def test_another_seed_does_not_go_on(
     options = Collecting(steps=5, workers=1, resume=True)
     with pytest.raises(OtherConfigError, match=r"seed = 3 \(now 0\)"):
         collect_dataset(location, "random", RandomConfig(), options)
+
+
+def test_what_is_asked_for_counts_when_python_goes_on(tmp_path: Path) -> None:
+    """The rest is as it was begun."""
+    data = tmp_path / "data"
+    began: dict[str, Any] = {"dataset": data, "alpha": 0.5, "engine": "mujoco"}
+    marl_mm.collect("pd", steps=8, seed=3, task="SmoothReach-v0", **began)
+    again: dict[str, Any] = {"dataset": data, "steps": 20, "resume": True}
+    for asked in ({"task": "Reach-v0"}, {"config": PdConfig(alpha=0.7)}, {"seed": 4}):
+        with pytest.raises(OtherConfigError):
+            marl_mm.collect("pd", **again | asked)
+    more = marl_mm.collect("pd", **again)
+    assert more.arrays.steps >= 20 and more.provenance.task == "SmoothReach-v0"
 
 
 def test_another_agent_does_not_go_on(

@@ -194,6 +194,10 @@ def test_a_mask_tells_which_environments_begin_and_a_goal_is_of_all() -> None:
     vector = opened(3)
     with pytest.raises(UsageError, match=r"step\(\) was called before reset\(\)"):
         vector.step(np.tile(MIDDLE, (3, 1)))
+    vector.reset(seed=7, options={"reset_mask": np.array([True, False, True])})
+    assert vector.np_random_seed == (7, None, 9)
+    with pytest.raises(UsageError, match=r"state\(\) was called before reset\(\)"):
+        vector.state()
     before, _ = vector.reset(seed=0)
     moved, *_ = vector.step(np.tile(MIDDLE, (3, 1)))
     mask = np.array([False, True, False])

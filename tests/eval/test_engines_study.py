@@ -37,6 +37,8 @@ SETTING = Setting("few", "few", changes=FEW, goals=2, curve_goals=2)
 ONE = Study("On the engine asked for.", [(Source(steps=30, name="own"), SETTING)])
 SHIPPED = Study("Of the data that ship.", [("good-5k", SETTING)])
 OTHER = Probe("other", "on MuJoCo", overrides={"simulation": {"engine": "mujoco"}})
+SLIPPERY = Probe("slips", "", overrides={"simulation": {"wheel_friction": 0.2}})
+SLIPS = Study("Probed.", [(Source(steps=30, name="own"), SETTING)], (SLIPPERY,))
 BOTH = Study("By name.", [(Source(steps=30, engine="bullet"), SETTING)], (LAST, OTHER))
 """
 
@@ -225,6 +227,10 @@ def test_studies_name_their_engine_and_do_not_mix_it(
     record = json.loads((runs / "results/rows/own/few.json").read_text())
     assert record["engine"] == "mujoco" and "mujoco-core" in record["packages"]
     assert ablate("ONE", "--check")[0] == 0  # of the rows' engine
+    assert ablate("SLIPS", "--engine", "mujoco", "--overwrite")[0] == 0
+    (probed,) = runs.rglob("eval_slips.json")
+    changed = json.loads(probed.read_text())["overrides"]["simulation"]
+    assert changed == {"engine": "mujoco", "wheel_friction": 0.2}
     for words in (("--engine", "bullet", "--check"), ("--engine", "bullet")):
         code, text = ablate("ONE", "--overwrite", *words)
         assert code == 2 and "is of engine mujoco, expected bullet" in text

@@ -24,6 +24,7 @@ from marl_mm.contracts.learners import some_episodes
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import DivergedError, OtherConfigError, UsageError
 from marl_mm.runs.run import Run
+from marl_mm.runs.train import repeat
 from marl_mm.sim.world import check_engine
 from tests.algorithms.games import NoJudge
 
@@ -214,6 +215,9 @@ def test_a_start_may_be_gone_once_the_run_has_its_own_checkpoint(
     (run,) = marl_mm.train("matd3-bc", online_steps=40, **asked)
     began = hashlib.sha256((tmp_path / "start" / FILE).read_bytes()).hexdigest()
     assert run.config.settings["start_sha256"] == began
+    (tmp_path / "start" / FILE).write_bytes(b"another")
+    with pytest.raises(UsageError, match="is not the checkpoint that the run started"):
+        repeat(run.config, out=tmp_path / "again")
     shutil.rmtree(tmp_path / "start")
     again: dict[str, Any] = {"resume": True, "out": tmp_path / "runs", "logger": ()}
     marl_mm.train("matd3-bc", online_steps=60, **again)
