@@ -34,7 +34,7 @@ from marl_mm.received import read_json
 from marl_mm.runs.recipes import build, named_card, refuse_unknown
 from marl_mm.runs.settings import check_positive
 
-ABOUT = "Tuning: what each algorithm reaches with each of twelve settings."
+ABOUT = "Tuning: what each algorithm reaches with each of some settings."
 """Title."""
 
 TABLE = "tuning.csv"

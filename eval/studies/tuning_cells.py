@@ -54,7 +54,7 @@ class TuningCell:
     """Name of the dataset's recipe."""
 
     seeds: tuple[int, ...]
-    """Seeds of weights and batches, which are trained side by side."""
+    """Seeds of weights and batches."""
 
     updates: int
     """Number of updates."""
