@@ -13,6 +13,7 @@ from marl_mm.envs.registry import DEFAULT, TASKS
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.collecting import Collecting, collect_dataset, recorded
 from marl_mm.runs.settings import with_settings, with_values
+from marl_mm.runs.sources import task_folder
 from marl_mm.sim.config import engine_of
 
 
@@ -102,6 +103,5 @@ def default_dataset(task: str, collector: str) -> str:
         UsageError: If there is no such task or collector.
     """
     TASKS.get(task)
-    folder = task.removesuffix("-v0").replace("Reach", "-reach").strip("-").lower()
     name = COLLECTORS.get(collector).dataset or collector
-    return f"marl_mm/{folder}/{name}-v0"
+    return f"marl_mm/{task_folder(task)}/{name}-v0"

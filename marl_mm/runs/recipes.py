@@ -19,7 +19,7 @@ from marl_mm.envs.registry import config_dict, make_task
 from marl_mm.errors import UsageError
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.registry import Registry
-from marl_mm.runs.sources import Datasets, Notify, Source, silence
+from marl_mm.runs.sources import Datasets, Notify, Source, silence, task_folder
 from marl_mm.sim.config import engine_overrides
 from marl_mm.versions import engine_text
 
@@ -62,8 +62,7 @@ RECIPES: Registry[Recipe] = Registry("recipe", [], of=Recipe)
 
 
 def _add(task: str, axis: str, steps: int, **settings: Any) -> None:
-    kind, *_ = task.split("-")
-    folder = "".join(f"-{c.lower()}" if c.isupper() else c for c in kind).strip("-")
+    folder = task_folder(task.split("-")[0])
     scripted = axis in ("expert", "stitch", "narrow")
     collector = "scripted" if scripted else "varied"
     source = Source(

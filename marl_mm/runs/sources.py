@@ -39,6 +39,12 @@ def silence(text: str) -> None:
     """For callers who want no messages."""
 
 
+def task_folder(task: str) -> str:
+    """Folder of a task's datasets, such as quiet-zone-hard of QuietZone-hard-v0."""
+    name = task.removesuffix("-v0")
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", name).lower()
+
+
 @dataclass(frozen=True)
 class Source:
     """A dataset of one collector, which is collected where it is missing."""
