@@ -39,10 +39,10 @@ class Contestant:
         what = f"collector {self.collector}"
         config = with_settings(what, collector.config(), dict(self.settings))
         policy = collector.policy(config, make_task(task, overrides))
-        return Noisy(policy, self.noise) if self.noise else policy
+        return ActionNoise(policy, self.noise) if self.noise else policy
 
 
-class Noisy:
+class ActionNoise:
     """A policy with Gaussian noise on its actions, clipped to their ranges.
 
     Args:
