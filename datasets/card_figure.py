@@ -88,8 +88,10 @@ def _goals(axes: Axes, arrays: EpisodeArrays) -> None:
         (~reached, _MISSED, "missed"),
     ):
         axes.plot(*goals[chosen][:, plane].T, ".", ms=size, color=color, label=label)
-    names = [name.replace("_", " ") for name in arrays.layout.desired[:2]]
-    axes.set(xlabel=f"{names[0]} [m]", ylabel=f"{names[-1]} [m]")
+    state = {entry.name: entry for entry in arrays.layout.state}
+    entries = [state[name] for name in arrays.layout.desired[:2]]
+    names = [f"{entry.name.replace('_', ' ')} [{entry.unit}]" for entry in entries]
+    axes.set(xlabel=names[0], ylabel=names[-1])
     axes.legend(frameon=False, markerscale=8 / size)
 
 

@@ -15,19 +15,10 @@ from tempfile import TemporaryDirectory
 
 from marl_mm.datasets.arrays import EpisodeArrays, load_arrays, save_arrays
 from marl_mm.datasets.hdf5 import read_hdf5
+from marl_mm.datasets.hdf5_files import reading_limits
 from marl_mm.errors import DatasetError
 from marl_mm.layout import Layout
 from marl_mm.processes import importing_this, limit_memory
-from marl_mm.received import most_unpacked
-
-_PATIENCE = 30.0
-"""Longest time that reading a small file may take [s]."""
-
-_SLOWEST = 200_000.0
-"""Least speed of reading a large file [bytes/s]: a tenth of the usual speed."""
-
-_OWN_MEMORY = 100_000_000
-"""Memory of the process beside libraries and arrays [bytes]."""
 
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
@@ -63,7 +54,7 @@ def read_apart(
                 input=json.dumps(asked),
                 capture_output=True,
                 env={**os.environ, **importing_this(), **_ONE_THREAD},
-                timeout=_PATIENCE + path.stat().st_size / _SLOWEST,
+                timeout=reading_limits(path.stat().st_size)[0],
                 text=True,
                 check=False,
             )
@@ -101,7 +92,7 @@ def main() -> None:
     """Read what standard input asks for; print an error as JSON."""
     asked = json.load(sys.stdin)
     path, out = Path(asked["path"]), Path(asked["out"])
-    limit_memory(_OWN_MEMORY + 4 * most_unpacked(path.stat().st_size))
+    limit_memory(reading_limits(path.stat().st_size)[1])
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     layout = Layout.from_json(asked["layout"])
     try:

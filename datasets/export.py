@@ -13,6 +13,7 @@ from marl_mm.datasets.hdf5_files import write_tables
 from marl_mm.errors import UsageError
 from marl_mm.files import new_file, new_folder, refuse_existing, refuse_foreign
 from marl_mm.registry import Registry
+from marl_mm.sim.config import engine_of
 from marl_mm.versions import refuse_missing
 
 Tables = dict[str, np.ndarray]
@@ -79,11 +80,12 @@ def export(dataset: Dataset, form: str, path: Path, overwrite: bool) -> None:
 
 
 def description(dataset: Dataset, form: str) -> dict[str, Any]:
-    """Id, task, layout, names of entries and agents, as JSON values."""
+    """Id, task, engine, layout, names of entries and agents, as JSON values."""
     layout = dataset.arrays.layout
     return {
         "dataset_id": dataset.metadata["dataset_id"],
         "task": dataset.provenance.task,
+        "engine": engine_of(dataset.provenance.overrides),
         "form": form,
         "layout": json.dumps(layout.to_json()),
         "state": list(layout.state_names),
@@ -114,6 +116,7 @@ def _shared(dataset: Dataset) -> Tables:
         "terminals": joint.terminated,
         "timeouts": joint.truncated,
         "episodes": joint.episode,
+        "infos/is_success": dataset.arrays.info["is_success"],
     }
 
 
@@ -147,7 +150,7 @@ def _agents(dataset: Dataset) -> Tables:
 _add(
     "flat",
     "Joint observations (n, d), actions (n, k), next_observations, rewards, terminals, "
-    "timeouts, episodes; types as stored.",
+    "timeouts, episodes, infos/is_success; types as stored.",
     _flat,
 )
 _add("d4rl", "The same in float32, and infos/goal.", _d4rl)

@@ -319,6 +319,7 @@ def checked(path: Path, group: Any, wanted: tuple[Field, ...]) -> dict[str, np.n
         except KeyError:
             keys = [item.key for item in wanted]
             missing = [repr(key) for key in keys if key not in group]
+            missing = missing or [f"{field.key!r}, but a group"]
             raise DatasetError(f"{where} has no array {', '.join(missing)}") from None
         shape, kind = node.shape, node.dtype
         if kind.kind not in _KINDS[field.kind]:

@@ -1,7 +1,7 @@
 """Import of files of others: Minari's episodes or flat HDF5 arrays."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,22 +20,23 @@ from marl_mm.datasets.hdf5 import (
     optional,
     states_of,
 )
-from marl_mm.datasets.hdf5_files import open_hdf5
+from marl_mm.datasets.hdf5_files import open_hdf5, reading_limits
 from marl_mm.datasets.metadata import METADATA_BYTES
 from marl_mm.datasets.plausible import problems_of
 from marl_mm.envs.registry import DEFAULT, make_task
+from marl_mm.envs.task import Task
 from marl_mm.episode import IMPORTED, Episode
 from marl_mm.errors import DatasetError, UsageError, WorkerDiedError
 from marl_mm.layout import Layout
 from marl_mm.layout_diff import refuse_other_layout
 from marl_mm.received import (
     check_regular,
-    most_unpacked,
     parse_json,
     read_json,
     refuse_links_out,
 )
 from marl_mm.registry import Registry
+from marl_mm.sim.config import ENGINES, Engine, engine_of
 from marl_mm.version1 import dataset_layout
 from marl_mm.workers import apart
 
@@ -74,15 +75,6 @@ def agents_fields(layout: Layout) -> tuple[Field, ...]:
 _SAME = 1e-4
 """Tolerance within which two observations count as equal (files may store float32)."""
 
-_PATIENCE = 30.0
-"""Longest time that reading a small file may take [s]."""
-
-_SLOWEST = 200_000.0
-"""Least speed of reading a large file [bytes/s]: a tenth of the usual speed."""
-
-_OWN_MEMORY = 100_000_000
-"""Memory of the process beside arrays and what is loaded already [bytes]."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class ImportForm:
@@ -116,6 +108,9 @@ class Foreign:
     task: str
     """Registered name of the task whose rewards these are."""
 
+    engine: Engine | None
+    """Engine of the simulation; None where the file names none."""
+
 
 def read_foreign(path: Path, dataset_id: str, task: str | None = None) -> Foreign:
     """The episodes of a file that others wrote.
@@ -144,10 +139,10 @@ def read_foreign(path: Path, dataset_id: str, task: str | None = None) -> Foreig
     size = check_regular(path, DatasetError)
     if not h5py.is_hdf5(path):
         raise DatasetError(f"{path} is no HDF5 file, or a damaged one ({size} bytes)")
-    limits = _PATIENCE + size / _SLOWEST, _OWN_MEMORY + 4 * most_unpacked(size)
+    limits = reading_limits(size)
     try:
         name = task or apart(_task_of, path, *limits) or DEFAULT
-        arrays = apart(_read, (path, dataset_id, name), *limits)
+        arrays, engine = apart(_read, (path, dataset_id, name), *limits)
     except UsageError as error:
         way_out = "" if task else ", or give `task`"
         raise UsageError(f"{path}: {error}{way_out}") from error
@@ -157,7 +152,7 @@ def read_foreign(path: Path, dataset_id: str, task: str | None = None) -> Foreig
         ) from error
     if problems := problems_of(arrays):
         raise DatasetError(f"{path}: {'; '.join(problems)}")
-    return Foreign(arrays, name)
+    return Foreign(arrays, name, engine)
 
 
 def _task_of(path: Path) -> str | None:
@@ -167,18 +162,46 @@ def _task_of(path: Path) -> str | None:
     return task if isinstance(task, str) else None
 
 
-def _read(arguments: tuple[Path, str, str]) -> EpisodeArrays:
-    """The episodes of a file; arguments are its path, the dataset's id and the task."""
+def _read(arguments: tuple[Path, str, str]) -> tuple[EpisodeArrays, Engine | None]:
+    """Episodes and engine of a file; arguments: path, the dataset's id, the task."""
     path, dataset_id, name = arguments
     task = make_task(name)
     with open_hdf5(path) as file:
         forms = [form for _, form in reversed(IMPORTS.items()) if form.fits(file)]
-        layout = _layout(_metadata(path, file))
+        metadata = _metadata(path, file)
+        layout = _layout(metadata)
         if layout is not None:
             agents = forms[0].by_agent
             refuse_other_layout("its data", layout, name, task.layout, agents)
         episodes = forms[0].episodes(path, file, task.layout, list(task.info))
-    return arrays_of(episodes, dataset_id)
+    return _judged(arrays_of(episodes, dataset_id), task), _engine(metadata)
+
+
+def _judged(arrays: EpisodeArrays, task: Task) -> EpisodeArrays:
+    """Episodes with their success, where the file does not say it.
+
+    An episode that ended has reached its goal, unless its task can fail too: then the
+    distance to the goal decides.
+    """
+    told = np.asarray(arrays.info["is_success"], np.float64)
+    if not np.isnan(told).any():
+        return arrays
+    hit = arrays.terminated
+    if task.fails:
+        after = arrays.states[~arrays.is_first_state()]
+        achieved, goal = after[:, arrays.layout.achieved], after[:, arrays.layout.goal]
+        terms = arrays.reward_terms(task.needs)
+        hit = hit & task.reached(achieved, goal, terms)
+    success = np.where(np.isnan(told), hit, told == 1)
+    return replace(arrays, info={**arrays.info, "is_success": success})
+
+
+def _engine(metadata: Mapping[str, Any]) -> Engine | None:
+    """Engine in a file's attributes, or in our metadata beside it."""
+    engine, overrides = metadata.get("engine"), metadata.get("overrides")
+    if isinstance(overrides, Mapping):
+        engine = engine_of(overrides)
+    return engine if engine in ENGINES else None
 
 
 def _metadata(path: Path, file: Any) -> Mapping[str, Any]:
@@ -234,7 +257,7 @@ def _minari(path: Path, file: Any, layout: Layout, names: list[str]) -> list[Epi
 
 def _flat(path: Path, file: Any, layout: Layout, names: list[str]) -> list[Episode]:
     values = checked(path, file, flat_fields(layout))
-    return _flat_episodes(path, values, layout, names)
+    return _flat_episodes(path, file, values, layout, names)
 
 
 def _agents(path: Path, file: Any, layout: Layout, names: list[str]) -> list[Episode]:
@@ -244,15 +267,25 @@ def _agents(path: Path, file: Any, layout: Layout, names: list[str]) -> list[Epi
     actions = np.empty((len(values["rewards"]), len(layout.action)))
     for agent in layout.agents:
         actions[:, list(agent.action)] = values[f"{agent.name}/actions"]
-    return _flat_episodes(path, {**values, "actions": actions}, layout, names)
+    return _flat_episodes(path, file, {**values, "actions": actions}, layout, names)
 
 
 def _flat_episodes(
-    path: Path, values: dict[str, np.ndarray], layout: Layout, names: list[str]
+    path: Path,
+    file: Any,
+    values: dict[str, np.ndarray],
+    layout: Layout,
+    names: list[str],
 ) -> list[Episode]:
     for key in ("terminals", "timeouts"):
         if not np.isin(values[key], (0, 1)).all():
             raise DatasetError(f"{path}: {key!r} holds other values than 0 and 1")
+    success = optional(file, "infos/is_success")
+    if success is not None and success.shape != values["terminals"].shape:
+        raise DatasetError(
+            f"{path}: 'infos/is_success' has shape {success.shape}, expected "
+            f"{values['terminals'].shape}"
+        )
     terminated = values["terminals"].astype(bool)
     truncated = values["timeouts"].astype(bool)
     ends = np.flatnonzero(terminated | truncated) + 1
@@ -281,7 +314,10 @@ def _flat_episodes(
                 values["rewards"][part],
                 terminated[part],
                 truncated[part],
-                dict.fromkeys(names),
+                {
+                    **dict.fromkeys(names),
+                    "is_success": None if success is None else success[part],
+                },
                 -1,
                 layout,
             )
@@ -303,10 +339,7 @@ def _built(
     """An episode in our types; step numbers that the file lacks are NaN."""
     states = states.astype(np.float64)
     way = states[1:, layout.achieved] - states[1:, layout.goal]
-    derived = {
-        "distance": np.linalg.norm(way, axis=1),
-        "is_success": terminated,
-    }
+    derived = {"distance": np.linalg.norm(way, axis=1)}
     unknown = np.full(len(rewards), np.nan)
     measured = {
         key: derived.get(key, unknown)

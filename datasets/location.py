@@ -1,8 +1,8 @@
 """Locations of datasets: an id below the datasets' root, or a path.
 
-A text such as ``marl_mm/reach/pd-v0`` is an id. A plain word such as ``pd`` is short
-for that, whatever the task: short names belong to ``reach``, and datasets of other
-tasks are named by their ids. Everything else, such as ``./pd``, is a path.
+A text such as ``marl_mm/reach/pd-v0`` is an id. The name of a recipe, such as
+``gate-noisy``, is short for its id, and any other plain word, such as ``pd``, for
+``marl_mm/reach/WORD-v0``. Everything else, such as ``./pd``, is a path.
 """
 
 import os

@@ -49,8 +49,10 @@ def write_dataset(
 
     Raises:
         OutputExistsError: If the dataset exists and may not be replaced.
-        UsageError: If the folder holds other files.
+        UsageError: If the folder holds other files, or ``$MARL_MM_CACHE_GB`` is no
+            number.
     """
+    cache.most_bytes()  # raises before anything is written
     refuse_existing(location.folder, overwrite)
     refuse_foreign(location)
     if location.name == location.id:

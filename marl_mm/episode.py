@@ -12,7 +12,8 @@ FAILED = "failed"
 """Name of the reward term of every task: whether the step failed the episode."""
 
 GOAL_INFO = {
-    "distance": "distance of the compared entries to the goal at the step's end [m]",
+    "distance": "distance of the compared entries to the goal at the step's end, in "
+    "their unit",
     "is_success": "whether the goal counts as reached at the step's end",
 }
 """Meanings, with units, of the step numbers about the goal, by name."""
@@ -29,8 +30,9 @@ MOTION_INFO = {
     "qp_failures": "levels of the hierarchy that found no solution",
     "safe_ticks": "ticks in which the limits contradicted each other: it only braked",
 }
-"""Meanings, with units, of the step numbers about the robots' motion, by name. They
-are measured every few ticks; of several robots the worst counts."""
+"""Meanings, with units, of the step numbers about the robots' motion, by name. Jerk,
+acceleration and the counts are of every tick, the others of every few. Of several
+robots the worst counts, and the sum of counts."""
 
 INFO = {
     "d_mm": "distance of the end-effector to its target at the step's end [m]",

@@ -167,6 +167,9 @@ def _imported(module: str) -> ModuleType:
 def _imported_file(path: Path) -> ModuleType:
     """The module of a file, under a name by which pickles of its classes find it."""
     name = _PREFIX + path.stem.replace("-", "_")
+    there = getattr(sys.modules.get(name), "__file__", str(path))
+    if Path(there).resolve() != path.resolve():
+        raise UsageError(f"{there} counts as the same plug-in: rename one of them")
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -129,7 +129,12 @@ class Registry(Generic[T]):
         if not self._modules:
             return
         while self._modules:
-            importlib.import_module(self._modules.pop(0))
+            module = self._modules.pop(0)
+            try:
+                importlib.import_module(module)
+            except BaseException:  # such as Ctrl-C: the next call tries again
+                self._modules.insert(0, module)
+                raise
         # In the order of the modules, whichever was imported first.
         names = sorted(self._things, key=self._places.__getitem__)
         self._things = {name: self._things[name] for name in names}

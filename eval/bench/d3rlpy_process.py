@@ -39,7 +39,7 @@ def learners_of(python: Path) -> Iterator[dict[str, Rate]]:
             if line := job.stdout.readline():
                 return str(line)
             errors.seek(0)
-            *_, complaint = errors.read().splitlines()
+            *_, complaint = errors.read().splitlines() or ["it ended without a word"]
             raise UsageError(f"{python} has no d3rlpy that works: {complaint}")
 
         def rate(name: str) -> Rate:

@@ -4,8 +4,10 @@ Collection is compared with the bare environment, turn by turn in one run; loadi
 sizes with Minari's own reader and writer on the same episodes.
 """
 
+import os
 import tracemalloc
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from shutil import rmtree
@@ -21,6 +23,7 @@ from marl_mm.collectors.collect import collect
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.collectors.registry import everything
 from marl_mm.collectors.scripted import ScriptedPolicy
+from marl_mm.datasets import cache
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of, joined
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.hdf5 import FILE
@@ -61,8 +64,22 @@ def bench_data(
         advance = bar("bench grasps", len(get_args(Grasp)) * (1 + _TURNS * episodes))
         result["grasps"] = bench_grasps(episodes, seed, advance)
         advance = bar("bench storage", 4)
-        result["storage"] = bench_storage(collected, load_steps, folder, advance)
+        with _cache_in(folder):
+            result["storage"] = bench_storage(collected, load_steps, folder, advance)
     return result
+
+
+@contextmanager
+def _cache_in(folder: Path) -> Iterator[None]:
+    """Have the cache in a folder, and not with the user's datasets."""
+    before = os.environ.get(cache.FOLDER_VARIABLE)
+    os.environ[cache.FOLDER_VARIABLE] = str(folder / "cache")
+    try:
+        yield
+    finally:
+        del os.environ[cache.FOLDER_VARIABLE]
+        if before is not None:
+            os.environ[cache.FOLDER_VARIABLE] = before
 
 
 def bench_collection(
@@ -181,7 +198,7 @@ def bench_storage(
         episodes: Episodes that are cut to 10 steps, the length of successful ones, and
             repeated until there are enough.
         steps: Least number of steps.
-        folder: Empty folder to write to.
+        folder: Empty folder to write to. The cache has to be a new one, too.
         advance: Called with 1 after each of four parts of the work.
 
     Returns:
@@ -199,9 +216,9 @@ def bench_storage(
         "write_s": perf_counter() - begin,
     }
     advance(1, "load")
-    rmtree(location.folder / "cache")
+    cache.clear()
     result["load_cold_s"], _ = _loaded(location)
-    (cache,) = (location.folder / "cache").iterdir()
+    (entry,) = cache.entries()
     times, memories = zip(*(_loaded(location) for _ in range(_TURNS)), strict=True)
     result["load_cached_s"] = float(np.median(times))
     result["load_cached_memory_mb"] = float(np.median(memories))
@@ -215,7 +232,7 @@ def bench_storage(
     size = (location.data / FILE).stat().st_size / 1e6
     per_episode = _minari_size(arrays.select(range(min(300, len(arrays)))), folder)
     result["size_mb"] = size
-    result["cache_mb"] = cache.stat().st_size / 1e6
+    result["cache_mb"] = entry.size / 1e6
     result["minari_size_mb"] = per_episode * len(arrays)
     result["minari_size_over_ours"] = result["minari_size_mb"] / size
     advance(1, "")

@@ -76,8 +76,7 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
 
     Args:
         results: Folder with any of ``studies``, ``alpha``, ``controller``,
-            ``data``, ``offline`` and ``online``; or of runs, with results in
-            ``studies``.
+            ``data`` and ``offline``; or of runs, with results in ``studies``.
         videos: Files of films to show.
 
     Raises:

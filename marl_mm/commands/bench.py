@@ -13,6 +13,7 @@ from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.progress import Bar, progress_bars
 from marl_mm.runs.settings import check_positive, check_seed
 from marl_mm.sim.config import ENGINES, Engine, is_installed
+from marl_mm.sim.world import check_engine
 from marl_mm.versions import versions
 
 
@@ -50,7 +51,9 @@ class BenchControl(_Bench):
         from marl_mm.eval.bench.control import bench_control
 
         choice = {"form": self.form, "solver": self.solver}
-        task = make_task("Reach-v0", {"controller": choice})
+        on_bullet = {"simulation": {"engine": "bullet"}}
+        task = make_task("Reach-v0", {"controller": choice, **on_bullet})
+        check_engine("bullet")
         advance = bar("bench control", self.steps)
         return bench_control(task, self.steps, self.seed, advance)
 

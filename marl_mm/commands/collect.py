@@ -30,7 +30,8 @@ class Collect(Collecting):
 
     dataset: str | None = None
     """Id below $MINARI_DATASETS_PATH, or path; default marl_mm/TASK/COLLECTOR-v0, of
-    pretrained marl_mm/TASK/good-v0. A word is short for marl_mm/reach/WORD-v0."""
+    pretrained marl_mm/TASK/good-v0. A recipe's name is short for its id, another word
+    for marl_mm/reach/WORD-v0."""
 
     json: bool = False
     """Print the dataset's card as JSON."""

@@ -18,7 +18,7 @@ from marl_mm.commands.options import CORES
 from marl_mm.commands.output import print_rows, read_dataset, show, warn_if_stopped
 from marl_mm.commands.parser import parse_subcommand
 from marl_mm.commands.wording import as_options
-from marl_mm.datasets.card import card, card_markdown, card_text, keep_card
+from marl_mm.datasets.card import card_markdown, card_text, keep_card
 from marl_mm.datasets.catalogue import catalogue, check_deletable, delete
 from marl_mm.datasets.dataset import existing, load_dataset
 from marl_mm.datasets.export import DATASET_FORMS, export
@@ -55,9 +55,8 @@ def _show(
         markdown: Print Markdown.
         json: Print JSON.
     """
-    data = load_dataset(dataset)
-    values = keep_card(data)
-    show(values, card_markdown(card(data)) if markdown else card_text(values), json)
+    values = keep_card(load_dataset(dataset))
+    show(values, card_markdown(values) if markdown else card_text(values), json)
 
 
 def _verify(

@@ -19,6 +19,7 @@ from marl_mm.episode import IMPORTED
 from marl_mm.errors import UsageError
 from marl_mm.files import refuse_existing
 from marl_mm.runs.settings import check_seed
+from marl_mm.sim.config import engine_overrides
 
 _TASK = task_help(
     'Task of the episodes: {}; default the file\'s attribute "task", or '
@@ -140,7 +141,7 @@ def make_imported(
     longest = max(make_task(foreign.task).max_steps, int(foreign.arrays.lengths.max()))
     provenance = Provenance(
         task=foreign.task,
-        overrides={"max_steps": longest},
+        overrides={"max_steps": longest, **engine_overrides(foreign.engine)},
         collector=IMPORTED,
         origins={location.id: Origin(file=file.name)},
     )

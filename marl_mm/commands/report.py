@@ -15,10 +15,10 @@ def main(
     videos: tuple[Path, ...] = (),
     overwrite: bool = False,
 ) -> None:
-    """Put every table and figure on one page that needs no network and no other file.
+    """Put tables and figures of results on one page that needs no other file.
 
-    With them: what the runs were made of, cards of the datasets, versions, and the
-    command that makes each.
+    With them: what the runs were made of, versions, and the command that makes each.
+    The environments' and the online learners' speed are not among them.
 
     Args:
         results: Folder of results: what "marl-mm ablate all --out" fills, and more.

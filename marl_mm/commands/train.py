@@ -101,7 +101,8 @@ def main(arguments: Sequence[str]) -> None:
     elif "--resume" in arguments and word in commands and not named:
         from marl_mm.runs.folder import saved_settings
 
-        out = Path(value_of(arguments, "--out", f"runs/{word}"))
+        default = f"runs/{word}-online" if start else f"runs/{word}"
+        out = Path(value_of(arguments, "--out", default))
         commands[word] = _subcommand(word, TUNED, saved_settings(out))
     elif start and word in offline and not named:
         from marl_mm.runs.starts import started_settings

@@ -18,7 +18,7 @@ from marl_mm.algorithms.export import exported_metadata
 from marl_mm.algorithms.export_formats import POLICY_FORMATS
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.pretrained import WEIGHTS
-from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.algorithms.runlog import METRICS, read_metrics
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.card import card_markdown, card_text
 from marl_mm.datasets.dataset import load_dataset
@@ -199,7 +199,11 @@ KINDS = (
         _read_exported,
     ),
     Kind("record", _of_suffix(".json"), _read_record),
-    Kind("metrics", _of_suffix(".jsonl"), lambda path: read_metrics(path.parent)),
+    Kind(
+        "metrics",
+        lambda path: path.name == METRICS,
+        lambda path: read_metrics(path.parent),
+    ),
     Kind("table of rows", _of_suffix(".csv", ".csv.gz", ".csv.xz"), read_rows),
 )
 """All kinds; the first that fits is taken."""

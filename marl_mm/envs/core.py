@@ -117,7 +117,7 @@ class EpisodeCore:
         return self._state(attempt)
 
     def step(self, action: np.ndarray, watch: Watch | None = None) -> Step:
-        """Act for one second.
+        """Act for one step.
 
         Args:
             action: Joint action, shape (k,), as in the task's layout; it is clipped to

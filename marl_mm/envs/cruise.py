@@ -22,6 +22,9 @@ HAND = tuple(Entry(f"end_effector_{axis}", "m") for axis in "xyz")
 BASE = (Entry("base_x", "m"), Entry("base_y", "m"), Entry("base_yaw", "rad"))
 """Pose of the base, world frame."""
 
+HAND_Y = 0.1
+"""Where the hand is across the robot in the start posture, world y [m]."""
+
 MODE = Entry("control_mode", "1", 0.0, 1.0)
 """Alpha of the last step."""
 
@@ -154,7 +157,7 @@ class CruiseTask(Task, ABC):
         longest = self.action_scale * steps
         for axis, interval, start, more_to in (
             ("x", x, self.stand_off, more),
-            ("y", y, 0.0, min(more, 0.0)),
+            ("y", y, HAND_Y, min(more, 0.0)),
         ):
             way = max(abs(end - start) for end in interval) + more_to
             if way > longest:

@@ -74,7 +74,7 @@ class GoalEnv(gymnasium.Env[GoalObservation, np.ndarray]):
     def step(
         self, action: np.ndarray
     ) -> tuple[GoalObservation, float, bool, bool, dict[str, Any]]:
-        """Act for one second; see ``EpisodeCore.step``."""
+        """Act for one step; see ``EpisodeCore.step``."""
         state, reward, terminated, truncated, info = self.core.step(action)
         observation = goal_observation(state, self.task.layout)
         return observation, reward, terminated, truncated, info

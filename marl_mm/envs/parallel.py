@@ -125,7 +125,7 @@ class TeamEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Act for one second; rewards, ends and infos are the same for all agents.
+        """Act for one step; rewards, ends and infos are the same for all agents.
 
         Raises:
             InvalidActionError: If an agent is missing, or an action has another shape

@@ -86,7 +86,7 @@ class TeamVector:
     def step(
         self, actions: Mapping[str, np.ndarray]
     ) -> tuple[AgentDict, AgentDict, AgentDict, AgentDict, dict[str, dict[str, Any]]]:
-        """Act for one second in every environment; those that end begin anew.
+        """Act for one step in every environment; those that end begin anew.
 
         Args:
             actions: Each agent's actions, shape (n, k), by agent.

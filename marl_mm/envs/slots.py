@@ -82,7 +82,7 @@ class Slot:
         self._state[:] = self._core.reset(self._rng, goal)
 
     def step(self, action: np.ndarray) -> Outcome:
-        """Act for one second; see ``EpisodeCore.step``."""
+        """Act for one step; see ``EpisodeCore.step``."""
         step = self._core.step(action)
         self._state[:] = step.state
         final = None

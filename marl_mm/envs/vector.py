@@ -114,7 +114,7 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
     def step(
         self, actions: np.ndarray
     ) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Act for one second in every environment; those that end begin anew.
+        """Act for one step in every environment; those that end begin anew.
 
         Args:
             actions: Joint actions, shape (n, k).

@@ -223,6 +223,8 @@ def settings_of(config: RunConfig) -> dict[str, Any]:
     dataset = (config.dataset or {}).get("path")
     values = {"seeds": [config.seed], "dataset": dataset, "demonstrations": dataset}
     settings = config.to_json() | values
+    if settings.get("start"):
+        settings["start"] = Path(settings["start"])
     del settings["algorithm"]  # what goes on from the run may not be of it, and is told
     return settings
 

@@ -24,7 +24,7 @@ from marl_mm.robot.names import (
 )
 from marl_mm.sim.config import RATE, Camera, SimulationConfig
 from marl_mm.sim.mujoco_handling import MujocoHandling
-from marl_mm.sim.mujoco_model import handling_model, robot_model
+from marl_mm.sim.mujoco_model import GROUND, handling_model, robot_model
 from marl_mm.sim.native import Native
 from marl_mm.sim.planar import attitude, diverged, planar_state, rim_rates
 from marl_mm.sim.scene import Mark, Scene
@@ -252,12 +252,14 @@ class MujocoWorld:
 
     def ground_forces(self) -> tuple[np.ndarray, np.ndarray]:
         """See ``World``."""
-        model, data = self._robot.model, self._robot.data
-        forces, force = np.empty(data.ncon), np.empty(6)
-        for number in range(data.ncon):
+        model, data, force = self._robot.model, self._robot.data, np.empty(6)
+        ground = model.geom(GROUND).id
+        contacts = np.flatnonzero((data.contact.geom == ground).any(axis=1))
+        forces = np.empty(len(contacts))
+        for place, number in enumerate(contacts):
             mujoco.mj_contactForce(model, data, number, force)
-            forces[number] = force[0]
-        return data.contact.pos.copy(), forces
+            forces[place] = force[0]
+        return data.contact.pos[contacts], forces
 
     def command(self, forward: float, yaw_rate: float, torque: np.ndarray) -> None:
         """See ``World``."""

@@ -99,7 +99,8 @@ def advance(native: Native, left: float, right: float) -> None:
     """One step of 1/240 s while the wheels turn at these rates [rad/s].
 
     A wheel's motor is dry friction about a moving reference: a bounded force that gives
-    the wheel its rate within the step.
+    the wheel its rate within the step. Fingers have such motors, too: theirs go on at
+    the grip's rate, or to the end of their travel.
 
     Args:
         native: The world.

@@ -344,6 +344,8 @@ def test_plugins_that_are_none_or_fail_are_told_in_one_line(
     other = tmp_path / "other"
     other.mkdir()
     (other / "awac.py").write_text((EXAMPLES / "awac.py").read_text() + "\n# changed\n")
+    for name in ("a-b.py", "a_b.py"):
+        (other / name).write_text(f"# {name}")
     (tmp_path / "quits.py").write_text("import sys\nsys.exit(0)\n")
     leave = sys.exit
     # As packages do that want to know how a process ends.
@@ -374,6 +376,11 @@ def test_plugins_that_are_none_or_fail_are_told_in_one_line(
             2,
             [*plugged("awac"), "--plugin", other / "awac.py"],
             "two plug-ins are called",
+        ),
+        (
+            1,
+            ["--plugin", other / "a-b.py", "--plugin", other / "a_b.py"],
+            "counts as the same plug-in",
         ),
     ):
         assert run("tasks", *words) == code, words

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -35,6 +36,17 @@ def test_things_come_in_the_order_of_adding_with_their_origin() -> None:
     assert registry.origin("one") == "plugin.py"
     assert registry.origin("two") == __name__
     assert "one" in registry and "three" not in registry
+
+
+def test_a_module_that_could_not_be_imported_is_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    registry: Registry[int] = Registry("number", modules=["fails_once", "json"])
+    (tmp_path / "fails_once.py").write_text("raise KeyboardInterrupt")
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            registry.names()
 
 
 def test_what_a_plugin_loads_itself_is_not_its_own() -> None:

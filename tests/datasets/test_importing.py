@@ -18,6 +18,7 @@ from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import Episode
+from marl_mm.sim.config import engine_of
 
 MakeEpisode = Callable[..., Episode]
 ID = "marl_mm/reach/test-v0"
@@ -59,6 +60,29 @@ def test_what_goes_out_comes_in(
     assert run("datasets", "verify", "again") == 0
     assert run("datasets", "verify", "again", "--replay") == 1
     assert "was imported" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("layout", ["flat", "agents"])
+def test_failures_and_the_engine_come_back(
+    layout: str, datasets_home: Path, tmp_path: Path
+) -> None:
+    """Of a task whose episodes end in failures, too; without words the goal decides."""
+    shipped = load_dataset("quiet-zone-noisy")
+    few = shipped.arrays.select(range(60))
+    assert 0 < few.successes().sum() < len(few) and few.failed().any()
+    write_dataset(locate("few"), few, shipped.provenance)
+    path = tmp_path / "few.h5"
+    assert run("datasets", "export", "few", "--out", path, "--layout", layout) == 0
+    assert run("datasets", "import", path, "--out", "told") == 0
+    with h5py.File(path, "a") as file:
+        del file["infos/is_success"]
+    assert run("datasets", "import", path, "--out", "judged") == 0
+    for name in ("told", "judged"):
+        again = load_dataset(name)
+        np.testing.assert_array_equal(again.arrays.failed(), few.failed())
+        np.testing.assert_array_equal(again.arrays.successes(), few.successes())
+        assert engine_of(again.provenance.overrides) == "mujoco"
 
 
 def test_layouts_hold_what_they_say(dataset: Path, tmp_path: Path) -> None:

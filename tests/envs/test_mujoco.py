@@ -105,6 +105,16 @@ def test_it_stands_and_drives_on_all_its_wheels() -> None:
     assert forces.sum() == pytest.approx(world.model.body_mass.sum() * 9.81, rel=0.05)
 
 
+def test_what_presses_elsewhere_is_no_force_of_the_ground() -> None:
+    """The pads hold the block."""
+    core = opened("CarryReach-v0")
+    core.reset(np.random.default_rng(0))
+    points, forces = core.drive.world.ground_forces()
+    assert len(points) == len(forces) == 6
+    assert (np.abs(points[:, 2]) < 1e-3).all()
+    core.close()
+
+
 def test_an_arm_at_work_takes_no_drive_wheel_off_the_ground() -> None:
     """Reach-v0 by its script: all wheels press, casters are unloaded at times."""
     core = opened()

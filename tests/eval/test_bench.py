@@ -10,12 +10,14 @@ import torch
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.algorithms.td3_bc import Td3Bc
 from marl_mm.control.config import Form
+from marl_mm.datasets import cache
 from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.bench import learning, online
 from marl_mm.eval.bench.abuse import abuse
 from marl_mm.eval.bench.control import bench_control
+from marl_mm.eval.bench.data import bench_data
 from marl_mm.eval.bench.env import bench_env
 from marl_mm.eval.bench.learning import bench_learning
 from marl_mm.eval.bench.offline import (
@@ -122,7 +124,8 @@ def test_abuse_in_closed_loop_keeps_the_limits(form: Form) -> None:
 def test_abuse_is_seeded() -> None:
     config = make_task("Reach-v0", {"ticks_per_step": 60})
     one, other = (abuse(config, 300, seed=1) for _ in range(2))
-    del one["longest_controller_tick_us"], other["longest_controller_tick_us"]
+    for each in (one, other):
+        assert each.pop("longest_controller_tick_us") > 1
     assert one == other
 
 
@@ -187,6 +190,17 @@ def test_a_python_without_d3rlpy_is_refused() -> None:
         bench_offline(3, 0, Path(sys.executable), silent_bar)
     with pytest.raises(UsageError, match="/nowhere does not run: No such file"):
         bench_offline(3, 0, Path("/nowhere"), silent_bar)
+    with pytest.raises(UsageError, match="it ended without a word"):
+        bench_offline(3, 0, Path("/bin/true"), silent_bar)
+
+
+@pytest.mark.slow
+def test_storage_is_timed_with_a_cache_of_its_own(datasets_home: Path) -> None:
+    before = cache.entries()
+    result = bench_data(1, (1,), 300, 0, silent_bar)
+    storage = result["storage"]
+    assert storage["load_cold_s"] > 0 and storage["cache_mb"] > 0
+    assert cache.entries() == before
 
 
 @pytest.mark.slow

@@ -229,13 +229,22 @@ def test_a_start_may_be_gone_once_the_run_has_its_own_checkpoint(
 
 
 def test_the_command_takes_the_start_in_either_way(
-    offline: Run, whole: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    offline: Run,
+    whole: Run,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     words = ["train", "matd3-bc", "--online-steps", "60", "--online-every", "20"]
     words += ["--online-cycle", "2", "--out", str(tmp_path), "--workers", "1"]
     assert main([*words, f"--from={offline.folder}", "--logger", "csv"]) == 0
     assert same(tmp_path / "0", whole.folder)
     capsys.readouterr()
+    again = ["train", "matd3-bc", f"--from={offline.folder}", "--resume"]
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs").mkdir()
+    shutil.copytree(tmp_path / "0", "runs/matd3-bc-online/0")
+    assert main([*again, "--online-steps", "60", "--logger", "csv"]) == 0
     assert main([*words, "--from", "nowhere"]) == 2
     assert "there is no run" in capsys.readouterr().err
 

@@ -18,7 +18,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from marl_mm.envs.cruise import ALPHA, BASE, DELTA, HAND, MODE, CruiseTask, names
+from marl_mm.envs.cruise import (
+    ALPHA,
+    BASE,
+    DELTA,
+    HAND,
+    HAND_Y,
+    MODE,
+    CruiseTask,
+    names,
+)
 from marl_mm.envs.hazard import RiskyTask
 from marl_mm.envs.intervals import (
     Interval,
@@ -273,7 +282,7 @@ class Bar(RiskyTask):
 
     def _marks(self, side: int, beam: np.ndarray, goal: np.ndarray) -> list[Mark]:
         x, z = beam.tolist()
-        middle = 0.1 + (0.5 - side) * -self.bar_length
+        middle = HAND_Y + (0.5 - side) * -self.bar_length
         edge = sqrt(2) * (self.beam_size - BEAD)  # a bar's surface passes its edges
         return [
             Mark((float(goal[0]), middle, float(goal[1]))),
