@@ -20,7 +20,7 @@ from marl_mm.envs.hazard import HazardTask
 from marl_mm.envs.intervals import Interval, check_intervals, check_positive
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Values
-from marl_mm.envs.tasks.reach import steer
+from marl_mm.envs.tasks.reach import steer, to_goal
 from marl_mm.errors import UsageError
 from marl_mm.layout import Agent, Entry, Layout
 from marl_mm.sim.config import Camera
@@ -65,9 +65,6 @@ def felt_within(zones: np.ndarray, motion: "Motion") -> float:
     x = motion.q[:, :1]
     inside = ((x < zones.max(axis=1)) & (x > zones.min(axis=1))).any(axis=1)
     return float(np.abs(motion.base_acceleration[inside]).max(initial=0.0))
-
-
-_PAIRS = tuple(zip(GOAL, HAND, strict=True))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,11 +155,12 @@ class QuietZone(HazardTask):
 
     def expert(self, state: Values, script: ScriptConfig) -> Values:
         """Steer straight to the goal; alpha is 1 where the base has to be quiet."""
-        way = np.array([state[g.name] - state[h.name] for g, h in _PAIRS])
         ends = np.array([state[entry.name] for entry in ZONES]).reshape(-1, 2)
         x = state["base_x"]
         quiet = ((x < ends[:, 0] + BRAKING) & (x > ends[:, 1])).any()
-        return steer(script.kp * way) | {ALPHA.name: 1.0 if quiet else script.alpha}
+        return steer(script.kp * to_goal(state)) | {
+            ALPHA.name: 1.0 if quiet else script.alpha
+        }
 
 
 _MEDIUM = QuietZone()

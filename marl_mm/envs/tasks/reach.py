@@ -6,10 +6,9 @@ from typing import ClassVar
 import numpy as np
 
 from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, CruiseTask, names
-from marl_mm.envs.intervals import Interval
+from marl_mm.envs.intervals import Interval, check_positive
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Terms, Values
-from marl_mm.errors import UsageError
 from marl_mm.layout import Agent, Layout
 from marl_mm.sim.scene import Mark
 
@@ -25,8 +24,6 @@ LAYOUT = Layout(
 )
 """Layout of Reach. The balance agent does not see the goal, and the end-effector's
 agent does not see the control mode."""
-
-_PAIRS = tuple(zip(GOAL, HAND, strict=True))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,10 +65,7 @@ class Reach(CruiseTask):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.success_distance > 0:
-            raise UsageError(
-                f"success_distance is {self.success_distance}, expected > 0"
-            )
+        check_positive(self, "success_distance")
 
     @property
     def highest_return(self) -> float:
@@ -97,10 +91,7 @@ class Reach(CruiseTask):
         self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
     ) -> np.ndarray:
         """Whether the distance is below ``success_distance``."""
-        below: np.ndarray = np.less(
-            self.distance(achieved, desired), self.success_distance
-        )
-        return below
+        return np.asarray(self.distance(achieved, desired) < self.success_distance)
 
     def reward(
         self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
@@ -119,8 +110,7 @@ class Reach(CruiseTask):
 
     def expert(self, state: Values, script: ScriptConfig) -> Values:
         """Steer straight to the goal."""
-        way = np.array([state[g.name] - state[h.name] for g, h in _PAIRS])
-        return steer(script.kp * way) | {ALPHA.name: script.alpha}
+        return steer(script.kp * to_goal(state)) | {ALPHA.name: script.alpha}
 
     def _draw_goal(
         self, rng: np.random.Generator, ahead: bool
@@ -128,6 +118,12 @@ class Reach(CruiseTask):
         x = self.goal_x_forward if ahead else self.goal_x_backward
         gx, gy, gz = (float(rng.uniform(*a)) for a in (x, self.goal_y, self.goal_z))
         return gx, gy, gz
+
+
+def to_goal(state: Values) -> np.ndarray:
+    """Way of the hand to the goal, shape (3,) [m]."""
+    pairs = zip(GOAL, HAND, strict=True)
+    return np.array([state[goal.name] - state[hand.name] for goal, hand in pairs])
 
 
 def steer(way: np.ndarray) -> dict[str, float]:

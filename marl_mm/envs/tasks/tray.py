@@ -22,7 +22,7 @@ from marl_mm.envs.hazard import HazardTask
 from marl_mm.envs.intervals import Interval, check_intervals
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Values
-from marl_mm.envs.tasks.reach import steer
+from marl_mm.envs.tasks.reach import steer, to_goal
 from marl_mm.errors import UsageError
 from marl_mm.layout import Agent, Entry, Layout
 from marl_mm.sim.config import Camera
@@ -59,8 +59,6 @@ CUP = (0.07, 0.07, 0.1)
 SWING = 0.03
 """Displacement of the liquid that a step of the hand of 0.1 m gives it, with a margin
 [m]."""
-
-_PAIRS = tuple(zip(GOAL, HAND, strict=True))
 
 
 @dataclass
@@ -192,7 +190,7 @@ class Tray(HazardTask):
         level = min(state[MODE.name] / FULL_ALPHA, 1.0)
         rim = self.rim_dry + (self.rim_full - self.rim_dry) * level
         longest = rim / SWING
-        way = script.kp * np.array([state[g.name] - state[h.name] for g, h in _PAIRS])
+        way = script.kp * to_goal(state)
         way *= min(1.0, longest / max(float(np.linalg.norm(way)), longest))
         return steer(way) | {ALPHA.name: FULL_ALPHA * state[LEVEL.name]}
 
