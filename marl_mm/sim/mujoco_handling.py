@@ -44,7 +44,7 @@ class MujocoHandling:
         self._names = [model.geom(number).name for number in range(model.ngeom)]
         self._fingers = [int(model.joint(name).dofadr[0]) for name in FINGER_JOINTS]
         self._places = [int(model.joint(name).qposadr[0]) for name in FINGER_JOINTS]
-        self._body, self._hand = model.body(BLOCK).id, model.body(ARM_LINKS[-1]).id
+        self._body, self._last_link = model.body(BLOCK).id, model.body(ARM_LINKS[-1]).id
         self._weld = model.equality("weld").id
         self._pads = [model.pair(f"{BLOCK}+{name}").id for name in FINGER_LINKS]
         self.rows = np.zeros(2, np.int64)
@@ -108,8 +108,8 @@ class MujocoHandling:
         mujoco.mj_kinematics(model, data)
         place, turn = data.xpos, data.xquat
         inverse, way, rotation = np.empty(4), np.empty(3), np.empty(4)
-        mujoco.mju_negQuat(inverse, turn[self._hand])
-        mujoco.mju_rotVecQuat(way, place[self._body] - place[self._hand], inverse)
+        mujoco.mju_negQuat(inverse, turn[self._last_link])
+        mujoco.mju_rotVecQuat(way, place[self._body] - place[self._last_link], inverse)
         mujoco.mju_mulQuat(rotation, inverse, turn[self._body])
         # Anchor in the block, position and orientation of the block in the hand.
         model.eq_data[self._weld, :10] = 0, 0, 0, *way, *rotation

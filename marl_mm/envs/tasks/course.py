@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from marl_mm.envs.drive import Motion
 
 
-class Track(NamedTuple):
+class Stations(NamedTuple):
     """What an episode has on its way."""
 
     zone: np.ndarray
@@ -189,26 +189,26 @@ class Course(CruiseTask):
         self, attempt: Attempt, rng: np.random.Generator, goal: np.ndarray | None
     ) -> None:
         """Draw block, zone, window and bin, and open the hand."""
-        scene, track = self.load.draw_scene(rng), self._draw(rng)
+        scene, there = self.load.draw_scene(rng), self._draw(rng)
         wanted = np.array([float(len(STAGES))])
         attempt.goal = wanted if goal is None else goal
-        near, far = track.zone.tolist()
+        near, far = there.zone.tolist()
         marks = (
-            Mark(tuple(track.bin_w.tolist()), (0.02,)),
+            Mark(tuple(there.bin_w.tolist()), (0.02,)),
             Mark(((near + far) / 2, 0.0, 0.002), (far - near, 1.2, 0.004), YELLOW),
-            *track.window.walls(self.wall.thickness, self.wall.clearance),
+            *there.window.walls(self.wall.thickness, self.wall.clearance),
         )
         self.place(attempt, marks, scene)
-        attempt.memory = Way(**vars(attempt.memory) | {"drawn": track})
+        attempt.memory = Way(**vars(attempt.memory) | {"drawn": there})
         attempt.drives[0].handle(scene, self.load.knowledge).grip(False)
         self.wander(attempt, rng)
 
-    def _draw(self, rng: np.random.Generator) -> Track:
+    def _draw(self, rng: np.random.Generator) -> Stations:
         length = rng.uniform(*self.zone_length)
         near = rng.uniform(self.zone_x[0], max(self.zone_x[1] - length, self.zone_x[0]))
         window = self.wall.draw(rng)
         bin_w = np.array([rng.uniform(*self.bin_x), rng.uniform(*self.bin_y)])
-        return Track(
+        return Stations(
             np.array([near, near + length]), window, np.append(bin_w, self.bin_z)
         )
 
@@ -226,21 +226,21 @@ class Course(CruiseTask):
     def at_step(self, attempt: Attempt, motions: "Sequence[Motion]") -> None:
         """Look which sub-goal was reached, and what went wrong."""
         way, (motion,) = attempt.memory, motions
-        track: Track = way.drawn
-        felt = felt_within(track.zone[None], motion)
-        error = track.window.error(motion.hand_w, self.wall.thickness)
+        there: Stations = way.drawn
+        felt = felt_within(there.zone[None], motion)
+        error = there.window.error(motion.hand_w, self.wall.thickness)
         if felt > self.zone_limit:
             way.failure = way.failure or "the base was not quiet in the zone"
         elif error > self.wall.clearance:
             way.failure = way.failure or "the hand touched the wall"
-        beyond = track.window.x + self.wall.thickness
+        beyond = there.window.x + self.wall.thickness
         if holds_clear(attempt, self.load.hold_ticks):
             self._reach(way, "take")
-            if attempt.drives[0].state.q[0] > track.zone[1]:
+            if attempt.drives[0].state.q[0] > there.zone[1]:
                 self._reach(way, "cross")
             if self.hand_w(attempt)[0] > beyond:
                 self._reach(way, "pass")
-        elif way.stage == len(STAGES) - 1 and self.hand_w(attempt)[0] < track.window.x:
+        elif way.stage == len(STAGES) - 1 and self.hand_w(attempt)[0] < there.window.x:
             self._reach(way, "return")
         way.measured = {
             "points": float(way.points),
@@ -262,13 +262,13 @@ class Course(CruiseTask):
     def observe(self, attempt: Attempt) -> Values:
         """Joint state of hand, base and block, and what is on the way."""
         way: Way = attempt.memory
-        track: Track = way.drawn
+        there: Stations = way.drawn
         seen = {
             **super().observe(attempt),
             **handled(attempt, holds_clear(attempt, self.load.hold_ticks)),
         }
-        distance = track.window.x - seen[HAND[0].name]
-        ahead = *track.zone, *track.window, distance, *track.bin_w, way.stage
+        distance = there.window.x - seen[HAND[0].name]
+        ahead = *there.zone, *there.window, distance, *there.bin_w, way.stage
         entries = names(*ZONE, *GATE, DISTANCE, *BIN, STAGE)
         return {**seen, **dict(zip(entries, ahead, strict=True))}
 

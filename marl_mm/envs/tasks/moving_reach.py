@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 CENTRE = tuple(Entry(f"circle_{axis}", "m") for axis in "xyz")
 """Centre of the circle, world frame; it lies in the vertical plane across the way."""
 
-RATE = Entry("goal_rate", "rad/s")
+GOAL_RATE = Entry("goal_rate", "rad/s")
 """Angular speed of the goal on the circle, positive from y to z."""
 
 SECONDS = Entry("seconds_near", "s", 0.0)
@@ -55,7 +55,7 @@ WANTED = Entry("seconds_wanted", "s", 0.0)
 """Number that ends the episode."""
 
 LAYOUT = Layout(
-    (*HAND, *BASE, MODE, *GOAL, *CENTRE, RATE, SECONDS, WANTED),
+    (*HAND, *BASE, MODE, *GOAL, *CENTRE, GOAL_RATE, SECONDS, WANTED),
     (*DELTA, ALPHA),
     (
         Agent(
@@ -63,7 +63,7 @@ LAYOUT = Layout(
             names(*HAND, *BASE, MODE, *GOAL, *CENTRE, SECONDS),
             names(*DELTA),
         ),
-        Agent("balance", names(*HAND, *BASE, MODE, RATE, SECONDS), names(ALPHA)),
+        Agent("balance", names(*HAND, *BASE, MODE, GOAL_RATE, SECONDS), names(ALPHA)),
     ),
     compared=names(SECONDS),
     desired=names(WANTED),
@@ -95,7 +95,7 @@ class MovingReach(CruiseTask):
 
     about = "Follow a goal that moves on a circle, for three seconds."
     layout = LAYOUT
-    hidden: ClassVar[dict[str, float]] = {RATE.name: 0.0}
+    hidden: ClassVar[dict[str, float]] = {GOAL_RATE.name: 0.0}
     camera = Camera(target_w=(0.5, 0.0, 0.5), distance=2.1, yaw=40.0, pitch=-20.0)
     needs: ClassVar[tuple[str, ...]] = ("gap",)
     own_info: ClassVar[dict[str, str]] = {
@@ -187,7 +187,7 @@ class MovingReach(CruiseTask):
         circle: Circle = attempt.memory.drawn
         goal_w = self._place(circle.centre_w, circle.angle)
         seen = *goal_w, *circle.centre_w, circle.rate, circle.near
-        own = dict(zip(names(*GOAL, *CENTRE, RATE, SECONDS), seen, strict=True))
+        own = dict(zip(names(*GOAL, *CENTRE, GOAL_RATE, SECONDS), seen, strict=True))
         return {**super().observe(attempt), **own}
 
     def moved_marks(self, attempt: Attempt) -> list[dict[int, tuple[float, ...]]]:
@@ -223,7 +223,7 @@ class MovingReach(CruiseTask):
         _, y, z = goal - centre
         angle = np.arctan2(z, y) + rate * self.seconds_per_step
         way = self._place(centre, angle) - hand
-        alpha = float(np.clip(0.5 + state[RATE.name] / (2 * fastest), 0.0, 1.0))
+        alpha = float(np.clip(0.5 + state[GOAL_RATE.name] / (2 * fastest), 0.0, 1.0))
         return steer(script.kp * way) | {ALPHA.name: alpha}
 
 
