@@ -64,14 +64,12 @@ class RayWorkers:
         if self._started:
             ray.shutdown()
 
-    def map(
-        self, function: Callable[[T], R], items: Iterable[T], ahead: int = 2
-    ) -> Iterator[R]:
+    def map(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
         """Results in the order of ``items``; see ``Workers.map``."""
         waiting: dict[int, R] = {}
         following = 0
         numbered = _Numbered(function)
-        for number, result in self.completed(numbered, enumerate(items), ahead):
+        for number, result in self.completed(numbered, enumerate(items)):
             waiting[number] = result
             while following in waiting:
                 yield waiting.pop(following)
@@ -105,9 +103,12 @@ class RayWorkers:
 class _Worker:
     """A process of the cluster."""
 
-    def __init__(self, first: tuple[Any, Callable[..., None], tuple[Any, ...]]) -> None:
+    def __init__(
+        self, first: tuple[Any, Callable[..., None] | None, tuple[Any, ...]]
+    ) -> None:
         _, initializer, arguments = first
-        initializer(*arguments)
+        if initializer is not None:
+            initializer(*arguments)
 
     def call(self, function: Callable[[T], R], item: T) -> R:
         """The function's result."""

@@ -52,19 +52,13 @@ class Pool(Protocol):
     def close(self) -> None:
         """End the processes."""
 
-    def map(
-        self, function: Callable[[T], R], items: Iterable[T], ahead: int = 4
+    def map(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+        """Results in the order of ``items``, which may be endless."""
+
+    def completed(
+        self, function: Callable[[T], R], items: Iterable[T], ahead: int = 2
     ) -> Iterator[R]:
-        """Results in the order of ``items``, which may be endless.
-
-        Args:
-            function: The function.
-            items: Its arguments.
-            ahead: Number of items that each worker has been handed at a time.
-        """
-
-    def completed(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-        """Results in the order in which they are ready."""
+        """Results in the order in which they are ready; see ``Workers.map``."""
 
 
 def open_pool(
@@ -276,11 +270,7 @@ def ordered_map(
     initializer: Callable[..., None] | None = None,
     arguments: tuple[Any, ...] = (),
     ahead: int = 4,
-    executor: Executor = "local",
 ) -> Iterator[R]:
-    """Results of a map over new workers, in the order of ``items``."""
-    pool = open_pool(executor, workers, initializer, arguments)
-    try:
+    """Results of a map over new ``Workers``, in the order of ``items``."""
+    with Workers(workers, initializer, arguments) as pool:
         yield from pool.map(function, items, ahead)
-    finally:
-        pool.close()

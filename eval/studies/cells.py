@@ -2,11 +2,11 @@
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, cast
+from typing import Any, Generic, Protocol, TypeVar, cast
 
 import marl_mm
 from marl_mm.envs.registry import config_dict, make_task
@@ -16,7 +16,7 @@ from marl_mm.eval.rows import as_read, read_rows, write_csv
 from marl_mm.files import write_json
 from marl_mm.progress import Bar
 from marl_mm.versions import versions
-from marl_mm.workers import Executor, ordered_map
+from marl_mm.workers import Executor, open_pool
 
 
 class ActedCell(Protocol):
@@ -64,9 +64,10 @@ def run_cells(
     bar, label = advance_of
     advance = bar(label, len(cells))
     advance(len(rows), "")
+    pool = open_pool(executor, workers, None, ())
     try:
-        results = ordered_map(run, missing, workers, ahead=1, executor=executor)
-        for cell, values in zip(missing, results, strict=True):
+        # As they are ready, so that no worker waits for a slower one.
+        for cell, values in pool.completed(_Run(run), missing, ahead=1):
             rows[cell] = as_read(values)
             write_json(_file(cell, folder), values)
             advance(1, cell.label)
@@ -75,7 +76,19 @@ def run_cells(
             f"interrupted with {len(rows)} of {len(cells)} settings done; "
             "`resume=True` goes on from there"
         ) from None
+    finally:
+        pool.close()
     return rows
+
+
+@dataclass(frozen=True)
+class _Run(Generic[C]):
+    """A cell and its rows."""
+
+    run: Callable[[C], list[Row]]
+
+    def __call__(self, cell: C) -> tuple[C, list[Row]]:
+        return cell, self.run(cell)
 
 
 def write_cells(path: Path, cells: Sequence[C], rows: dict[C, list[Row]]) -> None:
