@@ -13,7 +13,6 @@ from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.progress import Bar, progress_bars
 from marl_mm.runs.settings import check_positive, check_seed
 from marl_mm.sim.config import ENGINES, Engine, is_installed
-from marl_mm.sim.world import check_engine
 from marl_mm.versions import versions
 
 
@@ -49,6 +48,7 @@ class BenchControl(_Bench):
     def measure(self, bar: Bar) -> dict[str, Any]:
         """The benchmark of these options."""
         from marl_mm.eval.bench.control import bench_control
+        from marl_mm.sim.world import check_engine
 
         choice = {"form": self.form, "solver": self.solver}
         on_bullet = {"simulation": {"engine": "bullet"}}
