@@ -17,7 +17,7 @@ from marl_mm.layout_diff import refuse_other_layout
 from marl_mm.progress import Advance, silent
 from marl_mm.sim.config import as_recorded
 from marl_mm.sim.world import check_engine
-from marl_mm.workers import ordered_map
+from marl_mm.workers import Workers
 
 
 class ReplayPolicy:
@@ -70,7 +70,14 @@ def replay(dataset: Dataset, workers: int = 1) -> Iterator[str | None]:
         check_engine(task.simulation.engine, "; no other engine repeats its episodes")
         refuse_other_layout(f"episode {number}", arrays.layout, about.task, task.layout)
         items.append((task, arrays.episode(number)))
-    return ordered_map(_difference, items, workers)
+    return _differences(items, workers)
+
+
+def _differences(
+    items: list[tuple[Task, Episode]], workers: int
+) -> Iterator[str | None]:
+    with Workers(workers) as pool:
+        yield from pool.map(_difference, items)
 
 
 _cores: dict[str, EpisodeCore] = {}

@@ -181,7 +181,7 @@ def _judged(arrays: EpisodeArrays, task: Task) -> EpisodeArrays:
     """Episodes with their success, where the file does not say it.
 
     An episode that ended has reached its goal, unless its task can fail too: then the
-    distance to the goal decides.
+    task's own rule decides, from the state after the step.
     """
     told = np.asarray(arrays.info["is_success"], np.float64)
     if not np.isnan(told).any():

@@ -261,16 +261,3 @@ def _send(
         sender.send((False, WorkerDiedError("it needs more memory than it may have")))
     except Exception as error:
         sender.send((False, error))
-
-
-def ordered_map(
-    function: Callable[[T], R],
-    items: Iterable[T],
-    workers: int,
-    initializer: Callable[..., None] | None = None,
-    arguments: tuple[Any, ...] = (),
-    ahead: int = 4,
-) -> Iterator[R]:
-    """Results of a map over new ``Workers``, in the order of ``items``."""
-    with Workers(workers, initializer, arguments) as pool:
-        yield from pool.map(function, items, ahead)
