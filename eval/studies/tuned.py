@@ -3,5 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
-CHOSEN: Mapping[str, Mapping[str, Any]] = {}
+CHOSEN: Mapping[str, Mapping[str, Any]] = {
+    "bc": {"learning_rate": 0.0005, "batch_size": 128, "hidden": (128, 128)},
+    "mabc": {"learning_rate": 0.002, "batch_size": 256, "hidden": (128, 128)},
+    "mac-flow": {"learning_rate": 0.0005, "discount": 0.95, "distillation": 3.0},
+}
 """Values that replace the presets', by registered name; none where none is tuned."""
