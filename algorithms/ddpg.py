@@ -23,7 +23,7 @@ from marl_mm.algorithms.ddpg_config import DdpgConfig
 from marl_mm.algorithms.demonstrations import Demonstrations
 from marl_mm.algorithms.diagnostics import DIAGNOSED, saturation
 from marl_mm.algorithms.explore import Explorer
-from marl_mm.algorithms.networks import Critic, Normalizer, descend
+from marl_mm.algorithms.networks import Adam, Critic, Normalizer
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.replay import (
     DRAWN_TOGETHER,
@@ -92,12 +92,12 @@ class Ddpg:
             target.clamp_max_(self._highest_target)  # ours; in the paper it is infinite
 
         critic_loss = functional.mse_loss(self.critic(state, batch.action), target)
-        descend(self._critic_optimizer, critic_loss)
+        self._critic_optimizer.descend(critic_loss)
 
         actor_loss = self._actor_loss(batch)
         if self._shown and self.config.imitation_weight:
             actor_loss = actor_loss + self._imitation_loss(batch)
-        descend(self._actor_optimizer, actor_loss)
+        self._actor_optimizer.descend(actor_loss)
 
         self._follow(self._targets, self._online, None)
         return {"loss/critic": critic_loss.item(), "loss/actor": actor_loss.item()}
@@ -156,12 +156,10 @@ class Ddpg:
         self._target_critic = deepcopy(self.critic)
         self._target_agents = deepcopy(self.agents)
         actors = [p for a in self.agents.values() for p in a.actor.parameters()]
-        self._critic_optimizer = torch.optim.Adam(
-            self.critic.parameters(), lr=config.critic_learning_rate, fused=True
+        self._critic_optimizer = Adam(
+            self.critic.parameters(), config.critic_learning_rate
         )
-        self._actor_optimizer = torch.optim.Adam(
-            actors, lr=config.actor_learning_rate, fused=True
-        )
+        self._actor_optimizer = Adam(actors, config.actor_learning_rate)
         self._online = [*self.critic.parameters(), *actors]
         self._targets = [
             *self._target_critic.parameters(),

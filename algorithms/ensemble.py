@@ -11,7 +11,8 @@ from typing import Any
 import torch
 from torch import nn
 from torch.nn import functional
-from torch.optim.adam import adam
+
+from marl_mm.algorithms.networks import adam_step
 
 State = dict[str, torch.Tensor]
 
@@ -112,23 +113,8 @@ class Learner:
         """One gradient step; no other gradient is computed."""
         gradients = torch.autograd.grad(loss, self._weights)
         gradient = torch.cat([part.flatten() for part in gradients])
-        # The function itself: what torch.optim.Adam does around it takes as long.
-        adam(
-            [self._flat],
-            [gradient],
-            [self._mean],
-            [self._square],
-            [],
-            [self._step],
-            fused=True,
-            amsgrad=False,
-            beta1=0.9,
-            beta2=0.999,
-            lr=self._rate,
-            weight_decay=0.0,
-            eps=1e-8,
-            maximize=False,
-        )
+        moments = [self._mean], [self._square], [self._step]
+        adam_step([self._flat], [gradient], *moments, self._rate)
 
     def member(self, number: int) -> dict[str, Any]:
         """State of Adam for one perceptron."""

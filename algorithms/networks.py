@@ -1,11 +1,13 @@
 """Networks that carry their own input statistics: no checkpoint can lose them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import torch
 from torch import nn
+from torch.optim.adam import adam
 
 from marl_mm.layout import AgentLayout
 
@@ -193,10 +195,70 @@ class ActionScale:
         return self._low + (action + 1) / 2 * self._range
 
 
-def descend(optimizer: torch.optim.Optimizer, loss: torch.Tensor) -> None:
-    """One gradient step of an optimizer; other networks' gradients stay as they are."""
-    parameters = optimizer.param_groups[0]["params"]
-    gradients = torch.autograd.grad(loss, parameters)
-    for parameter, gradient in zip(parameters, gradients, strict=True):
-        parameter.grad = gradient
-    optimizer.step()
+class Adam:
+    """Adam of some parameters, with the state of ``torch.optim.Adam``.
+
+    That one takes longer around a step than for it, and a second to be imported.
+
+    Args:
+        parameters: Parameters of networks, changed in place.
+        rate: Learning rate.
+    """
+
+    def __init__(self, parameters: Iterable[nn.Parameter], rate: float) -> None:
+        self._parameters, self._rate = [*parameters], rate
+        self._means, self._squares = (
+            [torch.zeros_like(p) for p in self._parameters] for _ in range(2)
+        )
+        self._steps = [torch.zeros(()) for _ in self._parameters]
+
+    @torch.no_grad()
+    def descend(self, loss: torch.Tensor) -> None:
+        """One gradient step; other networks' gradients stay as they are."""
+        gradients = torch.autograd.grad(loss, self._parameters)
+        moments = self._means, self._squares, self._steps
+        adam_step(self._parameters, list(gradients), *moments, self._rate)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Moments and number of steps by the parameter's number."""
+        return {"state": dict(enumerate(self._states()))}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Load a state; before a first step that of ``torch.optim.Adam`` is empty."""
+        for number, own in enumerate(self._states()):
+            for name, values in own.items():
+                given = state["state"][number][name] if state["state"] else 0.0
+                values.copy_(torch.as_tensor(given))
+
+    def _states(self) -> Iterator[dict[str, torch.Tensor]]:
+        """The arrays themselves, by name."""
+        arrays = zip(self._steps, self._means, self._squares, strict=True)
+        for step, mean, square in arrays:
+            yield {"step": step, "exp_avg": mean, "exp_avg_sq": square}
+
+
+def adam_step(
+    weights: list[Any],
+    gradients: list[torch.Tensor],
+    means: list[torch.Tensor],
+    squares: list[torch.Tensor],
+    steps: list[torch.Tensor],
+    rate: float,
+) -> None:
+    """One fused step of Adam on arrays in place; arguments are lists of as many."""
+    adam(
+        weights,
+        gradients,
+        means,
+        squares,
+        [],
+        steps,
+        fused=True,
+        amsgrad=False,
+        beta1=0.9,
+        beta2=0.999,
+        lr=rate,
+        weight_decay=0.0,
+        eps=1e-8,
+        maximize=False,
+    )

@@ -7,7 +7,7 @@ import torch
 from torch import nn
 
 from marl_mm.algorithms.ensemble import Ensemble, Learner
-from marl_mm.algorithms.networks import perceptron
+from marl_mm.algorithms.networks import Adam, perceptron
 
 WIDTHS = 5, 7, 6, 2
 
@@ -53,6 +53,26 @@ def test_a_learner_is_adam_for_each(layer_norm: bool) -> None:
         for name, value in one.state_dict().items():
             own = ensemble.member(number)[name]
             torch.testing.assert_close(own, value, atol=1e-6, rtol=1e-5)
+
+
+def test_adam_is_torchs_to_the_bit_and_goes_on_from_its_state() -> None:
+    """Before the first step, too, when that state is empty."""
+    for taken in (0, 3):
+        one, other = members(2)
+        other.load_state_dict(one.state_dict())
+        theirs = torch.optim.Adam(one.parameters(), lr=1e-2, fused=True)
+        ours = Adam(other.parameters(), 1e-2)
+        for number in range(6):
+            if number == taken:
+                ours.load_state_dict(theirs.state_dict())
+                other.load_state_dict(one.state_dict())
+            theirs.zero_grad()
+            one(inputs(1)).square().mean().backward()
+            theirs.step()
+            ours.descend(other(inputs(1)).square().mean())
+        for name, value in one.state_dict().items():
+            assert torch.equal(value, other.state_dict()[name])
+        assert str(ours.state_dict()["state"]) == str(theirs.state_dict()["state"])
 
 
 def test_members_come_and_go_without_touching_others() -> None:
