@@ -31,7 +31,7 @@ from marl_mm.control.records import (
 )
 from marl_mm.errors import NonFiniteStateError, UsageError
 from marl_mm.robot.limits import RobotLimits
-from marl_mm.robot.model import ModelTerms, RobotState
+from marl_mm.robot.model import ModelTerms, RobotState, named
 
 
 class WholeBodyController:
@@ -153,7 +153,7 @@ class WholeBodyController:
             finite, rest = tick_along(*state, *terms, k, *unchanging, u, torque)
             if not finite:
                 raise no_command(state, track.target_w, priorities)
-            return Command(u, torque, *rest)
+            return named(Command, (u, torque, *rest))
 
         return command
 

@@ -22,6 +22,9 @@ ACTUATED = np.array([0, 2, 3, 4, 5, 6, 7, 8, 9])
 
 _WORLD = pin.LOCAL_WORLD_ALIGNED
 
+named = tuple.__new__
+"""Makes a named tuple of its values, in 0.6 of its constructor's time."""
+
 
 class RobotState(NamedTuple):
     """Configuration and velocity of the robot at one instant."""
@@ -86,7 +89,9 @@ class RobotModel:
         self._data = self._model.createData()
         self._frame = self._model.getFrameId(GRASP_FRAME)
         placement = self._data.oMf[self._frame]
-        self._pose = placement.translation, placement.rotation  # views of the data
+        # Views of the data, which stay where they are.
+        self._pose = placement.translation, placement.rotation
+        self._com, self._momentum_rate = self._data.com[0], self._data.dhg
         self._no_acceleration = np.zeros(self._model.nv)
         self._full = np.zeros(self._model.nv)
         self._mass = pin.computeTotalMass(self._model)
@@ -125,7 +130,7 @@ class RobotModel:
         pin.computeJointJacobians(model, data)
         pin.updateFramePlacement(model, data, frame)
         acceleration = pin.getFrameClassicalAcceleration(model, data, frame, _WORLD)
-        return ModelTerms(  # by position: keywords would cost 0.5 us
+        values = (
             *self._pose,
             pin.getFrameVelocity(model, data, frame, _WORLD).vector,
             pin.getFrameJacobian(model, data, frame, _WORLD),
@@ -134,6 +139,7 @@ class RobotModel:
             pin.nonLinearEffects(model, data, q, v),
             self._wrench,
         )
+        return named(ModelTerms, values)
 
     def _evaluate_ground(self, state: RobotState) -> None:
         """Write the wrench: rate of centroidal momentum less gravity, at the base."""
@@ -141,10 +147,10 @@ class RobotModel:
         pin.computeCentroidalMomentumTimeVariation(
             model, data, state.q, state.v, self._no_acceleration
         )
-        wrench[:, -1] = data.dhg.vector
+        wrench[:, -1] = self._momentum_rate.vector
         wrench[2, -1] += self._mass * GRAVITY
         wrench[:, :-1] = pin.computeCentroidalMap(model, data, state.q)
-        arm = data.com[0] - np.array([state.q[0], state.q[1], 0.0])
+        arm = self._com - np.array([state.q[0], state.q[1], 0.0])
         wrench[3:] += np.cross(arm, wrench[:3], axisb=0, axisc=0)
 
     def zmp_b(self, state: RobotState, acceleration: np.ndarray) -> np.ndarray:
@@ -157,8 +163,8 @@ class RobotModel:
         model, data, full = self._model, self._data, self._full
         full[0], full[2:] = acceleration[0], acceleration[1:]
         pin.computeCentroidalMomentumTimeVariation(model, data, *state, full)
-        x, y, z = data.com[0].tolist()
-        (fx, fy, fz), (mx, my, _) = data.dhg.linear.tolist(), data.dhg.angular.tolist()
+        x, y, z = self._com.tolist()
+        fx, fy, fz, mx, my, _ = self._momentum_rate.vector.tolist()
         vertical = self._mass * GRAVITY + fz
         base_x, base_y, cos, sin = state.q[:4].tolist()
         x = x - (z * fx + my) / vertical - base_x

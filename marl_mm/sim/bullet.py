@@ -14,7 +14,7 @@ from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.files import named_errors
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.description import urdf_xml as robot_urdf
-from marl_mm.robot.model import GRAVITY, RobotState
+from marl_mm.robot.model import GRAVITY, RobotState, named
 from marl_mm.robot.names import (
     ARM_JOINTS,
     BASE_LINK,
@@ -129,12 +129,12 @@ class BulletWorld:
         joints = pybullet.getJointStates(robot, self._arm, client)
         place, turn = pybullet.getBasePositionAndOrientation(robot, client)
         linear, angular = pybullet.getBaseVelocity(robot, client)
-        arm, rates, _, _ = zip(*joints, strict=True)
+        arm, rates, _, _ = zip(*joints, strict=False)  # which costs less
         q, v = np.empty(11), np.empty(10)
         com_b = self._com_b
         if not planar_state(place, turn, linear, angular, com_b, arm, rates, q, v):
             raise diverged(q, v)
-        return RobotState(q, v)
+        return named(RobotState, (q, v))
 
     def attitude(self) -> tuple[float, float]:
         """See ``World``."""
