@@ -19,7 +19,7 @@ _REGISTRIES = {
     "formats": {
         "policies": "algorithms.export_formats:POLICY_FORMATS",
         "datasets, written": "datasets.export:DATASET_FORMS",
-        "datasets, read": "datasets.importing:IMPORTS",
+        "datasets, read": "datasets.import_forms:IMPORTS",
     },
     "metrics": {"": "eval.metrics:METRICS"},
 }
