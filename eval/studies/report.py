@@ -14,7 +14,10 @@ from marl_mm.eval.bench.tables import (
     abuse_table,
     bench_table,
     data_table,
+    env_table,
     offline_speed_table,
+    tick_table,
+    vector_table,
 )
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies.alpha import STEPS
@@ -76,7 +79,7 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
 
     Args:
         results: Folder with any of ``studies``, ``alpha``, ``controller``,
-            ``data`` and ``offline``; or of runs, with results in ``studies``.
+            ``data``, ``env`` and ``offline``; or of runs, with results in ``studies``.
         videos: Files of films to show.
 
     Raises:
@@ -174,6 +177,11 @@ def _benchmarks(results: Path) -> Iterator[Section]:
             text = _html(table(read_json(path, UsageError)))
             key = name.replace("/", "-")
             yield Section(key, title, f"marl-mm bench {target}", text)
+    engines = _within(results, results.glob("env/*.json"))
+    if times := {path.stem: read_json(path, UsageError) for path in engines}:
+        parts = [table(times) for table in (env_table, tick_table, vector_table)]
+        text = _html("\n".join(parts))
+        yield Section("env", "Environment steps", "marl-mm bench env", text)
     abuse = _within(results, results.glob("controller/abuse-*.json"))
     if reports := {p.stem[len("abuse-") :]: read_json(p, UsageError) for p in abuse}:
         text = _html(abuse_table(reports))

@@ -211,6 +211,7 @@ STUDY = "setting,success\nx,1\n"
         "alpha/alpha.png",
         "controller/bench.json",
         "controller/abuse-a.json",
+        "env/Reach-v0.json",
     ],
 )
 def test_a_link_out_of_the_results_shows_nobody_a_file(
