@@ -1,8 +1,9 @@
 """Success on several datasets: interquartile mean, and probability of improvement.
 
 Intervals are of 95 %, of a stratified bootstrap with a fixed seed: within each dataset
-seeds and goals are drawn anew, goals alike for all seeds and algorithms (Agarwal et al.
-2021, arXiv 2108.13264, who draw seeds alone).
+seeds and goals are drawn anew, goals alike for all seeds and algorithms, and for all
+datasets that are evaluated on the same (Agarwal et al. 2021, arXiv 2108.13264, who draw
+seeds alone).
 """
 
 from collections.abc import Sequence
@@ -35,18 +36,24 @@ Means = Sequence[np.ndarray]
 (1 + ``RESAMPLES``, seeds)."""
 
 
-def resampled(scores: Sequence[np.ndarray], number: int = 0) -> Means:
+def resampled(
+    scores: Sequence[np.ndarray],
+    number: int = 0,
+    goals_of: Sequence[int] | None = None,
+) -> Means:
     """Means of all seeds, and of seeds and goals that are drawn anew.
 
     Args:
         scores: Scores of each dataset by seed and goal, shape (seeds, goals).
         number: Number of the algorithm: the seeds of another are drawn anew, its goals
             are the same.
+        goals_of: Number of each dataset's set of goals, which are drawn alike for all
+            that share it; default one of its own.
     """
     means = []
     for place, of_dataset in enumerate(scores):
         seeds, goals = of_dataset.shape
-        rng = np.random.default_rng((place, goals))
+        rng = np.random.default_rng((goals_of[place] if goals_of else place, goals))
         shares = rng.multinomial(goals, np.full(goals, 1 / goals), RESAMPLES) / goals
         rng = np.random.default_rng((place, seeds, number))
         picks = rng.integers(seeds, size=(RESAMPLES, seeds))

@@ -1,6 +1,5 @@
-"""Which of several results can be told apart: Welch's test with Holm's correction."""
+"""Which of several results can be told apart: a t-test with Holm's correction."""
 
-import warnings
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -8,6 +7,9 @@ import numpy as np
 import scipy  # its stats take half a second, and come when they are used
 
 from marl_mm.eval.intervals import CONFIDENCE
+
+_NONE = 1e-12
+"""Variance of a mean below which there is none."""
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
@@ -20,27 +22,39 @@ def holm(p_values: Sequence[float]) -> list[float]:
 
 
 def p_of_difference(scores: np.ndarray, others: np.ndarray) -> float:
-    """P-value of the difference of two results on the same goals: the larger of two.
+    """P-value of the difference of two results, over seeds and goals.
 
-    One is Welch's over seeds, the other of Student's paired test over goals, as seeds
-    that all reach the same share say nothing of the goals. A single seed can be told
-    apart from nothing: 1.
+    Seeds are each result's own; goals are the same for both. The difference's variance
+    is that over seeds and that over goals, less what is counted twice, and not below
+    either (two-way clusters, Cameron, Gelbach and Miller 2011). Its degrees of freedom
+    are Welch's. A single seed or goal can be told apart from nothing: 1.
 
     Args:
         scores: Scores by seed and goal, shape (seeds, goals).
         others: Scores of the other result, shape (other seeds, goals).
     """
-    if min(len(scores), len(others)) < 2:
+    both = scores, others
+    if min(*scores.shape, *others.shape) < 2:
         return 1.0
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of scores that do not vary
-        seeds = [values.mean(axis=1) for values in (scores, others)]
-        over_seeds = scipy.stats.ttest_ind(*seeds, equal_var=False).pvalue
-        goals = scores.mean(axis=0) - others.mean(axis=0)
-        over_goals = scipy.stats.ttest_1samp(goals, 0.0).pvalue
-    # Without any spread there is no p-value: means differ, or they do not.
-    undefined = float(np.isclose(goals.mean(), 0.0))
-    return float(np.nan_to_num([over_seeds, over_goals], nan=undefined).max())
+    difference = scores.mean(axis=0) - others.mean(axis=0)
+    clusters = [*(values.mean(axis=1) for values in both), difference]
+    parts = np.array([np.var(some, ddof=1) / len(some) for some in clusters])
+    free = [len(some) - 1 for some in clusters]
+    seeds, goals = parts[:2].sum(), parts[2]
+    twice = sum(_residual(values) for values in both)
+    mean, variance = difference.mean(), max(seeds, goals, seeds + goals - twice)
+    if variance < _NONE:  # means differ, or they do not
+        return float(np.isclose(mean, 0.0))
+    errors = abs(mean) / np.sqrt(variance)
+    return float(2 * scipy.stats.t.sf(errors, variance**2 / np.sum(parts**2 / free)))
+
+
+def _residual(scores: np.ndarray) -> float:
+    """Variance of the mean from what neither seed nor goal explains."""
+    seeds, goals = scores.shape
+    rest = scores - scores.mean(axis=1, keepdims=True) - scores.mean(axis=0)
+    free = (seeds - 1) * (goals - 1)
+    return float(np.square(rest + scores.mean()).sum() / free / scores.size)
 
 
 def tie_groups(results: Sequence[np.ndarray]) -> list[tuple[int, ...]]:

@@ -160,17 +160,16 @@ def _of_cell(store: RowStore, cell: Cell, seeds: list[int]) -> tuple[Row, np.nda
 def _write_overall(folder: Path, rows: list[Row], scores: list[Scores]) -> None:
     """Tables over the datasets that every algorithm with rows has learnt from."""
     there = {name for of_dataset in scores for name in of_dataset}
-    whole = [of_dataset for of_dataset in scores if of_dataset.keys() == there]
+    each = zip(grouped(rows, "dataset").values(), scores, strict=True)
+    whole = [(some, of) for some, of in each if of.keys() == there]
     names = [name for name in ALGORITHM_NAMES if name in there and whole]
-    means = {
-        name: resampled([of[name] for of in whole], ALGORITHM_NAMES.index(name))
-        for name in names
-    }
-    groups = [
-        [row["algorithm"] for row in of_dataset if row["first"]]
-        for of_dataset in grouped(rows, "dataset").values()
-        if {row["algorithm"] for row in of_dataset} == there
-    ]
+    tasks = [some[0]["task"] for some, _ in whole]
+    goals_of = [tasks.index(task) for task in tasks]  # a task has the same for all
+    means = {}
+    for name in names:
+        number = ALGORITHM_NAMES.index(name)
+        means[name] = resampled([of[name] for _, of in whole], number, goals_of)
+    groups = [[row["algorithm"] for row in some if row["first"]] for some, _ in whole]
     overall = [
         {
             "algorithm": name,

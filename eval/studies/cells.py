@@ -1,20 +1,23 @@
 """Cells of studies that train nothing: each is run once, and its rows are kept."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Generic, Protocol, TypeVar, cast
 
 import marl_mm
+from marl_mm.config_diff import as_json
 from marl_mm.envs.registry import config_dict, make_task
-from marl_mm.errors import UsageError
+from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import as_read, read_rows, write_csv
 from marl_mm.files import write_json
 from marl_mm.progress import Bar
+from marl_mm.received import read_json
 from marl_mm.versions import versions
 from marl_mm.workers import Executor, open_pool
 
@@ -45,6 +48,7 @@ def run_cells(
     workers: int,
     advance_of: tuple[Bar, str],
     executor: Executor = "local",
+    groups: Mapping[Path, Sequence[C]] = MappingProxyType({}),
 ) -> dict[C, list[Row]]:
     """Rows of cells; those that are finished are kept in a folder.
 
@@ -55,11 +59,21 @@ def run_cells(
         workers: Number of processes.
         advance_of: Factory of progress bars, and the bar's label.
         executor: Processes of this machine, or of a Ray cluster that shares its files.
+        groups: Cells by the path of ``write_cells``, which writes each group as soon as
+            it is whole.
 
     Raises:
         KeyboardInterrupt: After Ctrl-C, saying how to go on.
     """
-    rows = kept_rows(cells, folder)
+    rows, unwritten = kept_rows(cells, folder), dict(groups)
+
+    def write_whole() -> None:
+        for path, group in [*unwritten.items()]:
+            if all(cell in rows for cell in group):
+                write_cells(path, group, rows)
+                del unwritten[path]
+
+    write_whole()
     missing = [cell for cell in cells if cell not in rows]
     bar, label = advance_of
     advance = bar(label, len(cells))
@@ -70,6 +84,7 @@ def run_cells(
         for cell, values in pool.completed(_Run(run), missing, ahead=1):
             rows[cell] = as_read(values)
             write_json(_file(cell, folder), values)
+            write_whole()
             advance(1, cell.label)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
@@ -102,6 +117,20 @@ def write_cells(path: Path, cells: Sequence[C], rows: dict[C, list[Row]]) -> Non
     about = [asdict(cast(Any, cell)) for cell in cells]
     write_csv(path.with_suffix(".csv.xz"), [row for c in cells for row in rows[c]])
     write_json(path.with_suffix(".json"), {"cells": about, "packages": versions()})
+
+
+def missing_groups(groups: Mapping[Path, Sequence[C]]) -> dict[Path, Sequence[C]]:
+    """Groups whose rows are not there; those of older code count."""
+    return {path: cells for path, cells in groups.items() if not _is_made(path, cells)}
+
+
+def _is_made(path: Path, cells: Sequence[C]) -> bool:
+    record = path.with_suffix(".json")
+    if not record.exists():
+        return False
+    made = read_json(record, MarlMmError).get("cells")
+    wanted = [asdict(cast(Any, cell)) for cell in cells]
+    return bool(made == as_json({"cells": wanted})["cells"])
 
 
 def read_cells(folder: Path) -> dict[str, list[Row]]:

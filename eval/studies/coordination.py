@@ -18,7 +18,7 @@ from marl_mm.eval.grouping import by_goal, grouped, mean_of
 from marl_mm.eval.intervals import bootstrap_interval, success_interval
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
-from marl_mm.eval.studies.cells import read_cells, run_cells, write_cells
+from marl_mm.eval.studies.cells import read_cells, run_cells
 from marl_mm.eval.studies.options import PolicyOptions
 from marl_mm.eval.studies.policies import Contestant, PolicyCell, run_cell
 from marl_mm.eval.tables import markdown_table, rate_in_interval
@@ -120,9 +120,8 @@ def make_coordination(options: CoordinationOptions, bar: Bar) -> list[Row]:
     every = [cell for listed in cells.values() for cell in listed]
     folder = options.runs_folder / "coordination"
     pool = options.workers, (bar, "coordination"), options.executor
-    rows = run_cells(run_cell, every, folder, *pool)
-    for task, listed in cells.items():
-        write_cells(_rows_folder(options.results) / task, listed, rows)
+    groups = {_rows_folder(options.results) / task: of for task, of in cells.items()}
+    run_cells(run_cell, every, folder, *pool, groups)
     return draw_coordination(options.results, options.results)
 
 

@@ -33,9 +33,9 @@ class StudyOptions:
     """Seeds of the runs of every source and setting, not their number; default 0 1 2,
     or what the study declares."""
 
-    budget: Literal["full", "smoke"] = "full"
-    """"smoke": hardly any training, and datasets of a few steps, to see that everything
-    works."""
+    budget: Literal["full", "night", "smoke"] = "full"
+    """"night": at most two seeds of everything, which "full" goes on from; "smoke":
+    hardly any training, and datasets of a few steps, to see that everything works."""
 
     precision: Precision = "auto"
     """Precision of matrix products; see "marl-mm train td3-bc --help"."""
@@ -101,7 +101,10 @@ class StudyOptions:
 
     def seeds_of(self, study: Study) -> tuple[int, ...]:
         """``seeds``, or the study's."""
-        return tuple(range(study.seeds)) if self.seeds is None else self.seeds
+        if self.seeds is not None:
+            return self.seeds
+        count = min(study.seeds, 2) if self.budget == "night" else study.seeds
+        return tuple(range(count))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,11 +1,12 @@
 """What several agents are good for: teams against joint actors under disturbances.
 
-Every algorithm that has both forms is trained in each from the same data. What a form
-loses to a disturbance is compared goal by goal, and with it what the team keeps more.
+Every algorithm that has both forms, and is tuned in both, is trained in each from the
+same data. Goal by goal it is compared what a form reaches under a disturbance, and what
+that is less than without: a form that reaches few goals has few to lose.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -14,16 +15,15 @@ from typing import Any
 import numpy as np
 
 from marl_mm.algorithms.checkpoint import FILE
-from marl_mm.config_diff import as_json
 from marl_mm.envs.registry import fewest_steps
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.evaluate import Setup
-from marl_mm.eval.grouping import by_goal, grouped, mean_of
+from marl_mm.eval.grouping import by_goal, grouped
 from marl_mm.eval.intervals import interval_of_mean
 from marl_mm.eval.metrics import EvaluationRow, Row
 from marl_mm.eval.robustness import robustness
 from marl_mm.eval.rows import write_csv
-from marl_mm.eval.studies.cells import read_cells, run_cells, write_cells
+from marl_mm.eval.studies.cells import missing_groups, read_cells, run_cells
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.study import Study, cell_name, setting_of
 from marl_mm.eval.studies.tuned import CHOSEN
@@ -47,7 +47,7 @@ TABLE = "robustness.csv"
 FORMS = (
     *(("bc", "mabc"), ("flow-bc", "ma-flow-bc"), ("iql", "ma-iql")),
     *(("rebrac", "ma-rebrac"), ("td3-bc", "matd3-bc"), ("cql", "cfcql")),
-    ("best-of-n-joint", "best-of-n"),
+    *(("fql", "mac-flow"), ("best-of-n-joint", "best-of-n")),
 )
 """Algorithms: the form with a joint actor, and the team's."""
 
@@ -65,15 +65,17 @@ AGENTS = Study(
     tuple(
         (
             RECIPES.get(recipe).source,
-            setting_of(
-                f"robust-{name}", name, UPDATES, CHOSEN.get(name, CHOSEN.get(team, {}))
-            ),
+            setting_of(f"robust-{name}", name, UPDATES, CHOSEN[name]),
         )
-        for recipe, (joint, team) in product(SOURCES.values(), FORMS)
-        for name in (joint, team)  # what the tuning chose, else that of the team
+        for recipe, form in product(SOURCES.values(), FORMS)
+        for name in form
+        if CHOSEN.keys() >= {*form}
     ),
 )
 """Study whose runs are disturbed."""
+
+FEW = 0.3
+"""Success rate below which a form has few goals to lose."""
 
 CLEAN, ALL = "clean", "all"
 """Names of the run without a disturbance, and of the mean over disturbances."""
@@ -163,19 +165,36 @@ def cells_of(
     ]
 
 
-def _are_made(record: Path, cells: Sequence[RobustCell]) -> bool:
-    """Whether rows are those of these cells, of whatever weights."""
-    if not record.exists():
-        return False
-    made = read_json(record, MarlMmError).get("cells", [])
-    wanted = as_json({"cells": [asdict(cell) for cell in cells]})["cells"]
-    return bool([{**cell, "weights": ""} for cell in made] == wanted)
+def _with_weights(
+    options: StudyOptions, path: Path, cells: Sequence[RobustCell]
+) -> list[RobustCell]:
+    """Cells with the fingerprints of their runs; of those that are gone, of the rows.
+
+    Raises:
+        UsageError: If there is neither run nor row.
+    """
+    record = path.with_suffix(".json")
+    made = read_json(record, MarlMmError).get("cells", []) if record.exists() else []
+    kept = {cell["seed"]: cell["weights"] for cell in made}
+    return [
+        replace(
+            cell,
+            weights=kept[cell.seed]
+            if cell.seed in kept and not (_folder(options, cell) / FILE).exists()
+            else _run(options, cell).policy.fingerprint,
+        )
+        for cell in cells
+    ]
+
+
+def _folder(options: StudyOptions, of: RobustCell) -> Path:
+    names = of.dataset, of.setting
+    (cell,) = (cell for cell in AGENTS.cells if cell_name(cell) == names)
+    return options.run_folder(cell, of.seed)
 
 
 def _run(options: StudyOptions, of: RobustCell) -> Run:
-    names = of.dataset, of.setting
-    (cell,) = (cell for cell in AGENTS.cells if cell_name(cell) == names)
-    run = Run(options.run_folder(cell, of.seed))
+    run = Run(_folder(options, of))
     if not (run.folder / FILE).exists():
         raise UsageError(
             f"{run.folder} is gone, and {options.store.folder} has its evaluations: "
@@ -231,22 +250,20 @@ def make_robustness(options: RobustnessOptions, bar: Bar) -> list[Row]:
         KeyboardInterrupt: After Ctrl-C; finished runs are kept.
     """
     options.check_settings()
-    folder = options.runs_folder / "robustness"
-    run = partial(run_cell, options)
+    # Processes of a cluster start in other folders.
+    options = replace(options, runs=options.runs_folder.absolute(), out=options.results)
+    groups = {}
     for dataset, setting in map(cell_name, AGENTS.cells):
         file = f"{dataset}-{setting}".replace("/", "-")
         path = _rows_folder(options.results) / file
         cells = cells_of(options, dataset, setting)
-        if _are_made(path.with_suffix(".json"), cells):
-            continue
-        cells = [
-            replace(cell, weights=_run(options, cell).policy.fingerprint)
-            for cell in cells
-        ]
-        advance_of = bar, f"robustness {setting}"
-        pool = options.workers, advance_of, options.executor
-        rows = run_cells(run, cells, folder, *pool)
-        write_cells(path, cells, rows)
+        groups[path] = _with_weights(options, path, cells)
+    missing = missing_groups(groups)
+    every = [cell for cells in missing.values() for cell in cells]
+    folder, pool = options.runs_folder / "robustness", (options.workers,)
+    shown = bar, "robustness"
+    run = partial(run_cell, options)
+    run_cells(run, every, folder, *pool, shown, options.executor, missing)
     return draw_robustness(options.results, options.results)
 
 
@@ -280,9 +297,11 @@ def draw_robustness(results: Path, folder: Path) -> list[Row]:
 def _compared(head: Row, joint: Sequence[Row], team: Sequence[Row]) -> list[Row]:
     """A row per disturbance, and one of their mean."""
     of_joint, of_team = _changes(joint), _changes(team)
+    clean = _successes(team) - _successes(joint)
     rows = []
     for name in of_joint:
         more = of_team[name] - of_joint[name]
+        ahead = more + clean
         rows.append(
             {
                 **head,
@@ -290,19 +309,24 @@ def _compared(head: Row, joint: Sequence[Row], team: Sequence[Row]) -> list[Row]
                 "disturbance": name,
                 "seeds": len(more),
                 "goals": more.shape[1],
-                "joint_clean": _clean(joint),
+                "joint_clean": float(_successes(joint).mean()),
                 "joint_change": float(of_joint[name].mean()),
-                "team_clean": _clean(team),
+                "team_clean": float(_successes(team).mean()),
                 "team_change": float(of_team[name].mean()),
                 "keeps_more": float(more.mean()),
                 "keeps_more_interval": interval_of_mean(more),
+                "ahead": float(ahead.mean()),
+                "ahead_interval": interval_of_mean(ahead),
             }
         )
     return rows
 
 
-def _clean(rows: Sequence[Row]) -> float:
-    return mean_of(grouped(rows, "disturbance")[CLEAN], "success")
+def _successes(rows: Sequence[Row]) -> np.ndarray:
+    """Success without a disturbance, shape (seeds, goals)."""
+    seeds = len(grouped(rows, "seed"))
+    clean = by_goal(grouped(rows, "disturbance")[CLEAN], "success")
+    return clean.reshape(seeds, -1)
 
 
 def _changes(rows: Sequence[Row]) -> dict[str, np.ndarray]:
@@ -310,14 +334,12 @@ def _changes(rows: Sequence[Row]) -> dict[str, np.ndarray]:
 
     It is the mean over agents and strengths; ``ALL`` is the mean over disturbances.
     """
-    seeds = len(grouped(rows, "seed"))
-    by_name = grouped(rows, "disturbance")
-    clean = by_goal(by_name.pop(CLEAN), "success")
-    changes = {}
-    for name, some in by_name.items():
-        every = grouped(some, "agent", "strength").values()
-        mean = np.mean([by_goal(rows, "success") for rows in every], axis=0)
-        changes[name] = (mean - clean).reshape(seeds, -1)
+    clean, changes = _successes(rows), {}
+    for name, some in grouped(rows, "disturbance").items():
+        if name != CLEAN:
+            every = grouped(some, "agent", "strength").values()
+            mean = np.mean([by_goal(rows, "success") for rows in every], axis=0)
+            changes[name] = mean.reshape(clean.shape) - clean
     return {**changes, ALL: np.mean([*changes.values()], axis=0)}
 
 
@@ -333,16 +355,21 @@ def robustness_table(summary: Sequence[Row]) -> str:
             for form in ("joint", "team")
         ]
         about = f"`{SOURCES[dataset]}`", f"`{joint}`, `{dict(FORMS)[joint]}`"
-        lines.append([*about, *reached, *(_more(by_name.get(n)) for n in names)])
+        ahead = _points(by_name[ALL], "ahead")
+        more = (_points(by_name.get(name), "keeps_more") for name in names)
+        lines.append([*about, *reached, ahead, *more])
     heads = ["dataset", "joint actor, team", "joint actor [%]", "team [%]"]
+    heads += ["team ahead, disturbed"]
     table = markdown_table([*heads, *names], lines)
     engines = ", ".join(sorted({row["engine"] for row in summary}))
     return f"Engine {engines}.\n\n{table}"
 
 
-def _more(row: Row | None) -> str:
+def _points(row: Row | None, name: str) -> str:
+    """A difference in points, in brackets where a form has few goals to lose."""
     if row is None:
         return ""
-    values = (row["keeps_more"], *row["keeps_more_interval"])
+    values = (row[name], *row[f"{name}_interval"])
     mean, low, high = (f"{100 * value:+.1f}" for value in values)
-    return f"{mean} [{low}, {high}]"
+    few = min(row["joint_clean"], row["team_clean"]) < FEW
+    return f"({mean} [{low}, {high}])" if few else f"{mean} [{low}, {high}]"

@@ -6,20 +6,18 @@ updates, seeds and goals for all. The best mean over datasets and seeds is chose
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from marl_mm.config_diff import as_json
-from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.errors import UsageError
 from marl_mm.eval.grouping import grouped, mean_of
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.budgets import draw_budgets
-from marl_mm.eval.studies.cells import read_cells, run_cells, write_cells
+from marl_mm.eval.studies.cells import missing_groups, read_cells, run_cells
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.tuning_cells import (
     TuningCell,
@@ -30,7 +28,6 @@ from marl_mm.eval.studies.tuning_cells import (
 from marl_mm.eval.studies.tuning_ranges import RANGES
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar
-from marl_mm.received import read_json
 from marl_mm.runs.recipes import build, named_card, refuse_unknown
 from marl_mm.runs.settings import check_positive
 
@@ -103,7 +100,7 @@ def cells_of(options: TuningOptions) -> dict[str, list[TuningCell]]:
 
 
 def make_tuning(options: TuningOptions, bar: Bar) -> list[Row]:
-    """Run what is missing, algorithm by algorithm, and draw the table.
+    """Run what is missing, and draw the table.
 
     Returns:
         Rows of the table.
@@ -120,26 +117,17 @@ def make_tuning(options: TuningOptions, bar: Bar) -> list[Row]:
         if not named_card(name)["ships"]:
             build(name, workers=options.workers, progress=bar)
     rows_folder, runs = _rows_folder(options.results), options.runs_folder / "tuning"
-    for name, listed in cells.items():
-        if _is_made(rows_folder / f"{name}.json", listed):
-            continue
-        advance_of = bar, f"tuning {name}"
-        pool = options.workers, advance_of, options.executor
-        rows = run_cells(run_cell, listed, runs, *pool)
-        write_cells(rows_folder / name, listed, rows)
+    groups = missing_groups(
+        {rows_folder / name: listed for name, listed in cells.items()}
+    )
+    every = [cell for listed in groups.values() for cell in listed]
+    pool = options.workers, (bar, "tuning"), options.executor
+    run_cells(run_cell, every, runs, *pool, groups)
     return draw_tuning(options.results, options.results)
 
 
 def _rows_folder(results: Path) -> Path:
     return results / "rows" / "tuning"
-
-
-def _is_made(record: Path, cells: Sequence[TuningCell]) -> bool:
-    """Whether rows are those of these cells; older code may have made them."""
-    if not record.exists():
-        return False
-    made: Any = read_json(record, MarlMmError).get("cells")
-    return bool(made == as_json({"cells": [asdict(cell) for cell in cells]})["cells"])
 
 
 def draw_tuning(results: Path, folder: Path) -> list[Row]:

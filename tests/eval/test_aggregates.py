@@ -50,6 +50,16 @@ def test_the_true_mean_is_within_the_interval_about_as_often_as_it_says() -> Non
     assert 2 <= missed <= 24
 
 
+def test_goals_that_datasets_share_are_drawn_alike() -> None:
+    """The same scores on as many datasets of one task say no more than on one."""
+    scores = [np.repeat(reached(0.5, seeds=1), 5, axis=0)] * 4
+    once, shared, apart = (
+        mean(resampled(some, goals_of=goals))
+        for some, goals in ((scores[:1], [0]), (scores, [0] * 4), (scores, None))
+    )
+    assert shared == once and apart.high - apart.low < 0.6 * (once.high - once.low)
+
+
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=3), st.integers(0, 9))
 def test_one_improves_as_often_as_the_other_does_not(
     rates: list[float], seed: int

@@ -21,6 +21,7 @@ from marl_mm.eval.studies.robustness import (
     robustness_table,
 )
 from marl_mm.eval.studies.targets import COMPARISONS, STUDIES
+from marl_mm.eval.studies.tuned import CHOSEN
 
 
 def test_both_forms_learn_with_the_same_settings() -> None:
@@ -30,7 +31,8 @@ def test_both_forms_learn_with_the_same_settings() -> None:
         for name in ("learning_rate", "hidden", "batch_size"):
             values = [getattr(config, name, None) for config in settings]
             assert values[0] == values[1], (joint, team, name)
-    assert len(AGENTS.cells) == 2 * len(FORMS) * len(SOURCES)
+    tuned = [form for form in FORMS if {*form} <= CHOSEN.keys()]
+    assert len(AGENTS.cells) == 2 * len(tuned) * len(SOURCES)
 
 
 def test_no_other_study_has_its_runs() -> None:
@@ -74,6 +76,9 @@ def test_what_a_team_keeps_more_by_hand(tmp_path: Path) -> None:
     assert every["disturbance"] == "all" and every["keeps_more"] == 0.4375
     low, high = late["keeps_more_interval"]
     assert low < 0.625 < high
+    assert (late["ahead"], engine["ahead"], every["ahead"]) == (0.125, -0.25, -0.0625)
+    few = {"joint_clean": 0.2}
+    assert "(-6.2 [" in robustness_table([late, engine, every | few])
     table = robustness_table([late, engine, every])
     assert "| `quiet-zone-expert` | `bc`, `mabc` | 100.0, -50.0 | 50.0, -6.2 |" in table
     assert (tmp_path / "robustness.csv").exists()

@@ -53,6 +53,25 @@ def test_seeds_that_agree_leave_the_doubt_about_goals() -> None:
     assert p_of_difference(np.zeros((5, 10)), better) == 0.0
 
 
+@pytest.mark.parametrize("over_seeds", [0.0, 0.05, 0.1])
+@pytest.mark.parametrize("over_goals", [0.0, 0.2])
+def test_equals_are_told_apart_no_more_often_than_the_level_says(
+    over_seeds: float, over_goals: float
+) -> None:
+    """Of 400 pairs at most 8 %, however seeds, goals, and both methods' goals vary."""
+    rng = np.random.default_rng(0)
+    apart = 0
+    for _ in range(400):
+        hardness = 0.5 + rng.normal(0, 0.15, 200)
+        pair = []
+        for _ in range(2):
+            of_seeds = rng.normal(0, over_seeds, (5, 1))
+            rates = hardness + of_seeds + rng.normal(0, over_goals, 200)
+            pair.append((rng.random((5, 200)) < rates).astype(float))
+        apart += p_of_difference(*pair) < 0.05
+    assert apart <= 32
+
+
 @given(
     st.lists(st.tuples(st.floats(0, 1), st.integers(1, 4)), min_size=1, max_size=5),
     st.integers(0, 99),
