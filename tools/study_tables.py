@@ -157,7 +157,8 @@ def _rate(row: Row) -> str:
 def fine_tuning_table(store: RowStore, summary: Sequence[Row]) -> str:
     """Success before own episodes and after, and what they cost, as Markdown.
 
-    Start, dip, regret and steps are by the learning curves' goals, means over seeds.
+    Start, after, dip, regret and steps are by the learning curves' goals, the same at
+    all times, means over seeds. RLPD starts from nothing, and has no start or dip.
     """
     lines = []
     ended = {(row["dataset"], row["setting"]): row for row in summary}
@@ -178,19 +179,31 @@ def fine_tuning_table(store: RowStore, summary: Sequence[Row]) -> str:
         steps = [seed.get("online/steps_to_95", math.inf) for seed in fared_each]
         reached = [f"{some:,.0f}" for some in sorted(steps) if some < math.inf]
         middle = float(np.median(steps))
+        start, after = (
+            np.array([rows[place]["success/all"] for rows in online])
+            for place in (0, -1)
+        )
+        dip = np.mean([seed["online/dip"] for seed in fared_each])
+        setting = cell[1]
+        own = setting.fine_tuning.updates_per_step * setting.fine_tuning.online_steps
+        starts = setting.config.updates > 0
         lines.append(
             [
                 f"`{_short(cell_name(cell)[0])}`",
-                cell[1].about,
-                f"{100 * np.mean([rows[0]['success/all'] for rows in online]):.0f}",
-                f"{100 * np.mean([seed['online/dip'] for seed in fared_each]):.0f}",
+                setting.about,
+                f"{setting.config.updates + own:,}",
+                f"{100 * start.mean():.0f}" if starts else "-",
+                f"{100 * after.mean():.0f}",
+                f"{int((after < start).sum())} of {len(after)}" if starts else "-",
+                f"{100 * dip:.0f}" if starts else "-",
                 f"{100 * np.mean([seed['online/regret'] for seed in fared_each]):.0f}",
                 f"{middle:,.0f}" if middle < math.inf else "-",
                 f"{len(reached)} of {len(steps)}",
                 _rate(row),
             ]
         )
-    header = ["dataset", "way", "start [%]", "dip [points]", "regret [%]"]
+    header = ["dataset", "way", "updates", "start [%]", "after [%]"]
+    header += ["seeds worse after", "dip [points]", "regret [%]"]
     times = ["steps to 95 %, median", "seeds that came there"]
     return markdown_table([*header, *times, "at the end [%]"], lines)
 

@@ -74,7 +74,7 @@ def _setting(algorithm: str, task: str | None) -> Setting:
         "-".join(parts).lower(),
         algorithm,
         UPDATES,
-        CHOSEN.get(algorithm, {}),
+        CHOSEN[algorithm],
         task=task,
         curve_every=UPDATES,
         curve_goals=2,
@@ -91,10 +91,11 @@ AGENTS = Study(
     tuple(
         (RECIPES.get(name).source, _setting(algorithm, TESTED.get(name)))
         for name, algorithm in product(DATASETS, ALGORITHM_NAMES)
+        if algorithm in CHOSEN
     ),
     seeds=5,
 )
-"""Study whose runs are compared."""
+"""Study whose runs are compared: of algorithms that are tuned."""
 
 
 def make_benchmark(options: StudyOptions, bar: Bar) -> list[Row]:

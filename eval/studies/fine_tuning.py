@@ -1,11 +1,12 @@
-"""Offline to online: four ways to go on from data with own episodes."""
+"""Offline to online: ways to go on from data with own episodes."""
 
 from itertools import product
 from typing import Any
 
 from marl_mm.algorithms.fine_tuning import FineTuning
 from marl_mm.eval.studies.shown import Curves
-from marl_mm.eval.studies.study import Setting, Study
+from marl_mm.eval.studies.study import Setting, Study, setting_of
+from marl_mm.eval.studies.tuned import CHOSEN
 from marl_mm.runs.recipes import RECIPES
 from marl_mm.runs.sources import Source
 
@@ -14,29 +15,19 @@ OWN = FineTuning(online_steps=5_000)
 
 _SHARED: dict[str, Any] = {"curve_every": 5_000, "curve_goals": 50}
 
+TUNED_AS = {
+    **{name: name for name in ("td3-bc", "matd3-bc")},
+    **{"cal-ql": "cql", "ma-cal-ql": "cfcql"},
+}
+"""Algorithms that first learn from the data, and whose tuned settings they have."""
+
 WAYS = (
-    Setting(
-        "td3-bc-kept",
-        "TD3+BC",
-        changes={"updates": 5_000},
-        fine_tuning=OWN,
-        **_SHARED,
-    ),
-    Setting(
-        "matd3-bc-kept",
-        "MATD3+BC",
-        "matd3-bc",
-        changes={"updates": 5_000},
-        fine_tuning=OWN,
-        **_SHARED,
-    ),
-    Setting(
-        "cal-ql-kept",
-        "Cal-QL",
-        "cal-ql",
-        changes={"updates": 5_000},
-        fine_tuning=OWN,
-        **_SHARED,
+    *(
+        setting_of(
+            f"{name}-kept", name, 5_000, CHOSEN[tuned], fine_tuning=OWN, **_SHARED
+        )
+        for name, tuned in TUNED_AS.items()
+        if tuned in CHOSEN
     ),
     Setting(
         "rlpd-kept",
@@ -47,7 +38,7 @@ WAYS = (
         **_SHARED,
     ),
 )
-"""Ways that are compared."""
+"""Ways that are compared: those that are tuned, and RLPD."""
 
 SOURCES = (
     Source("scripted", "Grasp-v0", 2_000, name="script-2k-Grasp", engine="mujoco"),

@@ -7,5 +7,19 @@ CHOSEN: Mapping[str, Mapping[str, Any]] = {
     "bc": {"learning_rate": 0.0005, "batch_size": 128, "hidden": (128, 128)},
     "mabc": {"learning_rate": 0.002, "batch_size": 256, "hidden": (128, 128)},
     "mac-flow": {"learning_rate": 0.0005, "discount": 0.95, "distillation": 3.0},
+    "matd3-bc": {
+        "actor_learning_rate": 0.001,
+        "discount": 0.95,
+        "q_weight": 0.1,
+        "future": 0.2,
+        "elsewhere": 0.0,
+    },
+    "td3-bc": {
+        "actor_learning_rate": 0.0002,
+        "discount": 0.9,
+        "q_weight": 0.1,
+        "future": 0.0,
+        "elsewhere": 0.0,
+    },
 }
 """Values that replace the presets', by registered name; none where none is tuned."""
