@@ -8,9 +8,11 @@ known, beside scores that the data alone gave.
   arXiv 2504.11453). Beside it the expected best of some policies that are drawn and
   evaluated at length (Kurenkov and Kolesnikov 2022, arXiv 2110.04156).
 - Without episodes: the rank correlation of a score with success, and the success that
-  is lost by taking the policy with the highest score (regret at 1).
+  is lost by taking the policy with the highest score (regret at 1). A critic's own
+  values are compared among policies of one algorithm and discount only.
 """
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,12 +21,12 @@ import numpy as np
 import scipy  # its stats take a second, and come when they are used
 from matplotlib.figure import Figure
 
+from marl_mm.algorithms.registry import preset
 from marl_mm.eval.figures import save_small
 from marl_mm.eval.grouping import grouped, mean_of
-from marl_mm.eval.intervals import percentile_interval
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
-from marl_mm.eval.tables import markdown_table
+from marl_mm.eval.tables import markdown_table, rate_in_interval
 
 BUDGETS_TABLE, SELECTION_TABLE = "budgets.csv", "selection.csv"
 """Files of the tables."""
@@ -41,32 +43,56 @@ SCORES = ("cloning", "fqe", "fqe_agents", "critic")
 _REPEATS = 500
 """Number of times that a bandit is run."""
 
+_DRAWN, _EACH = 100, 20
+"""Number of times that policies are drawn anew, and of bandits that choose of each."""
+
 
 def found(rates: np.ndarray, episodes: int, seed: int = 0) -> np.ndarray:
     """Success of the policy that a bandit takes, after each number of episodes.
 
     Args:
-        rates: Success rate of each policy, shape (n,): of the episodes that it acts in.
+        rates: Success rate of each policy in the episodes that it acts in, shape (n,),
+            or of those of each bandit, shape (bandits, n).
         episodes: Largest number of episodes.
         seed: Seed of the order of the policies and of the episodes' ends.
 
     Returns:
-        Shape (repeats, 1 + episodes); before any episode the first policy is taken.
+        Shape (bandits, 1 + episodes); before any episode the first policy is taken.
     """
     rng = np.random.default_rng(seed)
-    arms = rng.permuted(np.tile(rates, (_REPEATS, 1)), axis=1)
+    every = np.tile(rates, (_REPEATS, 1)) if rates.ndim == 1 else rates
+    arms = rng.permuted(every, axis=1)
     counts, reached = np.zeros((2, *arms.shape))
-    each = np.arange(_REPEATS)
+    each = np.arange(len(arms))
     taken = [arms[:, 0]]
     for number in range(1, episodes + 1):
         tried = np.maximum(counts, 1)
         hopes = reached / tried + np.sqrt(2 * np.log(number) / tried)
         chosen = np.where(counts, hopes, np.inf).argmax(axis=1)
         counts[each, chosen] += 1
-        reached[each, chosen] += rng.random(_REPEATS) < arms[each, chosen]
+        reached[each, chosen] += rng.random(len(arms)) < arms[each, chosen]
         means = np.where(counts, reached / np.maximum(counts, 1), -1)
         taken.append(arms[each, means.argmax(axis=1)])
     return np.stack(taken, axis=1)
+
+
+def deviation_of_found(rates: np.ndarray, episodes: int) -> np.ndarray:
+    """Standard deviation of the mean of ``found``, by a bootstrap over policies.
+
+    Args:
+        rates: Success rate of each policy, shape (n,).
+        episodes: Largest number of episodes.
+
+    Returns:
+        After each number of episodes, shape (1 + episodes,).
+    """
+    rng = np.random.default_rng(1)
+    drawn = rng.choice(rates, (_DRAWN, len(rates))).repeat(_EACH, axis=0)
+    curves = found(drawn, episodes).reshape(_DRAWN, _EACH, -1)
+    by_chance = curves.var(axis=1, ddof=1).mean(axis=0) / _EACH  # of so few bandits
+    variance = curves.mean(axis=1).var(axis=0, ddof=1) - by_chance
+    deviation: np.ndarray = np.sqrt(variance.clip(min=0.0))
+    return deviation
 
 
 def expected_best(rates: np.ndarray, count: int) -> float:
@@ -86,12 +112,17 @@ def draw_budgets(rows: Sequence[Row], folder: Path) -> None:
     of_data = grouped(rows, "dataset")
     axes: Any = figure.subplots(1, len(of_data), sharey=True, squeeze=False)[0]
     budgets: list[Row] = []
+    most = BUDGETS[-1]
     for axis, (dataset, on) in zip(axes, of_data.items(), strict=True):
         for number, (algorithm, some) in enumerate(grouped(on, "algorithm").items()):
             rates = np.array([row["success"] for row in some])
-            curve = found(rates, BUDGETS[-1])
+            curve = found(rates, most)
             style = ("-", "--", ":")[number // 10]
-            axis.plot(100 * curve.mean(axis=0), style, lw=1.2, label=algorithm)
+            mean, reach = curve.mean(axis=0), 1.96 * deviation_of_found(rates, most)
+            ends = np.clip([mean - reach, mean + reach], 0, 1)
+            (line,) = axis.plot(100 * mean, style, lw=1.2, label=algorithm)
+            places = np.arange(len(mean))
+            axis.fill_between(places, *100 * ends, color=line.get_color(), alpha=0.12)
             about = {"dataset": dataset, "algorithm": algorithm, "policies": len(rates)}
             bests = {
                 "best_of_3": expected_best(rates, 3),
@@ -99,11 +130,10 @@ def draw_budgets(rows: Sequence[Row], folder: Path) -> None:
                 "best": rates.max(),
             }
             for budget in BUDGETS:
-                taken = curve[:, budget]
                 found_then = {
                     "episodes": budget,
-                    "success": taken.mean(),
-                    "success_middle": percentile_interval(taken),
+                    "success": mean[budget],
+                    "success_interval": tuple(ends[:, budget].tolist()),
                 }
                 budgets.append(about | found_then | bests)
         axis.set(title=dataset, xlabel="episodes for choosing", ylim=(-2, 102))
@@ -126,15 +156,28 @@ def _selections(of_data: dict[str, list[Row]]) -> list[Row]:
 
 def _selection(rows: Sequence[Row], score: str) -> Row:
     """How a score chooses among all policies, and among those of one algorithm."""
-    within = [_chosen(some, score) for some in grouped(rows, "algorithm").values()]
+    comparable = [{**row, "scale": _scale(row, score)} for row in rows]
+    groups = grouped(comparable, "algorithm", "scale").values()
+    within = [_chosen(some, score) for some in groups]
     ranked = [values for values in within if not np.isnan(values["correlation"])]
+    among_all = _chosen(rows, score)
+    if score == "critic":
+        among_all = dict.fromkeys(among_all, np.nan)
     return {
         "policies": len(rows),
-        **_chosen(rows, score),
-        "algorithms": len(within),
+        **among_all,
+        "groups": len(within),
         "correlation_within": mean_of(ranked, "correlation") if ranked else np.nan,
         "regret_within": mean_of(within, "regret"),
     }
+
+
+def _scale(row: Row, score: str) -> float:
+    """What values of the score are in units of: a critic's of its discount."""
+    if score != "critic":
+        return 0.0
+    of_preset = getattr(preset(row["algorithm"]), "discount", 0.0)
+    return float(json.loads(row["changes"]).get("discount", of_preset))
 
 
 def _chosen(rows: Sequence[Row], score: str) -> Row:
@@ -156,10 +199,11 @@ def budgets_table(rows: Sequence[Row]) -> str:
     lines = []
     for (dataset, algorithm), some in grouped(rows, "dataset", "algorithm").items():
         after = {row["episodes"]: row for row in some}
-        rates = [f"{100 * after[n]['success']:.1f}" for n in BUDGETS]
-        low, high = (100 * end for end in after[BUDGETS[-1]]["success_middle"])
+        rates = [
+            rate_in_interval(after[n]["success"], after[n]["success_interval"])
+            for n in BUDGETS
+        ]
         best = (some[0][name] for name in ("best_of_3", "best_of_12", "best"))
-        rates[-1] += f" [{low:.0f}, {high:.0f}]"
         lines.append(
             [
                 f"`{dataset}`",
@@ -172,6 +216,10 @@ def budgets_table(rows: Sequence[Row]) -> str:
     return markdown_table([*header, "best of 3", "best of 12", "best"], lines)
 
 
+def _number(value: float, factor: float, digits: int) -> str:
+    return "-" if np.isnan(value) else f"{factor * value:.{digits}f}"
+
+
 def selection_table(rows: Sequence[Row]) -> str:
     """How the scores choose, as Markdown."""
     lines = [
@@ -179,8 +227,8 @@ def selection_table(rows: Sequence[Row]) -> str:
             f"`{row['dataset']}`",
             row["score"].replace("_", ", "),
             str(row["policies"]),
-            f"{row['correlation']:.2f}",
-            f"{100 * row['regret']:.1f}",
+            _number(row["correlation"], 1, 2),
+            _number(row["regret"], 100, 1),
             f"{row['correlation_within']:.2f}",
             f"{100 * row['regret_within']:.1f}",
         ]

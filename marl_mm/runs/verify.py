@@ -156,7 +156,7 @@ def verify(
         submission.fingerprint,
         "not equal" if differences else within,
         differences,
-        tuple(_notes(submission, len(equal))),
+        tuple(_notes(submission, equal)),
         len(equal),
         submission.scores("success").size,
         sum(equal),
@@ -277,8 +277,8 @@ def _recipe(submission: Submission) -> Iterator[str]:
         yield f"dataset: the recipe {name} is another one here"
 
 
-def _notes(submission: Submission, count: int) -> Iterator[str]:
-    manifest = submission.manifest
+def _notes(submission: Submission, equal: Sequence[bool]) -> Iterator[str]:
+    manifest, count = submission.manifest, len(equal)
     if count < submission.scores("success").size:
         yield f"time was up after {count} episodes, of goals in random order"
     there, here = manifest["packages"] | manifest["machine"], versions() | machine()
@@ -289,6 +289,11 @@ def _notes(submission: Submission, count: int) -> Iterator[str]:
     ]
     if changed:
         yield f"submitted with {', '.join(changed)}"
+    elif not all(equal):
+        yield (
+            f"{count - sum(equal)} of {count} episodes are not equal to the bit, though "
+            "processor and packages are called the same: be wary of small differences"
+        )
     dataset = manifest["dataset"] or {}
     data = recorded().get(dataset.get("recipe", ""), {}).get("data_sha256")
     if data is not None and dataset.get("data_sha256") != data:

@@ -1,5 +1,6 @@
 """What choosing a policy costs in episodes, and what scores of data alone are worth."""
 
+import json
 from itertools import product
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from marl_mm.eval.studies.budgets import (
     BUDGETS_FIGURE,
     BUDGETS_TABLE,
     SELECTION_TABLE,
+    deviation_of_found,
     draw_budgets,
     expected_best,
     found,
@@ -36,6 +38,31 @@ def test_policies_that_are_alike_cost_nothing_to_choose() -> None:
     assert (found(np.full(6, 0.4), 20) == 0.4).all()
 
 
+def test_the_deviation_is_that_of_the_policies() -> None:
+    """Before any episode it is that of their mean; there is none of those alike."""
+    rates = np.linspace(0, 1, 24)
+    deviation = rates.std() / np.sqrt(24)
+    assert deviation_of_found(rates, 3)[0] == pytest.approx(deviation, rel=0.25)
+    assert deviation_of_found(np.full(6, 0.4), 3) == pytest.approx(0, abs=1e-9)
+
+
+def test_a_critic_is_compared_at_one_discount_only(tmp_path: Path) -> None:
+    """Values of a larger discount are larger, whoever is better."""
+    rows = [
+        {
+            **{"dataset": "d", "algorithm": "iql", "success": rate},
+            **{"critic": rate + 100 * discount},
+            "changes": json.dumps({"discount": discount}),
+        }
+        for discount, share in ((0.9, 1.0), (0.99, 0.1))
+        for rate in share * RATES
+    ]
+    draw_budgets(rows, tmp_path)
+    (critic,) = read_rows(tmp_path / SELECTION_TABLE)
+    assert np.isnan(critic["correlation"]) and critic["groups"] == 2
+    assert critic["correlation_within"] == 1.0 and critic["regret_within"] == 0.0
+
+
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_the_expected_best_is_the_mean_over_all_draws(count: int) -> None:
     draws = [max(drawn) for drawn in product(RATES, repeat=count)]
@@ -49,6 +76,7 @@ def test_a_score_like_success_chooses_the_best_and_its_opposite_the_worst(
         {
             **{"dataset": "tray-noisy", "algorithm": name, "success": rate},
             **{"cloning": rate**3, "fqe": -rate, "fqe_agents": 0.0, "critic": np.nan},
+            "changes": "{}",
         }
         for name, rates in (("bc", RATES), ("iql", RATES / 2))
         for rate in rates
