@@ -120,9 +120,7 @@ def draw_budgets(rows: Sequence[Row], folder: Path) -> None:
             style = ("-", "--", ":")[number // 10]
             mean, reach = curve.mean(axis=0), 1.96 * deviation_of_found(rates, most)
             ends = np.clip([mean - reach, mean + reach], 0, 1)
-            (line,) = axis.plot(100 * mean, style, lw=1.2, label=algorithm)
-            places = np.arange(len(mean))
-            axis.fill_between(places, *100 * ends, color=line.get_color(), alpha=0.12)
+            axis.plot(100 * mean, style, lw=1.2, label=algorithm)
             about = {"dataset": dataset, "algorithm": algorithm, "policies": len(rates)}
             bests = {
                 "best_of_3": expected_best(rates, 3),

@@ -46,9 +46,6 @@ _TIMED = 30
 _ONLINE_RUN = 600.0
 """Estimated duration of an online run [s]."""
 
-GOAL = 0.03
-"""Estimated duration of an evaluated episode [s]."""
-
 
 @dataclass(frozen=True)
 class Learner:
@@ -124,8 +121,14 @@ class Learner:
                 algorithm.update()
         return (perf_counter() - begin) / _TIMED
 
-    def seconds_left(self, run: Path, per_update: float) -> float:
-        """Estimated remaining time of a run's training [s]."""
+    def seconds_left(self, run: Path, per_update: float, per_goal: float) -> float:
+        """Estimated remaining time of a run's training [s].
+
+        Args:
+            run: Folder of the run.
+            per_update: Time of an update [s].
+            per_goal: Time of an evaluated episode [s].
+        """
         training = self.training
         rows = read_metrics(run) if (run / FILE).exists() else []
         if not isinstance(training, Offline):
@@ -136,7 +139,7 @@ class Learner:
         own = training.fine_tuning
         goals += own.online_steps / own.online_every * training.curve_episodes
         updates += own.online_steps * own.updates_per_step
-        return float(max(updates, 0) * per_update + goals * GOAL)
+        return float(max(updates, 0) * per_update + goals * per_goal)
 
 
 def training_of(

@@ -6,8 +6,9 @@ from itertools import groupby
 
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.errors import OtherConfigError, UsageError
+from marl_mm.eval.studies.cost import GoalTimes
 from marl_mm.eval.studies.jobs import Job
-from marl_mm.eval.studies.learners import GOAL, Learner, made_of, training_of
+from marl_mm.eval.studies.learners import Learner, made_of, training_of
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.study import (
     Cell,
@@ -109,17 +110,21 @@ CORES = 2, 16, 64
 
 def estimated(jobs: Sequence[Job], bar: Bar) -> list[Job]:
     """Jobs with their estimated durations, measured on this machine."""
-    per_update: dict[str, float] = {}
-    timed = []
+    per_update: dict[tuple[str, str], float] = {}
+    timed, goal_times = [], GoalTimes()
     advance = bar("measuring", len(jobs))
     for job in jobs:
-        name, seconds = job.cell[1].name, 0.0
+        source, setting = job.cell
+        task = setting.task or getattr(source, "task", None) or job.learner.task
+        training, seconds = job.learner.training, 0.0
+        per_goal = 0.0 if job.done else goal_times(task, training.overrides)
         if not job.trained:
-            if name not in per_update:
-                per_update[name] = job.learner.seconds_per_update()
-            seconds = job.learner.seconds_left(job.run, per_update[name])
+            key = setting.name, task
+            if key not in per_update:
+                per_update[key] = job.learner.seconds_per_update()
+            seconds = job.learner.seconds_left(job.run, per_update[key], per_goal)
         probes = sum(not job.has(probe) for probe in job.probes)
-        seconds += probes * job.learner.training.eval_episodes * GOAL
+        seconds += probes * training.eval_episodes * per_goal
         timed.append(replace(job, seconds=seconds))
         advance(1, "")
     return timed

@@ -24,6 +24,7 @@ from marl_mm.eval.metrics import EvaluationRow, Row
 from marl_mm.eval.robustness import robustness
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.cells import missing_groups, read_cells, run_cells
+from marl_mm.eval.studies.cost import GoalTimes, hours_table
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.study import Study, cell_name, setting_of
 from marl_mm.eval.studies.tuned import CHOSEN
@@ -265,6 +266,29 @@ def make_robustness(options: RobustnessOptions, bar: Bar) -> list[Row]:
     run = partial(run_cell, options)
     run_cells(run, every, folder, *pool, shown, options.executor, missing)
     return draw_robustness(options.results, options.results)
+
+
+def plan_robustness(options: RobustnessOptions, bar: Bar) -> str:
+    """How many runs are to be disturbed, and hours at most, as Markdown.
+
+    Raises:
+        UsageError: If an option makes no sense.
+    """
+    options.check_settings()
+    lines, goal_times = [], GoalTimes()
+    advance = bar("measuring", len(AGENTS.cells))
+    for dataset, setting in map(cell_name, AGENTS.cells):
+        cells = cells_of(options, dataset, setting)
+        file = f"{dataset}-{setting}.json".replace("/", "-")
+        left = [] if (_rows_folder(options.results) / file).exists() else cells
+        seconds = 0.0
+        if left and not options.small:
+            per_goal = goal_times(left[0].task, left[0].overrides)
+            seconds = per_goal * sum(c.goals * (1 + len(c.conditions)) for c in left)
+        lines.append(((dataset, setting), len(left), len(cells), seconds))
+        advance(1, setting)
+    heads = "dataset", "setting, disturbed"
+    return hours_table(heads, lines, options.workers, not options.small)
 
 
 def _rows_folder(results: Path) -> Path:

@@ -104,6 +104,7 @@ COMPARISONS: Comparisons = {
         robustness.draw_robustness,
         robustness.robustness_table,
         robustness.AGENTS,
+        plan=robustness.plan_robustness,
     ),
     "benchmark": Comparison(
         benchmark.ABOUT,
@@ -120,6 +121,7 @@ COMPARISONS: Comparisons = {
         tuning.make_tuning,
         tuning.draw_tuning,
         tuning.tuning_table,
+        plan=tuning.plan_tuning,
     ),
 }
 """Comparisons by name."""

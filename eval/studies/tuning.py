@@ -17,12 +17,19 @@ from marl_mm.eval.grouping import grouped, mean_of
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.budgets import draw_budgets
-from marl_mm.eval.studies.cells import missing_groups, read_cells, run_cells
+from marl_mm.eval.studies.cells import (
+    kept_rows,
+    missing_groups,
+    read_cells,
+    run_cells,
+)
+from marl_mm.eval.studies.cost import GoalTimes, hours_table
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.tuning_cells import (
     TuningCell,
     cell_of,
     run_cell,
+    seconds_per_update,
     settings_of,
 )
 from marl_mm.eval.studies.tuning_ranges import RANGES
@@ -124,6 +131,34 @@ def make_tuning(options: TuningOptions, bar: Bar) -> list[Row]:
     pool = options.workers, (bar, "tuning"), options.executor
     run_cells(run_cell, every, runs, *pool, groups)
     return draw_tuning(options.results, options.results)
+
+
+def plan_tuning(options: TuningOptions, bar: Bar) -> str:
+    """How many runs are missing, and hours if all goals take all steps, as Markdown.
+
+    Raises:
+        UsageError: If an option makes no sense.
+    """
+    options.check_settings()
+    folder, goal_times = _rows_folder(options.results), GoalTimes()
+    lines, every = [], cells_of(options)
+    advance = bar("measuring", len(every))
+    for name, cells in every.items():
+        left: Sequence[TuningCell] = []
+        if missing_groups({folder / name: cells}):
+            kept = kept_rows(cells, options.runs_folder / "tuning")
+            left = [cell for cell in cells if cell not in kept]
+        seconds = 0.0
+        if left and not options.small:
+            per_update = seconds_per_update(left[0])
+            seconds = sum(
+                len(cell.seeds) * cell.updates * per_update
+                + len(cell.seeds) * cell.goals * goal_times(cell.task, cell.overrides)
+                for cell in left
+            )
+        lines.append(((f"`{name}`",), len(left), len(cells), seconds))
+        advance(1, name)
+    return hours_table(("algorithm",), lines, options.workers, not options.small)
 
 
 def _rows_folder(results: Path) -> Path:

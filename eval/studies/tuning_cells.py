@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from math import prod
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,9 @@ _DIVERGED: Row = {
     **dict.fromkeys(Scores._fields, math.nan),
 }
 """Numbers of a run that diverged."""
+
+_SHIPS, _TIMED = "gate-expert", (30, 90)
+"""Dataset on which updates are timed, and their numbers; the difference counts."""
 
 _SEED = 7
 """Seed of the goals, which those of results are not."""
@@ -168,6 +172,20 @@ def run_cell(cell: TuningCell) -> list[Row]:
         }
         for seed in cell.seeds
     ]
+
+
+def seconds_per_update(cell: TuningCell) -> float:
+    """Time of an update and one of the scores' critics [s], on data that ships."""
+
+    def seconds(updates: int) -> float:
+        short = replace(cell, dataset=_SHIPS, seeds=(0,), updates=updates, goals=2)
+        begun = process_time()
+        run_cell(short)
+        return process_time() - begun
+
+    few, more = _TIMED
+    seconds(few)  # compiles, and loads what is used once
+    return (seconds(more) - seconds(few)) / (more - few)
 
 
 def _measured(training: Offline, data: Dataset, seeds: Sequence[int]) -> dict[int, Row]:

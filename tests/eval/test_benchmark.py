@@ -1,10 +1,13 @@
 """Tables of the benchmark, drawn from rows that are written here."""
 
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from marl_mm.cli import main
 from marl_mm.errors import UsageError
 from marl_mm.eval.rows import read_rows, write_csv
 from marl_mm.eval.studies.benchmark import (
@@ -19,6 +22,7 @@ from marl_mm.eval.studies.benchmark import (
     pairs_table,
 )
 from marl_mm.eval.studies.study import cell_name
+from marl_mm.eval.studies.targets import COMPARISONS
 from marl_mm.eval.studies.tuning import DATASETS as TUNING
 from marl_mm.files import write_json
 from marl_mm.runs.recipes import RECIPES
@@ -90,3 +94,31 @@ def test_no_dataset_is_one_of_the_tuning_and_every_axis_and_task_is_there() -> N
         *("narrow", "rare"),
     }
     assert len({recipe.source.task.split("-")[0] for recipe in recipes}) == 6
+
+
+@pytest.mark.slow
+def test_it_runs_where_policies_are_tested_elsewhere_and_goes_on_from_its_rows(
+    datasets_home: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Gate-stitch has data of a task of halves, and its policies act in the whole."""
+    part = AGENTS.part(
+        ["marl_mm/gate/expert-v0", "marl_mm/gate/stitch-v0"],
+        ["benchmark-mabc", "gate-v0-mabc"],
+    )
+    assert len(part.cells) == 2
+    comparison = replace(COMPARISONS["benchmark"], agents=part)
+    monkeypatch.setitem(COMPARISONS, "benchmark", comparison)
+    folders = ["--runs", str(tmp_path / "runs"), "--out", str(tmp_path / "out")]
+    words = ["ablate", "benchmark", *folders, "--seeds", "0", "--workers", "1"]
+    words += ["--budget", "smoke"]
+    assert main(words) == 0
+    assert "| `mabc` |" in capsys.readouterr().out
+    (expert, stitch) = read_rows(tmp_path / "out" / TABLE)
+    assert (expert["task"], stitch["task"]) == ("Gate-v0", "Gate-v0")
+    shutil.rmtree(tmp_path / "runs")
+    assert main([*words, "--resume"]) == 0  # of the rows that are there
+    assert not list((tmp_path / "runs").glob("marl_mm-gate-*"))
+    assert main(["ablate", "benchmark", "--check", *folders]) == 0

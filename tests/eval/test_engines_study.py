@@ -117,7 +117,7 @@ def test_a_plan_counts_policies_and_runs_none(
         return [[word.strip() for word in line.split("|")[1:-1]] for line in text]
 
     head, _, bullet, mujoco, every = lines("--goals", "20000", "--workers", "1")
-    assert head[2:] == ["policies missing", "hours at most, 1 at once"]
+    assert head[2:] == ["missing", "hours at most, 1 at once"]
     assert (bullet[:3], mujoco[:3]) == (
         ["Reach-v0", "bullet", "24 of 24"],
         ["Reach-v0", "mujoco", "24 of 24"],
