@@ -38,7 +38,8 @@ ALGORITHMS.add(
         about="Best-of-n students: agents clone the best of n samples of a joint flow.",
         source="ours",
         advice="Use it where the data mix several ways of a team and rewards tell them "
-        "apart, be it a little. An update takes several times as long as IQL's; "
+        "apart, be it a little. Where all of the data are good, the best of n follows "
+        "the critics' errors: clone. An update takes several times as long as IQL's; "
         "acting is as fast as MABC.",
         learner=Imported("marl_mm.algorithms.best_of_n:BestOfN"),
         presets={TUNED: BestOfNConfig()},

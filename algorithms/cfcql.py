@@ -4,7 +4,8 @@ Loss of the twin critics: (Q_j(s, a) - r - gamma (1 - terminated) min_j Q_j'(s',
 + alpha (sum_i lambda_i log E exp Q_j(s, (u_i, a_-i)) - Q_j(s, a)). The expectation is
 over agent i's actions u_i, uniform and near its policy's; all others do what they did
 in the data. a' is the target actors' action with clipped noise; lambda_i is the softmax
-over agents of tau |pi_i(o_i) - a_i|^2. Every second update each actor follows
+over agents of tau |pi_i(o_i) - a_i|^2, as in the source's code for discrete actions; in
+that for continuous ones it is of -tau. Every second update each actor follows
 -Q_1(s, (pi_i(o_i), a_-i)) + c |pi_i(o_i)|^2. With one agent it is CQL with an actor of
 TD3 instead of SAC.
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from marl_mm.algorithms.config_checks import check_ranges
-from marl_mm.algorithms.offline_config import Td3Config
+from marl_mm.algorithms.offline_config import BOUNDED, Td3Config
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
 
 
@@ -59,6 +59,9 @@ ALGORITHMS.add(
         advice="Made for data of mixed quality without gaps. The preset was tuned on "
         "Reach-v0 and does not transfer: tune `conservatism` first. Where the data "
         "show one way only, cloning is as good and quicker.",
+        departs="The actor is TD3's instead of SAC's. The conservative term is of a "
+        "part of the batch, without samples near the policy at the next state. "
+        f"{BOUNDED}",
         learner=Imported("marl_mm.algorithms.cfcql:Cql"),
         presets={TUNED: CfcqlConfig()},
     ),
@@ -73,6 +76,13 @@ ALGORITHMS.add(
         advice="Made for data of mixed quality and several agents, above all many. The "
         "preset does not transfer: tune `conservatism` first. It does not say which of "
         "several conventions to keep if all are worth the same.",
+        departs="The distance from the data is a square error, in the source a "
+        "variational auto-encoder's likelihood. The agents that left the data farthest "
+        "are held down most, as in the source's code for discrete actions; in its code "
+        "for continuous ones they are held down least. In the loss of an actor the "
+        "others act by their policies, see `others`. The source clips the critics' "
+        "gradients and makes five of their updates to one of the actors, here it is "
+        f"two. {BOUNDED}",
         learner=Imported("marl_mm.algorithms.cfcql:Cfcql"),
         presets={TUNED: CfcqlConfig()},
     ),

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from marl_mm.algorithms.config_checks import check_ranges
-from marl_mm.algorithms.offline_config import CriticConfig
+from marl_mm.algorithms.offline_config import BOUNDED, CriticConfig
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
 
 
@@ -33,7 +33,12 @@ ALGORITHMS.add(
         source="Park 2025",
         advice="Use it where the data show several ways and one actor may see and set "
         "everything. `distillation` needs tuning: the smaller it is, the more the "
-        "critic decides, also on actions that the data do not show.",
+        "critic decides, also on actions that the data do not show. It acts by fresh "
+        "noise at every step, and so repeats the data's noise, which cloning averages "
+        "away: on noisy data cloning is better.",
+        departs="Actions of the actor end in a tanh, in the source they are clipped; "
+        "the weight of the value is always divided by its mean size, an option of the "
+        f"source. {BOUNDED}",
         learner=Imported("marl_mm.algorithms.fql:Fql"),
         presets={TUNED: FqlConfig()},
     ),

@@ -1,6 +1,7 @@
 """Hyper-parameters of MAC-Flow; importing them takes no torch."""
 
 from marl_mm.algorithms.fql_config import FqlConfig
+from marl_mm.algorithms.offline_config import BOUNDED
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
 
 ALGORITHMS.add(
@@ -14,7 +15,10 @@ ALGORITHMS.add(
         advice="Use it where each agent may vary by itself. It does not keep "
         "conventions of the data: an agent does not know the others' noise, and "
         "learns a mean over what they may do. The smaller `distillation`, the more "
-        "the critic decides.",
+        "the critic decides. Like FQL it repeats the data's noise.",
+        departs="Critics are of the joint state and action, in the source means of "
+        "those of each agent's own. The rest is as in FQL: actions end in a tanh, the "
+        f"weight of the value is divided by its mean size. {BOUNDED}",
         learner=Imported("marl_mm.algorithms.mac_flow:MacFlow"),
         presets={TUNED: FqlConfig()},
     ),

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from marl_mm.algorithms.config_checks import check_ranges
-from marl_mm.algorithms.offline_config import CriticConfig
+from marl_mm.algorithms.offline_config import BOUNDED, CriticConfig
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
 
 
@@ -33,6 +33,12 @@ ALGORITHMS.add(
         source="Yang 2021",
         advice="Made for data of mixed quality, and for teams with conventions: later "
         "agents suit what earlier ones have learnt. It stays near the data's actions.",
+        departs="The weight is the critics' loss's, in the source the target's. "
+        "Critics are of the joint state and action, in the source mixed from the "
+        "agents' own; agents learn one after the other, in the source beside each "
+        "other. With the preset's temperatures few of a batch's 256 samples count, on "
+        "`quiet-zone-noisy` 35 for the critics and 24 and 1 for the actors: tune both. "
+        f"{BOUNDED}",
         learner=Imported("marl_mm.algorithms.maicq:Maicq"),
         presets={TUNED: MaicqConfig()},
     ),

@@ -38,6 +38,13 @@ class CloningConfig:
         check_ranges(self, positive, ("updates",), shares=("future",))
 
 
+BOUNDED = (
+    "Targets are clipped at the task's highest return, and critics' hidden layers are "
+    "normalised, whatever the source does."
+)
+"""What all algorithms with critics have of ours."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class CriticConfig(CloningConfig):
     """Hyper-parameters of algorithms that have critics."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from marl_mm.algorithms.cfcql_config import CfcqlConfig
 from marl_mm.algorithms.config_checks import check_ranges
+from marl_mm.algorithms.offline_config import BOUNDED
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
 from marl_mm.errors import UsageError
 
@@ -59,6 +60,12 @@ ALGORITHMS.add(
         advice="For data of several ways of different worth: the search crosses the "
         "valleys between them, which CFCQL's gradient does not. It is "
         "slow: see the table of updates per second.",
+        departs="Critics are of the joint state and action, in the source of each "
+        "agent's own. They are conservative where one agent leaves the data, while "
+        "actors and targets take what all do now: where several agents have left, "
+        "values are not held down. An actor's own action is among the elites from the "
+        "first round, in the source it is compared at the end. The source clips the "
+        f"critics' gradients. {BOUNDED}",
         learner=Imported("marl_mm.algorithms.omar:Omar"),
         presets={TUNED: OmarConfig()},
     ),

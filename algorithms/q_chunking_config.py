@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.fql_config import FqlConfig
+from marl_mm.algorithms.offline_config import BOUNDED
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
 from marl_mm.errors import UsageError
 
@@ -42,7 +43,11 @@ ALGORITHMS.add(
         source="Li 2025",
         advice="Use it on long tasks whose rewards are rare and whose data hold to a "
         "way for several steps. Within a chunk it reacts to nothing: leave it where "
-        "what is seen changes fast.",
+        "what is seen changes fast. Like FQL it repeats the data's noise.",
+        departs="Where an episode ends within a chunk, its last action is repeated, "
+        "and the critics learn from the steps that there are; the source leaves such "
+        "chunks out of their loss. The rest is as in FQL: actions end in a tanh, the "
+        f"weight of the value is divided by its mean size. {BOUNDED}",
         learner=Imported("marl_mm.algorithms.q_chunking:QChunking"),
         presets={TUNED: QChunkingConfig()},
     ),

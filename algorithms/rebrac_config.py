@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from marl_mm.algorithms.config_checks import check_ranges
-from marl_mm.algorithms.offline_config import Td3Config
+from marl_mm.algorithms.offline_config import BOUNDED, Td3Config
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
 
 
@@ -24,6 +24,12 @@ class RebracConfig(Td3Config):
         check_ranges(self, (), ("actor_weight", "critic_weight"))
 
 
+_DEPARTS = (
+    "The last step of an episode has its own action for the next, where the source "
+    "leaves it out if the episode was cut short. Distances count only where the goal "
+    f"is one that the data's action was for. {BOUNDED}"
+)
+
 ALGORITHMS.add(
     "rebrac",
     Algorithm(
@@ -37,6 +43,7 @@ ALGORITHMS.add(
         presets={TUNED: RebracConfig()},
         advice="Where rewards tell more than the data's actions. Both weights must "
         "suit the data; where that cannot be tried out, cloning is safer.",
+        departs=_DEPARTS,
     ),
 )
 ALGORITHMS.add(
@@ -52,5 +59,6 @@ ALGORITHMS.add(
         presets={TUNED: RebracConfig()},
         advice="As ReBRAC, for agents that see their own part. Where the data hold "
         "several conventions of equal worth, agents end between them.",
+        departs=f"The source knows no agents. {_DEPARTS}",
     ),
 )

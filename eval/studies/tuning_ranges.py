@@ -50,7 +50,7 @@ RANGES: Mapping[str, Mapping[str, Sequence[Any]]] = {
     "maicq": {
         **_CRITIC,
         "temperature": (0.1, 0.3, 1.0, 3.0, 10.0),
-        # Below 10 few samples of a batch of 256 count: 9 of the preset's on noisy data.
+        # Below 10 few samples of a batch count; the source's code has 10 to 1000.
         "critic_temperature": (1.0, 10.0, 100.0),
     },
     "fql": _FLOW_Q,

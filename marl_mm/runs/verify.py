@@ -291,8 +291,9 @@ def _notes(submission: Submission, equal: Sequence[bool]) -> Iterator[str]:
         yield f"submitted with {', '.join(changed)}"
     elif not all(equal):
         yield (
-            f"{count - sum(equal)} of {count} episodes are not equal to the bit, though "
-            "processor and packages are called the same: be wary of small differences"
+            f"{count - sum(equal)} of {count} episodes are not equal to the bit, "
+            "though processor and packages are called the same: be wary of small "
+            "differences"
         )
     dataset = manifest["dataset"] or {}
     data = recorded().get(dataset.get("recipe", ""), {}).get("data_sha256")
