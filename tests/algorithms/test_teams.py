@@ -4,11 +4,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
+from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.contracts.learners import candidate, several_layouts, some_episodes
 from marl_mm.datasets.arrays import EpisodeArrays
-from tests.algorithms.games import learnt, played, same_state, steps_of, team
+from tests.algorithms.games import (
+    learner_of,
+    learnt,
+    played,
+    same_state,
+    steps_of,
+    team,
+)
 
 PAIRS = {
     "mabc": "bc",
@@ -84,3 +93,42 @@ def test_iql_follows_the_better_convention() -> None:
     for name in ("iql", "ma-iql"):
         acted = played(learnt(name, data, temperature=10.0), episodes=1)
         np.testing.assert_allclose(acted[0, 0], XOR[0], atol=0.15)
+
+
+FAR = {"q_weight": 20.0, "actor_learning_rate": 2e-3, "critic_learning_rate": 2e-3}
+QUICK = {"learning_rate": 2e-3}
+FREE: dict[str, dict[str, Any]] = {
+    "td3-bc": {**FAR, "future": 0.0, "elsewhere": 0.0},
+    "matd3-bc": {**FAR, "future": 0.0, "elsewhere": 0.0},
+    "rebrac": {**QUICK, "actor_weight": 0.01, "critic_weight": 0.0},
+    "ma-iql": {**QUICK, "temperature": 10.0, "expectile": 0.9},
+    "fql": {**QUICK, "distillation": 0.1},
+    "mac-flow": {**QUICK, "distillation": 0.1},
+    "best-of-n": {**QUICK, "samples": 16, "expectile": 0.9},
+    "omar": {**QUICK, "conservatism": 0.05},
+}
+"""Settings of algorithms with critics in which values outweigh the data's actions."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FREE)
+def test_two_steps_of_a_team_are_valued_and_acted_at_their_best(name: str) -> None:
+    """Each step costs a quadratic of both actions, least at (1/2, 1/2); the second pays
+    1. So with discount 0.9 the best is worth 1 at the second step, and 0.9 at the
+    first: less for those that value what data do next, here at random."""
+    actions = np.random.default_rng(0).uniform(-1, 1, (1_500, 2, 2))
+    miss, apart = actions.sum(axis=2) - 1, actions[..., 0] - actions[..., 1]
+    rewards = [0.0, 1.0] - np.square(miss) - 0.1 * np.square(apart)
+    data = steps_of(actions.reshape(-1, 2), rewards.ravel(), team(), length=2)
+    learner = learner_of(name, data, discount=0.9, target_rate=0.02, **FREE[name])
+    states = [(0.0, 0.0), (1.0, 0.0)]
+    policy = LearnedPolicy(name, learner.agents(0), learner.layout)
+    acted = played(policy, 30, states).mean(axis=0)
+    np.testing.assert_allclose(acted.sum(axis=1), 1.0, atol=0.25)
+    np.testing.assert_allclose(acted, 0.5, atol=0.3)
+    with torch.no_grad():
+        state = learner.normalizer(torch.tensor([states]))
+        best = learner.critics.least(state, torch.full((1, 2, 2), 0.5)).flatten()
+    lowest = 0.15 if name in ("ma-iql", "best-of-n") else 0.65
+    assert lowest < float(best[0]) < 0.95
+    assert float(best[1]) == pytest.approx(1.0, abs=0.1)
