@@ -31,7 +31,7 @@ ALGORITHMS.add(
         "first unlearns. Without own episodes take CQL.",
         departs="CQL's actor is TD3's. What the data's policy is worth is taken from "
         "the returns of its own episodes, as in the source, but of none that was cut "
-        "off.",
+        "off: those bound nothing, 38 % of the steps of `quiet-zone-noisy`.",
         learner=Imported("marl_mm.algorithms.cal_ql:CalQl"),
         presets={TUNED: CalQlConfig()},
     ),

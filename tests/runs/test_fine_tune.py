@@ -23,6 +23,7 @@ from marl_mm.cli import main
 from marl_mm.contracts.learners import some_episodes
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import DivergedError, OtherConfigError, UsageError
+from marl_mm.eval.rows import read_rows
 from marl_mm.runs.run import Run
 from marl_mm.runs.train import repeat
 from marl_mm.sim.world import check_engine
@@ -335,3 +336,22 @@ def test_how_a_run_fares() -> None:
     assert fared(rows[:5])["online/steps_to_95"] == 30
     assert fared([*rows, rows[4] | {"env_steps": 50}])["online/steps_to_95"] == 50
     assert fared(rows[4:5])["online/steps_to_95"] == 30
+
+
+@pytest.mark.slow
+def test_the_study_of_the_ways_goes_online_from_data(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One that learns from the data first, and RLPD, which has no updates before."""
+    ways = ["matd3-bc-kept", "rlpd-kept"]
+    folders = ["--runs", str(tmp_path / "runs"), "--out", str(tmp_path / "out")]
+    words = ["ablate", "fine-tuning", "--engine", "mujoco", *folders, "--seeds", "0"]
+    words += ["--datasets", "marl_mm/gate/expert-v0", "--settings", *ways]
+    assert main([*words, "--budget", "smoke", "--workers", "1"]) == 0
+    assert "| RLPD |" in capsys.readouterr().out
+    (table,) = (tmp_path / "out").glob("fine-tuning-part.csv")
+    assert [row["setting"] for row in read_rows(table)] == ways
+    for way in ways:
+        run = tmp_path / "runs/marl_mm-gate-expert-v0" / way / "0"
+        rows = read_metrics(run)
+        assert rows[-1]["env_steps"] >= 8 and "online/regret" in rows[-1]
