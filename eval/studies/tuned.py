@@ -5,6 +5,30 @@ from typing import Any
 
 CHOSEN: Mapping[str, Mapping[str, Any]] = {
     "bc": {"learning_rate": 0.0005, "batch_size": 128, "hidden": (128, 128)},
+    "flow-bc": {
+        "learning_rate": 0.001,
+        "batch_size": 512,
+        "hidden": (256, 256),
+        "flow_steps": 5,
+    },
+    "ma-flow-bc": {
+        "learning_rate": 0.001,
+        "batch_size": 512,
+        "hidden": (256, 256),
+        "flow_steps": 5,
+    },
+    "ma-iql": {
+        "learning_rate": 0.0002,
+        "discount": 0.95,
+        "expectile": 0.7,
+        "temperature": 3.0,
+    },
+    "ma-rebrac": {
+        "learning_rate": 0.001,
+        "discount": 0.95,
+        "actor_weight": 1.0,
+        "critic_weight": 0.1,
+    },
     "mabc": {"learning_rate": 0.002, "batch_size": 256, "hidden": (128, 128)},
     "mac-flow": {"learning_rate": 0.0005, "discount": 0.95, "distillation": 3.0},
     "matd3-bc": {
