@@ -38,6 +38,7 @@ CHOSEN: Mapping[str, Mapping[str, Any]] = {
         "future": 0.2,
         "elsewhere": 0.0,
     },
+    "omar": {},
     "td3-bc": {
         "actor_learning_rate": 0.0002,
         "discount": 0.9,
