@@ -72,8 +72,8 @@ from marl_mm.eval.studies.coordination import (
 from marl_mm.eval.studies.engines import AGREEMENT, FIGURE, TABLE
 from marl_mm.eval.studies.engines_summary import agreement_table
 from marl_mm.eval.studies.offline import BLOCKS
-from marl_mm.eval.studies.robustness import TABLE as ROBUSTNESS_TABLE
-from marl_mm.eval.studies.robustness import robustness_table
+from marl_mm.eval.studies.robustness_summary import TABLE as ROBUSTNESS_TABLE
+from marl_mm.eval.studies.robustness_summary import robustness_table
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.table import CRITICS, IQM, RETURN, Table
 from marl_mm.eval.studies.targets import STUDIES

@@ -20,6 +20,7 @@ from marl_mm.eval.studies import (
     online,
     paper,
     robustness,
+    robustness_summary,
     separation,
     tuning,
 )
@@ -99,10 +100,10 @@ COMPARISONS: Comparisons = {
     ),
     "robustness": Comparison(
         robustness.ABOUT,
-        robustness.TABLE,
+        robustness_summary.TABLE,
         robustness.make_robustness,
-        robustness.draw_robustness,
-        robustness.robustness_table,
+        robustness_summary.draw_robustness,
+        robustness_summary.robustness_table,
         robustness.AGENTS,
         plan=robustness.plan_robustness,
     ),

@@ -12,11 +12,10 @@ from marl_mm.cli import main
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies import robustness
-from marl_mm.eval.studies.robustness import (
-    AGENTS,
+from marl_mm.eval.studies.robustness import AGENTS, RobustCell
+from marl_mm.eval.studies.robustness_summary import (
     FORMS,
     SOURCES,
-    RobustCell,
     draw_robustness,
     robustness_table,
 )
