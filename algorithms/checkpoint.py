@@ -13,7 +13,7 @@ from marl_mm.algorithms.actors import AgentActor, actors_from
 from marl_mm.algorithms.algorithm import OfflineAlgorithm, Resumable
 from marl_mm.archives import check_saved
 from marl_mm.errors import CheckpointError, LayoutError, UsageError
-from marl_mm.files import new_file
+from marl_mm.files import write_bytes
 from marl_mm.layout import Layout
 from marl_mm.received import (
     check_kind,
@@ -36,36 +36,32 @@ _FORMATS = ("marl_mm checkpoint 1", _FORMAT)
 """Formats that can be read; the first one's layouts are those of version 1."""
 
 
-def save_checkpoint(path: Path, algorithm: Resumable) -> None:
-    """Write an algorithm's state with its config and layout, atomically.
+def checkpoint(algorithm: Resumable) -> memoryview:
+    """An algorithm's state with its config and layout, as bytes."""
+    return _bytes(algorithm, algorithm.state())
 
-    Raises:
-        OSError: If there is no room; it names the file.
-    """
-    _save(path, algorithm, algorithm.state())
+
+def policy_checkpoint(algorithm: Resumable) -> memoryview:
+    """A checkpoint of the actors alone, which can act but not resume."""
+    actors = {name: a.actor.state_dict() for name, a in algorithm.agents.items()}
+    return _bytes(algorithm, {"actors": actors})
 
 
 def save_seed(path: Path, algorithm: OfflineAlgorithm, number: int) -> None:
-    """Write one seed's state of an offline algorithm in the same way."""
-    _save(path, algorithm, algorithm.state(number))
-
-
-def save_policy(path: Path, algorithm: Resumable) -> None:
-    """Write a checkpoint of the actors alone, which can act but not resume."""
-    actors = {name: a.actor.state_dict() for name, a in algorithm.agents.items()}
-    _save(path, algorithm, {"actors": actors})
+    """Write one seed's state of an offline algorithm; see ``write_bytes``."""
+    write_bytes(path, _bytes(algorithm, algorithm.state(number)))
 
 
 def save_seeds_policy(path: Path, algorithm: OfflineAlgorithm, number: int) -> None:
-    """Write a checkpoint of one seed's actors alone."""
+    """Write a checkpoint of one seed's actors alone; see ``write_bytes``."""
     agents = algorithm.agents(number).items()
     actors = {name: agent.actor.state_dict() for name, agent in agents}
-    _save(path, algorithm, {"actors": actors})
+    write_bytes(path, _bytes(algorithm, {"actors": actors}))
 
 
-def _save(
-    path: Path, algorithm: Resumable | OfflineAlgorithm, state: dict[str, Any]
-) -> None:
+def _bytes(
+    algorithm: Resumable | OfflineAlgorithm, state: dict[str, Any]
+) -> memoryview:
     contents = {
         "format": _FORMAT,
         "algorithm": algorithm.name,
@@ -76,8 +72,7 @@ def _save(
     # Into memory first: torch does not tell of a full disk as Python does.
     file = BytesIO()
     torch.save(contents, file)
-    with new_file(path) as temporary:
-        temporary.write_bytes(file.getbuffer())
+    return file.getbuffer()
 
 
 _KINDS: dict[str, Any] = {

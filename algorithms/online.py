@@ -5,23 +5,31 @@ beside the last one in ``best.pt``.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future
+from copy import deepcopy
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
 from marl_mm.algorithms.algorithm import Resumable
-from marl_mm.algorithms.checkpoint import BEST, FILE, save_checkpoint, save_policy
+from marl_mm.algorithms.checkpoint import BEST, FILE, checkpoint, policy_checkpoint
 from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.loggers import DEFAULT_LOGGERS, Row
 from marl_mm.algorithms.policy import LearnedPolicy
-from marl_mm.algorithms.runlog import RunLog, is_best
+from marl_mm.algorithms.runlog import CurvePoint, RunLog, is_best
 from marl_mm.algorithms.schedule import Schedule
 from marl_mm.algorithms.speed import prepare_for_small_networks
 from marl_mm.algorithms.train import Evaluate
 from marl_mm.episode import Episode
 from marl_mm.errors import DivergedError
+from marl_mm.files import write_bytes
 from marl_mm.progress import Advance, silent
+
+BeginEvaluation = Callable[[LearnedPolicy], Future[CurvePoint]]
+"""Begins an evaluation of a policy, in a thread and environments of its own."""
 
 RunEpisodes = Callable[[Explorer, Iterable[int]], Iterator[Episode]]
 """Runs training episodes of these numbers; the loop knows nothing of environments."""
@@ -87,6 +95,7 @@ def train_online(
     schedule: Schedule,
     advance: Advance = silent,
     loggers: Sequence[str] = DEFAULT_LOGGERS,
+    begin: BeginEvaluation | None = None,
 ) -> None:
     """Train until the config's number of episodes, or until the success rate is flat.
 
@@ -99,6 +108,8 @@ def train_online(
         schedule: Times of checkpoints and evaluations.
         advance: Progress callback, called with episodes.
         loggers: Names of the loggers beside ``metrics.jsonl``, see ``LOGGERS``.
+        begin: Beginner of an evaluation that runs beside the next epoch; row and
+            checkpoint follow after it. None: they are all between epochs.
 
     Raises:
         KeyboardInterrupt: After Ctrl-C, saying which checkpoint there is.
@@ -108,30 +119,70 @@ def train_online(
     total = algorithm.config.episodes
     advance(algorithm.episodes, "")
     with RunLog(run, "episode", algorithm.episodes, loggers) as log:
-        saved = algorithm.episodes
-        try:
-            while saved < total and not is_flat(log.rows, schedule.patience):
-                end = min((saved // schedule.epoch + 1) * schedule.epoch, total)
-                row = _epoch(algorithm, run_episodes, end, advance)
-                number = end // schedule.epoch
-                if number % schedule.evaluate_every == 0 or end == total:
-                    policy = LearnedPolicy(
-                        algorithm.name, algorithm.agents, algorithm.layout
-                    )
-                    row |= evaluate(policy)
-                    if is_best(row, log.rows):
-                        save_policy(run / BEST, algorithm)
-                log.add(row)
-                save_checkpoint(run / FILE, algorithm)
+        waiting: list[_Epoch] = []
+
+        def keep() -> None:
+            while waiting:
+                waiting.pop().keep(log)
                 advance(0, _note(log.rows))
-                saved = end
+
+        end = algorithm.episodes
+        try:
+            while end < total and not is_flat(log.rows, schedule.patience):
+                end = min((end // schedule.epoch + 1) * schedule.epoch, total)
+                row = _epoch(algorithm, run_episodes, end, advance)
+                keep()
+                number = end // schedule.epoch
+                due = number % schedule.evaluate_every == 0 or end == total
+                worst = [*log.rows, {**row, "success/all": 0.0}]
+                last = end == total or is_flat(worst, schedule.patience)
+                policy = LearnedPolicy(
+                    algorithm.name, deepcopy(algorithm.agents), algorithm.layout
+                )
+                evaluated: Callable[[], CurvePoint] = CurvePoint
+                if due and begin is not None and not last:
+                    evaluated = begin(policy).result
+                elif due:
+                    evaluated = partial(evaluate, policy)
+                files = policy_checkpoint(algorithm), checkpoint(algorithm)
+                waiting.append(_Epoch(row, evaluated, *files))
+                if last or not due or begin is None:
+                    keep()
         except KeyboardInterrupt:
+            saved = log.rows[-1]["episode"] if log.rows else 0
             kept = f"{run} holds the checkpoint of episode {saved}: go on"
             where = kept if saved else "before the first checkpoint: start again"
             raise KeyboardInterrupt(f"stopped; {where} with `resume=True`") from None
         except DivergedError as error:
+            keep()
+            saved = log.rows[-1]["episode"] if log.rows else 0
             kept = f"the checkpoint of episode {saved}" if saved else "no checkpoint"
             raise DivergedError(f"{error}; {run} holds {kept}") from None
+
+
+@dataclass(frozen=True)
+class _Epoch:
+    """What is kept of an epoch as soon as its evaluation is there."""
+
+    row: Row
+    """Metrics of its episodes and updates."""
+
+    evaluated: Callable[[], CurvePoint]
+    """Result of the evaluation, empty if none is due."""
+
+    policy: memoryview
+    """File of the policy."""
+
+    checkpoint: memoryview
+    """File of the checkpoint."""
+
+    def keep(self, log: RunLog) -> None:
+        """Write row and checkpoint, and the policy if it is the best so far."""
+        row = self.row | self.evaluated()
+        if is_best(row, log.rows):
+            write_bytes(log.run / BEST, self.policy)
+        log.add(row)
+        write_bytes(log.run / FILE, self.checkpoint)
 
 
 def run_cycle(

@@ -224,6 +224,15 @@ def append(path: Path, data: bytes) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write ``value`` as indented JSON, atomically."""
+    """Write ``value`` as indented JSON; see ``write_bytes``."""
+    write_bytes(path, (json.dumps(value, indent=2) + "\n").encode())
+
+
+def write_bytes(path: Path, data: bytes | memoryview) -> None:
+    """Write a file, atomically.
+
+    Raises:
+        OSError: If there is no room or no permission; it names the file.
+    """
     with new_file(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=2) + "\n")
+        temporary.write_bytes(data)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from marl_mm.algorithms.checkpoint import save_checkpoint, save_seed
+from marl_mm.algorithms.checkpoint import checkpoint, save_seed
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm
 from marl_mm.algorithms.speed import prepare_for_small_networks
@@ -16,6 +16,7 @@ from marl_mm.contracts.claims import demand, demand_same
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.registry import make_task
+from marl_mm.files import write_bytes
 from marl_mm.layout import Agent, Layout
 
 UPDATES = 7
@@ -107,7 +108,7 @@ class Candidate:
     def save(self, path: Path, learner: Any) -> None:
         """Write a checkpoint of the learner's first seed."""
         if self.online:
-            save_checkpoint(path, learner)
+            write_bytes(path, checkpoint(learner))
         else:
             save_seed(path, learner, 0)
 

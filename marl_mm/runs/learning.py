@@ -1,6 +1,9 @@
 """Runs that learn, from a dataset or online: their training and evaluation."""
 
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,10 +20,12 @@ from marl_mm.algorithms.train import resume, resume_seeds, train
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
+from marl_mm.envs.slots import threads_serve
+from marl_mm.envs.task import Task
 from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import Evaluation, evaluate, evaluate_with
 from marl_mm.files import only_here, write_json
-from marl_mm.progress import Bar
+from marl_mm.progress import Advance, Bar, silent
 from marl_mm.runs.folder import (
     BEST_EVALUATION,
     CURVE,
@@ -35,12 +40,13 @@ from marl_mm.runs.starts import copy_start, start_hash, start_of
 from marl_mm.runs.training import Offline, Online, Training
 from marl_mm.sim.config import default_engine, engine_of
 
-T = TypeVar("T", bound=Training)
+T = TypeVar("T")
+Trained = TypeVar("Trained", bound=Training)
 
 # --- Training ----------------------------------------------------------------
 
 
-def with_exact_precision(training: T) -> T:
+def with_exact_precision(training: Trained) -> Trained:
     """Settings that say what ``precision="auto"`` means on this machine.
 
     A run goes on with that elsewhere, too.
@@ -51,7 +57,7 @@ def with_exact_precision(training: T) -> T:
     return replace(training, config=replace(training.config, precision=precision))
 
 
-def on_engine(training: T, dataset: Dataset | None) -> T:
+def on_engine(training: Trained, dataset: Dataset | None) -> Trained:
     """Settings that name the engine: the dataset's, where none is asked for.
 
     Raises:
@@ -129,12 +135,19 @@ def train_runs(
     name = task_of(training, dataset)
     total = getattr(training.config, training.clock)
     advance = bar(f"{algorithm.name} {' '.join(map(str, runs))}", total)
-    with Rollouts(make_task(name, training.overrides), training.workers) as rollouts:
+    made = make_task(name, training.overrides)
+    with Rollouts(made, training.workers) as rollouts:
 
-        def point(policy: LearnedPolicy) -> CurvePoint:
+        def point(
+            policy: LearnedPolicy,
+            rollouts: Rollouts = rollouts,
+            advance: Advance = silent,
+        ) -> CurvePoint:
             goals = training.curve_episodes, training.eval_seed + 1  # of their own
             overrides = training.overrides
-            return curve_point(evaluate_with(rollouts, policy, *goals, name, overrides))
+            return curve_point(
+                evaluate_with(rollouts, policy, *goals, name, overrides, advance)
+            )
 
         if isinstance(training, Offline):
             train(
@@ -159,18 +172,44 @@ def train_runs(
                     training.logger,
                 )
         elif isinstance(training, Online):
-            train_online(
-                algorithm,
-                folders[0],
-                partial(rollouts.train, next(iter(runs))),
-                point,
-                training.schedule,
-                advance,
-                training.logger,
-            )
+            with _beside(made, training.workers, point) as begin:
+                train_online(
+                    algorithm,
+                    folders[0],
+                    partial(rollouts.train, next(iter(runs))),
+                    point,
+                    training.schedule,
+                    advance,
+                    training.logger,
+                    begin,
+                )
     for seed, run in runs.items():
         evaluate_run(training, dataset, run, bar, f"eval {seed}")
     return folders
+
+
+@contextmanager
+def _beside(
+    task: Task, workers: int, point: Callable[[LearnedPolicy, Rollouts, Advance], T]
+) -> Iterator[Callable[[LearnedPolicy], Future[T]] | None]:
+    """Beginner of evaluations beside updates, which leave all cores but one idle.
+
+    None where threads do not serve: processes of its own would take longer to start.
+    """
+    if workers == 1 or not threads_serve(task, workers):
+        yield None
+        return
+    stopped = threading.Event()
+
+    def unless_stopped(done: int, note: str) -> None:
+        if stopped.is_set():
+            raise CancelledError
+
+    with Rollouts(task, workers - 1) as rollouts, ThreadPoolExecutor(1) as thread:
+        try:
+            yield lambda policy: thread.submit(point, policy, rollouts, unless_stopped)
+        finally:
+            stopped.set()
 
 
 def curve_point(evaluation: Evaluation) -> CurvePoint:

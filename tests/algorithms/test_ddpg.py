@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from marl_mm.algorithms.actors import joint_action
-from marl_mm.algorithms.checkpoint import FILE, save_checkpoint, save_policy
+from marl_mm.algorithms.checkpoint import FILE, checkpoint, policy_checkpoint
 from marl_mm.algorithms.ddpg import Ddpg
 from marl_mm.algorithms.ddpg_config import DdpgConfig
 from marl_mm.algorithms.maddpg import Maddpg
@@ -257,8 +257,8 @@ def test_save_load_act_is_bit_equal(
 ) -> None:
     algorithm = taught(kind, config, episodes)
     algorithm.learn(5)
-    save_checkpoint(tmp_path / FILE, algorithm)
-    save_policy(tmp_path / "best.pt", algorithm)
+    (tmp_path / FILE).write_bytes(checkpoint(algorithm))
+    (tmp_path / "best.pt").write_bytes(policy_checkpoint(algorithm))
     policy = LearnedPolicy(algorithm.name, algorithm.agents, REACH)
     for loaded in (load_policy(tmp_path), load_policy(tmp_path / "best.pt")):
         assert loaded.name == algorithm.name
@@ -273,7 +273,7 @@ def test_a_restored_algorithm_continues_bit_equally(
     """Through a file: networks, optimisers, replay, statistics, random numbers."""
     algorithm = taught(kind, config, episodes[:10])
     algorithm.learn(4)
-    save_checkpoint(tmp_path / FILE, algorithm)
+    (tmp_path / FILE).write_bytes(checkpoint(algorithm))
     saved = torch.load(tmp_path / FILE, weights_only=True)
     again = kind(config, JUDGE, 99, (), REACH)
     again.load_state(saved["state"])

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from marl_mm.algorithms.actors import joint_action
-from marl_mm.algorithms.checkpoint import FILE, save_checkpoint
+from marl_mm.algorithms.checkpoint import FILE, checkpoint
 from marl_mm.algorithms.ddpg import Ddpg
 from marl_mm.algorithms.ddpg_config import DdpgConfig
 from marl_mm.algorithms.maddpg import Maddpg
@@ -147,7 +147,7 @@ def test_records_tell_of_it_only_where_it_is_used(
     assert "imitation_weight" not in as_record(config)
     assert as_record(heavy) == asdict(heavy)
     algorithm = taught(Ddpg, heavy, shown, make_episode)
-    save_checkpoint(tmp_path / FILE, algorithm)
+    (tmp_path / FILE).write_bytes(checkpoint(algorithm))
     with pytest.raises(OtherConfigError, match=r"imitation_weight = 5.0 \(now 0.0\)"):
         resume(taught(Ddpg, config, shown, make_episode), tmp_path)
     old = torch.load(tmp_path / FILE, weights_only=True)

@@ -1,8 +1,11 @@
 """The online loop: interrupted and resumed, flat, best; and what its runs show."""
 
 import json
+import time
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +21,7 @@ from marl_mm.algorithms.ddpg_config import DdpgConfig
 from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.maddpg import Maddpg
 from marl_mm.algorithms.maddpg_config import MaddpgConfig
-from marl_mm.algorithms.online import is_flat, train_online
+from marl_mm.algorithms.online import BeginEvaluation, is_flat, train_online
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.pretrained import load_pretrained, ship
 from marl_mm.algorithms.registry import preset
@@ -34,6 +37,7 @@ from marl_mm.episode import Episode
 from marl_mm.errors import CheckpointError, DivergedError
 from marl_mm.eval.metrics import Row
 from marl_mm.files import only_here
+from marl_mm.progress import silent
 
 MakeEpisode = Callable[..., Episode]
 RunEpisodes = Callable[[Explorer, Iterable[int]], Iterator[Episode]]
@@ -117,6 +121,43 @@ def test_an_interrupted_and_resumed_run_equals_an_uninterrupted_one(
     assert again.episodes == 15
     train_online(again, stopped, run_episodes, weighed, SCHEDULE)
     assert files(whole) == files(stopped)
+
+
+@pytest.fixture
+def begin() -> Iterator[BeginEvaluation]:
+    """``weighed``, in a thread that takes longer than an epoch."""
+
+    def late(policy: LearnedPolicy) -> CurvePoint:
+        time.sleep(0.05)
+        return weighed(policy)
+
+    with ThreadPoolExecutor(1) as thread:
+        yield lambda policy: thread.submit(late, policy)
+
+
+def test_evaluations_beside_the_next_epoch_change_nothing(
+    run_episodes: RunEpisodes, begin: BeginEvaluation, tmp_path: Path
+) -> None:
+    """They see the policy of their epoch, and what they are of is kept after them."""
+    fresh = partial(Ddpg, CONFIG, JUDGE, 3, (), REACH)
+    runs = [tmp_path / name for name in ("between", "beside")]
+    for run in runs:
+        run.mkdir()
+    train_online(fresh(), runs[0], run_episodes, weighed, SCHEDULE)
+
+    def interrupted(policy: Explorer, numbers: Iterable[int]) -> Iterator[Episode]:
+        for episode in run_episodes(policy, numbers):
+            if episode.index == 17:
+                raise KeyboardInterrupt
+            yield episode
+
+    rest = weighed, SCHEDULE, silent, (), begin
+    with pytest.raises(KeyboardInterrupt, match="episode 10: go on"):
+        train_online(fresh(), runs[1], interrupted, *rest)
+    again = fresh()
+    resume(again, runs[1])
+    train_online(again, runs[1], run_episodes, *rest)
+    assert files(runs[0]) == files(runs[1])
 
 
 def test_a_crash_between_log_and_checkpoint_leaves_no_double_rows(
@@ -224,21 +265,25 @@ def test_flat_is_no_better_success_rate_for_long_once_something_was_learnt() -> 
     assert not is_flat([], 200)
 
 
-def test_a_flat_run_ends_early(run_episodes: RunEpisodes, tmp_path: Path) -> None:
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_flat_run_ends_early(
+    beside: bool, run_episodes: RunEpisodes, tmp_path: Path
+) -> None:
+    def reached(policy: LearnedPolicy) -> CurvePoint:
+        return {"success/all": 1.0, "return/all": 0.0}
+
     algorithm = Ddpg(CONFIG, JUDGE, 0, (), REACH)
     flat = replace(SCHEDULE, patience=10)
-    train_online(
-        algorithm,
-        tmp_path,
-        run_episodes,
-        lambda policy: {"success/all": 1.0, "return/all": 0.0},
-        flat,
-    )
+    with ThreadPoolExecutor(1) as thread:
+        begin = (lambda policy: thread.submit(reached, policy)) if beside else None
+        rest = flat, silent, (), begin
+        train_online(algorithm, tmp_path, run_episodes, reached, *rest)
     assert algorithm.episodes == 15
 
 
+@pytest.mark.parametrize("beside", [False, True])
 def test_a_diverging_run_ends_with_its_last_checkpoint(
-    run_episodes: RunEpisodes, tmp_path: Path
+    beside: bool, begin: BeginEvaluation, run_episodes: RunEpisodes, tmp_path: Path
 ) -> None:
     """A NaN among the rewards, as from a damaged dataset or a bug in a reward."""
 
@@ -249,7 +294,8 @@ def test_a_diverging_run_ends_with_its_last_checkpoint(
 
     algorithm = Ddpg(replace(CONFIG, hindsight=0, batch_size=256), JUDGE, 0, (), REACH)
     with pytest.raises(DivergedError, match=r"loss/critic is nan .* episode 20"):
-        train_online(algorithm, tmp_path, poisoned, weighed, SCHEDULE)
+        rest = weighed, SCHEDULE, silent, (), begin if beside else None
+        train_online(algorithm, tmp_path, poisoned, *rest)
     assert np.isfinite(load_policy(tmp_path).act(np.ones(10))).all()
     assert [row["episode"] for row in read_metrics(tmp_path)] == [5, 10, 15, 20]
 
