@@ -14,6 +14,7 @@ import numpy as np
 from marl_mm.control.config import Knowledge
 from marl_mm.jit import jit, on_stack
 from marl_mm.robot.model import GRAVITY, ModelTerms, RobotModel, RobotState
+from marl_mm.robot.planar import PlanarModel
 
 SETTLING = 0.25
 """Time constant of the estimate [s]."""
@@ -98,6 +99,10 @@ class Payload:
             after: State at its end.
         """
         if not self.learns:
+            return
+        if isinstance(self._model, PlanarModel):  # as a compiled step, to the last bit
+            with_terms = before.v, tuple(terms), torque, after.v
+            self.count(learned(self._mass, self._rate, *with_terms))
             return
         change = (after.v - before.v) * self._rate
         unexplained = torque - terms.mass_matrix[3:] @ change - terms.nonlinear[3:]

@@ -23,10 +23,15 @@ from marl_mm.robot.model import RobotState
 from marl_mm.robot.planar import PlanarModel, planar_terms, zero_moment_point
 from marl_mm.robot.support import SUPPORT_B, SUPPORT_INWARD_B
 from marl_mm.sim.config import RATE
-from marl_mm.sim.native import Native, advance, read, update_kinematics
+from marl_mm.sim.native import Native, advance, fault, read, update_kinematics
 from marl_mm.sim.planar import attitude, rim_rates
 
-_velocity, _acceleration = on_stack(10), on_stack(VARIABLES)
+DONE, NO_COMMAND, NO_STATE = range(3)
+"""How ticks end: the last one by a command that is not finite, or by the state after
+it, which is not finite or which the engine warns of."""
+
+_configuration, _velocity = on_stack(11), on_stack(10)
+_acceleration = on_stack(VARIABLES)
 _counters = on_stack(4, number=types.int64)
 _attitude, _rim_rates = jit(attitude), jit(rim_rates)
 
@@ -65,7 +70,7 @@ def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
             payload = hand.payload
             load.masses[:] = payload.mass, payload.true_mass, payload.learns
             load = load._replace(size=payload.size)
-        finite = _follow(
+        outcome = _follow(
             native,
             model.bodies,
             model.scratch,
@@ -86,10 +91,10 @@ def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
             v,
             counts,
         )
-        if not finite:
+        if outcome == NO_COMMAND:
             raise no_command(RobotState(q, v), track.target_w, priorities)
-        if not (np.isfinite(q).all() and np.isfinite(v).all()):
-            break  # ``read`` says what diverged
+        if outcome == NO_STATE:
+            raise fault(native, RobotState(q, v))
         if hand is not None:
             if payload.learns:
                 payload.count(load.masses[0].item())
@@ -149,17 +154,17 @@ def _follow(
     q: np.ndarray,
     v: np.ndarray,
     counts: np.ndarray,
-) -> bool:
-    """All ticks, or those before the simulation diverges.
+) -> int:
+    """All ticks, or those until one fails, whose first state q and v then are.
 
     Arguments are those of ``follow``, with results in the last seven.
 
     Returns:
-        Whether all commands were finite; else q and v are the state without one.
+        ``DONE``, ``NO_COMMAND`` or ``NO_STATE``.
     """
     robot, gains, hierarchy, limits = numbers
     u, torque, counters = _acceleration(), native.torque, _counters()
-    before = _velocity()
+    q_before, v_before = _configuration(), _velocity()
     for k in range(first, last):
         planar_terms(q, v, bodies, scratch, terms)
         counters[:] = 0
@@ -180,7 +185,7 @@ def _follow(
             counters,
         )
         if not finite:
-            return False
+            return NO_COMMAND
         if k % every == 0:
             wrench = terms[7]
             if load.masses[1] != load.masses[0]:
@@ -195,17 +200,19 @@ def _follow(
         if counters[2] > 0:
             counts[0] += counters[2]
             counts[1] += not feasible
-        for j in range(10):
-            before[j] = v[j]
+        _copy(q, q_before)
+        _copy(v, v_before)
         left, right = _rim_rates(forward, turning)
         advance(native, left, right)
         if not read(native, q, v):
-            break
+            _copy(q_before, q)
+            _copy(v_before, v)
+            return NO_STATE
         if load.masses[2]:
-            mass = learned(load.masses[0], float(RATE), before, terms, torque, v)
+            mass = learned(load.masses[0], float(RATE), v_before, terms, torque, v)
             load.masses[0] = mass
             load_hand(bodies, load.empty, mass, load.size)
-    return True
+    return DONE
 
 
 @jit

@@ -25,8 +25,8 @@ from marl_mm.robot.names import (
 from marl_mm.sim.config import RATE, Camera, SimulationConfig
 from marl_mm.sim.mujoco_handling import MujocoHandling
 from marl_mm.sim.mujoco_model import GROUND, handling_model, robot_model
-from marl_mm.sim.native import Native
-from marl_mm.sim.planar import attitude, diverged, planar_state, rim_rates
+from marl_mm.sim.native import Native, fault
+from marl_mm.sim.planar import attitude, planar_state, rim_rates
 from marl_mm.sim.scene import Mark, Scene
 from marl_mm.sim.world import Handling
 
@@ -107,6 +107,7 @@ class _Robot:
             data.site(GRASP_FRAME).xpos,
             np.array(self.first),
             np.array(self.wheels),
+            data.warning.number,
             *hand,
         )
 
@@ -195,6 +196,7 @@ class MujocoWorld:
         self._start = _start(robot, config)
         self._handling: MujocoHandling | None = None
         self._target = 0.0, 0.0
+        self._state: RobotState | None = None
 
     def reset(self, marks: Sequence[Mark] = (), scene: Scene | None = None) -> None:
         """See ``World``."""
@@ -209,7 +211,7 @@ class MujocoWorld:
         if scene is not None:
             self._handling = MujocoHandling(model, data, *self._configs, scene)
         self.native = self._robot.native(self._handling)
-        self._target = 0.0, 0.0
+        self._target, self._state = (0.0, 0.0), None
         mujoco.mj_forward(model, data)
         if self._puppet is not None:
             self._puppet.reset(marks, scene)
@@ -220,8 +222,8 @@ class MujocoWorld:
         w, x, y, z = data.qpos[3:7].tolist()
         angular_w = np.empty(3)
         mujoco.mju_rotVecQuat(angular_w, data.qvel[3:6], data.qpos[3:7])
-        q, v = np.empty(11), np.empty(10)
-        if not planar_state(
+        q, v = state = RobotState(np.empty(11), np.empty(10))
+        finite = planar_state(
             tuple(data.qpos[:3].tolist()),
             (x, y, z, w),
             tuple(data.qvel[:3].tolist()),
@@ -231,14 +233,11 @@ class MujocoWorld:
             tuple(robot.rates.tolist()),
             q,
             v,
-        ):
-            raise diverged(q, v)
-        if (counts := data.warning.number).any():
-            kind = mujoco.mjtWarning(int(counts.argmax())).name
-            raise MarlMmError(
-                f"MuJoCo warns of {kind}: q = {q.tolist()}, v = {v.tolist()}"
-            )
-        return RobotState(q, v)
+        )
+        if not finite or self.native.warnings.any():
+            raise fault(self.native, self._state or state)
+        self._state = state
+        return state
 
     def attitude(self) -> tuple[float, float]:
         """See ``World``."""

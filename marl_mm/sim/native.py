@@ -14,7 +14,9 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
+from marl_mm.errors import MarlMmError, NonFiniteStateError
 from marl_mm.jit import jit
+from marl_mm.robot.model import RobotState
 from marl_mm.sim.config import RATE
 from marl_mm.sim.planar import planar_state
 
@@ -50,6 +52,9 @@ class Native(NamedTuple):
 
     wheels: np.ndarray
     """Places of the left and the right wheel in ``qvel``, shape (2,)."""
+
+    warnings: np.ndarray
+    """How often MuJoCo has warned, by kind, shape (7,), int32."""
 
     rows: np.ndarray
     """Number of constraints before those of the motors, and number of motors: those of
@@ -124,7 +129,14 @@ def advance(native: Native, left: float, right: float) -> None:
 
 @jit
 def read(native: Native, q: np.ndarray, v: np.ndarray) -> bool:
-    """Write q (11,) and v (10,) of ``RobotState``; False where they are not finite."""
+    """Write q (11,) and v (10,) of ``RobotState``.
+
+    Returns:
+        Whether they are finite, and MuJoCo has not warned.
+    """
+    for number in native.warnings:
+        if number > 0:
+            return False
     qpos, qvel = native.qpos, native.qvel
     w, x, y, z = qpos[3], qpos[4], qpos[5], qpos[6]
     a, b, c = qvel[3], qvel[4], qvel[5]
@@ -147,4 +159,21 @@ def read(native: Native, q: np.ndarray, v: np.ndarray) -> bool:
         rates,
         q,
         v,
+    )
+
+
+def fault(native: Native, before: RobotState) -> MarlMmError:
+    """Error of a world whose state ``read`` refuses.
+
+    Args:
+        native: The world.
+        before: State that it came from.
+    """
+    after = f"after q = {before.q.tolist()}, v = {before.v.tolist()}"
+    kinds = [mujoco.mjtWarning(k).name for k in np.flatnonzero(native.warnings)]
+    warns = f"MuJoCo warns of {', '.join(kinds)}"
+    if kinds and "mjWARN_BAD" not in warns:  # positions, velocities, accelerations
+        return MarlMmError(f"{warns} {after}")
+    return NonFiniteStateError(
+        f"the simulation diverged {after}" + f": {warns}" * bool(kinds)
     )
