@@ -48,6 +48,17 @@ class _Elastic(TextColumn):
         return text
 
 
+class _Bars(Progress):
+    """Bars of which nothing is left if there is an error before any work."""
+
+    def __exit__(self, *exception: Any) -> None:
+        if exception[0] is None or any(task.completed for task in self.tasks):
+            self.stop()
+        else:
+            self.live.transient = True
+            self.live.stop()  # without the line that a file gets after bars
+
+
 @contextmanager
 def progress_bars(vanish: bool = False) -> Iterator[Bar]:
     """Bars below one another; a pipe or a file gets one line per bar and minute.
@@ -55,7 +66,7 @@ def progress_bars(vanish: bool = False) -> Iterator[Bar]:
     Args:
         vanish: Whether full bars disappear.
     """
-    bars = Progress(
+    bars = _Bars(
         _Elastic("{task.description:<16}"),
         BarColumn(bar_width=6),  # all of it and a note fit into 80 columns
         MofNCompleteColumn(),

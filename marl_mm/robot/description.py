@@ -1,11 +1,18 @@
 """One URDF for both engines, with the base's uncertain inertia filled in."""
 
 from dataclasses import dataclass
-from importlib import resources
+from importlib.resources import as_file, files
 from typing import NamedTuple
 from xml.etree import ElementTree
 
-from marl_mm.robot.names import ARM_LINKS, FINGER_LINKS, HAND_LINK
+from marl_mm.errors import UsageError
+from marl_mm.robot.names import (
+    ARM_LINKS,
+    FINGER_LINKS,
+    HAND_LINK,
+    JOINTS,
+    LINKS,
+)
 
 BODY_SIZE = (0.90, 0.58, 0.30)
 """Base body, length x width x height [m] (MiR data sheet; see the URDF)."""
@@ -93,9 +100,11 @@ def urdf_xml(config: RobotConfig, solid: bool = False) -> str:
         config: Mass properties.
         solid: Give arm, hand and fingers collision shapes: the meshes' convex hulls,
             and a box for each finger's pad.
+
+    Raises:
+        UsageError: If a joint or link is missing, or a joint is of another type.
     """
-    text = resources.files("marl_mm.robot").joinpath("miranda.urdf").read_text()
-    root = ElementTree.fromstring(text)
+    root = _root()
     inertial = root.find("link[@name='base_link']/inertial")
     assert inertial is not None
     length, width, height = (side * side for side in BODY_SIZE)
@@ -111,6 +120,28 @@ def urdf_xml(config: RobotConfig, solid: bool = False) -> str:
     if solid:
         _make_solid(root)
     return ElementTree.tostring(root, encoding="unicode")
+
+
+def _root() -> ElementTree.Element:
+    """The URDF's tree, with all that a robot must have; likewise."""
+    with as_file(files("marl_mm.robot") / "miranda.urdf") as path:
+        try:
+            root = ElementTree.parse(path).getroot()
+        except ElementTree.ParseError as error:
+            raise UsageError(f"{path} is no URDF: {error}") from None
+        types = {
+            joint.get("name"): joint.get("type") for joint in root.findall("joint")
+        }
+        links = {link.get("name") for link in root.findall("link")}
+        wrong = [
+            f"joint {name} is {types.get(name, 'missing')}, expected {kind}"
+            for name, kind in JOINTS.items()
+            if types.get(name) != kind
+        ]
+        wrong += [f"link {name} is missing" for name in LINKS if name not in links]
+        if wrong:
+            raise UsageError(f"{path}: {'; '.join(wrong)}")
+    return root
 
 
 def _make_solid(root: ElementTree.Element) -> None:

@@ -21,3 +21,14 @@ GRASP_FRAME = "grasp"
 
 GRASP_JOINT = "grasp_joint"
 """Fixed joint that carries the grasp frame."""
+
+JOINTS = {
+    **dict.fromkeys(WHEEL_JOINTS, "continuous"),
+    **dict.fromkeys(ARM_JOINTS, "revolute"),
+    **dict.fromkeys(FINGER_JOINTS, "prismatic"),
+    GRASP_JOINT: "fixed",
+}
+"""Types of the joints that a robot must have, by name."""
+
+LINKS = (BASE_LINK, *ARM_LINKS, HAND_LINK, *FINGER_LINKS, GRASP_FRAME)
+"""Links that it must have."""

@@ -217,6 +217,22 @@ def test_a_block_that_is_held_keeps_them_equal(task: str) -> None:
     np.testing.assert_allclose(compiled, looped, rtol=1e-12, atol=1e-12)
 
 
+def test_ticks_without_a_solution_are_counted_alike() -> None:
+    """The joints are faster than any acceleration can bring within their limits."""
+    core, counted = opened(), []
+    for watch in (None, lambda tick: None):
+        core.reset(np.random.default_rng(0))
+        world = core.drive.world
+        assert isinstance(world, MujocoWorld)
+        world.data.qvel[-7:] = [6.0, -6.0] * 3 + [6.0]
+        core.drive.state = world.read()
+        step = core.step(np.zeros(4), watch)
+        counted.append([*step.state, step.info["qp_failures"], step.info["safe_ticks"]])
+    assert counted[0][-1] > 10
+    compiled, looped = counted
+    np.testing.assert_allclose(compiled, looped, rtol=1e-12, atol=1e-12)
+
+
 @pytest.mark.parametrize("watch", [None, lambda tick: None], ids=["compiled", "loop"])
 def test_numbers_that_are_not_finite_end_in_an_error(
     watch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any

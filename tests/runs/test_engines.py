@@ -150,7 +150,8 @@ def test_what_needs_pybullet_says_so_in_one_line(
     for words in ((*verify, "--replay"), film, train):
         ended = without_bullet(*words)
         assert ended.returncode == 2, ended
-        *_, line = ended.stderr.splitlines()
+        *rest, line = ended.stderr.splitlines()
+        assert all("MuJoCo simulates" in words for words in rest), rest  # and no bar
         assert line.startswith("marl-mm: "), line
         assert "pip install pybullet" in line
         # ``verify`` and ``play`` have no such option, or no other engine to name.
