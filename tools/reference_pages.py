@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from drawings import CURVES
+from result_tables import recorded_engines
 from who_sees import kind
 
 from marl_mm.algorithms.registry import (
@@ -85,6 +86,11 @@ def online_rows() -> list[Row]:
             columns = {"algorithm": setting.algorithm, "about": setting.about}
             rows.append({**row, **columns, "task": source.task})
     return rows
+
+
+def engine_named(row: Row) -> str:
+    """Engine of a committed row and its version."""
+    return row.get("engine") or recorded_engines()
 
 
 def task_of(row: Row) -> str:
@@ -243,15 +249,16 @@ def _algorithm_results(name: str) -> str:
                 rate_with_interval(row, "success_last"),
                 f"{row['to_70']:.0f}" if row["to_70"] == row["to_70"] else "-",
                 f"{row['return_last']:.2f}",
+                engine_named(row),
             )
             for row in online_rows()
             if row["algorithm"] == name
         ]
         if not rows:
             return "None are committed: `marl-mm train` makes yours.\n"
-        header = ("setting", "task", "goals reached [%]", "episodes to 70 %", "return")
+        header = "setting", "task", "goals reached [%]", "episodes to 70 %", "return"
         return (
-            markdown_table(header, rows)
+            markdown_table((*header, "engine"), rows)
             + "\n[Online learning](../../results/online.md).\n"
         )
     committed = [row for row in offline_rows() if row["setting"] == name]
@@ -264,10 +271,12 @@ def _algorithm_results(name: str) -> str:
             task_of(row),
             rate_with_interval(row),
             f"{row['return']:.2f}",
+            engine_named(row),
         )
         for row in committed
     ]
-    table = markdown_table(("dataset", "task", "goals reached [%]", "return"), lines)
+    header = "dataset", "task", "goals reached [%]", "return"
+    table = markdown_table((*header, "engine"), lines)
     return (
         f"{table}\n[Offline learning](../../results/offline.md), "
         "[baselines](../../results/baselines.md).\n"

@@ -4,7 +4,7 @@ import json
 import lzma
 import re
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 from named_pages import other_named, recipes_table
@@ -193,16 +193,19 @@ def _grasp(rows: list[Row]) -> str:
     return Table(STUDIES["grasp"], rows).markdown([IQM, "paper [%]"])
 
 
-def _simulated() -> str:
+@cache
+def recorded_engines() -> str:
     """The engines of the committed rows of studies that name none in their tables."""
     records = (json.loads(p.read_text()) for p in RESULTS.glob("studies/rows/*/*.json"))
     # Cells name the engine among their settings; their pages say which.
     old = [record for record in records if not {"engine", "cells"} & record.keys()]
     packages = [record["packages"] for record in old if "packages" in record]
     engines = {engine_text(RECORDED_ENGINE, versions) for versions in packages}
-    return (
-        f"Tables on pages that name no engine are of {' and '.join(sorted(engines))}.\n"
-    )
+    return " and ".join(sorted(engines))
+
+
+def _simulated() -> str:
+    return f"Tables on pages that name no engine are of {recorded_engines()}.\n"
 
 
 def _over_imitation(name: str) -> str:

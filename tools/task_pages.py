@@ -15,6 +15,7 @@ from reference_pages import (
     NAMES,
     RESULTS,
     ROOT,
+    engine_named,
     field_texts,
     offline_rows,
     online_rows,
@@ -32,6 +33,8 @@ from marl_mm.envs.tasks.reach import Reach
 from marl_mm.eval.tables import markdown_table, rate_with_interval
 from marl_mm.layout import Entry, Layout
 from marl_mm.registry import BUILT_IN
+from marl_mm.sim.config import RECORDED_ENGINE
+from marl_mm.versions import engine_text
 
 OURS = [name for name in TASKS.names() if TASKS.origin(name) == BUILT_IN]
 """Built-in tasks, without those of installed plug-ins."""
@@ -280,7 +283,8 @@ def _task_results(name: str) -> str:
         summary = evaluation["summary"]["all"]
         low, high = (100 * bound for bound in evaluation["interval"])
         reached = f"{100 * evaluation['success_rate']:.1f} [{low:.1f}, {high:.1f}]"
-        rows.append(("the script", "", reached, f"{summary['return']:.2f}"))
+        engine = engine_text(RECORDED_ENGINE, evaluation["packages"])
+        rows.append(("the script", "", reached, f"{summary['return']:.2f}", engine))
     for row in offline_rows():
         if task_of(row) == name:
             rows.append(
@@ -289,6 +293,7 @@ def _task_results(name: str) -> str:
                     f"from {row['dataset']}",
                     rate_with_interval(row),
                     f"{row['return']:.2f}",
+                    engine_named(row),
                 )
             )
     for row in online_rows():
@@ -298,10 +303,11 @@ def _task_results(name: str) -> str:
         if row["task"] == name and not departures:
             reached = rate_with_interval(row, "success_last")
             who = f"online, {row['episodes']} episodes"
-            rows.append((row["about"], who, reached, f"{row['return_last']:.2f}"))
+            result = reached, f"{row['return_last']:.2f}", engine_named(row)
+            rows.append((row["about"], who, *result))
     if not rows:
         return ""
-    header = ("policy", "learnt", "goals reached [%]", "return")
+    header = ("policy", "learnt", "goals reached [%]", "return", "engine")
     return (
         markdown_table(header, rows)
         + "\nThree seeds, 200 goals, last checkpoint, 95 % intervals; [what they mean]"

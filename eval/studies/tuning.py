@@ -5,14 +5,14 @@ updates, seeds and goals for all. The best mean over datasets and seeds is chose
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 
-from marl_mm.errors import UsageError
+from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.grouping import grouped, mean_of
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
@@ -35,8 +35,11 @@ from marl_mm.eval.studies.tuning_cells import (
 from marl_mm.eval.studies.tuning_ranges import RANGES
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar
-from marl_mm.runs.recipes import build, named_card, refuse_unknown
+from marl_mm.received import read_json
+from marl_mm.runs.recipes import RECIPES, build, named_card, refuse_unknown
 from marl_mm.runs.settings import check_positive
+from marl_mm.sim.config import RECORDED_ENGINE
+from marl_mm.versions import engine_text
 
 ABOUT = "Tuning: what each algorithm reaches with each of some settings."
 """Title."""
@@ -178,7 +181,12 @@ def draw_tuning(results: Path, folder: Path) -> list[Row]:
     summary: list[Row] = []
     of_algorithms = read_cells(_rows_folder(results))
     for algorithm, rows in of_algorithms.items():
-        tried = [_summed(algorithm, *item) for item in grouped(rows, "setting").items()]
+        record = _rows_folder(results) / f"{algorithm}.json"
+        packages = read_json(record, MarlMmError)["packages"]
+        tried = [
+            _summed(algorithm, packages, *item)
+            for item in grouped(rows, "setting").items()
+        ]
         best = max(tried, key=lambda row: (row["success"], row["return"]))
         summary += [row | {"chosen": int(row is best)} for row in tried]
     write_csv(folder / TABLE, summary)
@@ -186,14 +194,21 @@ def draw_tuning(results: Path, folder: Path) -> list[Row]:
     return summary
 
 
-def _summed(algorithm: str, setting: int, rows: Sequence[Row]) -> Row:
+def _summed(
+    algorithm: str, packages: Mapping[str, str], setting: int, rows: Sequence[Row]
+) -> Row:
     of_data = grouped(rows, "dataset")
+    sources = [RECIPES.get(name).source for name in of_data]
+    engines = [
+        engine_text(source.engine or RECORDED_ENGINE, packages) for source in sources
+    ]
     return {
         "algorithm": algorithm,
         "setting": setting,
         "success": mean_of(rows, "success"),
         "return": mean_of(rows, "return"),
         "seeds": len({row["seed"] for row in rows}),
+        "engine": ", ".join(dict.fromkeys(engines)),
         "datasets": " ".join(of_data),
         "success_each": " ".join(
             f"{mean_of(some, 'success'):.3f}" for some in of_data.values()
