@@ -275,8 +275,8 @@ def _algorithm_results(name: str) -> str:
         )
         for row in committed
     ]
-    header = "dataset", "task", "goals reached [%]", "return"
-    table = markdown_table((*header, "engine"), lines)
+    columns = "dataset", "task", "goals reached [%]", "return", "engine"
+    table = markdown_table(columns, lines)
     return (
         f"{table}\n[Offline learning](../../results/offline.md), "
         "[baselines](../../results/baselines.md).\n"

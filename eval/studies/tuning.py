@@ -198,10 +198,8 @@ def _summed(
     algorithm: str, packages: Mapping[str, str], setting: int, rows: Sequence[Row]
 ) -> Row:
     of_data = grouped(rows, "dataset")
-    sources = [RECIPES.get(name).source for name in of_data]
-    engines = [
-        engine_text(source.engine or RECORDED_ENGINE, packages) for source in sources
-    ]
+    made_by = [RECIPES.get(name).source.engine or RECORDED_ENGINE for name in of_data]
+    engines = [engine_text(engine, packages) for engine in made_by]
     return {
         "algorithm": algorithm,
         "setting": setting,

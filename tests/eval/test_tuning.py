@@ -16,7 +16,13 @@ from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows, write_csv
 from marl_mm.eval.studies import tuning, tuning_cells
 from marl_mm.eval.studies.tuned import CHOSEN
-from marl_mm.eval.studies.tuning import TABLE, TuningOptions, cells_of, draw_tuning
+from marl_mm.eval.studies.tuning import (
+    DATASETS,
+    TABLE,
+    TuningOptions,
+    cells_of,
+    draw_tuning,
+)
 from marl_mm.eval.studies.tuning_cells import (
     TuningCell,
     cell_of,
@@ -24,6 +30,7 @@ from marl_mm.eval.studies.tuning_cells import (
     settings_of,
 )
 from marl_mm.eval.studies.tuning_ranges import RANGES
+from marl_mm.files import write_json
 from marl_mm.runs import train
 from marl_mm.runs.settings import with_settings
 
@@ -75,7 +82,7 @@ def test_the_best_mean_over_datasets_and_seeds_is_chosen(tmp_path: Path) -> None
     }
     rows = [
         {
-            **{"algorithm": "bc", "setting": number, "dataset": f"d{place % 2}"},
+            **{"algorithm": "bc", "setting": number, "dataset": DATASETS[place % 2]},
             **{"seed": place // 2, "success": rate, "return": float(number)},
             "changes": json.dumps({"learning_rate": number}),
         }
@@ -84,10 +91,13 @@ def test_the_best_mean_over_datasets_and_seeds_is_chosen(tmp_path: Path) -> None
     ]
     (tmp_path / "rows/tuning").mkdir(parents=True)
     write_csv(tmp_path / "rows/tuning/bc.csv.xz", rows)
+    packages = {"packages": {"mujoco-core": "4.2"}}
+    write_json(tmp_path / "rows/tuning/bc.json", packages)
     summary = draw_tuning(tmp_path, tmp_path)
     assert [row["chosen"] for row in summary] == [0, 0, 1]
     assert summary[0]["success"] == pytest.approx(0.35)
     assert summary[0]["success_each"] == "0.600 0.100" and summary[0]["seeds"] == 2
+    assert summary[0]["engine"] == "mujoco 4.2"
     assert "learning_rate` 2" in tuning.tuning_table(summary)
 
 
