@@ -31,6 +31,12 @@ CHOSEN: Mapping[str, Mapping[str, Any]] = {
     },
     "mabc": {"learning_rate": 0.002, "batch_size": 256, "hidden": (128, 128)},
     "mac-flow": {"learning_rate": 0.0005, "discount": 0.95, "distillation": 3.0},
+    "maicq": {
+        "learning_rate": 0.0002,
+        "discount": 0.99,
+        "temperature": 1.0,
+        "critic_temperature": 10.0,
+    },
     "matd3-bc": {
         "actor_learning_rate": 0.001,
         "discount": 0.95,
@@ -39,6 +45,7 @@ CHOSEN: Mapping[str, Mapping[str, Any]] = {
         "elsewhere": 0.0,
     },
     "omar": {},
+    "q-chunking": {},
     "td3-bc": {
         "actor_learning_rate": 0.0002,
         "discount": 0.9,
