@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from marl_mm.algorithms.config_checks import MOST_FLOW_STEPS
 from marl_mm.algorithms.networks import (
     PLAIN,
     ActionScale,
@@ -18,9 +19,6 @@ from marl_mm.algorithms.networks import (
 )
 from marl_mm.errors import UsageError
 from marl_mm.layout import JOINT_NAME, AgentLayout, Layout, in_order
-
-MOST_STEPS = 1_000
-"""Most Euler steps of a flow that is read from a file."""
 
 
 class AgentActor:
@@ -162,7 +160,7 @@ def _hidden_and_form(
     weights = [v for k, v in state.items() if k.startswith("layers.") and v.dim() == 2]
     *hidden, outputs = (weight.shape[0] for weight in weights)
     steps = int(state.get("flow_steps", torch.tensor(0)))
-    if not 0 <= steps <= MOST_STEPS:
+    if not 0 <= steps <= MOST_FLOW_STEPS:
         raise ValueError(f"flow_steps {steps} of {agent.name}")
     chunk = outputs // len(agent.action)
     return hidden, Form("flow_steps" in state, steps, chunk)

@@ -16,6 +16,12 @@ LARGEST = 1_000_000_000
 LARGEST_BATCH = 1_000_000
 """Largest number of transitions in a batch."""
 
+MOST_FLOW_STEPS = 1_000
+"""Largest number of Euler steps of a flow."""
+
+_LARGEST = {"batch_size": LARGEST_BATCH, "flow_steps": MOST_FLOW_STEPS}
+"""Largest numbers of settings for which ``LARGEST`` is too many."""
+
 MOST_WEIGHTS = 100_000_000
 """Largest number of weights between hidden layers: 400 MB for each network, and twice
 that for its optimiser."""
@@ -66,7 +72,7 @@ def check_numbers(
         UsageError: Naming the field, its value and its range.
     """
     for name in (*positive, *not_negative):
-        most = LARGEST_BATCH if name == "batch_size" else LARGEST
+        most = _LARGEST.get(name, LARGEST)
         value = getattr(config, name)
         if isinstance(value, int) and value > most:
             raise UsageError(f"{name} is {value}, expected at most {most:,}")

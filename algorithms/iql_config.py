@@ -34,7 +34,8 @@ ALGORITHMS.add(
         "weighted cloning: on good data the weights are nearly equal, so that BC is "
         "enough, and it never goes beyond the data's actions.",
         departs="Actors give one action and imitate by squared errors, as all here; "
-        "the source fits a Gaussian by likelihood. Normalised critics and clipped "
+        "the source fits a Gaussian by likelihood. Their advantage is that before V's "
+        "step, the source's that after it. Normalised critics and clipped "
         "targets are ours, as for TD3+BC.",
         learner=Imported("marl_mm.algorithms.iql:Iql"),
         presets={TUNED: IqlConfig()},

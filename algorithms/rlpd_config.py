@@ -29,9 +29,10 @@ class RlpdConfig(Td3Config):
 
 
 _DEPARTS = (
-    "The actor is TD3's, with noise for the entropy of the source's SAC, and improves "
-    "at every second update, as do targets, not at every twentieth. There is 1 update "
-    "per step unless `updates_per_step` says otherwise, 20 in the source. The first "
+    "The actor is TD3's, with noise for the entropy of the source's SAC. It improves "
+    "at every second update, and targets follow then; in the source it improves at "
+    "every twentieth, and targets follow at each. There is 1 update per step unless "
+    "`updates_per_step` says otherwise, 20 in the source. The first "
     "episodes are the untrained actor's, with noise; halves of a batch are halves by "
     "chance."
 )

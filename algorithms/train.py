@@ -69,7 +69,7 @@ def train(
     """
     prepare_for_small_networks()
     total, saved = algorithm.config.updates, algorithm.step
-    advance(saved, "")
+    advance(min(saved, total), "")
     with ExitStack() as stack:
         opened = (RunLog(run, "step", saved, loggers) for run in runs)
         logs = [stack.enter_context(log) for log in opened]

@@ -122,7 +122,7 @@ def _algorithm_page(name: str) -> str:
         curve += (
             f"![Goals reached while {name} learns](../../images/baseline-{name}.svg)\n\n"
             f"Goals reached on {' and '.join(DATASETS)}, which ship, while it learns with "
-            "its preset: one seed, 20 goals a point.\n"
+            "its preset, 5,000 updates: one seed, 20 goals a point.\n"
         )
     ours = algorithm.source == "ours"
     parts = [
@@ -302,7 +302,7 @@ def _algorithms_index() -> str:
     ]
     return (
         "# Algorithms\n\n**From good data start with MABC. With failures or random steps "
-        "among them take TD3+BC or MATD3+BC, with several conventions a flow model, and "
+        "among them take TD3+BC or MATD3+BC, with several conventions a joint flow, and "
         "without data DDPG + HER.**\n\n"
         + markdown_table(("algorithm", "loss of the actors", "learns", "source"), rows)
     )

@@ -150,7 +150,7 @@ def bench_side_by_side(
     Args:
         updates: Number of updates of each seed.
         seeds: Number of seeds.
-        device: Name of a GPU; on a CPU seeds are trained in processes instead.
+        device: Name of a GPU, or "cpu" for one core.
         advance: Called with the number of finished updates.
     """
     arrays, rewards = shipped_arrays(), make_task()
@@ -158,6 +158,7 @@ def bench_side_by_side(
     rates = {}
     for count in (1, seeds):
         algorithm = Td3Bc(config, arrays, rewards, range(count), device)
+        torch.set_num_threads(1)
         with matrix_products("auto"):
             _rate(algorithm.update, min(updates, _TURN))  # warms caches
             algorithm.diagnose()["q/data"].cpu()  # waits for what is under way

@@ -97,14 +97,20 @@ def offline_speed_table(result: Mapping[str, Any]) -> str:
         ]
         return [cell for pair in zip(rates, ratios, strict=True) for cell in pair]
 
+    acting, beside = result["acting_ms"], result["side_by_side"]
     lines = [
-        (name, row.get("reference", ""), *cells(name)) for name, row in first.items()
+        (
+            *(name, row.get("reference", ""), *cells(name)),
+            f"{acting[name]['p99']:.2f}" if name in acting else "",
+        )
+        for name, row in first.items()
     ]
     header = [
         f"{part}, {number} {'thread' if number == '1' else 'threads'}"
         for number in numbers
         for part in ("updates per second", "over reference")
     ]
+    header.append("acting [ms]")
     table = markdown_table(("learner", "reference", *header), lines)
     count, cores = seeds["seeds"], seeds["cores"]
     single, several = (round(seeds[f"{n}_memory_mib"]) for n in ("one", "several"))
@@ -112,7 +118,9 @@ def offline_speed_table(result: Mapping[str, Any]) -> str:
         f"{table}\nOne command with {count} seeds of TD3+BC on {cores} cores takes "
         f"{seeds['cost_over_one']:.2f} times as long as with one "
         f"({seeds['several_s']:.0f} s, {seeds['one_s']:.0f} s), and {several} MiB of "
-        f"memory ({single} MiB).\n"
+        f"memory ({single} MiB). Side by side in one process, on one core, "
+        f"{beside['seeds']} take {beside['seeds'] / beside['over_one']:.2f} times as "
+        f"long.\n"
     )
 
 

@@ -6,7 +6,13 @@ from typing import Any
 
 import torch
 
-from marl_mm.eval.bench.offline import bench_offline, bench_seeds, bench_side_by_side
+from marl_mm.eval.bench.acting import bench_acting
+from marl_mm.eval.bench.offline import (
+    HIDDEN,
+    bench_offline,
+    bench_seeds,
+    bench_side_by_side,
+)
 from marl_mm.eval.bench.online import bench_online, bench_success
 from marl_mm.progress import Bar
 
@@ -26,10 +32,10 @@ def bench_train(
     d3rlpy: Path | None,
     bar: Bar,
 ) -> dict[str, Any]:
-    """Updates per second of all learners; success online; several seeds at once.
+    """Updates per second of all learners, and time to act; success online; many seeds.
 
-    Stable-Baselines3 takes part if it is installed, and many seeds side by side if
-    there is a GPU.
+    Stable-Baselines3 takes part if it is installed. Seeds learn side by side on a core,
+    and on a GPU if there is one.
 
     Args:
         updates: Gradient updates of each algorithm.
@@ -51,7 +57,10 @@ def bench_train(
     if seeds > 1:
         advance = bar("bench seeds", 2 * (1 + seeds))
         result["seeds"] = bench_seeds(_LONGER * updates, seeds, advance=advance)
+    advance = bar("bench side by side", 2 * updates)
+    result["side_by_side"] = bench_side_by_side(updates, 5, "cpu", advance)
+    result["acting_ms"] = bench_acting(HIDDEN, seed, advance=bar("bench acting", 23))
     if torch.cuda.is_available():
         advance = bar("bench GPU", 2 * updates)
-        result["side_by_side"] = bench_side_by_side(updates, advance=advance)
+        result["side_by_side_cuda"] = bench_side_by_side(updates, advance=advance)
     return result

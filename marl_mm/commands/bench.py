@@ -78,7 +78,7 @@ class BenchAbuse(_Bench):
 
 @dataclass(frozen=True)
 class BenchTrain(_Bench):
-    """Count gradient updates per second, of online and of all offline learners.
+    """Count gradient updates per second of all learners, and time how teams act.
 
     Online ones in turns with Stable-Baselines3's DDPG+HER (extra "bench") at the same
     batch, hidden layers (it has no layer norm) and hindsight. Offline ones on one and

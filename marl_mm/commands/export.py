@@ -31,8 +31,10 @@ def main(
 
     The file takes observations, float32, shape (n, d), and returns actions, shape
     (n, k), in the action space: displacements of the end-effector's target [0.1 m] and
-    alpha. Names of all entries and the actions' bounds lie in the file. Its actions are
-    compared with the policy's before it appears.
+    alpha. That of a flow or its student takes standard normal noise as well, and that
+    of Q-chunking returns plans, shape (n, steps, k); what is printed says so. Names of
+    all entries and the actions' bounds lie in the file. Its actions are compared with
+    the policy's before it appears.
 
     Args:
         run: Run folder, checkpoint file or "pretrained".
@@ -54,7 +56,10 @@ def main(
         )
     refuse_existing(out, overwrite)
     about = export_policy(policy, out, format, agent)
-    shown = f"{', '.join(about['observation'])} -> {', '.join(about['action'])}"
+    noise = f", {about['noise']} of noise" if "noise" in about else ""
+    plan = f"{about['chunk']} steps of " if "chunk" in about else ""
+    shown = ", ".join(about["observation"]) + f"{noise} -> {plan}"
+    shown += ", ".join(about["action"])
     difference = f"{about['largest_difference']:.1g}"
     text = f"{out}: {shown}; actions differ from the run's by at most {difference}"
     show({"file": str(out), **about}, text, json)

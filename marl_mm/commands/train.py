@@ -46,7 +46,7 @@ class Offline(_Options, training.Offline):
 
     dataset: str
     """Id, such as marl_mm/reach/pd-v0 or pd for short, or path, or name of a named
-    dataset; good-5k ships."""
+    dataset; good-5k ships. With --from default that of the run."""
 
     start: Annotated[Path | None, tyro.conf.arg(aliases=("--from",))] = None
     """Run of the same algorithm, or folder of such runs by seed, to start from, with

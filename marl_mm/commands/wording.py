@@ -5,6 +5,7 @@ import re
 _PARAMETER = re.compile(r"`([a-z]\w*)(=True|=False)?`")
 
 _CALLS = {
+    "`start`": "--from",
     "`marl_mm.plugins.load(...)`": "--plugin",
     "`marl_mm.collect(..., resume=True)`": "marl-mm collect ... --resume",
 }

@@ -7,6 +7,7 @@ import pytest
 import marl_mm
 from marl_mm.algorithms.config_checks import LARGEST, LARGEST_BATCH
 from marl_mm.algorithms.ddpg_config import DdpgConfig
+from marl_mm.algorithms.flow_bc_config import FlowBcConfig
 from marl_mm.algorithms.mabc_config import MabcConfig
 from marl_mm.algorithms.td3_bc_config import Td3BcConfig
 from marl_mm.cli import main
@@ -82,6 +83,12 @@ def test_sizes_have_bounds(config: type[MabcConfig]) -> None:
         config(hidden=(10_001, 10_000))
     with pytest.raises(UsageError, match=r"hidden is \(1000000000,\)"):
         config(hidden=(LARGEST,))
+
+
+def test_a_flow_has_no_more_steps_than_its_file_may_have() -> None:
+    FlowBcConfig(flow_steps=1_000)
+    with pytest.raises(UsageError, match="flow_steps is 1001, expected at most 1,000"):
+        FlowBcConfig(flow_steps=1_001)
 
 
 def test_counts_and_seeds_have_bounds() -> None:

@@ -16,6 +16,7 @@ from marl_mm.envs.registry import make_task
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.bench import learning, online
 from marl_mm.eval.bench.abuse import abuse
+from marl_mm.eval.bench.acting import bench_acting
 from marl_mm.eval.bench.control import bench_control
 from marl_mm.eval.bench.data import bench_data
 from marl_mm.eval.bench.env import bench_env
@@ -225,6 +226,13 @@ def test_side_by_side_counts_all_seeds() -> None:
     assert counts == [5, 5] and result["seeds"] == 3
     ratio = result["all_updates_per_second"] / result["one_updates_per_second"]
     assert result["over_one"] == pytest.approx(ratio)
+
+
+def test_acting_is_timed_for_all() -> None:
+    times = bench_acting((8,), 0, 20)
+    offline = {n for n in ALGORITHMS.names() if not ALGORITHMS.get(n).online}
+    assert times.keys() == offline
+    assert all(0 < one["median"] <= one["p99"] for one in times.values())
 
 
 def ours_in_their_order(ours: Td3Bc) -> list[torch.Tensor]:

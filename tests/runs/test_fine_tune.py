@@ -247,7 +247,10 @@ def test_the_command_takes_the_start_in_either_way(
     shutil.copytree(tmp_path / "0", "runs/matd3-bc-online/0")
     assert main([*again, "--online-steps", "60", "--logger", "csv"]) == 0
     assert main([*words, "--from", "nowhere"]) == 2
-    assert "there is no run" in capsys.readouterr().err
+    assert "--from is 'nowhere', and there is no run" in capsys.readouterr().err
+    assert main([*again[:-1], "--out", "idle"]) == 2
+    assert "--online-steps is 0: there is nothing to learn" in capsys.readouterr().err
+    assert not Path("idle").exists()
 
 
 def test_values_beyond_their_bounds_stop_a_run_online_too(
