@@ -65,6 +65,14 @@ class Algorithm:
     check: Callable[[Any], None] = lambda config: None
     """Check that raises a ``UsageError`` for hyper-parameters of another algorithm."""
 
+    @property
+    def learns(self) -> str:
+        """What it learns from, in words."""
+        if self.online:
+            return "online"
+        beside = getattr(self.presets[TUNED], "updates", 1) == 0
+        return "online, beside a dataset" if beside else "from a dataset"
+
     def __post_init__(self) -> None:
         if TUNED not in self.presets:
             raise UsageError(f"an algorithm has no preset {TUNED!r}: {self.about!r}")

@@ -283,19 +283,12 @@ def _algorithm_results(name: str) -> str:
     )
 
 
-def _learns_from(algorithm: Algorithm) -> str:
-    if algorithm.online:
-        return "online"
-    own_only = getattr(algorithm.presets[TUNED], "updates", 1) == 0
-    return "online, beside a dataset" if own_only else "from a dataset"
-
-
 def _algorithms_index() -> str:
     rows = [
         (
             f"[{NAMES[name]}]({name}.md)",
             f"`{algorithm.loss}`".replace("|", "\\|"),
-            _learns_from(algorithm),
+            algorithm.learns,
             algorithm.source,
         )
         for name, algorithm in ALGORITHMS.items()

@@ -27,8 +27,8 @@ class Kind:
     team: bool
     """Whether each agent has an actor of its own."""
 
-    online: bool
-    """Whether they learn from their own episodes."""
+    learns: str
+    """What they learn from, as ``Algorithm.learns`` says it."""
 
     helpers: tuple[str, ...]
     """Networks that learn beside the actors, and do not act."""
@@ -37,11 +37,17 @@ class Kind:
     """Form of the actors."""
 
     @property
+    def online(self) -> bool:
+        """Whether they learn from episodes of their own."""
+        return self.learns.startswith("online")
+
+    @property
     def picture(self) -> str:
         """The picture's path below docs/."""
         parts = ["team" if self.team else "joint", *self.helpers]
         parts += ["by-flow" if self.form.flow_steps else "by-noise"] * self.form.noisy
         parts += ["chunk"] * (self.form.chunk > 1) + ["online"] * self.online
+        parts += ["data"] * self.learns.endswith("beside a dataset")
         return f"images/sees-{'-'.join(parts)}.svg"
 
     def draw(self) -> str:
@@ -49,7 +55,8 @@ class Kind:
         actors, bottom = self._actors()
         last = 80 + 84 * len(self.helpers) if self.helpers else 98
         height = max(bottom + 18, last + 34 + 34 * self.online, 190)
-        source = "replay" if self.online else "dataset"
+        source = "replay" if self.learns == "online" else "dataset"
+        source += ", replay" * self.learns.endswith("beside a dataset")
         gets = "states" if self.online or "flow" in self.helpers else "states, actions"
         way = ((105, 144), (105, last)) if self.helpers else ((180, last),)
         parts = [
@@ -112,7 +119,7 @@ def kind(name: str) -> Kind:
     learns = [key.rpartition("_")[0] for key in state if key.endswith(ends)]
     helpers = tuple(each for each in learns if each != "actor")
     form = next(iter(agents.values())).actor.form
-    return Kind(JOINT_NAME not in agents, tried.online, helpers, form)
+    return Kind(JOINT_NAME not in agents, ALGORITHMS.get(name).learns, helpers, form)
 
 
 PICTURES: dict[str, Callable[[], str]] = {

@@ -54,7 +54,7 @@ def _describe(kind: str, item: Any) -> Row:
     """What a list shows of a registered object, beside its name and origin."""
     if kind == "algorithms":
         return {
-            "learns": "online" if item.online else "from a dataset",
+            "learns": item.learns,
             "about": item.about,
             "source": item.source,
             "presets": list(item.presets),
