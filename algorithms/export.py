@@ -8,7 +8,7 @@ and one that plans h actions in a row returns shape (n, h, k).
 
 import logging
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
 from pathlib import Path
@@ -71,6 +71,14 @@ def export_policy(
                 "written"
             )
     return metadata | {"largest_difference": float(difference.max())}
+
+
+def signature(metadata: Mapping[str, Any]) -> str:
+    """What an exported policy takes and returns, in words."""
+    noise = f", {metadata['noise']} of noise" if "noise" in metadata else ""
+    plan = f"{metadata['chunk']} steps of " if "chunk" in metadata else ""
+    entries, actions = (", ".join(metadata[n]) for n in ("observation", "action"))
+    return f"{entries}{noise} -> {plan}{actions}"
 
 
 def exported_metadata(path: Path) -> dict[str, Any]:

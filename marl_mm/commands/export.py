@@ -6,7 +6,7 @@ from typing import Annotated
 import tyro
 
 from marl_mm.algorithms.checkpoint import BEST
-from marl_mm.algorithms.export import export_policy
+from marl_mm.algorithms.export import export_policy, signature
 from marl_mm.algorithms.export_formats import POLICY_FORMATS
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.commands.output import show
@@ -31,10 +31,9 @@ def main(
 
     The file takes observations, float32, shape (n, d), and returns actions, shape
     (n, k), in the action space: displacements of the end-effector's target [0.1 m] and
-    alpha. That of a flow or its student takes standard normal noise as well, and that
-    of Q-chunking returns plans, shape (n, steps, k); what is printed says so. Names of
-    all entries and the actions' bounds lie in the file. Its actions are compared with
-    the policy's before it appears.
+    alpha. That of a flow or its student takes standard normal noise, too; Q-chunking's
+    returns plans, shape (n, steps, k). Names of entries and the actions' bounds lie in
+    it. Its actions are compared with the policy's before it appears.
 
     Args:
         run: Run folder, checkpoint file or "pretrained".
@@ -51,15 +50,9 @@ def main(
     name = f"{best}{agent or 'policy'}{POLICY_FORMATS.get(format).suffix}"
     out = out or (path if path.is_dir() else path.parent) / name
     if out.is_dir():
-        raise UsageError(
-            f"--out {out} is a folder, expected a file such as {out}/{name}"
-        )
+        raise UsageError(f"--out {out} is a folder, expected a file: {out}/{name}")
     refuse_existing(out, overwrite)
     about = export_policy(policy, out, format, agent)
-    noise = f", {about['noise']} of noise" if "noise" in about else ""
-    plan = f"{about['chunk']} steps of " if "chunk" in about else ""
-    shown = ", ".join(about["observation"]) + f"{noise} -> {plan}"
-    shown += ", ".join(about["action"])
     difference = f"{about['largest_difference']:.1g}"
-    text = f"{out}: {shown}; actions differ from the run's by at most {difference}"
+    text = f"{out}: {signature(about)}; actions differ from the run's by {difference}"
     show({"file": str(out), **about}, text, json)

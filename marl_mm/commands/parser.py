@@ -165,9 +165,8 @@ def _summary(box: str) -> str:
     texts = [text for text in (" ".join(part.split()) for part in sections) if text]
     kept = texts[:1]
     for text in texts[1:]:
-        meant = re.match(r"Perhaps you meant: (\S+)", text)
-        if meant and f"{meant[1]} (applied to" in kept[0]:
-            continue  # another subcommand has it
-        if text.startswith(("Perhaps you meant", "Available subcommands")):
+        option = text.removeprefix("Perhaps you meant: ").split()[0]
+        elsewhere = f"{option} (applied to" in kept[0]  # another subcommand has it
+        if not elsewhere and text.startswith(("Perhaps you", "Available sub")):
             kept.append(re.split(r" (?=[A-Z][a-z]+ \w+ \w)", text, maxsplit=1)[0])
     return "; ".join(kept)
