@@ -82,6 +82,12 @@ def _setting(algorithm: str, task: str | None) -> Setting:
     )
 
 
+_WHOLE = 5, 200
+"""Seeds and goals of a cell that is whole."""
+
+_NONE = "No dataset has rows of all algorithms that there are rows of.\n"
+"""Text in place of a table over datasets."""
+
 Scores = dict[str, np.ndarray]
 """Success by algorithm on a dataset, by seed and goal, shape (seeds, goals)."""
 
@@ -93,7 +99,7 @@ AGENTS = Study(
         for name, algorithm in product(DATASETS, ALGORITHM_NAMES)
         if algorithm in CHOSEN
     ),
-    seeds=5,
+    seeds=_WHOLE[0],
 )
 """Study whose runs are compared: of algorithms that are tuned."""
 
@@ -119,17 +125,16 @@ def draw_benchmark(results: Path, folder: Path) -> list[Row]:
         if not there:
             continue
         of_source = [_of_cell(store, cell, seeds) for cell, seeds in there]
-        reached = {row["algorithm"]: success for row, success in of_source}
-        groups = tie_groups([*reached.values()])
-        best = groups[int(np.argmax([row["success"] for row, _ in of_source]))]
-        rows += [
-            row
-            | {
-                "group": " ".join(map(str, group)),
-                "first": int({*group} & {*best} != set()),
-            }
-            for (row, _), group in zip(of_source, groups, strict=True)
-        ]
+        reached = {  # of a single seed nobody knows how another does
+            row["algorithm"]: success for row, success in of_source if row["seeds"] > 1
+        }
+        groups = dict(zip(reached, tie_groups([*reached.values()]), strict=True))
+        best = max(reached, key=lambda name: reached[name].mean(), default="")
+        for row, _ in of_source:
+            own = groups.get(row["algorithm"], ())
+            tied = {*own} & {*groups.get(best, ())} != set()
+            row |= {"group": " ".join(map(str, own)), "first": int(tied)}
+            rows.append(row)
         scores.append(reached)
     if not rows:
         raise UsageError(
@@ -159,10 +164,10 @@ def _of_cell(store: RowStore, cell: Cell, seeds: list[int]) -> tuple[Row, np.nda
 
 
 def _write_overall(folder: Path, rows: list[Row], scores: list[Scores]) -> None:
-    """Tables over the datasets that every algorithm with rows has learnt from."""
+    """Tables over the datasets that all algorithms have learnt from, several seeds."""
     there = {name for of_dataset in scores for name in of_dataset}
     each = zip(grouped(rows, "dataset").values(), scores, strict=True)
-    whole = [(some, of) for some, of in each if of.keys() == there]
+    whole = [(some, of) for some, of in each if there and of.keys() == there]
     names = [name for name in ALGORITHM_NAMES if name in there and whole]
     tasks = [some[0]["task"] for some, _ in whole]
     goals_of = [tasks.index(task) for task in tasks]  # a task has the same for all
@@ -200,7 +205,7 @@ def benchmark_table(rows: list[Row]) -> str:
     """Success and tie group of every algorithm on each dataset, as Markdown.
 
     A cell is a mean over seeds with its interval, bold where it cannot be told from the
-    best of the dataset; the last number is the tie group.
+    best of the dataset; the last number is the tie group, which a single seed lacks.
     """
     of_dataset = grouped(rows, "dataset")
     lines = []
@@ -209,18 +214,27 @@ def benchmark_table(rows: list[Row]) -> str:
         if cells:
             lines.append([f"`{name}`", *(_text(cells.get(d)) for d in of_dataset)])
     heads = ["algorithm", *(dataset.removeprefix("marl_mm/") for dataset in of_dataset)]
-    return markdown_table(heads, lines)
+    engines = " and ".join(sorted({row["engine"] for row in rows}))
+    seeds, goals = _WHOLE
+    whole = f"{seeds} seeds and {goals} goals where a cell does not say otherwise"
+    return f"{markdown_table(heads, lines)}\nOn {engines}; {whole}.\n"
 
 
 def _text(row: Row | None) -> str:
     if row is None:
         return ""
     rate = rate_in_interval(row["success"], row["success_interval"])
-    return f"{f'**{rate}**' if row['first'] else rate}, {row['group']}"
+    numbers = row["seeds"], row["goals"]
+    parts = [f"**{rate}**" if row["first"] else rate]
+    parts += [str(row["group"])] * (row["seeds"] > 1)
+    parts += ["{} x {}".format(*numbers)] * (numbers != _WHOLE)
+    return ", ".join(parts)
 
 
 def overall_table(rows: list[Row]) -> str:
     """What algorithms reach over all datasets, as Markdown."""
+    if not rows:
+        return _NONE
     lines = [
         [
             f"`{row['algorithm']}`",
@@ -232,7 +246,10 @@ def overall_table(rows: list[Row]) -> str:
         for row in rows
     ]
     heads = ["algorithm", "IQM [%]", "mean [%]", "not told from the best", "best alone"]
-    return markdown_table(heads, lines)
+    return (
+        f"{markdown_table(heads, lines)}\nOver {rows[0]['datasets']} of "
+        f"{len(DATASETS)} datasets: those that all of these have learnt from.\n"
+    )
 
 
 def pairs_table(rows: list[Row]) -> str:
@@ -240,6 +257,8 @@ def pairs_table(rows: list[Row]) -> str:
 
     Bold where the interval excludes one half.
     """
+    if not rows:
+        return _NONE
     chances = {}
     for row in rows:
         low, high = row["improvement_interval"]
@@ -247,7 +266,8 @@ def pairs_table(rows: list[Row]) -> str:
             ((row["algorithm"], row["other"]), row["improvement"]),
             ((row["other"], row["algorithm"]), 1 - row["improvement"]),
         ):
-            chances[pair] = f"{value:.2f}" if low <= 0.5 <= high else f"**{value:.2f}**"
+            apart = low > 0.5 or high < 0.5
+            chances[pair] = f"**{value:.2f}**" if apart else f"{value:.2f}"
     names = [name for name in ALGORITHM_NAMES if any(name in pair for pair in chances)]
     lines = [
         [f"`{name}`", *(chances.get((name, other), "") for other in names)]

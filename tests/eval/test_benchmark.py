@@ -30,8 +30,10 @@ from marl_mm.runs.recipes import RECIPES
 FIRST, SECOND = (RECIPES.get(name).source.name for name in DATASETS[:2])
 
 
-def write(results: Path, dataset: str, algorithm: str, rate: float) -> None:
-    """Write the rows of a cell: of five seeds, of 40 goals each."""
+def write(
+    results: Path, dataset: str, algorithm: str, rate: float, seeds: int = 5
+) -> None:
+    """Write the rows of a cell: of 40 goals for each seed."""
     tested = {cell_name(c): c[1].algorithm for c in AGENTS.cells}
     (names,) = (n for n in tested if n[0] == dataset and tested[n] == algorithm)
     path = results / "rows" / names[0].replace("/", "-") / names[1]
@@ -44,7 +46,7 @@ def write(results: Path, dataset: str, algorithm: str, rate: float) -> None:
             "direction": "backward",
             "success": int(rng.random() < rate),
         }
-        for seed in range(5)
+        for seed in range(seeds)
         for goal in range(40)
     ]
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -77,8 +79,26 @@ def test_tie_groups_are_within_datasets_and_the_rest_over_whole_ones(
     assert pairs["mabc", "td3-bc"]["improvement"] == 0.5
     assert "| `mabc` | **1.00** |  | 0.50 |" in pairs_table(read_rows(tmp_path / PAIRS))
     assert "| 1 of 1 | 0 |" in overall_table(read_rows(tmp_path / OVERALL))
-    line = benchmark_table(rows).splitlines()[-1]
-    assert line.startswith("| `td3-bc` | **") and line.endswith(", 1 |  |")
+    *_, line, _, rest = benchmark_table(rows).splitlines()
+    assert line.startswith("| `td3-bc` | **") and line.endswith(", 1, 5 x 40 |  |")
+    assert rest.startswith("On mujoco; 5 seeds and 200 goals where")
+
+
+def test_a_single_seed_is_compared_with_nothing(tmp_path: Path) -> None:
+    """However good it is."""
+    write(tmp_path, FIRST, "bc", 0.9, seeds=2)
+    write(tmp_path, FIRST, "mabc", 1.0, seeds=1)
+    rows = draw_benchmark(tmp_path, tmp_path)
+    assert [row["first"] for row in rows] == [1, 0]
+    *_, line, _, _ = benchmark_table(rows).splitlines()
+    assert line.startswith("| `mabc` | 100.0 [") and line.endswith("], 1 x 40 |")
+    overall = read_rows(tmp_path / OVERALL)
+    assert [row["algorithm"] for row in overall] == ["bc"]
+    assert "Over 1 of 16 datasets" in overall_table(overall)
+    write(tmp_path, SECOND, "mabc", 0.5)
+    draw_benchmark(tmp_path, tmp_path)
+    for table, name in ((overall_table, OVERALL), (pairs_table, PAIRS)):
+        assert table(read_rows(tmp_path / name)).startswith("No dataset has rows of")
 
 
 def test_without_rows_there_is_no_table(tmp_path: Path) -> None:
