@@ -198,6 +198,8 @@ def _line(entry: Entry, films: bool) -> Mapping[str, Any]:
     words, kind, about = _VERDICTS.get(record["verdict"], _UNVERIFIED)
     if record["scored"] < record["episodes"]:
         words += f", {record['scored']} of {record['episodes']}"
+    if entry.verification is not None:
+        about += f"; success {100 * record['success']:.1f} %"
     steps = manifest["overrides"].get("max_steps")
     return {
         **{name: manifest[name] for name in ("algorithm", "task", "engine", "goals")},

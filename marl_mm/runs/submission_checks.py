@@ -26,7 +26,7 @@ from marl_mm.runs.submission import (
     refuse_mixed,
     seal,
 )
-from marl_mm.sim.config import engine_of
+from marl_mm.sim.config import ENGINES, engine_of
 
 _SEEDS = 100
 """Largest number of seeds."""
@@ -154,6 +154,13 @@ def _check_rows(submission: Submission) -> None:
             (run.config.task, run.config.engine) != (own.task, engine_of(own.overrides))
         ):
             raise SubmissionError(f"{run.folder}: its rows are not of the same setting")
+        package, _ = ENGINES[engine_of(own.overrides)]
+        version = submission.manifest["packages"].get(package)
+        if own.engine_version != version:
+            raise SubmissionError(
+                f"{run.folder} was scored by {own.engine!a:.60}, the manifest has "
+                f"{package} {version!a:.40}"
+            )
         rows = [(row["index"], row["seed"]) for row in own.rows]
         if rows != goals:
             wrong = [*map(tuple.__ne__, rows, goals), True].index(True)

@@ -123,6 +123,18 @@ def invented(folder: Path) -> None:
         )
 
 
+def exchanged(folder: Path) -> None:
+    """Outcomes of all goals the other way round; hashes of nothing."""
+    invented(folder)
+    in_each(
+        EVALUATION,
+        lambda v: [
+            r.update({"success": not number % 2, "return": r["return"] - 20})
+            for number, r in enumerate(v["episodes"])
+        ],
+    )(folder)
+
+
 def linked(folder: Path) -> None:
     path = folder / "0" / WEIGHTS
     outside = path.rename(folder.parent / "outside.safetensors")
@@ -188,6 +200,19 @@ TAMPERING: dict[str, tuple[Change, str]] = {
         "episodes of goals 1 are others",
     ),
     "all rows invented": (invented, "return: claimed"),
+    "outcomes exchanged": (exchanged, "goals have another outcome than is claimed"),
+    "a first action": (
+        in_each(EPISODES, lambda v: v["first_action"].__setitem__(1, [9.0])),
+        "goals 1 do not follow.*by first action",
+    ),
+    "a version of the engine": (
+        in_each(EVALUATION, lambda v: v.update(engine_version="9.9 (verified)")),
+        "9.9 .verified.', the manifest has",
+    ),
+    "a recipe without its hash": (
+        in_each(CONFIG, lambda v: v["dataset"].update(recipe="quiet-zone-noisy")),
+        "quiet-zone-noisy is another",
+    ),
     "the goals' seed": (
         in_each(EVALUATION, lambda v: v.update(seed=1)),
         "goal 0 of se",
