@@ -77,17 +77,19 @@ def found(rates: np.ndarray, episodes: int, seed: int = 0) -> np.ndarray:
 
 
 def deviation_of_found(rates: np.ndarray, episodes: int) -> np.ndarray:
-    """Standard deviation of the mean of ``found``, by a bootstrap over policies.
+    """Standard deviation of the mean of ``found``, by a bootstrap over settings.
 
     Args:
-        rates: Success rate of each policy, shape (n,).
+        rates: Success rate of each policy by setting, shape (settings, seeds): seeds of
+            one setting are alike.
         episodes: Largest number of episodes.
 
     Returns:
         After each number of episodes, shape (1 + episodes,).
     """
     rng = np.random.default_rng(1)
-    drawn = rng.choice(rates, (_DRAWN, len(rates))).repeat(_EACH, axis=0)
+    settings = rng.integers(len(rates), size=(_DRAWN, len(rates)))
+    drawn = rates[settings].reshape(_DRAWN, -1).repeat(_EACH, axis=0)
     curves = found(drawn, episodes).reshape(_DRAWN, _EACH, -1)
     by_chance = curves.var(axis=1, ddof=1).mean(axis=0) / _EACH  # of so few bandits
     variance = curves.mean(axis=1).var(axis=0, ddof=1) - by_chance
@@ -115,10 +117,15 @@ def draw_budgets(rows: Sequence[Row], folder: Path) -> None:
     most = BUDGETS[-1]
     for axis, (dataset, on) in zip(axes, of_data.items(), strict=True):
         for number, (algorithm, some) in enumerate(grouped(on, "algorithm").items()):
-            rates = np.array([row["success"] for row in some])
+            by_setting = [
+                [row["success"] for row in of_setting]
+                for of_setting in grouped(some, "changes").values()
+            ]
+            rates = np.ravel(by_setting)
             curve = found(rates, most)
             style = ("-", "--", ":")[number // 10]
-            mean, reach = curve.mean(axis=0), 1.96 * deviation_of_found(rates, most)
+            deviation = deviation_of_found(np.array(by_setting), most)
+            mean, reach = curve.mean(axis=0), 1.96 * deviation
             ends = np.clip([mean - reach, mean + reach], 0, 1)
             axis.plot(100 * mean, style, lw=1.2, label=algorithm)
             about = {"dataset": dataset, "algorithm": algorithm, "policies": len(rates)}

@@ -81,25 +81,20 @@ def main(
     task = own_task(both) if task is None else task
     engine = own_engine(both) if engine is None else engine
     variant = make_task(task, task_overrides(max_steps, engine))
-    for name in both:  # before any work is done
-        load_policy(name, variant, config_of(name, settings))
+    configs = [config_of(name, settings) for name in both]
+    for name, config in zip(both, configs, strict=True):  # before any work is done
+        load_policy(name, variant, config)
     with progress_bars() as bar:
-        goals: dict[str, Any] = {
-            "episodes": episodes,
-            "seed": seed,
-            "task": task,
-            "max_steps": max_steps,
-            "engine": engine,
-            "workers": workers,
-            "progress": bar,
-        }
-        own = [(name, config_of(name, settings)) for name in policies]
+        goals: dict[str, Any] = {"episodes": episodes, "seed": seed, "task": task}
+        goals |= {"max_steps": max_steps, "engine": engine, "workers": workers}
+        goals["progress"] = bar
+        own = [*zip(policies, configs, strict=False)]
         compared: dict[int, Robustness | CrossPlay] = {}
         keep = partial(_keep, compared, out)
         for number, (name, config) in enumerate(own if suite else ()):
             robustness(name, config=config, keep=partial(keep, number), **goals)
         if partners:
-            cross_play(both, keep=partial(keep, len(own)), **goals)
+            cross_play(both, configs=configs, keep=partial(keep, len(own)), **goals)
         evaluations = [
             evaluate(name, config=config, **goals)
             for name, config in ([] if compared else own)

@@ -67,6 +67,7 @@ def robustness(
 def cross_play(
     policies: Sequence[Any],
     *,
+    configs: Sequence[Any] | None = None,
     episodes: int = 100,
     seed: int = 0,
     task: str | None = None,
@@ -80,6 +81,7 @@ def cross_play(
 
     Args:
         policies: Runs and others as in ``evaluate``, of the same task, two at least.
+        configs: Settings of each, as ``config`` there; default their own.
         episodes: Number of goals of each team.
         seed: Seed of the goals and of random policies.
         task: Registered name of the task; default the runs' own, or Reach-v0.
@@ -97,7 +99,11 @@ def cross_play(
     if len(policies) < 2:
         raise UsageError(f"cross-play of {len(policies)} policy, expected 2 or more")
     setup = setup_of(policies, episodes, seed, task, max_steps, engine, workers)
-    actors = [load_policy(policy, setup.made) for policy in policies]
+    settings = configs or [None] * len(policies)
+    actors = [
+        load_policy(policy, setup.made, config)
+        for policy, config in zip(policies, settings, strict=True)
+    ]
     names = [called(*pair) for pair in zip(policies, actors, strict=True)]
     for result in crossing.cross_play(setup, actors, names, progress):
         keep(result)

@@ -38,12 +38,12 @@ def test_policies_that_are_alike_cost_nothing_to_choose() -> None:
     assert (found(np.full(6, 0.4), 20) == 0.4).all()
 
 
-def test_the_deviation_is_that_of_the_policies() -> None:
+def test_the_deviation_is_that_of_the_settings() -> None:
     """Before any episode it is that of their mean; there is none of those alike."""
-    rates = np.linspace(0, 1, 24)
+    rates = np.linspace(0, 1, 24)[:, None].repeat(2, axis=1)
     deviation = rates.std() / np.sqrt(24)
     assert deviation_of_found(rates, 3)[0] == pytest.approx(deviation, rel=0.25)
-    assert deviation_of_found(np.full(6, 0.4), 3) == pytest.approx(0, abs=1e-9)
+    assert deviation_of_found(np.full((6, 2), 0.4), 3) == pytest.approx(0, abs=1e-9)
 
 
 def test_a_critic_is_compared_at_one_discount_only(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import pytest
 
 import marl_mm
 from marl_mm.cli import main
+from marl_mm.collectors.pd import PdConfig
 from marl_mm.commands import eval as command
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import UsageError
@@ -193,6 +194,16 @@ def test_the_matrix_has_a_row_per_agent_and_run(runs: dict[str, Path]) -> None:
     assert [line[0] for line in lines] == ["end_effector"] * 3 + ["balance"] * 3
     assert lines[0][3] == lines[4][2], "the second's hand beside the first's balance"
     assert "from 3" in result.markdown() and "<table>" in result._repr_html_()
+
+
+def test_collectors_among_partners_have_their_settings() -> None:
+    configs = [None, PdConfig(alpha=0.0)], [None, PdConfig(alpha=1.0)]
+    still, moving = (
+        marl_mm.cross_play(["pretrained", "pd"], configs=each, **FEW).evaluations
+        for each in configs
+    )
+    assert still[0, 0].rows == moving[0, 0].rows
+    assert still[1, 1].rows != moving[1, 1].rows
 
 
 # --- The command -------------------------------------------------------------
