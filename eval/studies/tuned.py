@@ -5,6 +5,12 @@ from typing import Any
 
 CHOSEN: Mapping[str, Mapping[str, Any]] = {
     "bc": {"learning_rate": 0.0005, "batch_size": 128, "hidden": (128, 128)},
+    "best-of-n": {
+        "learning_rate": 0.0002,
+        "discount": 0.95,
+        "samples": 4,
+        "expectile": 0.9,
+    },
     "flow-bc": {
         "learning_rate": 0.001,
         "batch_size": 512,
