@@ -8,12 +8,14 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from marl_mm.datasets import shipped
 from marl_mm.datasets.card import card_markdown, kept_card
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.datasets.export import DATASET_FORMS, DatasetForm
 from marl_mm.datasets.hdf5 import FILE
-from marl_mm.datasets.named import name_of
+from marl_mm.datasets.named import RECORD, name_of
 
 _SUMS = "SHA256SUMS"
 
@@ -54,7 +56,7 @@ def _hub(dataset: Dataset, path: Path) -> None:
         data = (dataset.location.data / name).read_bytes()
         (path / "data" / name).write_bytes(data)
     draw_card(dataset.arrays, values, path / "card.png")
-    ours = values["id"] in shipped.IDS or name_of(values["id"]) is not None
+    ours = _is_ours(dataset, values)
     (path / "LICENSE").write_text(_licence() if ours else _NOT_OURS)
     front = "\n".join(f"{key}: {json.dumps(v)}" for key, v in _front(values, ours))
     page = f"---\n{front}\n---\n\n{card_markdown(values)}{_READ}"
@@ -63,6 +65,17 @@ def _hub(dataset: Dataset, path: Path) -> None:
     (path / "croissant.json").write_text(json.dumps(croissant, indent=2) + "\n")
     lines = [f"{digest}  {name}\n" for name, digest in _sums(path).items()]
     (path / _SUMS).write_text("".join(lines))
+
+
+def _is_ours(dataset: Dataset, values: Mapping[str, Any]) -> bool:
+    """Whether these are the package's data, and not only called like them."""
+    if values["id"] in shipped.IDS:
+        own, theirs = dataset.arrays, shipped.shipped_arrays(values["id"])
+        pairs = (own.states, theirs.states), (own.actions, theirs.actions)
+        return all(np.array_equal(*pair) for pair in pairs)
+    record = json.loads(RECORD.read_text()).get(name_of(values["id"]), {})
+    digest = values["data_sha256"]
+    return digest is not None and bool(record.get("data_sha256") == digest)
 
 
 def _licence() -> str:

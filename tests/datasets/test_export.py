@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
-from marl_mm import versions
+from marl_mm import collect, versions
 from marl_mm.cli import main
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import Dataset, load_dataset
@@ -289,3 +290,14 @@ def test_data_of_the_package_have_its_licence(
     path = written(load_dataset("good-5k"), "hub", tmp_path)
     assert (path / "LICENSE").read_text().startswith("MIT License")
     assert '\nlicense: "mit"\n' in (path / "README.md").read_text()
+
+
+def test_data_that_are_only_called_like_the_packages_have_not(
+    datasets_home: Path, tmp_path: Path
+) -> None:
+    """Of a recipe's name, and of the name of one that ships."""
+    for name in ("marl_mm/gate/rare-v0", "marl_mm/reach/good-5k-v0"):
+        collect("pd", dataset=name, steps=30, engine="mujoco")
+        path = written(load_dataset(name), "hub", tmp_path)
+        assert "No licence is stated" in (path / "LICENSE").read_text()
+        shutil.rmtree(path)
