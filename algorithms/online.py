@@ -120,13 +120,16 @@ def train_online(
     advance(algorithm.episodes, "")
     with RunLog(run, "episode", algorithm.episodes, loggers) as log:
         waiting: list[_Epoch] = []
+        end = saved = algorithm.episodes
 
         def keep() -> None:
+            nonlocal saved
             while waiting:
-                waiting.pop().keep(log)
+                epoch = waiting.pop()
+                epoch.keep(log)
+                saved = epoch.row["episode"]
                 advance(0, _note(log.rows))
 
-        end = algorithm.episodes
         try:
             while end < total and not is_flat(log.rows, schedule.patience):
                 end = min((end // schedule.epoch + 1) * schedule.epoch, total)
@@ -149,13 +152,11 @@ def train_online(
                 if last or not due or begin is None:
                     keep()
         except KeyboardInterrupt:
-            saved = log.rows[-1]["episode"] if log.rows else 0
             kept = f"{run} holds the checkpoint of episode {saved}: go on"
             where = kept if saved else "before the first checkpoint: start again"
             raise KeyboardInterrupt(f"stopped; {where} with `resume=True`") from None
         except DivergedError as error:
             keep()
-            saved = log.rows[-1]["episode"] if log.rows else 0
             kept = f"the checkpoint of episode {saved}" if saved else "no checkpoint"
             raise DivergedError(f"{error}; {run} holds {kept}") from None
 

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from marl_mm.algorithms.policy import LearnedPolicy
-from marl_mm.algorithms.registry import ALGORITHMS
+from marl_mm.algorithms.registry import names
 from marl_mm.algorithms.speed import prepare_for_small_networks
 from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.registry import make_task
@@ -35,7 +35,7 @@ def bench_acting(
     arrays, task = shipped_arrays(), make_task()
     state, times = np.zeros(len(task.layout.state), np.float32), np.empty(calls)
     result = {}
-    for name in (n for n in ALGORITHMS.names() if not ALGORITHMS.get(n).online):
+    for name in names(online=False):
         config = with_settings(name, {"hidden": hidden})
         agents = learner(name, config, arrays, task, seed).agents(0)
         policy = LearnedPolicy(name, agents, task.layout)

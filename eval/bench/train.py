@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 
+from marl_mm.algorithms.registry import names
 from marl_mm.eval.bench.acting import bench_acting
 from marl_mm.eval.bench.offline import (
     HIDDEN,
@@ -59,7 +60,8 @@ def bench_train(
         result["seeds"] = bench_seeds(_LONGER * updates, seeds, advance=advance)
     advance = bar("bench side by side", 2 * updates)
     result["side_by_side"] = bench_side_by_side(updates, 5, "cpu", advance)
-    result["acting_ms"] = bench_acting(HIDDEN, seed, advance=bar("bench acting", 23))
+    advance = bar("bench acting", len(names(online=False)))
+    result["acting_ms"] = bench_acting(HIDDEN, seed, advance=advance)
     if torch.cuda.is_available():
         advance = bar("bench GPU", 2 * updates)
         result["side_by_side_cuda"] = bench_side_by_side(updates, advance=advance)

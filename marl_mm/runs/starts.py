@@ -90,8 +90,9 @@ def check_start(training: Offline, config: RunConfig, out: Path) -> None:
                 f"{start} was made with {name} = {before.settings[name]}, expected "
                 f"{value}: a run starts with the settings of the other, leave it out"
             )
-    step = int(read_checkpoint(start, training.algorithm)["state"]["step"])
-    if step >= training.config.updates and not training.fine_tuning.online_steps:
+    step = read_checkpoint(start, training.algorithm)["state"].get("step")
+    learnt = isinstance(step, int) and step >= training.config.updates
+    if learnt and not training.fine_tuning.online_steps:
         raise UsageError(
             f"{start} has all of its {step} updates and `online_steps` is 0: there is "
             "nothing to learn"

@@ -15,6 +15,7 @@ from tensorboard.backend.event_processing.event_accumulator import (
     EventAccumulator,
 )
 
+from marl_mm.algorithms import online
 from marl_mm.algorithms.checkpoint import BEST, FILE
 from marl_mm.algorithms.ddpg import Ddpg
 from marl_mm.algorithms.ddpg_config import DdpgConfig
@@ -158,6 +159,28 @@ def test_evaluations_beside_the_next_epoch_change_nothing(
     resume(again, runs[1])
     train_online(again, runs[1], run_episodes, *rest)
     assert files(runs[0]) == files(runs[1])
+
+
+def test_what_is_said_to_be_kept_is_on_disk(
+    run_episodes: RunEpisodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stopped as the third checkpoint is written, whose row is there already."""
+    written: list[Path] = []
+
+    def write(path: Path, data: memoryview) -> None:
+        written.append(path)
+        if [p.name for p in written].count(FILE) == 3:
+            raise KeyboardInterrupt
+        path.write_bytes(data)
+
+    monkeypatch.setattr(online, "write_bytes", write)
+    algorithm = Ddpg(CONFIG, JUDGE, 0, (), REACH)
+    with pytest.raises(KeyboardInterrupt, match="episode 10: go on"):
+        train_online(algorithm, tmp_path, run_episodes, weighed, SCHEDULE)
+    assert read_metrics(tmp_path)[-1]["episode"] == 15
+    again = Ddpg(CONFIG, JUDGE, 0, (), REACH)
+    resume(again, tmp_path)
+    assert again.episodes == 10
 
 
 def test_a_crash_between_log_and_checkpoint_leaves_no_double_rows(

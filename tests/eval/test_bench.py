@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from marl_mm.algorithms.registry import ALGORITHMS
+from marl_mm.algorithms.registry import names
 from marl_mm.algorithms.td3_bc import Td3Bc
 from marl_mm.control.config import Form
 from marl_mm.datasets import cache
@@ -174,7 +174,7 @@ def test_bench_offline_times_all_in_turns() -> None:
     timings = bench_offline(1, 0, None, bar)
     planned = counts.pop("planned")
     assert set(counts.values()) == {2 * 1} and planned == sum(counts.values())
-    offline = {n for n in ALGORITHMS.names() if not ALGORITHMS.get(n).online}
+    offline = {*names(online=False)}
     for timing in timings.values():
         assert offline < set(timing) == set(counts)
         rates = {name: row["updates_per_second"] for name, row in timing.items()}
@@ -230,8 +230,7 @@ def test_side_by_side_counts_all_seeds() -> None:
 
 def test_acting_is_timed_for_all() -> None:
     times = bench_acting((8,), 0, 20)
-    offline = {n for n in ALGORITHMS.names() if not ALGORITHMS.get(n).online}
-    assert times.keys() == offline
+    assert tuple(times) == names(online=False)
     assert all(0 < one["median"] <= one["p99"] for one in times.values())
 
 
