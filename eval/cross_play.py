@@ -14,7 +14,11 @@ import numpy as np
 
 from marl_mm.eval.disturbances import Mixed
 from marl_mm.eval.evaluate import Evaluation, Setup
-from marl_mm.eval.tables import markdown_table, percent_with_interval
+from marl_mm.eval.tables import (
+    markdown_table,
+    percent_with_interval,
+    points_with_interval,
+)
 from marl_mm.notebook import html_table
 from marl_mm.policy import Policy
 from marl_mm.progress import Bar
@@ -43,29 +47,40 @@ class CrossPlay:
         """The team of a run in which an agent is that of another run."""
         return tuple(other if name == agent else own for name in self.agents)
 
+    def difference(
+        self, agent: str, own: int, other: int
+    ) -> tuple[float, tuple[float, float]]:
+        """Success rate with another run's agent less a run's own, see ``less``."""
+        team = self.team(agent, own, other)
+        return self.evaluations[team].less(self.evaluations[(own,) * len(self.agents)])
+
     def table_rows(self) -> list[tuple[str, ...]]:
-        """Goals reached [%], a row per agent that is replaced and run."""
+        """Goals reached [%] and change [points], a row per agent and run."""
         numbers = range(len(self.policies))
         return [
             (
                 agent,
                 f"{own + 1}: {self.policies[own]}",
-                *(self._reached(self.team(agent, own, other)) for other in numbers),
+                *(self._reached(agent, own, other) for other in numbers),
             )
             for agent, own in product(self.agents, numbers)
         ]
 
-    def _reached(self, team: Team) -> str:
+    def _reached(self, agent: str, own: int, other: int) -> str:
+        team = self.team(agent, own, other)
         if team not in self.evaluations:
             return "-"
         summary = self.evaluations[team].summary["all"]
-        return percent_with_interval(summary["success_rate"], summary["interval"])
+        text = percent_with_interval(summary["success_rate"], summary["interval"])
+        if own == other:
+            return text
+        return f"{text}, {points_with_interval(*self.difference(agent, own, other))}"
 
     @property
     def header(self) -> tuple[str, ...]:
         """Headings of the table."""
         numbers = range(1, len(self.policies) + 1)
-        return "agent", "of run", *(f"from {n} % [95 %]" for n in numbers)
+        return "agent", "of run", *(f"from {n} %, change [95 %]" for n in numbers)
 
     @property
     def note(self) -> str:
@@ -87,6 +102,7 @@ class CrossPlay:
 
     def to_json(self) -> dict[str, Any]:
         """Everything as JSON values: evaluations as in ``eval.json``."""
+        numbers = range(len(self.policies))
         return {
             "policies": list(self.policies),
             "teams": [
@@ -98,6 +114,17 @@ class CrossPlay:
                     **evaluation.to_json(),
                 }
                 for team, evaluation in self.evaluations.items()
+            ],
+            "differences": [
+                {
+                    "agent": agent,
+                    "of": self.policies[own],
+                    "from": self.policies[other],
+                    "difference": self.difference(agent, own, other)[0],
+                    "difference_interval": self.difference(agent, own, other)[1],
+                }
+                for agent, own, other in product(self.agents, numbers, numbers)
+                if own != other and self.team(agent, own, other) in self.evaluations
             ],
         }
 

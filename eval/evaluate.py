@@ -14,6 +14,7 @@ from marl_mm.envs.rollout import Rollouts
 from marl_mm.envs.task import Task
 from marl_mm.errors import UsageError
 from marl_mm.eval.goals import goal_set
+from marl_mm.eval.intervals import paired_interval
 from marl_mm.eval.metrics import EvaluationRow, episode_row, summarize_directions
 from marl_mm.notebook import html_table
 from marl_mm.policy import Policy
@@ -61,6 +62,14 @@ class Evaluation:
     def success_rate(self) -> float:
         """Share of goals reached."""
         return float(self.summary["all"]["success_rate"])
+
+    def less(self, other: "Evaluation") -> tuple[float, tuple[float, float]]:
+        """Success rate less another's on the same goals, and its paired interval.
+
+        The interval is of 95 %, see ``paired_interval``.
+        """
+        own, others = ([row["success"] for row in e.rows] for e in (self, other))
+        return self.success_rate - other.success_rate, paired_interval(own, others)
 
     def __repr__(self) -> str:
         reached = sum(row["success"] for row in self.rows)

@@ -15,10 +15,13 @@ import numpy as np
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.eval.disturbances import disturbed
 from marl_mm.eval.evaluate import Evaluation, Setup
-from marl_mm.eval.intervals import paired_interval
 from marl_mm.eval.metrics import failures_in_words
 from marl_mm.eval.suite import ROBUSTNESS, Condition, conditions
-from marl_mm.eval.tables import markdown_table, percent_with_interval
+from marl_mm.eval.tables import (
+    markdown_table,
+    percent_with_interval,
+    points_with_interval,
+)
 from marl_mm.notebook import html_table
 from marl_mm.policy import Policy
 from marl_mm.progress import Bar
@@ -39,11 +42,7 @@ class Robustness:
 
     def difference(self, condition: Condition) -> tuple[float, tuple[float, float]]:
         """Success rate less the clean one, and its paired 95 % interval."""
-        now, clean = (
-            [row["success"] for row in each.rows]
-            for each in (self.disturbed[condition], self.clean)
-        )
-        return float(np.mean(now) - np.mean(clean)), paired_interval(now, clean)
+        return self.disturbed[condition].less(self.clean)
 
     header = (
         *("disturbance", "agent", "strength", "success % [95 %]"),
@@ -63,9 +62,7 @@ class Robustness:
             same = evaluation.engine == self.clean.engine
             amount = condition.amount if same else evaluation.engine
             about = condition.disturbance, condition.agent, amount
-            change, bounds = self.difference(condition)
-            low, high = (100 * bound for bound in bounds)
-            text = f"{100 * change:+.1f} [{low:+.1f}, {high:+.1f}]"
+            text = points_with_interval(*self.difference(condition))
             rows.append((*about, *_numbers(evaluation, text)))
         return rows
 

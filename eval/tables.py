@@ -111,6 +111,12 @@ def percent_with_interval(value: float, interval: tuple[float, float]) -> str:
     return f"{100 * value:.1f}{bounds}"
 
 
+def points_with_interval(value: float, interval: tuple[float, float]) -> str:
+    """A difference of two shares [points], with its interval."""
+    mean, low, high = (f"{100 * each:+.1f}" for each in (value, *interval))
+    return f"{mean} [{low}, {high}]"
+
+
 def rate_with_deviation(row: Mapping[str, Any], name: str = "success") -> str:
     """A success rate [%] of ``summarize_success``; of several seeds with deviation."""
     deviation = f" +- {100 * row[f'{name}_std']:.1f}" if row["seeds"] > 1 else ""

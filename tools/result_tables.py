@@ -72,8 +72,12 @@ from marl_mm.eval.studies.coordination import (
 from marl_mm.eval.studies.engines import AGREEMENT, FIGURE, TABLE
 from marl_mm.eval.studies.engines_summary import agreement_table
 from marl_mm.eval.studies.offline import BLOCKS
+from marl_mm.eval.studies.robustness_summary import (
+    CROSS_PLAY,
+    cross_play_table,
+    robustness_table,
+)
 from marl_mm.eval.studies.robustness_summary import TABLE as ROBUSTNESS_TABLE
-from marl_mm.eval.studies.robustness_summary import robustness_table
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.table import CRITICS, IQM, RETURN, Table
 from marl_mm.eval.studies.targets import STUDIES
@@ -361,6 +365,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "selection": partial(_drawn_from, SELECTION_TABLE, selection_table),
     "disturbances": disturbances_table,
     "robustness": partial(_drawn_from, ROBUSTNESS_TABLE, robustness_table),
+    "cross-play": partial(_drawn_from, CROSS_PLAY, cross_play_table),
     "coordination-worth": partial(_drawn_from, WORTH, worth_table),
     "coordination-teams": partial(_drawn_from, TEAMS, coordination_table),
     "coordination-levels": partial(_drawn_from, TEAMS, levels_table),

@@ -1,8 +1,9 @@
 """What several agents are good for: teams against joint actors under disturbances.
 
 Every algorithm that has both forms, and is tuned in both, is trained in each from the
-same data. Goal by goal it is compared what a form reaches under a disturbance, and what
-that is less than without: a form that reaches few goals has few to lose.
+same data. Goal by goal it is compared what a form reaches under a disturbance, or with
+an agent of another run, and what that is less than without: a form that reaches few
+goals has few to lose.
 """
 
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ from typing import Any
 from marl_mm.algorithms.checkpoint import FILE
 from marl_mm.envs.registry import fewest_steps
 from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.eval.disturbances import Mixed
 from marl_mm.eval.evaluate import Setup
 from marl_mm.eval.metrics import EvaluationRow, Row
 from marl_mm.eval.robustness import robustness
@@ -24,6 +26,10 @@ from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.robustness_summary import (
     CLEAN,
     FORMS,
+    OTHER_ALGORITHM,
+    OTHER_SEED,
+    PREFIX,
+    SETTINGS,
     SOURCES,
     draw_robustness,
     rows_folder,
@@ -52,7 +58,7 @@ AGENTS = Study(
     tuple(
         (
             RECIPES.get(recipe).source,
-            setting_of(f"robust-{name}", name, UPDATES, CHOSEN[name]),
+            setting_of(f"{PREFIX}{name}", name, UPDATES, CHOSEN[name]),
         )
         for recipe, form in product(SOURCES.values(), FORMS)
         for name in form
@@ -80,11 +86,8 @@ class RobustnessOptions(StudyOptions):
 
 
 @dataclass(frozen=True)
-class RobustCell:
-    """A run under the suite: everything that its rows depend on."""
-
-    dataset: str
-    """Name of the dataset."""
+class Actor:
+    """A run of a dataset."""
 
     setting: str
     """Name of the setting."""
@@ -92,8 +95,22 @@ class RobustCell:
     seed: int
     """Seed of the run."""
 
-    weights: str
-    """Fingerprint of the run's weights."""
+    weights: str = ""
+    """Fingerprint of the run's weights; empty while it is left open."""
+
+
+@dataclass(frozen=True)
+class RobustCell:
+    """A run under the suite: everything that its rows depend on."""
+
+    dataset: str
+    """Name of the dataset."""
+
+    run: Actor
+    """The run."""
+
+    partners: tuple[Actor, ...]
+    """Runs whose agents replace the run's, one agent at a time."""
 
     goals: int
     """Number of goals of each condition."""
@@ -115,9 +132,21 @@ class RobustCell:
         return _overrides(RECIPES.get(SOURCES[self.dataset]).source, self.max_steps)
 
     @property
+    def setup(self) -> Setup:
+        """Task and goals of the evaluations."""
+        return Setup(self.task, self.overrides, self.goals, seed=0)
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes of all its evaluations."""
+        agents = len(self.setup.made.layout.team)
+        ways = 1 + len(self.conditions) + agents * len(self.partners)
+        return self.goals * ways
+
+    @property
     def label(self) -> str:
         """Label in the progress bar."""
-        return f"{self.setting} {self.seed} {self.task}"
+        return f"{self.run.setting} {self.run.seed} {self.task}"
 
 
 def _overrides(source: Source, max_steps: int | None) -> dict[str, Any]:
@@ -133,16 +162,34 @@ def _names(options: StudyOptions) -> Sequence[str]:
 def cells_of(
     options: RobustnessOptions, dataset: str, setting: str
 ) -> list[RobustCell]:
-    """Runs of a setting under the suite, a seed each, their weights left open."""
+    """Runs of a setting under the suite, a seed each, weights left open.
+
+    Partners are the setting's other seeds, and the same seed of the other algorithms
+    whose actors are joint, or teams, as its own.
+    """
     source = RECIPES.get(SOURCES[dataset]).source
     max_steps = fewest_steps(source.task, 4) if options.small else None
     goals = 2 if options.small else options.goals
     overrides = _overrides(source, max_steps)
     listed, _ = conditions(source.task, overrides, _names(options))
-    words = tuple(map(str, listed))
+    words, seeds = tuple(map(str, listed)), options.seeds_of(AGENTS)
+    runs = [Actor(setting, seed) for seed in seeds]
+    of_data = [s for name, s in map(cell_name, AGENTS.cells) if name == dataset]
+    (form,) = (names for names in SETTINGS if setting in names)
+    alike = [name for name in of_data if name in form and name != setting]
     return [
-        RobustCell(dataset, setting, seed, "", goals, words, max_steps)
-        for seed in options.seeds_of(AGENTS)
+        RobustCell(
+            dataset,
+            run,
+            (
+                *(*runs[number + 1 :], *runs[:number]),
+                *(Actor(name, run.seed) for name in alike),
+            ),
+            goals,
+            words,
+            max_steps,
+        )
+        for number, run in enumerate(runs)
     ]
 
 
@@ -156,52 +203,69 @@ def _with_weights(
     """
     record = path.with_suffix(".json")
     made = read_json(record, MarlMmError).get("cells", []) if record.exists() else []
-    kept = {cell["seed"]: cell["weights"] for cell in made}
+    actors = [actor for cell in made for actor in (cell["run"], *cell["partners"])]
+    kept = {(each["setting"], each["seed"]): Actor(**each) for each in actors}
+
+    def weighed(dataset: str, actor: Actor) -> Actor:
+        recorded = kept.get((actor.setting, actor.seed))
+        if recorded and not (_folder(options, dataset, actor) / FILE).exists():
+            return recorded
+        return replace(actor, weights=_run(options, dataset, actor).policy.fingerprint)
+
     return [
         replace(
             cell,
-            weights=kept[cell.seed]
-            if cell.seed in kept and not (_folder(options, cell) / FILE).exists()
-            else _run(options, cell).policy.fingerprint,
+            run=weighed(cell.dataset, cell.run),
+            partners=tuple(weighed(cell.dataset, each) for each in cell.partners),
         )
         for cell in cells
     ]
 
 
-def _folder(options: StudyOptions, of: RobustCell) -> Path:
-    names = of.dataset, of.setting
+def _folder(options: StudyOptions, dataset: str, actor: Actor) -> Path:
+    names = dataset, actor.setting
     (cell,) = (cell for cell in AGENTS.cells if cell_name(cell) == names)
-    return options.run_folder(cell, of.seed)
+    return options.run_folder(cell, actor.seed)
 
 
-def _run(options: StudyOptions, of: RobustCell) -> Run:
-    run = Run(_folder(options, of))
+def _run(options: StudyOptions, dataset: str, actor: Actor) -> Run:
+    run = Run(_folder(options, dataset, actor))
     if not (run.folder / FILE).exists():
         raise UsageError(
             f"{run.folder} is gone, and {options.store.folder} has its evaluations: "
-            f"delete those of {of.setting}, or bring the run back"
+            f"delete those of {actor.setting}, or bring the run back"
         )
     return run
 
 
 def run_cell(options: RobustnessOptions, cell: RobustCell) -> list[Row]:
     """A row per condition and goal. Noise is in units of the dataset's spread."""
-    run = _run(options, cell)
+    run = _run(options, cell.dataset, cell.run)
     data = dataset_of(run.config)
     assert data is not None
-    setup = Setup(cell.task, cell.overrides, cell.goals, seed=0)
     about = cell.label, silent_bar, _names(options), data.arrays.states.std(axis=0)
-    *_, result = robustness(setup, run.policy, *about)
+    *_, result = robustness(cell.setup, run.policy, *about)
     head = {
         "dataset": cell.dataset,
-        "setting": cell.setting,
+        "setting": cell.run.setting,
         "engine": result.clean.engine,
-        "seed": cell.seed,
+        "seed": cell.run.seed,
     }
     rows = [head | _goal(CLEAN, "", 0, row) for row in result.clean.rows]
     for condition, evaluation in result.disturbed.items():
         of = condition.disturbance, condition.agent, condition.strength
         rows += [head | _goal(*of, row) for row in evaluation.rows]
+    agents = [agent.name for agent in cell.setup.made.layout.team]
+    with cell.setup.rollouts() as rollouts:
+        for (number, other), agent in product(enumerate(cell.partners, 1), agents):
+            partner = _run(options, cell.dataset, other)
+            mixed = Mixed(run.policy, {agent: partner.policy})
+            algorithm = partner.config.algorithm
+            own = algorithm == run.config.algorithm  # another seed, by its number
+            why = OTHER_SEED if own else OTHER_ALGORITHM
+            amount = number if own else algorithm
+            evaluation = cell.setup.run(rollouts, mixed)
+            rows += [head | _goal(why, agent, amount, row) for row in evaluation.rows]
     return rows
 
 
@@ -267,7 +331,7 @@ def plan_robustness(options: RobustnessOptions, bar: Bar) -> str:
         seconds = 0.0
         if left and not options.small:
             per_goal = goal_times(left[0].task, left[0].overrides)
-            seconds = per_goal * sum(c.goals * (1 + len(c.conditions)) for c in left)
+            seconds = per_goal * sum(cell.episodes for cell in left)
         lines.append(((dataset, setting), len(left), len(cells), seconds))
         advance(1, setting)
     heads = "dataset", "setting, disturbed"

@@ -1,21 +1,25 @@
-"""Table of teams against joint actors under disturbances, drawn from their rows."""
+"""Tables of teams against joint actors under disturbances, drawn from their rows."""
 
 from collections.abc import Sequence
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 
 import numpy as np
 
-from marl_mm.eval.grouping import by_goal, grouped
+from marl_mm.eval.grouping import by_goal, grouped, mean_of
 from marl_mm.eval.intervals import interval_of_mean
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.cells import read_cells
-from marl_mm.eval.tables import markdown_table
+from marl_mm.eval.tables import markdown_table, points_with_interval
 from marl_mm.runs.recipes import RECIPES
 
 TABLE = "robustness.csv"
 """File of the table, a row per dataset, algorithm and disturbance."""
+
+CROSS_PLAY = "robustness_cross_play.csv"
+"""File of the table of agents of other runs, a row per dataset, algorithm, agent that
+is replaced, and algorithm that the other agent is of."""
 
 FORMS = (
     *(("bc", "mabc"), ("flow-bc", "ma-flow-bc"), ("iql", "ma-iql")),
@@ -24,8 +28,14 @@ FORMS = (
 )
 """Algorithms: the form with a joint actor, and the team's."""
 
+PREFIX = "robust-"
+"""Beginning of the settings' names, before the algorithm's."""
+
+SETTINGS = [[f"{PREFIX}{name}" for name in form] for form in zip(*FORMS, strict=True)]
+"""Names of the settings with joint actors, and of those with teams."""
+
 SOURCES = {
-    RECIPES.get(name).source.name: name for name in ("quiet-zone-expert", "gate-expert")
+    RECIPES.get(name).source.name: name for name in ("gate-expert", "bar-expert")
 }
 """Recipes of the datasets that are learnt from, by the datasets' names."""
 
@@ -35,6 +45,9 @@ FEW = 0.3
 CLEAN, ALL = "clean", "all"
 """Names of the run without a disturbance, and of the mean over disturbances."""
 
+OTHER_SEED, OTHER_ALGORITHM = "other seed", "other algorithm"
+"""Names of disturbances: an agent is one of another run."""
+
 
 def rows_folder(results: Path) -> Path:
     """Folder of the rows, among results."""
@@ -42,10 +55,10 @@ def rows_folder(results: Path) -> Path:
 
 
 def draw_robustness(results: Path, folder: Path) -> list[Row]:
-    """Write the table into a folder, from rows in another.
+    """Write both tables into a folder, from rows in another.
 
     Returns:
-        Rows of the table.
+        Rows of the table of disturbances.
 
     Raises:
         UsageError: If there are no rows.
@@ -54,16 +67,48 @@ def draw_robustness(results: Path, folder: Path) -> list[Row]:
     cells = grouped([row for rows in read for row in rows], "dataset", "setting")
     summary: list[Row] = []
     for dataset, form in product(SOURCES, FORMS):
-        pair = [cells.get((dataset, f"robust-{name}"), []) for name in form]
+        pair = [cells.get((dataset, f"{PREFIX}{name}"), []) for name in form]
         if all(pair):
             summary += _compared({"dataset": dataset, "joint": form[0]}, *pair)
     write_csv(folder / TABLE, summary)
+    crossed = [
+        row
+        for dataset, name in product(SOURCES, chain(*zip(*FORMS, strict=True)))
+        for row in _crossed(dataset, name, cells.get((dataset, f"{PREFIX}{name}"), []))
+    ]
+    write_csv(folder / CROSS_PLAY, crossed)
     return summary
 
 
+def _crossed(dataset: str, name: str, rows: Sequence[Row]) -> list[Row]:
+    """A row per agent that is replaced, and algorithm that the other agent is of."""
+    own = [row | {"strength": name} for row in rows if row["disturbance"] == OTHER_SEED]
+    others = [row for row in rows if row["disturbance"] == OTHER_ALGORITHM]
+    crossed = []
+    for (agent, partner), some in grouped([*own, *others], "agent", "strength").items():
+        change = _mean_change(some, rows)
+        crossed.append(
+            {
+                "dataset": dataset,
+                "engine": some[0]["engine"],
+                "algorithm": name,
+                "agent": agent,
+                "from": partner,
+                "seeds": len(change),
+                "goals": change.shape[1],
+                "success": mean_of(some, "success"),
+                "difference": float(change.mean()),
+                "difference_interval": interval_of_mean(change),
+            }
+        )
+    return crossed
+
+
 def _compared(head: Row, joint: Sequence[Row], team: Sequence[Row]) -> list[Row]:
-    """A row per disturbance, and one of their mean."""
-    of_joint, of_team = _changes(joint), _changes(team)
+    """A row per disturbance that both have met, and one of their mean."""
+    met = [dict.fromkeys(row["disturbance"] for row in form) for form in (joint, team)]
+    names = [name for name in met[0] if name in met[1] and name != CLEAN]
+    of_joint, of_team = _changes(joint, names), _changes(team, names)
     clean = _successes(team) - _successes(joint)
     rows = []
     for name in of_joint:
@@ -96,18 +141,25 @@ def _successes(rows: Sequence[Row]) -> np.ndarray:
     return clean.reshape(seeds, -1)
 
 
-def _changes(rows: Sequence[Row]) -> dict[str, np.ndarray]:
+def _changes(rows: Sequence[Row], names: Sequence[str]) -> dict[str, np.ndarray]:
     """Success less that of the clean run, by disturbance, shapes (seeds, goals).
 
     It is the mean over agents and strengths; ``ALL`` is the mean over disturbances.
     """
-    clean, changes = _successes(rows), {}
-    for name, some in grouped(rows, "disturbance").items():
-        if name != CLEAN:
-            every = grouped(some, "agent", "strength").values()
-            mean = np.mean([by_goal(rows, "success") for rows in every], axis=0)
-            changes[name] = mean.reshape(clean.shape) - clean
+    of = grouped(rows, "disturbance")
+    changes = {name: _mean_change(of[name], rows) for name in names}
     return {**changes, ALL: np.mean([*changes.values()], axis=0)}
+
+
+def _mean_change(some: Sequence[Row], rows: Sequence[Row]) -> np.ndarray:
+    """Mean success of some of a run's rows less the clean ones, by seed and goal."""
+    clean = _successes(rows)
+    means = [
+        mean_of(of_goal, "success")
+        for _, of_goal in sorted(grouped(some, "seed", "goal").items())
+    ]
+    change: np.ndarray = np.array(means).reshape(clean.shape) - clean
+    return change
 
 
 def robustness_table(summary: Sequence[Row]) -> str:
@@ -132,11 +184,43 @@ def robustness_table(summary: Sequence[Row]) -> str:
     return f"Engine {engines}.\n\n{table}"
 
 
+def cross_play_table(crossed: Sequence[Row]) -> str:
+    """What teams reach with an agent of another algorithm, as Markdown.
+
+    The agent that is replaced is the first: what is left is the other algorithm's team
+    with the second replaced.
+    """
+    tables, teams = [], [team for _, team in FORMS]
+    for dataset, rows in grouped(crossed, "dataset").items():
+        agent = rows[0]["agent"]
+        cells = {
+            (row["algorithm"], row["from"]): _crossed_text(row)
+            for row in rows
+            if row["agent"] == agent and row["algorithm"] in teams
+        }
+        names = [name for name in teams if any(name in pair for pair in cells)]
+        lines = [
+            [f"`{own}`", *(cells.get((own, other), "") for other in names)]
+            for own in names
+        ]
+        heads = [f"`{SOURCES[dataset]}`, team of", *(f"from `{n}`" for n in names)]
+        engine = f"Agent `{agent}` of another run, engine {rows[0]['engine']}."
+        tables.append(f"{engine}\n\n{markdown_table(heads, lines)}")
+    return "\n".join(tables)
+
+
+def _crossed_text(row: Row) -> str:
+    """Success, and its change, bold where the interval excludes 0."""
+    low, high = row["difference_interval"]
+    change = f"{100 * row['difference']:+.1f}"
+    change = change if low <= 0 <= high else f"**{change}**"
+    return f"{100 * row['success']:.1f}, {change}"
+
+
 def _points(row: Row | None, name: str) -> str:
     """A difference in points, in brackets where a form has few goals to lose."""
     if row is None:
         return ""
-    values = (row[name], *row[f"{name}_interval"])
-    mean, low, high = (f"{100 * value:+.1f}" for value in values)
+    text = points_with_interval(row[name], row[f"{name}_interval"])
     few = min(row["joint_clean"], row["team_clean"]) < FEW
-    return f"({mean} [{low}, {high}])" if few else f"{mean} [{low}, {high}]"
+    return f"({text})" if few else text

@@ -25,6 +25,7 @@ from marl_mm.eval.disturbances import (
     disturbed,
 )
 from marl_mm.eval.evaluate import Evaluation, Setup
+from marl_mm.eval.intervals import paired_interval
 from marl_mm.eval.suite import ROBUSTNESS, conditions
 from marl_mm.progress import Advance, Bar
 from marl_mm.sim.config import is_installed
@@ -189,10 +190,24 @@ def test_the_matrix_has_a_row_per_agent_and_run(runs: dict[str, Path]) -> None:
     names = [runs["mabc"], runs["flow-bc"], "pd"]
     result = marl_mm.cross_play(names, **FEW)
     assert len(result.evaluations) == 3 + 6, "teams of the same agents are run once"
-    assert result.header == ("agent", "of run", *(f"from {n} % [95 %]" for n in "123"))
+    assert result.header == (
+        "agent",
+        "of run",
+        *(f"from {n} %, change [95 %]" for n in "123"),
+    )
     lines = result.table_rows()
     assert [line[0] for line in lines] == ["end_effector"] * 3 + ["balance"] * 3
-    assert lines[0][3] == lines[4][2], "the second's hand beside the first's balance"
+    reached, of_other = (text.split(",")[0] for text in (lines[0][3], lines[4][2]))
+    assert reached == of_other, "the second's hand beside the first's balance"
+    own, mixed = (
+        [row["success"] for row in result.evaluations[team].rows]
+        for team in ((0, 0), (2, 0))
+    )
+    change, bounds = result.difference("end_effector", 0, 2)
+    assert change == pytest.approx(np.mean(mixed) - np.mean(own))
+    assert bounds == paired_interval(mixed, own)
+    differences = result.to_json()["differences"]
+    assert len(differences) == 2 * 6 and differences[1]["difference"] == change
     assert "from 3" in result.markdown() and "<table>" in result._repr_html_()
 
 

@@ -10,12 +10,13 @@ import pytest
 from marl_mm.algorithms.registry import ALGORITHMS, preset
 from marl_mm.cli import main
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.rows import write_csv
+from marl_mm.eval.rows import read_rows, write_csv
 from marl_mm.eval.studies import robustness
 from marl_mm.eval.studies.robustness import AGENTS, RobustCell
 from marl_mm.eval.studies.robustness_summary import (
     FORMS,
     SOURCES,
+    cross_play_table,
     draw_robustness,
     robustness_table,
 )
@@ -79,8 +80,41 @@ def test_what_a_team_keeps_more_by_hand(tmp_path: Path) -> None:
     few = {"joint_clean": 0.2}
     assert "(-6.2 [" in robustness_table([late, engine, every | few])
     table = robustness_table([late, engine, every])
-    assert "| `quiet-zone-expert` | `bc`, `mabc` | 100.0, -50.0 | 50.0, -6.2 |" in table
+    assert "| `gate-expert` | `bc`, `mabc` | 100.0, -50.0 | 50.0, -6.2 |" in table
     assert (tmp_path / "robustness.csv").exists()
+
+
+def test_what_agents_of_other_runs_reach_by_hand(tmp_path: Path) -> None:
+    """The mean over the other seeds; and the change of each other algorithm."""
+    joint = {
+        ("clean", "", 0): (1, 1, 1, 1),
+        ("other seed", "hand", 1): (1, 1, 1, 1),
+        ("late", "hand", 1): (1, 1, 1, 1),
+    }
+    team = {
+        ("clean", "", 0): (1, 1, 0, 0),
+        ("other seed", "hand", 1): (1, 0, 0, 0),
+        ("other seed", "hand", 2): (0, 0, 0, 1),
+        ("other algorithm", "hand", "ma-iql"): (1, 1, 1, 1),
+        ("other algorithm", "balance", "ma-iql"): (0, 0, 0, 0),
+    }
+    folder = tmp_path / "rows/robustness"
+    write_csv(folder / "joint.csv.xz", rows("robust-bc", joint))
+    write_csv(folder / "team.csv.xz", rows("robust-mabc", team))
+    both = draw_robustness(tmp_path, tmp_path)  # of the disturbances that both met
+    changes = [(row["disturbance"], row["team_change"]) for row in both]
+    assert changes == [("other seed", -0.25), ("all", -0.25)]
+    crossed = read_rows(tmp_path / "robustness_cross_play.csv")
+    found = {(r["agent"], r["from"]): (r["success"], r["difference"]) for r in crossed}
+    assert found.pop(("hand", "bc")) == (1.0, 0.0)
+    assert found == {
+        ("hand", "mabc"): (0.25, -0.25),
+        ("hand", "ma-iql"): (1.0, 0.5),
+        ("balance", "ma-iql"): (0.0, -0.5),
+    }
+    assert "| `mabc` | 25.0, -25.0 | 100.0, +50.0 |" in cross_play_table(crossed)
+    sure = [row | {"difference_interval": (0.1, 0.9)} for row in crossed]
+    assert "100.0, **+50.0**" in cross_play_table(sure)
 
 
 @pytest.mark.slow
@@ -103,14 +137,19 @@ def test_it_is_trained_disturbed_once_and_checked(
     run_cell = robustness.run_cell
     monkeypatch.setattr(robustness, "run_cell", run)
     runs = ["--runs", str(tmp_path / "runs"), "--out", str(tmp_path / "out")]
-    words = ["ablate", "robustness", *runs, "--seeds", "0", "--workers", "1"]
+    words = ["ablate", "robustness", *runs, "--seeds", "0", "1", "--workers", "1"]
     words += ["--budget", "smoke"]
     assert main(words) == 0
-    assert "`bc`, `mabc`" in capsys.readouterr().out and len(ran) == 2
+    assert "`bc`, `mabc`" in capsys.readouterr().out and len(ran) == 4
     assert main([*words, "--resume"]) == 0
-    assert len(ran) == 2
+    assert len(ran) == 4
     assert main(["ablate", "robustness", "--check", *runs]) == 0
-    (tmp_path / "runs/marl_mm-quiet-zone-expert-v0/robust-bc").rename(tmp_path / "bc")
+    crossed = read_rows(tmp_path / "out/robustness_cross_play.csv")
+    assert {(row["algorithm"], row["from"]) for row in crossed} == {
+        ("bc", "bc"),
+        ("mabc", "mabc"),
+    }
+    (tmp_path / "runs/marl_mm-gate-expert-v0/robust-bc").rename(tmp_path / "bc")
     assert main([*words, "--resume"]) == 0  # its rows are there
     (made,) = (tmp_path / "out/rows/robustness").glob("*-robust-bc.json")
     made.unlink()
