@@ -1,7 +1,7 @@
 """Runs studies: what is missing is trained, its rows are kept, and tables are drawn."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -123,6 +123,7 @@ class Engine:
             KeyboardInterrupt: After Ctrl-C, saying how to go on.
         """
         options = self.options
+        seconds = self._announced(studies)
         jobs = self._missing(studies)
         of_cells = {cell_name(group[0].cell): group for group in by_cell(jobs)}
 
@@ -134,14 +135,7 @@ class Engine:
 
         for first, *_ in of_cells.values():
             keep_if_done(first)
-        left = [job for job in jobs if not job.done]
-        if not left:
-            return
-        text = f"{len(left)} of {len(jobs)} runs are missing in {options.runs_folder}"
-        if not options.small:
-            left = estimated(left, self.bar)
-            text = f"{text}, about {hours(left, options.workers):.1f} hours"
-        self.notify(f"{text}; after Ctrl-C, go on with `resume=True`")
+        left = [replace(job, seconds=seconds[job.run]) for job in jobs if not job.done]
         pool = options.workers, options.executor
         try:
             failed = do_jobs(left, *pool, keep_if_done, self.notify, self.bar)
@@ -154,6 +148,24 @@ class Engine:
                 f"{len(failed)} of {len(jobs)} runs failed, the same with "
                 f"`resume=True` tries them again: {reasons}"
             )
+
+    def _announced(self, studies: Studies) -> dict[Path, float]:
+        """Say how long it will take, before data are collected.
+
+        Returns:
+            Estimated time of each run [s], 1 for all of them with few steps.
+        """
+        options = self.options
+        jobs = replace(self, notify=silence)._missing(studies, plan=True)
+        left = [job for job in jobs if not job.done]
+        if left:
+            text = f"{len(left)} of {len(jobs)} runs are missing"
+            text = f"{text} in {options.runs_folder}"
+            if not options.small:
+                left = estimated(left, self.bar)
+                text = f"{text}, about {hours(left, options.workers):.1f} hours"
+            self.notify(f"{text}; after Ctrl-C, go on with `resume=True`")
+        return {job.run: job.seconds for job in left}
 
     def _missing(self, studies: Studies, plan: bool = False) -> list[Job]:
         options = self.options

@@ -187,7 +187,8 @@ class Datasets:
 
     def get(self, data: Data) -> Dataset:
         """A dataset; what is missing of it is made, but for a plan."""
-        if not self.plan:
+        data = self._declared(data)
+        if not self.plan or isinstance(data, str):
             return self.make(data)
         try:
             return self.find(data)

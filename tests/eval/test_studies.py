@@ -658,7 +658,8 @@ def test_what_there_is_no_data_for_is_collected_first(
     assert main([*asked, "--runs", str(tmp_path / "runs")]) == 0
     text = capsys.readouterr()
     assert json.loads(text.out)["tiny"][0]["goals"] == 2
-    assert "tiny is not there: 60 steps of pd" in text.err
+    plan, collection = "1 of 1 runs are missing", "tiny is not there: 60 steps of pd"
+    assert plan in text.err and collection in text.err.split(plan)[1], "the plan first"
     assert load_dataset("tiny").arrays.steps >= 60
 
 
