@@ -36,6 +36,9 @@ _VERDICTS = {
 
 _UNVERIFIED = ("not verified", "open", "nobody has scored it again here")
 
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""First characters of a text that a spreadsheet takes for a formula."""
+
 _FILM_FPS = 5
 """Pictures per second of films."""
 
@@ -146,13 +149,18 @@ def _rows(submission: Submission) -> list[dict[str, Any]]:
         {
             **{name: submission.manifest[name] for name in ("algorithm", "task")},
             "run": run.config.seed,
-            **episode.row,
+            **{name: _plain(value) for name, value in episode.row.items()},
             "goal": " ".join(map(str, episode.row["goal"])),
             "sha256": episode.sha256,
         }
         for run in submission.runs
         for episode in run.episodes
     ]
+
+
+def _plain(value: Any) -> Any:
+    """A value that no spreadsheet takes for a formula."""
+    return f"'{value}" if isinstance(value, str) and value[:1] in _FORMULA else value
 
 
 def _film(submission: Submission, path: Path, progress: Bar) -> None:

@@ -4,6 +4,7 @@ Nothing is run, no path is taken from a file, and weights hold numbers only.
 """
 
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,9 @@ from marl_mm.sim.config import ENGINES, engine_of
 
 _SEEDS = 100
 """Largest number of seeds."""
+
+_NAME = re.compile(r"[^=+@\s-][^\x00-\x1f\x7f]{,199}")
+"""Name of an algorithm, or a dataset's id or path: no formula of a spreadsheet."""
 
 _MORE_STEPS = 10
 """Largest factor by which episodes may be longer than the task's own."""
@@ -65,6 +69,7 @@ def read_submission(folder: str | Path) -> Submission:
         submission = Submission(folder, manifest, runs)
         named = [(str(run.folder), run.config) for run in runs]
         refuse_mixed(named, SubmissionError)
+        _check_names(submission)
         _check_task(submission)
         _check_rows(submission)
         _check_claims(submission)
@@ -107,6 +112,19 @@ def _check_files(folder: Path, manifest: Mapping[str, Any]) -> None:
         if found.get(name) != recorded.get(name):
             raise SubmissionError(
                 f"{folder}: {name!a:.80} is not the manifest's file, by its SHA-256"
+            )
+
+
+def _check_names(submission: Submission) -> None:
+    """Raise unless the names that a board shows are short and plain."""
+    config = submission.runs[0].config
+    names = {"algorithm": config.algorithm, **(config.dataset or {})}
+    for of in ("algorithm", "id"):
+        name = names.get(of, "own")
+        if not _NAME.fullmatch(name):
+            raise SubmissionError(
+                f"{submission.folder}: {of} is {name!a:.80}, expected at most 200 "
+                "letters, digits and spaces on a line, and no formula"
             )
 
 

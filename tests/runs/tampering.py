@@ -237,6 +237,14 @@ TAMPERING: dict[str, tuple[Change, str]] = {
         lambda folder: edit(folder / "0" / CONFIG, lambda v: v.update(batch_size=9)),
         "another setting",
     ),
+    "a formula for a name": (
+        in_each(CONFIG, lambda v: v.update(algorithm="=1+1")),
+        "algorithm is '=1.1', expected at most 200",
+    ),
+    "a page for a name": (
+        in_each(CONFIG, lambda v: v["dataset"].update(id="a" * 10_000)),
+        "id is 'a+, expected at most 200",
+    ),
     "another recipe": (in_each(CONFIG, other_recipe), "quiet-zone-noisy is another"),
     "no seeds": (manifest(lambda v: v.update(seeds=[])), "expected 1 to 100"),
     "a seed below 0": (manifest(lambda v: v.update(seeds=[-1])), "expected 1 to 100"),
