@@ -16,8 +16,9 @@ from marl_mm.cli import main
 from marl_mm.errors import UsageError
 from marl_mm.files import write_json
 from marl_mm.runs.folder import EVALUATION
-from marl_mm.runs.submission import MANIFEST, files_of, seal
+from marl_mm.runs.submission import MANIFEST, seal
 from marl_mm.runs.verify import verification_file
+from tests.runs.tampering import seal_again
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
 pytestmark = pytest.mark.slow
@@ -75,21 +76,14 @@ def test_entries_of_other_goals_are_never_mixed(made: Any) -> None:
 
 def test_no_cell_of_the_rows_is_a_formula(submissions: list[Path]) -> None:
     folder = shutil.copytree(submissions[0], submissions[0].parent / "formula")
-    path, manifest = folder / "0" / EVALUATION, folder / MANIFEST
+    path = folder / "0" / EVALUATION
     values = json.loads(path.read_text())
     values["episodes"][0]["direction"] = "=1+1"
     write_json(path, values)
-    values = json.loads(manifest.read_text())
-    write_json(manifest, values | {"files": files_of(folder, values["seeds"])})
-    seal_of(manifest)
+    seal_again(folder, claims=False)
     page = marl_mm.board([folder], out=folder.parent / "plain").page
     (rows,) = (page.parent / "rows").iterdir()
     assert next(csv.DictReader(rows.open()))["direction"] == "'=1+1"
-
-
-def seal_of(manifest: Path) -> None:
-    values = json.loads(manifest.read_text())
-    write_json(manifest, values | {"fingerprint": seal(values)})
 
 
 def test_those_that_cannot_be_told_apart_share_a_group(made: Any) -> None:
