@@ -1,4 +1,4 @@
-"""Our single-agent algorithms and d3rlpy's on the same file of a public task.
+"""Our single-agent algorithms and others' on the same file of a public task.
 
 Hopper-v5 of Gymnasium, learnt by Stable-Baselines3's SAC; the file is its replay. In
 our environment, with the extra "bench" and ``pip install glfw imageio``:
@@ -12,8 +12,14 @@ mujoco==3.3.0, glfw, imageio):
 
     PYTHONPATH=. python tools/known_numbers.py d3rlpy hopper.npz
 
-Both write eval/results/known.csv, a row per implementation, algorithm and seed. What is
-there is not run again. Both have the settings of ``marl_mm.eval.bench.matched`` and the
+And in another one (Python 3.11; jax==0.6.0, flax==0.10.5, distrax==0.1.5,
+ml_collections==1.1.0, optax==0.2.4, numpy==2.2.5, gymnasium==1.1.1, mujoco==3.3.0,
+glfw, imageio, matplotlib), beside a clone of ``known_qc.py``'s repository:
+
+    PYTHONPATH=. python tools/known_numbers.py qc hopper.npz CLONE
+
+All write eval/results/known.csv, a row per implementation, algorithm and seed. What is
+there is not run again. All have the settings of ``marl_mm.eval.bench.matched`` and the
 same number of updates; the last policy is evaluated.
 """
 
@@ -26,7 +32,8 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-import torch
+from known_qc import CHUNKS, DISTILLATION, FLOW_STEPS, Act
+from known_qc import train as theirs_of_qc
 
 from marl_mm.eval.bench.d3rlpy_reference import NAMES, algorithm, episodes, replay
 
@@ -34,13 +41,16 @@ TASK = "Hopper-v5"
 STEPS = 50_000
 """Steps of SAC, and of the file."""
 
-UPDATES = dict.fromkeys(NAMES, 10_000) | {"cql": 5_000}
-"""Updates of each, in both; of CQL fewer, as each takes five times as long."""
+OF_D3RLPY = *NAMES, "cal-ql"
+
+UPDATES = dict.fromkeys((*OF_D3RLPY, *CHUNKS), 10_000) | {"cql": 5_000, "cal-ql": 5_000}
+"""Updates of each, in both; of CQL's fewer, as each takes five times as long."""
 
 SEEDS, EPISODES = range(5), 10
 FILE = Path(__file__).resolve().parents[1] / "eval/results/known.csv"
 
-Act = Callable[[np.ndarray], np.ndarray]
+Begin = Callable[[int], Act]
+"""Function of an episode's number that returns the policy in it."""
 
 
 def collect(path: Path) -> None:
@@ -72,13 +82,13 @@ def about(path: Path) -> str:
     return f"{len(returns)} episodes, mean return {mean:.0f}, highest {highest:.0f}"
 
 
-def mean_return(act: Act) -> float:
+def mean_return(begin: Begin) -> float:
     """Mean return of some episodes, the same for all."""
     env, returns = gymnasium.make(TASK), []
     for number in range(EPISODES):
         observation, _ = env.reset(seed=1_000 + number)
         returns.append(0.0)
-        ended = False
+        act, ended = begin(number), False
         while not ended:
             action = np.clip(act(observation.astype(np.float32)), -1, 1)
             observation, reward, terminated, truncated, _ = env.step(action)
@@ -132,23 +142,36 @@ class NoJudge:
         return np.zeros(len(achieved)), np.zeros(len(achieved), bool)
 
 
-def ours(path: Path, name: str, seed: int) -> Act:
+def ours(path: Path, name: str, seed: int) -> Begin:
     """Train one of ours."""
+    from marl_mm.algorithms.policy import LearnedPolicy
     from marl_mm.algorithms.speed import prepare_for_small_networks
     from marl_mm.eval.bench.matched import learner, matched
 
     prepare_for_small_networks()
-    config = matched(name, updates=UPDATES[name], precision="highest")
-    made = learner(name, config, our_arrays(path), NoJudge(), seed)
+    own = {
+        "distillation": DISTILLATION,
+        "flow_steps": FLOW_STEPS,
+        "chunk": CHUNKS.get(name),
+    }
+    config = matched(name, updates=UPDATES[name], precision="highest", **own)
+    arrays = our_arrays(path)
+    made = learner(name, config, arrays, NoJudge(), seed)
     for _ in range(UPDATES[name]):
         made.update()
-    (agent,) = made.agents(0).values()
-    return lambda observation: agent.plan(observation)[0]
+    policy = LearnedPolicy(name, made.agents(0), arrays.layout)
+
+    def begin(number: int) -> Act:
+        policy.begin(np.random.default_rng(number), arrays.layout)
+        return policy.act
+
+    return begin
 
 
-def theirs(path: Path, name: str, seed: int) -> Act:
+def theirs(path: Path, name: str, seed: int) -> Begin:
     """Train one of d3rlpy's."""
     import d3rlpy
+    import torch
 
     torch.set_num_threads(1)
     d3rlpy.seed(seed)
@@ -161,7 +184,12 @@ def theirs(path: Path, name: str, seed: int) -> Act:
         save_interval=10**9,
         logger_adapter=d3rlpy.logging.NoopAdapterFactory(),
     )
-    return lambda observation: made.predict(observation[None])[0]
+    return lambda _: lambda observation: made.predict(observation[None])[0]
+
+
+def of_qc(path: Path, name: str, seed: int) -> Begin:
+    """Train one of Q-chunking's authors'."""
+    return theirs_of_qc(Path(sys.argv[3]), path, name, seed, UPDATES[name])
 
 
 def kept() -> list[dict[str, str]]:
@@ -180,10 +208,14 @@ def main() -> None:
     if what in ("collect", "about"):
         print(about(path))
         return
-    train = {"ours": ours, "d3rlpy": theirs}[what]
+    train, names = {
+        "ours": (ours, [*UPDATES]),
+        "d3rlpy": (theirs, OF_D3RLPY),
+        "qc": (of_qc, CHUNKS),
+    }[what]
     digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
     for seed in SEEDS:
-        for name in NAMES:
+        for name in names:
             rows = kept()
             key = {"from": what, "algorithm": name, "seed": str(seed), "file": digest}
             if any(all(row[k] == v for k, v in key.items()) for row in rows):

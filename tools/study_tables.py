@@ -120,8 +120,12 @@ def baselines_table(summary: Sequence[Row]) -> str:
     return markdown_table(header, lines)
 
 
+_OTHERS = {"d3rlpy": "d3rlpy", "qc": "Q-chunking's authors"}
+"""Words of the table by the rows' word for whose code it is."""
+
+
 def known_table(rows: Sequence[Row]) -> str:
-    """Returns of ours and d3rlpy's on the same file, as Markdown.
+    """Returns of ours and somebody else's on the same file, as Markdown.
 
     P-values are of Welch's test, corrected together.
     """
@@ -133,21 +137,23 @@ def known_table(rows: Sequence[Row]) -> str:
             for maker, made in grouped(some, "from").items()
         }
         spans = {maker: mean_interval(values) for maker, values in returns.items()}
-        (low, high), (their_low, their_high) = spans["ours"], spans["d3rlpy"]
-        cells = (
-            f"{np.mean(returns[maker]):.0f} [{spans[maker][0]:.0f}, "
-            f"{spans[maker][1]:.0f}]"
-            for maker in ("ours", "d3rlpy")
-        )
-        overlap = "yes" if low <= their_high and their_low <= high else "no"
-        lines.append([f"`{algorithm}`", *cells, overlap])
-        test = scipy.stats.ttest_ind(
-            returns["ours"], returns["d3rlpy"], equal_var=False
-        )
-        p_values.append(float(test.pvalue))
+        for other in returns.keys() - {"ours"}:
+            (low, high), (their_low, their_high) = spans["ours"], spans[other]
+            cells = (
+                f"{np.mean(returns[maker]):.0f} [{spans[maker][0]:.0f}, "
+                f"{spans[maker][1]:.0f}]"
+                for maker in ("ours", other)
+            )
+            overlap = "yes" if low <= their_high and their_low <= high else "no"
+            lines.append([f"`{algorithm}`", *cells, _OTHERS[other], overlap])
+            test = scipy.stats.ttest_ind(
+                returns["ours"], returns[other], equal_var=False
+            )
+            p_values.append(float(test.pvalue))
     for line, p in zip(lines, holm(p_values), strict=True):
         line.append(f"{p:.2f}")
-    return markdown_table(("algorithm", "ours", "d3rlpy's", "overlap", "p"), lines)
+    heads = "algorithm", "ours", "theirs", "whose", "overlap", "p"
+    return markdown_table(heads, lines)
 
 
 def _rate(row: Row) -> str:

@@ -15,7 +15,6 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-import torch
 
 NAMES = ("bc", "td3-bc", "iql", "rebrac", "cql")
 """Those that both have, by our names."""
@@ -77,6 +76,14 @@ def algorithm(name: str) -> Any:
             **pair,
             **shared,
         ),
+        "cal-ql": lambda: algos.CalQLConfig(
+            conservative_weight=CONSERVATISM,
+            n_action_samples=SAMPLES,
+            initial_alpha=1.0,
+            alpha_learning_rate=0,
+            **pair,
+            **shared,
+        ),
     }
     return configs[name]().create(device="cpu:0")
 
@@ -100,6 +107,8 @@ def replay(path: Path) -> Any:
 
 def serve(path: Path) -> None:
     """Time updates as standard input asks, until it ends."""
+    import torch
+
     answers, sys.stdout = sys.stdout, sys.stderr  # where d3rlpy's log goes then
     data, made = replay(path), {name: algorithm(name) for name in NAMES}
     for each in made.values():

@@ -20,6 +20,12 @@ _SHARED: dict[str, Any] = {
     "layer_norm": False,
 }
 
+_CQL = {
+    "conservatism": theirs.CONSERVATISM,
+    "samples": theirs.SAMPLES,
+    "penalized": theirs.BATCH,
+}
+
 _OWN: dict[str, dict[str, Any]] = {
     "td3-bc": {
         "q_weight": theirs.Q_WEIGHT,
@@ -31,11 +37,8 @@ _OWN: dict[str, dict[str, Any]] = {
         "actor_weight": theirs.ACTOR_PENALTY,
         "critic_weight": theirs.CRITIC_PENALTY,
     },
-    "cql": {
-        "conservatism": theirs.CONSERVATISM,
-        "samples": theirs.SAMPLES,
-        "penalized": theirs.BATCH,
-    },
+    "cql": _CQL,
+    "cal-ql": _CQL,
 }
 
 
