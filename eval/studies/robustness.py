@@ -72,7 +72,7 @@ AGENTS = Study(
 class RobustnessOptions(StudyOptions):
     """Settings of the comparison under disturbances."""
 
-    goals: int = 100
+    goals: int = 50
     """Number of goals of each run and condition, the same for all."""
 
     def check_settings(self) -> None:
