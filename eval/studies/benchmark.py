@@ -82,6 +82,9 @@ def _setting(algorithm: str, task: str | None) -> Setting:
     )
 
 
+_MOST_COLUMNS = 6
+"""Largest number of datasets beside each other in a table."""
+
 _WHOLE = 5, 200
 """Seeds and goals of a cell that is whole."""
 
@@ -206,23 +209,38 @@ def benchmark_table(rows: list[Row]) -> str:
 
     A cell is a mean over seeds with its interval, bold where it cannot be told from the
     best of the dataset; the last number is the tie group, which a single seed lacks.
+    A table has datasets of whole tasks, as many as are not more than six.
     """
+    parts: list[dict[str, list[Row]]] = [{}]
     of_dataset = grouped(rows, "dataset")
-    lines = []
-    for name in ALGORITHM_NAMES:
-        cells = {row["dataset"]: row for row in rows if row["algorithm"] == name}
-        if cells:
-            lines.append([f"`{name}`", *(_text(cells.get(d)) for d in of_dataset)])
-    heads = ["algorithm", *(dataset.removeprefix("marl_mm/") for dataset in of_dataset)]
+    for _, names in groupby(of_dataset, lambda name: name.rpartition("/")[0]):
+        of_task = {name: of_dataset[name] for name in names}
+        if parts[-1] and len(parts[-1]) + len(of_task) > _MOST_COLUMNS:
+            parts.append({})
+        parts[-1] |= of_task
+    tables = "\n".join(map(_table, parts))
     engines = " and ".join(sorted({row["engine"] for row in rows}))
     seeds, goals = _WHOLE
     whole = f"{seeds} seeds and {goals} goals where a cell does not say otherwise"
-    return f"{markdown_table(heads, lines)}\nOn {engines}; {whole}.\n"
+    return f"{tables}\nOn {engines}; {whole}.\n"
 
 
-def _text(row: Row | None) -> str:
-    if row is None:
-        return ""
+def _table(of_dataset: dict[str, list[Row]]) -> str:
+    """Algorithms by dataset, as Markdown."""
+    lines = []
+    for name in ALGORITHM_NAMES:
+        own = (
+            [row for row in rows if row["algorithm"] == name]
+            for rows in of_dataset.values()
+        )
+        cells = [_text(*rows) if rows else "" for rows in own]
+        if any(cells):
+            lines.append([f"`{name}`", *cells])
+    heads = ["algorithm", *(dataset.removeprefix("marl_mm/") for dataset in of_dataset)]
+    return markdown_table(heads, lines)
+
+
+def _text(row: Row) -> str:
     rate = rate_in_interval(row["success"], row["success_interval"])
     numbers = row["seeds"], row["goals"]
     parts = [f"**{rate}**" if row["first"] else rate]

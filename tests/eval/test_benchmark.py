@@ -101,6 +101,20 @@ def test_a_single_seed_is_compared_with_nothing(tmp_path: Path) -> None:
         assert table(read_rows(tmp_path / name)).startswith("No dataset has rows of")
 
 
+def test_tables_have_whole_tasks_side_by_side(tmp_path: Path) -> None:
+    for name in DATASETS:
+        write(tmp_path, RECIPES.get(name).source.name, "bc", 0.5, seeds=2)
+    text = benchmark_table(draw_benchmark(tmp_path, tmp_path))
+    heads = [line for line in text.splitlines() if line.startswith("| algorithm")]
+    tasks = [{word.split("/")[0] for word in head.split(" | ")[1:]} for head in heads]
+    assert tasks == [
+        {"quiet-zone"},
+        {"gate", "tray"},
+        {"moving-reach", "bar", "course"},
+    ]
+    assert sum(head.count("-v0") for head in heads) == len(DATASETS)
+
+
 def test_without_rows_there_is_no_table(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="run marl-mm ablate benchmark"):
         draw_benchmark(tmp_path, tmp_path)
