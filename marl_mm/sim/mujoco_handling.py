@@ -41,7 +41,8 @@ class MujocoHandling:
         scene: Scene,
     ) -> None:
         self._model, self._data, self._config, self._scene = model, data, config, scene
-        self._names = [model.geom(number).name for number in range(model.ngeom)]
+        names = (model.geom(number).name for number in range(model.ngeom))
+        self._names = [name.split(".")[0] for name in names]  # of links and things
         self._fingers = [int(model.joint(name).dofadr[0]) for name in FINGER_JOINTS]
         self._places = [int(model.joint(name).qposadr[0]) for name in FINGER_JOINTS]
         self._body, self._last_link = model.body(BLOCK).id, model.body(ARM_LINKS[-1]).id
@@ -196,16 +197,13 @@ class MujocoHandling:
 
     def _contacts(self) -> list[tuple[str, str, float]]:
         """Links or things in contact, and the normal force [N], above 0."""
-        data, names = self._data, self._names
-        contact = data.contact
-        found = []
-        for pair, row in zip(
-            contact.geom.tolist(), contact.efc_address.tolist(), strict=True
-        ):
-            if row >= 0 and (force := float(data.efc_force[row])) > 0:
-                first, second = (names[geom].split(".")[0] for geom in pair)
-                found.append((first, second, force))
-        return found
+        contact, forces, names = self._data.contact, self._data.efc_force, self._names
+        pairs = zip(contact.geom.tolist(), contact.efc_address.tolist(), strict=True)
+        return [
+            (names[first], names[second], float(forces[row]))
+            for (first, second), row in pairs
+            if row >= 0 and forces[row] > 0
+        ]
 
     def _touch_block(self, solid: bool) -> None:
         """Switch the collision of fingers and block on or off."""
