@@ -23,20 +23,26 @@ DISTILLATION, FLOW_STEPS = 10.0, 10
 Act = Callable[[np.ndarray], np.ndarray]
 
 
-def normalized_agent(repository: Path) -> ModuleType:
-    """Their agent, its value divided by its mean size, as FQL's authors may and we do.
+REPLACED = {
+    "utils.networks": ("activations: Any = nn.gelu", "activations: Any = nn.relu"),
+    "acfql": (
+        "q_loss = -q.mean()",
+        "q_loss = -q.mean() / jax.lax.stop_gradient(jnp.abs(q).mean())",
+    ),
+}
+"""A line of each of two modules and what it is here: networks are of ReLU, as ours, and
+the value is divided by its mean size, as we do and FQL's authors may. Q-chunking's do
+not, and weigh the distance to the flow by 10 to 1,000 by task."""
 
-    Q-chunking's leave the division out, and weigh the distance to the flow by 10 to
-    1,000 by task; one line is replaced.
-    """
-    path = repository / "agents/acfql.py"
-    line = "q_loss = -q.mean()"
-    divided = f"{line} / jax.lax.stop_gradient(jnp.abs(q).mean())"
-    source = path.read_text()
-    assert source.count(line) == 1, path
-    module = ModuleType("acfql")
-    sys.modules[module.__name__] = module
-    exec(compile(source.replace(line, divided), path, "exec"), module.__dict__)
+
+def matched_agent(repository: Path) -> ModuleType:
+    """Their agent, with the two lines replaced."""
+    paths = "utils/networks.py", "agents/acfql.py"
+    for path, (name, (line, other)) in zip(paths, REPLACED.items(), strict=True):
+        source = (repository / path).read_text()
+        assert source.count(line) == 1, path
+        module = sys.modules[name] = ModuleType(name)
+        exec(compile(source.replace(line, other), path, "exec"), module.__dict__)
     return module
 
 
@@ -49,7 +55,7 @@ def train(
     import jax.numpy as jnp
     from utils.datasets import Dataset
 
-    theirs, chunk = normalized_agent(repository), CHUNKS[name]
+    theirs, chunk = matched_agent(repository), CHUNKS[name]
     config = theirs.get_config()
     config.update(
         {
