@@ -187,8 +187,7 @@ def robustness_table(summary: Sequence[Row]) -> str:
 def cross_play_table(crossed: Sequence[Row]) -> str:
     """What teams reach with an agent of another algorithm, as Markdown.
 
-    The agent that is replaced is the first: what is left is the other algorithm's team
-    with the second replaced.
+    The agent that is replaced is the first one; the table has rows of all.
     """
     tables, teams = [], [team for _, team in FORMS]
     for dataset, rows in grouped(crossed, "dataset").items():
