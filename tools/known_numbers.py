@@ -50,7 +50,7 @@ SEEDS, EPISODES = range(5), 10
 FILE = Path(__file__).resolve().parents[1] / "eval/results/known.csv"
 
 Begin = Callable[[int], Act]
-"""Function of an episode's number that returns the policy in it."""
+"""Function of an episode's number, the seed of its noise, that returns the policy."""
 
 
 def collect(path: Path) -> None:
@@ -82,13 +82,16 @@ def about(path: Path) -> str:
     return f"{len(returns)} episodes, mean return {mean:.0f}, highest {highest:.0f}"
 
 
-def mean_return(begin: Begin) -> float:
-    """Mean return of some episodes, the same for all."""
+def mean_return(begin: Begin, seed: int) -> float:
+    """Mean return of some episodes, whose starts are the same for all seeds.
+
+    A policy's own noise is not: what it is worth by chance is in the intervals.
+    """
     env, returns = gymnasium.make(TASK), []
     for number in range(EPISODES):
         observation, _ = env.reset(seed=1_000 + number)
         returns.append(0.0)
-        act, ended = begin(number), False
+        act, ended = begin(EPISODES * seed + number), False
         while not ended:
             action = np.clip(act(observation.astype(np.float32)), -1, 1)
             observation, reward, terminated, truncated, _ = env.step(action)
@@ -220,7 +223,7 @@ def main() -> None:
             key = {"from": what, "algorithm": name, "seed": str(seed), "file": digest}
             if any(all(row[k] == v for k, v in key.items()) for row in rows):
                 continue
-            value = mean_return(train(path, name, seed))
+            value = mean_return(train(path, name, seed), seed)
             print(key, value, flush=True)
             row = {**key, "return": f"{value:.1f}"}
             rows = kept()  # another process may have added some
