@@ -52,7 +52,11 @@ class CrossPlay:
     ) -> tuple[float, tuple[float, float]]:
         """Success rate with another run's agent less a run's own, see ``less``."""
         team = self.team(agent, own, other)
-        return self.evaluations[team].less(self.evaluations[(own,) * len(self.agents)])
+        return self.evaluations[team].less(self.evaluations[self._own(own)])
+
+    def _own(self, number: int) -> Team:
+        """The team of a run itself."""
+        return (number,) * len(self.agents)
 
     def table_rows(self) -> list[tuple[str, ...]]:
         """Goals reached [%] and change [points], a row per agent and run."""
@@ -72,7 +76,7 @@ class CrossPlay:
             return "-"
         summary = self.evaluations[team].summary["all"]
         text = percent_with_interval(summary["success_rate"], summary["interval"])
-        if own == other:
+        if own == other or self._own(own) not in self.evaluations:
             return text
         return f"{text}, {points_with_interval(*self.difference(agent, own, other))}"
 
@@ -124,7 +128,9 @@ class CrossPlay:
                     "difference_interval": self.difference(agent, own, other)[1],
                 }
                 for agent, own, other in product(self.agents, numbers, numbers)
-                if own != other and self.team(agent, own, other) in self.evaluations
+                if own != other
+                and {self.team(agent, own, other), self._own(own)}
+                <= self.evaluations.keys()
             ],
         }
 

@@ -137,7 +137,7 @@ def known_table(rows: Sequence[Row]) -> str:
             for maker, made in grouped(some, "from").items()
         }
         spans = {maker: mean_interval(values) for maker, values in returns.items()}
-        for other in returns.keys() - {"ours"}:
+        for other in (maker for maker in returns if maker != "ours"):
             (low, high), (their_low, their_high) = spans["ours"], spans[other]
             cells = (
                 f"{np.mean(returns[maker]):.0f} [{spans[maker][0]:.0f}, "

@@ -1,6 +1,6 @@
 """Runs studies: what is missing is trained, its rows are kept, and tables are drawn."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -123,8 +123,10 @@ class Engine:
             KeyboardInterrupt: After Ctrl-C, saying how to go on.
         """
         options = self.options
-        seconds = self._announced(studies)
-        jobs = self._missing(studies)
+        lacking: list[str] = []
+        planned = replace(self, notify=lacking.append)._missing(studies, plan=True)
+        seconds = self._announce(planned) if lacking else {}
+        jobs = self._missing(studies)  # which collects what is lacking
         of_cells = {cell_name(group[0].cell): group for group in by_cell(jobs)}
 
         def keep_if_done(job: Job) -> None:
@@ -135,6 +137,9 @@ class Engine:
 
         for first, *_ in of_cells.values():
             keep_if_done(first)
+        if all(job.done for job in jobs):
+            return
+        seconds = seconds or self._announce(jobs)
         left = [replace(job, seconds=seconds[job.run]) for job in jobs if not job.done]
         pool = options.workers, options.executor
         try:
@@ -149,14 +154,13 @@ class Engine:
                 f"`resume=True` tries them again: {reasons}"
             )
 
-    def _announced(self, studies: Studies) -> dict[Path, float]:
-        """Say how long it will take, before data are collected.
+    def _announce(self, jobs: Sequence[Job]) -> dict[Path, float]:
+        """Say how long training and evaluation will take.
 
         Returns:
             Estimated time of each run [s], 1 for all of them with few steps.
         """
         options = self.options
-        jobs = replace(self, notify=silence)._missing(studies, plan=True)
         left = [job for job in jobs if not job.done]
         if left:
             text = f"{len(left)} of {len(jobs)} runs are missing"

@@ -203,6 +203,7 @@ def _with_weights(
     """
     record = path.with_suffix(".json")
     made = read_json(record, MarlMmError).get("cells", []) if record.exists() else []
+    made = [cell for cell in made if "partners" in cell]  # which older ones lack
     actors = [actor for cell in made for actor in (cell["run"], *cell["partners"])]
     kept = {(each["setting"], each["seed"]): Actor(**each) for each in actors}
 

@@ -46,7 +46,8 @@ CLEAN, ALL = "clean", "all"
 """Names of the run without a disturbance, and of the mean over disturbances."""
 
 OTHER_SEED, OTHER_ALGORITHM = "other seed", "other algorithm"
-"""Names of disturbances: an agent is one of another run."""
+"""Names of disturbances: an agent is one of another run. They are not in the mean: by
+them joint actors meet joint actors, and teams meet teams."""
 
 
 def rows_folder(results: Path) -> Path:
@@ -148,7 +149,8 @@ def _changes(rows: Sequence[Row], names: Sequence[str]) -> dict[str, np.ndarray]
     """
     of = grouped(rows, "disturbance")
     changes = {name: _mean_change(of[name], rows) for name in names}
-    return {**changes, ALL: np.mean([*changes.values()], axis=0)}
+    same = [changes[n] for n in names if n not in (OTHER_SEED, OTHER_ALGORITHM)]
+    return {**changes, ALL: np.mean(same, axis=0)}
 
 
 def _mean_change(some: Sequence[Row], rows: Sequence[Row]) -> np.ndarray:

@@ -145,17 +145,18 @@ def _place(section: Sequence[Entry]) -> tuple[str, str, int]:
 
 def _rows(submission: Submission) -> list[dict[str, Any]]:
     """Rows of all seeds for a table; goals are texts, as tasks have several numbers."""
-    return [
+    rows: list[dict[str, Any]] = [
         {
+            **episode.row,
             **{name: submission.manifest[name] for name in ("algorithm", "task")},
             "run": run.config.seed,
-            **{name: _plain(value) for name, value in episode.row.items()},
             "goal": " ".join(map(str, episode.row["goal"])),
             "sha256": episode.sha256,
         }
         for run in submission.runs
         for episode in run.episodes
     ]
+    return [{_plain(key): _plain(value) for key, value in r.items()} for r in rows]
 
 
 def _plain(value: Any) -> Any:

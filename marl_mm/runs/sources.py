@@ -180,7 +180,7 @@ class Datasets:
     """Replace what is damaged, of another declaration or of more steps."""
 
     plan: bool = False
-    """Whether nothing is made: the dataset that ships counts for what is missing."""
+    """Whether nothing is made: the dataset that ships counts for what could be."""
 
     engine: Engine | None = None
     """Engine of sources that name none."""

@@ -118,9 +118,8 @@ def _check_files(folder: Path, manifest: Mapping[str, Any]) -> None:
 def _check_names(submission: Submission) -> None:
     """Raise unless the names that a board shows are short and plain."""
     config = submission.runs[0].config
-    names = {"algorithm": config.algorithm, **(config.dataset or {})}
-    for of in ("algorithm", "id"):
-        name = names.get(of, "own")
+    data = (config.dataset or {"id": "own"}).get("id", "")
+    for of, name in (("algorithm", config.algorithm), ("id", data)):
         if not _NAME.fullmatch(name):
             raise SubmissionError(
                 f"{submission.folder}: {of} is {name!a:.80}, expected at most 200 "

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from marl_mm.robot.model import RobotModel, RobotState
 from marl_mm.robot.names import ARM_JOINTS, GRASP_FRAME
 from marl_mm.sim.config import SimulationConfig
 from marl_mm.sim.mujoco import MujocoWorld
+from marl_mm.sim.mujoco_model import NO_SLIP
 from marl_mm.sim.world import open_world
 
 MUJOCO = {"simulation": {"engine": "mujoco"}}
@@ -160,6 +162,22 @@ def test_no_block_falls_from_a_hand_at_rest() -> None:
             assert core.drive.hand and core.drive.hand.held and not step.info["reason"]
         first, *later = np.linalg.norm(np.diff(places, axis=0), axis=1)
         assert first < 2e-4 and max(later) < 1e-5
+
+
+def test_slip_is_removed_from_a_squeeze_until_the_gripper_opens() -> None:
+    core = opened("Grasp-v0")
+    for seed in range(2):  # of one episode nothing is left in the next
+        core.reset(np.random.default_rng(seed))
+        hand, world = core.drive.hand, core.drive.world
+        assert isinstance(world, MujocoWorld) and hand
+        option, here = world._robot.model.opt, np.zeros(3)
+        for expected, act in (
+            *((0, partial(hand.grip, False)), (0, partial(hand.grip, True))),
+            *((NO_SLIP, partial(hand.take, here)), (NO_SLIP, partial(hand.grip, True))),
+            *((0, partial(hand.grip, False)), (NO_SLIP, partial(hand.take, here))),
+        ):
+            act()
+            assert option.noslip_iterations == expected
 
 
 def test_it_stays_where_it_starts() -> None:

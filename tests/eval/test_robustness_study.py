@@ -93,6 +93,7 @@ def test_what_agents_of_other_runs_reach_by_hand(tmp_path: Path) -> None:
     }
     team = {
         ("clean", "", 0): (1, 1, 0, 0),
+        ("late", "hand", 1): (0, 0, 0, 0),
         ("other seed", "hand", 1): (1, 0, 0, 0),
         ("other seed", "hand", 2): (0, 0, 0, 1),
         ("other algorithm", "hand", "ma-iql"): (1, 1, 1, 1),
@@ -103,7 +104,7 @@ def test_what_agents_of_other_runs_reach_by_hand(tmp_path: Path) -> None:
     write_csv(folder / "team.csv.xz", rows("robust-mabc", team))
     both = draw_robustness(tmp_path, tmp_path)  # of the disturbances that both met
     changes = [(row["disturbance"], row["team_change"]) for row in both]
-    assert changes == [("other seed", -0.25), ("all", -0.25)]
+    assert changes == [("other seed", -0.25), ("late", -0.5), ("all", -0.5)]
     crossed = read_rows(tmp_path / "robustness_cross_play.csv")
     found = {(r["agent"], r["from"]): (r["success"], r["difference"]) for r in crossed}
     assert found.pop(("hand", "bc")) == (1.0, 0.0)

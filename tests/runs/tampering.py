@@ -241,6 +241,15 @@ TAMPERING: dict[str, tuple[Change, str]] = {
         in_each(CONFIG, lambda v: v.update(algorithm="=1+1")),
         "algorithm is '=1.1', expected at most 200",
     ),
+    "a formula behind a name": (
+        in_each(
+            CONFIG,
+            lambda v: v.update(
+                algorithm="=1+1", dataset=v["dataset"] | {"algorithm": "bc"}
+            ),
+        ),
+        "algorithm is '=1.1', expected at most 200",
+    ),
     "a page for a name": (
         in_each(CONFIG, lambda v: v["dataset"].update(id="a" * 10_000)),
         "id is 'a+, expected at most 200",

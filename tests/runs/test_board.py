@@ -16,7 +16,7 @@ from marl_mm.cli import main
 from marl_mm.errors import UsageError
 from marl_mm.files import write_json
 from marl_mm.runs.folder import EVALUATION
-from marl_mm.runs.submission import MANIFEST, seal
+from marl_mm.runs.submission import EPISODES, MANIFEST, seal
 from marl_mm.runs.verify import verification_file
 from tests.runs.tampering import seal_again
 
@@ -76,14 +76,19 @@ def test_entries_of_other_goals_are_never_mixed(made: Any) -> None:
 
 def test_no_cell_of_the_rows_is_a_formula(submissions: list[Path]) -> None:
     folder = shutil.copytree(submissions[0], submissions[0].parent / "formula")
-    path = folder / "0" / EVALUATION
+    path, hashes = folder / "0" / EVALUATION, folder / "0" / EPISODES
     values = json.loads(path.read_text())
-    values["episodes"][0]["direction"] = "=1+1"
+    for row in values["episodes"]:
+        row |= {"direction": "=1+1", "@SUM": 1.0, "algorithm": 2.0}
     write_json(path, values)
+    values = json.loads(hashes.read_text())
+    write_json(hashes, values | {"sha256": ["+1"] * len(values["sha256"])})
     seal_again(folder, claims=False)
     page = marl_mm.board([folder], out=folder.parent / "plain").page
     (rows,) = (page.parent / "rows").iterdir()
-    assert next(csv.DictReader(rows.open()))["direction"] == "'=1+1"
+    row = next(csv.DictReader(rows.open()))
+    assert (row["direction"], row["sha256"], row["'@SUM"]) == ("'=1+1", "'+1", "1")
+    assert row["algorithm"] == "mabc"
 
 
 def test_those_that_cannot_be_told_apart_share_a_group(made: Any) -> None:
