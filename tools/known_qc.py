@@ -21,7 +21,7 @@ DISTILLATION, FLOW_STEPS = 10.0, 10
 """Weight of the distance to the flow's actions, and its steps: of both."""
 
 Act = Callable[[np.ndarray], np.ndarray]
-
+"""Function of an observation that returns the action."""
 
 REPLACED = {
     "utils.networks": ("activations: Any = nn.gelu", "activations: Any = nn.relu"),

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 NAMES = ("bc", "td3-bc", "iql", "rebrac", "cql")
-"""Those that both have, by our names."""
+"""Those that both have and that are timed, by our names."""
 
 RATE, DISCOUNT, HIDDEN, BATCH = 3e-4, 0.99, (256, 256), 256
 Q_WEIGHT, EXPECTILE, TEMPERATURE = 2.5, 0.7, 3.0
@@ -54,6 +54,10 @@ def algorithm(name: str) -> Any:
         **{"actor_learning_rate": RATE, "critic_learning_rate": RATE},
         **{"actor_encoder_factory": net, "critic_encoder_factory": net},
     }
+    held_down: dict[str, Any] = {
+        **{"conservative_weight": CONSERVATISM, "n_action_samples": SAMPLES},
+        **{"initial_alpha": 1.0, "alpha_learning_rate": 0},
+    }
     algos = d3rlpy.algos
     configs: dict[str, Any] = {
         "bc": lambda: algos.BCConfig(learning_rate=RATE, encoder_factory=net, **shared),
@@ -68,22 +72,8 @@ def algorithm(name: str) -> Any:
         "rebrac": lambda: algos.ReBRACConfig(
             actor_beta=ACTOR_PENALTY, critic_beta=CRITIC_PENALTY, **pair, **shared
         ),
-        "cql": lambda: algos.CQLConfig(
-            conservative_weight=CONSERVATISM,
-            n_action_samples=SAMPLES,
-            initial_alpha=1.0,
-            alpha_learning_rate=0,
-            **pair,
-            **shared,
-        ),
-        "cal-ql": lambda: algos.CalQLConfig(
-            conservative_weight=CONSERVATISM,
-            n_action_samples=SAMPLES,
-            initial_alpha=1.0,
-            alpha_learning_rate=0,
-            **pair,
-            **shared,
-        ),
+        "cql": lambda: algos.CQLConfig(**held_down, **pair, **shared),
+        "cal-ql": lambda: algos.CalQLConfig(**held_down, **pair, **shared),
     }
     return configs[name]().create(device="cpu:0")
 

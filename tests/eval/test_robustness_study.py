@@ -52,6 +52,14 @@ def rows(setting: str, reached: Any) -> Any:
     ]
 
 
+def drawn(results: Path, joint: Any, team: Any) -> list[Row]:
+    """Table of a joint form and a team, of ``rows``."""
+    for setting, reached in (("robust-bc", joint), ("robust-mabc", team)):
+        path = results / f"rows/robustness/{setting}.csv.xz"
+        write_csv(path, rows(setting, reached))
+    return draw_robustness(results, results)
+
+
 def test_what_a_team_keeps_more_by_hand(tmp_path: Path) -> None:
     """The mean over agents and strengths first, then over disturbances."""
     joint = {
@@ -66,10 +74,7 @@ def test_what_a_team_keeps_more_by_hand(tmp_path: Path) -> None:
         ("late", "balance", 1): (1, 0, 0, 0),
         ("engine", "", 0): (1, 1, 0, 0),
     }
-    folder = tmp_path / "rows/robustness"
-    write_csv(folder / "joint.csv.xz", rows("robust-bc", joint))
-    write_csv(folder / "team.csv.xz", rows("robust-mabc", team))
-    late, engine, every = draw_robustness(tmp_path, tmp_path)
+    late, engine, every = drawn(tmp_path, joint, team)
     assert (late["joint_clean"], late["team_clean"]) == (1.0, 0.5)
     assert (late["joint_change"], late["team_change"]) == (-0.75, -0.125)
     assert late["keeps_more"] == 0.625 and engine["keeps_more"] == 0.25
@@ -99,10 +104,7 @@ def test_what_agents_of_other_runs_reach_by_hand(tmp_path: Path) -> None:
         ("other algorithm", "hand", "ma-iql"): (1, 1, 1, 1),
         ("other algorithm", "balance", "ma-iql"): (0, 0, 0, 0),
     }
-    folder = tmp_path / "rows/robustness"
-    write_csv(folder / "joint.csv.xz", rows("robust-bc", joint))
-    write_csv(folder / "team.csv.xz", rows("robust-mabc", team))
-    both = draw_robustness(tmp_path, tmp_path)  # of the disturbances that both met
+    both = drawn(tmp_path, joint, team)  # of the disturbances that both met
     changes = [(row["disturbance"], row["team_change"]) for row in both]
     assert changes == [("other seed", -0.25), ("late", -0.5), ("all", -0.5)]
     crossed = read_rows(tmp_path / "robustness_cross_play.csv")
