@@ -144,23 +144,21 @@ def _place(section: Sequence[Entry]) -> tuple[str, str, int]:
 
 
 def _rows(submission: Submission) -> list[dict[str, Any]]:
-    """Rows of all seeds for a table; goals are texts, as tasks have several numbers."""
-    rows: list[dict[str, Any]] = [
-        {
-            **episode.row,
-            **{name: submission.manifest[name] for name in ("algorithm", "task")},
-            "run": run.config.seed,
-            "goal": " ".join(map(str, episode.row["goal"])),
-            "sha256": episode.sha256,
-        }
-        for run in submission.runs
-        for episode in run.episodes
-    ]
-    return [{_plain(key): _plain(value) for key, value in r.items()} for r in rows]
+    """Rows of all seeds for a table; what they are of stands first."""
+    about = {name: submission.manifest[name] for name in ("algorithm", "task")}
+    rows: list[dict[str, Any]] = []
+    for run in submission.runs:
+        head = about | {"run": run.config.seed}
+        for episode in run.episodes:
+            row = {**head, **episode.row, **head, "sha256": episode.sha256}
+            rows.append({_cell(key): _cell(value) for key, value in row.items()})
+    return rows
 
 
-def _plain(value: Any) -> Any:
-    """A value that no spreadsheet takes for a formula."""
+def _cell(value: Any) -> Any:
+    """A value for a table: goals are texts, and no other text is a formula."""
+    if isinstance(value, list):
+        return " ".join(map(str, value))
     return f"'{value}" if isinstance(value, str) and value[:1] in _FORMULA else value
 
 
