@@ -44,7 +44,7 @@ STEPS = 50_000
 OF_D3RLPY = *NAMES, "cal-ql"
 """Those that d3rlpy has, too."""
 
-UPDATES = dict.fromkeys((*OF_D3RLPY, *CHUNKS), 10_000) | {"cql": 5_000, "cal-ql": 5_000}
+UPDATES = dict.fromkeys((*OF_D3RLPY, *CHUNKS), 10_000) | {"cql": 5_000}
 """Updates of each, in both; of CQL's fewer, as each takes five times as long."""
 
 SEEDS, EPISODES = range(5), 10
