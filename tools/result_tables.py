@@ -69,6 +69,8 @@ from marl_mm.eval.studies.coordination import (
     levels_table,
     worth_table,
 )
+from marl_mm.eval.studies.early import TABLE as EARLY
+from marl_mm.eval.studies.early import early_table
 from marl_mm.eval.studies.engines import AGREEMENT, FIGURE, TABLE
 from marl_mm.eval.studies.engines_summary import agreement_table
 from marl_mm.eval.studies.offline import BLOCKS
@@ -359,6 +361,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "fine-tuning": partial(_drawn_from, "fine-tuning.csv", _fine_tuning),
     "benchmark": partial(_drawn_from, BENCHMARK, benchmark_table),
     "benchmark-overall": partial(_drawn_from, OVERALL, overall_table),
+    "early": partial(_drawn_from, EARLY, early_table),
     "benchmark-pairs": partial(_drawn_from, PAIRS, pairs_table),
     "tuning": partial(_drawn_from, TUNED_TABLE, tuning_table),
     "budgets": partial(_drawn_from, BUDGETS_TABLE, budgets_table),

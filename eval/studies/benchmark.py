@@ -4,6 +4,7 @@ Of each dataset it tells which algorithms can be told apart, and over all datase
 much of the goals each reaches, and how often it reaches more than another.
 """
 
+from collections.abc import Sequence
 from itertools import combinations, groupby, product
 from pathlib import Path
 
@@ -63,20 +64,35 @@ TESTED = {
 }
 """Tasks of the evaluations that are not the data's, by the name of the recipe."""
 
-UPDATES = 5_000
-"""Updates of all algorithms."""
+UPDATES = 20_000
+"""Updates of all algorithms; see ``early`` for what fewer do."""
 
 
-def _setting(algorithm: str, task: str | None) -> Setting:
-    """Setting of an algorithm: what the tuning chose."""
-    parts = ("benchmark", algorithm) if task is None else (task, algorithm)
+def cells_of(names: Sequence[str], updates: int, prefix: str = "") -> tuple[Cell, ...]:
+    """Cells of datasets and the algorithms that are tuned, as the tuning chose.
+
+    Args:
+        names: Names of the datasets' recipes.
+        updates: Updates of all algorithms.
+        prefix: Beginning of the settings' names.
+    """
+    return tuple(
+        (
+            RECIPES.get(name).source,
+            _setting(algorithm, TESTED.get(name), updates, prefix),
+        )
+        for name, algorithm in product(names, ALGORITHM_NAMES)
+        if algorithm in CHOSEN
+    )
+
+
+def _setting(algorithm: str, task: str | None, updates: int, prefix: str) -> Setting:
     return setting_of(
-        "-".join(parts).lower(),
+        f"{prefix}{task or 'benchmark'}-{algorithm}".lower(),
         algorithm,
-        UPDATES,
+        updates,
         CHOSEN[algorithm],
         task=task,
-        curve_every=UPDATES,
         curve_goals=2,
         measured=("steps", "return"),
     )
@@ -96,13 +112,7 @@ Scores = dict[str, np.ndarray]
 
 
 AGENTS = Study(
-    "Table: the benchmark's runs.",
-    tuple(
-        (RECIPES.get(name).source, _setting(algorithm, TESTED.get(name)))
-        for name, algorithm in product(DATASETS, ALGORITHM_NAMES)
-        if algorithm in CHOSEN
-    ),
-    seeds=_WHOLE[0],
+    "Table: the benchmark's runs.", cells_of(DATASETS, UPDATES), seeds=_WHOLE[0]
 )
 """Study whose runs are compared: of algorithms that are tuned."""
 
@@ -127,7 +137,7 @@ def draw_benchmark(results: Path, folder: Path) -> list[Row]:
         there = [(cell, seeds) for cell in cells if (seeds := store.seeds(cell))]
         if not there:
             continue
-        of_source = [_of_cell(store, cell, seeds) for cell, seeds in there]
+        of_source = [of_cell(store, cell, seeds) for cell, seeds in there]
         reached = {  # of a single seed nobody knows how another does
             row["algorithm"]: success for row, success in of_source if row["seeds"] > 1
         }
@@ -148,7 +158,7 @@ def draw_benchmark(results: Path, folder: Path) -> list[Row]:
     return rows
 
 
-def _of_cell(store: RowStore, cell: Cell, seeds: list[int]) -> tuple[Row, np.ndarray]:
+def of_cell(store: RowStore, cell: Cell, seeds: list[int]) -> tuple[Row, np.ndarray]:
     """A cell's row, and its success by seed and goal."""
     source, setting = cell
     assert isinstance(source, Source) and source.engine is not None

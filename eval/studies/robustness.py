@@ -20,6 +20,7 @@ from marl_mm.eval.disturbances import Mixed
 from marl_mm.eval.evaluate import Setup
 from marl_mm.eval.metrics import EvaluationRow, Row
 from marl_mm.eval.robustness import robustness
+from marl_mm.eval.studies.benchmark import UPDATES
 from marl_mm.eval.studies.cells import missing_groups, run_cells
 from marl_mm.eval.studies.cost import GoalTimes, hours_table
 from marl_mm.eval.studies.options import StudyOptions
@@ -48,10 +49,6 @@ from marl_mm.sim.config import engine_overrides
 
 ABOUT = "Teams against joint actors under disturbances."
 """Title."""
-
-UPDATES = 5_000
-"""Updates of all algorithms."""
-
 
 AGENTS = Study(
     "Table: teams and joint actors before they are disturbed.",

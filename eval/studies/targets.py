@@ -14,6 +14,7 @@ from marl_mm.eval.studies import (
     baselines,
     benchmark,
     coordination,
+    early,
     engines,
     fine_tuning,
     offline,
@@ -114,6 +115,15 @@ COMPARISONS: Comparisons = {
         benchmark.draw_benchmark,
         benchmark.benchmark_table,
         benchmark.AGENTS,
+        in_parts=True,
+    ),
+    "early": Comparison(
+        early.ABOUT,
+        early.TABLE,
+        early.make_early,
+        early.draw_early,
+        early.early_table,
+        early.AGENTS,
         in_parts=True,
     ),
     "tuning": Comparison(

@@ -1,6 +1,7 @@
 """Tables of the benchmark, drawn from rows that are written here."""
 
 import shutil
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from marl_mm.cli import main
 from marl_mm.errors import UsageError
 from marl_mm.eval.rows import read_rows, write_csv
+from marl_mm.eval.studies import early
 from marl_mm.eval.studies.benchmark import (
     AGENTS,
     DATASETS,
@@ -21,20 +23,28 @@ from marl_mm.eval.studies.benchmark import (
     overall_table,
     pairs_table,
 )
-from marl_mm.eval.studies.study import cell_name
+from marl_mm.eval.studies.early import draw_early, early_table
+from marl_mm.eval.studies.study import Cell, cell_name
 from marl_mm.eval.studies.targets import COMPARISONS
 from marl_mm.eval.studies.tuning import DATASETS as TUNING
 from marl_mm.files import write_json
 from marl_mm.runs.recipes import RECIPES
 
 FIRST, SECOND = (RECIPES.get(name).source.name for name in DATASETS[:2])
+FIRST_EARLY = RECIPES.get(early.DATASETS[0]).source.name
+FEW = [cell for cell in early.AGENTS.cells if cell[1].name.startswith("early-")]
 
 
 def write(
-    results: Path, dataset: str, algorithm: str, rate: float, seeds: int = 5
+    results: Path,
+    dataset: str,
+    algorithm: str,
+    rate: float,
+    seeds: int = 5,
+    cells: Iterable[Cell] = AGENTS.cells,
 ) -> None:
     """Write the rows of a cell: of 40 goals for each seed."""
-    tested = {cell_name(c): c[1].algorithm for c in AGENTS.cells}
+    tested = {cell_name(c): c[1].algorithm for c in cells}
     (names,) = (n for n in tested if n[0] == dataset and tested[n] == algorithm)
     path = results / "rows" / names[0].replace("/", "-") / names[1]
     rng = np.random.default_rng(0)
@@ -115,9 +125,34 @@ def test_tables_have_whole_tasks_side_by_side(tmp_path: Path) -> None:
     assert sum(head.count("-v0") for head in heads) == len(DATASETS)
 
 
+def test_fewer_updates_are_compared_where_there_are_runs_of_both(
+    tmp_path: Path,
+) -> None:
+    """By the seeds that both have; equal runs gain nothing, and certainly."""
+    for name, few, many in (("bc", 0.2, 0.9), ("mabc", 0.5, 0.5)):
+        write(tmp_path, FIRST_EARLY, name, few, seeds=3, cells=FEW)
+        write(tmp_path, FIRST_EARLY, name, many)
+    write(tmp_path, FIRST_EARLY, "td3-bc", 0.5, cells=FEW)
+    rows = draw_early(tmp_path, tmp_path)
+    assert [(row["algorithm"], row["seeds"]) for row in rows] == [
+        ("bc", 3),
+        ("mabc", 3),
+    ]
+    gained, same = rows
+    assert gained["gain"] == pytest.approx(gained["late"] - gained["early"])
+    assert (
+        0.4 < gained["gain_interval"][0] < gained["gain"] < gained["gain_interval"][1]
+    )
+    assert same["gain"] == 0 and same["gain_interval"] == (0, 0)
+    _, _, first, second, *_ = early_table(rows).splitlines()
+    assert first.startswith("| `bc` | **") and "**" not in second
+
+
 def test_without_rows_there_is_no_table(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="run marl-mm ablate benchmark"):
         draw_benchmark(tmp_path, tmp_path)
+    with pytest.raises(UsageError, match="run marl-mm ablate early"):
+        draw_early(tmp_path, tmp_path)
 
 
 def test_no_dataset_is_one_of_the_tuning_and_every_axis_and_task_is_there() -> None:
