@@ -1,11 +1,12 @@
 """Hyper-parameters of CFCQL and CQL; importing them takes no torch."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.offline_config import BOUNDED, Td3Config
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
+from marl_mm.declared import ADDED
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,12 +41,17 @@ class CfcqlConfig(Td3Config):
     action_penalty: float = 1e-3
     """Weight of the mean square of the action in the actors' loss."""
 
+    bound_penalty: float = field(default=0.0, metadata=ADDED)
+    """Weight of -log(1 - a^2), summed over an agent's entries, in the actors' loss; as
+    SAC's entropy does, it keeps actions off their bounds, from where tanh passes no
+    gradient back. In units of value."""
+
     def __post_init__(self) -> None:
         super().__post_init__()
         check_ranges(
             self,
             positive=("penalized", "samples", "sample_noise"),
-            not_negative=("conservatism", "focus", "action_penalty"),
+            not_negative=("conservatism", "focus", "action_penalty", "bound_penalty"),
         )
 
 

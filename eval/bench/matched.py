@@ -21,6 +21,8 @@ _SHARED: dict[str, Any] = {
 }
 
 _CQL = {
+    "policy_delay": 1,
+    "bound_penalty": 1.0,  # d3rlpy's first temperature of SAC's entropy
     "conservatism": theirs.CONSERVATISM,
     "samples": theirs.SAMPLES,
     "penalized": theirs.BATCH,
