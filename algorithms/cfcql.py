@@ -6,8 +6,8 @@ over agent i's actions u_i, uniform and near its policy's; all others do what th
 in the data. a' is the target actors' action with clipped noise; lambda_i is the softmax
 over agents of tau |pi_i(o_i) - a_i|^2, as in the source's code for discrete actions; in
 that for continuous ones it is of -tau. Every second update each actor follows
--Q_1(s, (pi_i(o_i), a_-i)) + c |pi_i(o_i)|^2 - b log(1 - pi_i(o_i)^2). With one agent
-it is CQL with an actor of TD3 instead of SAC.
+-Q_1(s, (pi_i(o_i), a_-i)) + c mean pi_i(o_i)^2 - b sum log(1 - pi_i(o_i)^2), over its
+entries. With one agent it is CQL with an actor of TD3 instead of SAC.
 
 What departs: the source measures the distance from the data in lambda_i by a
 variational auto-encoder, trained before. In the loss of an actor its a_-i is from the
@@ -29,9 +29,6 @@ from marl_mm.algorithms.replay import Judge
 from marl_mm.algorithms.td3 import Td3Learner
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.layout import AgentLayout, columns
-
-_INSIDE = 1 - 1e-6
-"""Factor of a square that keeps the logarithm of its distance from 1 finite."""
 
 
 class Cfcql(Td3Learner):
@@ -126,11 +123,10 @@ class Cfcql(Td3Learner):
         for agent in self.layouts:
             output = self.actors.action(agent.name, state)
             loss = self._actor_loss(agent, state, batch, others, output)
-            square = output.square()
-            loss = loss + self.config.action_penalty * square.mean(dim=(1, 2))
+            loss = loss + self.config.action_penalty * output.square().mean(dim=(1, 2))
             if self.config.bound_penalty:
-                room = torch.log1p(-_INSIDE * square).sum(dim=2).mean(dim=1)
-                loss = loss - self.config.bound_penalty * room
+                near = nearness_to_bounds(output).mean(dim=1)
+                loss = loss + self.config.bound_penalty * near
             self.actors.descend(agent.name, loss)
             losses[agent.name] = loss
         return losses
@@ -173,6 +169,11 @@ class Cfcql(Td3Learner):
     def _noise(config: CfcqlConfig) -> int:
         """Numbers of extra noise for each entry of the action."""
         return 2 * config.samples
+
+
+def nearness_to_bounds(action: torch.Tensor) -> torch.Tensor:
+    """Sum of -log(1 - a^2), at most 14 an entry, shapes (..., k) to (...)."""
+    return -torch.log1p(-(1 - 1e-6) * action.square()).sum(dim=-1)
 
 
 class Cql(Cfcql):

@@ -8,7 +8,7 @@ from typing import Any
 from marl_mm.errors import UsageError
 
 ADDED = MappingProxyType({"added": True})
-"""Metadata of a field that records of version 1 lack."""
+"""Metadata of a field that older records lack."""
 
 
 def defaults(kind: type) -> dict[str, object]:
@@ -44,7 +44,10 @@ def as_record(settings: Any) -> dict[str, Any]:
 
 
 def with_added(record: Mapping[str, Any], settings: Any) -> dict[str, Any]:
-    """A record of such settings, with the defaults of what ``as_record`` leaves out."""
+    """A record of such settings, with the defaults of what ``as_record`` leaves out.
+
+    Only so completed do two records show all that differs.
+    """
     added = {f.name: f.default for f in fields(settings) if f.metadata == ADDED}
     return {**added, **record}
 

@@ -55,7 +55,8 @@ def matched(name: str, **settings: Any) -> Any:
     """Hyper-parameters of ours that match d3rlpy's.
 
     What stays different: d3rlpy's actors of IQL and CQL are Gaussian and that of CQL is
-    SAC's; ours give one action, and CQL's is TD3's.
+    SAC's, with a weight of the entropy that it adapts; ours give one action, and CQL's
+    is TD3's, with theirs' first weight for keeping off the bounds.
     """
     return with_settings(name, _SHARED | _OWN.get(name, {}) | settings)
 

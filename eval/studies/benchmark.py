@@ -4,8 +4,8 @@ Of each dataset it tells which algorithms can be told apart, and over all datase
 much of the goals each reaches, and how often it reaches more than another.
 """
 
-from collections.abc import Sequence
-from itertools import combinations, groupby, product
+from collections.abc import Callable, Sequence
+from itertools import chain, combinations, groupby, product
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,7 @@ from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.rows import RowStore
-from marl_mm.eval.studies.study import Cell, Setting, Study, cell_name, setting_of
+from marl_mm.eval.studies.study import LAST, Cell, Setting, Study, cell_name, setting_of
 from marl_mm.eval.studies.tuned import CHOSEN
 from marl_mm.eval.tables import markdown_table, rate_in_interval
 from marl_mm.eval.ties import tie_groups
@@ -101,7 +101,7 @@ def _setting(algorithm: str, task: str | None, updates: int, prefix: str) -> Set
 _MOST_COLUMNS = 6
 """Largest number of datasets beside each other in a table."""
 
-_WHOLE = 5, 200
+WHOLE = 5, 200
 """Seeds and goals of a cell that is whole."""
 
 _NONE = "No dataset has rows of all algorithms that there are rows of.\n"
@@ -112,7 +112,7 @@ Scores = dict[str, np.ndarray]
 
 
 AGENTS = Study(
-    "Table: the benchmark's runs.", cells_of(DATASETS, UPDATES), seeds=_WHOLE[0]
+    "Table: the benchmark's runs.", cells_of(DATASETS, UPDATES), seeds=WHOLE[0]
 )
 """Study whose runs are compared: of algorithms that are tuned."""
 
@@ -159,10 +159,16 @@ def draw_benchmark(results: Path, folder: Path) -> list[Row]:
 
 
 def of_cell(store: RowStore, cell: Cell, seeds: list[int]) -> tuple[Row, np.ndarray]:
-    """A cell's row, and its success by seed and goal."""
+    """A cell's row, and its success, shape (seeds, goals).
+
+    Args:
+        store: Rows.
+        cell: The cell.
+        seeds: Seeds that are there, sorted.
+    """
     source, setting = cell
     assert isinstance(source, Source) and source.engine is not None
-    rows = store.evaluations(cell, seeds, AGENTS.probes)
+    rows = store.evaluations(cell, seeds, [LAST])
     success = by_goal(rows, "success").reshape(len(seeds), -1)
     row = {
         "dataset": source.name,
@@ -228,25 +234,30 @@ def benchmark_table(rows: list[Row]) -> str:
         if parts[-1] and len(parts[-1]) + len(of_task) > _MOST_COLUMNS:
             parts.append({})
         parts[-1] |= of_task
-    tables = "\n".join(map(_table, parts))
+    tables = "\n".join(
+        algorithms_table([*chain(*part.values())], _text) for part in parts
+    )
     engines = " and ".join(sorted({row["engine"] for row in rows}))
-    seeds, goals = _WHOLE
+    seeds, goals = WHOLE
     whole = f"{seeds} seeds and {goals} goals where a cell does not say otherwise"
     return f"{tables}\nOn {engines}; {whole}.\n"
 
 
-def _table(of_dataset: dict[str, list[Row]]) -> str:
-    """Algorithms by dataset, as Markdown."""
-    lines = []
-    for name in ALGORITHM_NAMES:
-        own = (
-            [row for row in rows if row["algorithm"] == name]
-            for rows in of_dataset.values()
-        )
-        cells = [_text(*rows) if rows else "" for rows in own]
-        if any(cells):
-            lines.append([f"`{name}`", *cells])
-    heads = ["algorithm", *(dataset.removeprefix("marl_mm/") for dataset in of_dataset)]
+def algorithms_table(rows: Sequence[Row], text: Callable[[Row], str]) -> str:
+    """Algorithms by dataset, as Markdown.
+
+    Args:
+        rows: Rows, one of each dataset and algorithm at most.
+        text: Function of a row that returns its cell.
+    """
+    texts = {(row["algorithm"], row["dataset"]): text(row) for row in rows}
+    datasets = dict.fromkeys(row["dataset"] for row in rows)
+    lines = [
+        [f"`{name}`", *(texts.get((name, dataset), "") for dataset in datasets)]
+        for name in ALGORITHM_NAMES
+        if any((name, dataset) in texts for dataset in datasets)
+    ]
+    heads = ["algorithm", *(dataset.removeprefix("marl_mm/") for dataset in datasets)]
     return markdown_table(heads, lines)
 
 
@@ -255,7 +266,7 @@ def _text(row: Row) -> str:
     numbers = row["seeds"], row["goals"]
     parts = [f"**{rate}**" if row["first"] else rate]
     parts += [str(row["group"])] * (row["seeds"] > 1)
-    parts += ["{} x {}".format(*numbers)] * (numbers != _WHOLE)
+    parts += ["{} x {}".format(*numbers)] * (numbers != WHOLE)
     return ", ".join(parts)
 
 

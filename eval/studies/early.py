@@ -1,7 +1,7 @@
 """How many updates are enough: the benchmark's runs beside others with fewer.
 
-A run with few updates is the same run as one with many, stopped before: seeds and goals
-are compared in pairs.
+Runs of both lengths have the same seeds, goals and beginnings: they are compared in
+pairs.
 """
 
 from pathlib import Path
@@ -11,11 +11,10 @@ from marl_mm.eval.intervals import interval_of_mean
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies import benchmark
-from marl_mm.eval.studies.benchmark import ALGORITHM_NAMES, cells_of, of_cell
+from marl_mm.eval.studies.benchmark import WHOLE, algorithms_table, cells_of, of_cell
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.study import Study
-from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar
 
 ABOUT = "Updates: the benchmark's algorithms after a quarter of theirs."
@@ -25,7 +24,7 @@ TABLE = "early.csv"
 """File of the table: a row per dataset and algorithm."""
 
 UPDATES = 5_000
-"""Updates of the early ones."""
+"""Updates of the shorter runs."""
 
 DATASETS = (
     *("quiet-zone-narrow", "quiet-zone-stitch"),
@@ -36,7 +35,7 @@ DATASETS = (
 _EARLY = cells_of(DATASETS, UPDATES, "early-")
 _LATE = cells_of(DATASETS, benchmark.UPDATES)
 
-AGENTS = Study("Table: the runs of both lengths.", (*_EARLY, *_LATE), seeds=5)
+AGENTS = Study("Table: the runs of both lengths.", (*_EARLY, *_LATE), seeds=WHOLE[0])
 """Study whose runs are compared."""
 
 
@@ -47,7 +46,7 @@ def make_early(options: StudyOptions, bar: Bar) -> list[Row]:
         Rows of the table.
 
     Raises:
-        UsageError: If there are no rows.
+        UsageError: If there are no rows of both lengths.
     """
     return draw_early(options.results, options.results)
 
@@ -62,11 +61,8 @@ def draw_early(results: Path, folder: Path) -> list[Row]:
         before, reached_before = of_cell(store, early, seeds)
         after, reached_after = of_cell(store, late, seeds)
         gain = reached_after - reached_before
-        rows.append(
-            {name: after[name] for name in _HEAD}
-            | {"early": before["success"], "late": after["success"]}
-            | {"gain": gain.mean(), "gain_interval": interval_of_mean(gain)}
-        )
+        of_both = {"early": before["success"], "gain": gain.mean()}
+        rows.append({**after, **of_both, "gain_interval": interval_of_mean(gain)})
     if not rows:
         raise UsageError(
             f"{store.folder} has no rows of both lengths: run marl-mm ablate early"
@@ -75,31 +71,19 @@ def draw_early(results: Path, folder: Path) -> list[Row]:
     return rows
 
 
-_HEAD = "dataset", "task", "algorithm", "engine", "seeds", "goals"
-"""What the rows of both lengths share."""
-
-
 def early_table(rows: list[Row]) -> str:
     """Goals reached [%] after few updates and after all, as Markdown.
 
-    Bold where the gain's interval excludes 0.
+    Bold where the interval of what several seeds gain excludes 0.
     """
-    datasets = dict.fromkeys(row["dataset"] for row in rows)
-    texts = {(row["algorithm"], row["dataset"]): _text(row) for row in rows}
-    lines = [
-        [f"`{name}`", *(texts.get((name, dataset), "") for dataset in datasets)]
-        for name in ALGORITHM_NAMES
-        if any(row["algorithm"] == name for row in rows)
-    ]
-    heads = (dataset.removeprefix("marl_mm/") for dataset in datasets)
-    seeds, engines = ({row[name] for row in rows} for name in ("seeds", "engine"))
-    return (
-        f"{markdown_table(['algorithm', *heads], lines)}\nOn "
-        f"{' and '.join(sorted(engines))}; {min(seeds)} seeds or more.\n"
-    )
+    engines = " and ".join(sorted({row["engine"] for row in rows}))
+    return f"{algorithms_table(rows, _text)}\nOn {engines}.\n"
 
 
 def _text(row: Row) -> str:
     low, high = row["gain_interval"]
-    text = f"{100 * row['early']:.0f} to {100 * row['late']:.0f}"
-    return f"**{text}**" if low > 0 or high < 0 else text
+    text = f"{100 * row['early']:.1f}, then {100 * row['success']:.1f}"
+    apart = row["seeds"] > 1 and (low > 0 or high < 0)
+    parts = [f"**{text}**" if apart else text]
+    numbers = row["seeds"], row["goals"]
+    return "; ".join(parts + ["{} x {}".format(*numbers)] * (numbers != WHOLE))

@@ -45,7 +45,7 @@ def missing_jobs(
         how = options.small, options.precision, engine
         training = training_of(source, setting, *how)
         record = made_of(setting, training)
-        seeds = options.store.missing(cell, asked, probes, record)
+        seeds = options.store.missing(cell, asked, probes, record, training.config)
         if not seeds:
             continue
         location = None

@@ -19,6 +19,7 @@ from typing import Any
 
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.config_diff import as_json, refuse_other_config
+from marl_mm.declared import with_added
 from marl_mm.envs.registry import merged
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.grouping import grouped
@@ -91,8 +92,16 @@ class RowStore:
         seeds: Sequence[int],
         probes: Sequence[Probe],
         made_of: Mapping[str, Any],
+        settings: Any,
     ) -> list[int]:
         """Seeds without the rows of all these probes.
+
+        Args:
+            cell: The cell.
+            seeds: Seeds asked for.
+            probes: Evaluations asked for.
+            made_of: Config that rows must have been made with.
+            settings: Hyper-parameters that are part of it.
 
         Raises:
             OtherConfigError: If there are rows of runs that were not made of this.
@@ -103,7 +112,8 @@ class RowStore:
         ways = {probe.name: probe.way for probe in probes}
         there = {name: ways[name] for name in ways if name in record["probes"]}
         recorded = made_of if "algorithm" in record else {}  # of some it is not known
-        refuse_other_config(path, record, {**recorded, "probes": there}, _ADVICE)
+        begun, current = (with_added(of, settings) for of in (record, recorded))
+        refuse_other_config(path, begun, {**current, "probes": there}, _ADVICE)
         pairs = {(row["seed"], row["probe"]) for row in self._rows(cell)}
         return [seed for seed in seeds if not pairs >= set(product([seed], ways))]
 

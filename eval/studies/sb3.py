@@ -38,7 +38,7 @@ def check_sb3_run(training: Online, seed: int, run: Path) -> None:
     if training.demonstrations is not None:
         raise UsageError(f"{SB3} replays no demonstrations: leave them out")
     if (run / EVALUATION).exists():
-        refuse_other(run, _run_config(training, seed))
+        refuse_other(run, _run_config(training, seed), training.config)
     elif find_spec("stable_baselines3") is None:
         raise UsageError("stable_baselines3 is missing: pip install 'marl-mm[bench]'")
 

@@ -13,7 +13,7 @@ from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.algorithms.runlog import METRICS
 from marl_mm.config_diff import as_json, refuse_other_config
 from marl_mm.datasets.dataset import Dataset
-from marl_mm.declared import as_record
+from marl_mm.declared import as_record, with_added
 from marl_mm.envs.registry import TASKS
 from marl_mm.errors import (
     CheckpointError,
@@ -96,8 +96,9 @@ def check_run(
         return  # stopped before its first checkpoint, or before its turn
     refuse_other_plugins(run, config, training.allow_changed_plugin)
     _refuse_first_online(run, config)
-    may_differ = ("preset", "device", "eval_episodes", "plugins", "start")
-    refuse_other(run, config, (*may_differ, *(training.continued if further else ())))
+    may_differ = ["preset", "device", "eval_episodes", "plugins", "start"]
+    may_differ += training.continued if further else ()
+    refuse_other(run, config, training.config, may_differ)
 
 
 def _refuse_first_online(run: Path, config: RunConfig) -> None:
@@ -124,8 +125,16 @@ def refuse_other_plugins(run: Path, config: RunConfig, allowed: bool) -> None:
             )
 
 
-def refuse_other(run: Path, config: RunConfig, ignored: Sequence[str] = ()) -> None:
+def refuse_other(
+    run: Path, config: RunConfig, settings: Any, ignored: Sequence[str] = ()
+) -> None:
     """Raise if a run was made of something else than this config.
+
+    Args:
+        run: Folder of the run.
+        config: The config.
+        settings: Hyper-parameters that are part of it.
+        ignored: Names of values that may differ.
 
     Raises:
         OtherConfigError: Naming what differs.
@@ -137,6 +146,7 @@ def refuse_other(run: Path, config: RunConfig, ignored: Sequence[str] = ()) -> N
     for values in (begun, current):  # a dataset may have moved
         if values.get("dataset"):
             values["dataset"].pop("path", None)
+    begun, current = (with_added(of, settings) for of in (begun, current))
     refuse_other_config(run, begun, current)
 
 

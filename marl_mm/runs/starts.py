@@ -2,6 +2,7 @@
 
 import hashlib
 import shutil
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ from marl_mm.algorithms.checkpoint import BEST, FILE, read_checkpoint
 from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.algorithms.runlog import METRICS
 from marl_mm.config_diff import as_json
-from marl_mm.declared import as_record
+from marl_mm.declared import with_added
 from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.files import new_file
 from marl_mm.received import refuse_links_out
@@ -84,10 +85,11 @@ def check_start(training: Offline, config: RunConfig, out: Path) -> None:
             f"{start} learnt from {data.get('id')}, expected {now.get('id')}: what it "
             "sees is scaled by its data, leave out the dataset"
         )
-    for name, value in as_json(as_record(training.config)).items():
-        if name in before.settings and before.settings[name] != value:
+    settings = with_added(before.settings, training.config)
+    for name, value in as_json(asdict(training.config)).items():
+        if name in settings and settings[name] != value:
             raise UsageError(
-                f"{start} was made with {name} = {before.settings[name]}, expected "
+                f"{start} was made with {name} = {settings[name]}, expected "
                 f"{value}: a run starts with the settings of the other, leave it out"
             )
     step = read_checkpoint(start, training.algorithm)["state"].get("step")

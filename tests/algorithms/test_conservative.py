@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from marl_mm.algorithms.cfcql import nearness_to_bounds
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED
 from marl_mm.contracts.learners import (
     UNUSUAL,
@@ -60,6 +61,11 @@ def valued(learner: Any, *actions: Any, place: float = 0.0) -> np.ndarray:
     state = torch.tensor([place, 0.0]).expand(*asked.shape[:2], 2)
     with torch.no_grad():
         return np.asarray(learner.critics.least(learner.normalizer(state), asked)[:, 0])
+
+
+def test_nearness_to_bounds_is_finite_at_them() -> None:
+    near = nearness_to_bounds(torch.tensor([[0.0, 0.6], [0.0, 0.0], [-1.0, 0.0]]))
+    np.testing.assert_allclose(near, [-np.log(0.64), 0.0, 13.8], atol=0.1)
 
 
 # --- Games -------------------------------------------------------------------
@@ -118,6 +124,17 @@ def test_a_search_leaves_the_lower_of_two_hills() -> None:
     for name, top in (("cfcql", -0.5), ("omar", 0.7)):
         learner = trained(name, data, 500, **settings)
         np.testing.assert_allclose(acted(learner), top, atol=0.15)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("weight", "best"), [(0.0, 1.0), (0.5, 0.618)])
+def test_actions_pay_for_being_near_their_bounds(weight: float, best: float) -> None:
+    """Of a reward a the best has 1 = 2 b a / (1 - a^2): with b = 0.5 the golden one."""
+    action = np.random.default_rng(0).uniform(-1, 1, (2_000, 1))
+    data = steps_of(action, action[:, 0], team(1))
+    settings: dict[str, Any] = {"conservatism": 0.02, "learning_rate": 1e-3}
+    learner = trained("cfcql", data, 500, **settings, bound_penalty=weight)
+    np.testing.assert_allclose(acted(learner), best, atol=0.12)
 
 
 @pytest.mark.slow

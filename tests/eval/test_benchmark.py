@@ -139,7 +139,7 @@ def test_fewer_updates_are_compared_where_there_are_runs_of_both(
         ("mabc", 3),
     ]
     gained, same = rows
-    assert gained["gain"] == pytest.approx(gained["late"] - gained["early"])
+    assert gained["gain"] == pytest.approx(gained["success"] - gained["early"])
     assert (
         0.4 < gained["gain_interval"][0] < gained["gain"] < gained["gain_interval"][1]
     )
@@ -158,6 +158,7 @@ def test_without_rows_there_is_no_table(tmp_path: Path) -> None:
 def test_no_dataset_is_one_of_the_tuning_and_every_axis_and_task_is_there() -> None:
     recipes = [RECIPES.get(name) for name in DATASETS]
     assert not {*DATASETS} & {*TUNING} and len({*DATASETS}) == 16
+    assert {*early.DATASETS} <= {*DATASETS}
     assert {recipe.axis for recipe in recipes} >= {
         *("expert", "noisy", "explore", "stitch", "conventions", "one-bad"),
         *("narrow", "rare"),

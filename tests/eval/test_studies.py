@@ -22,10 +22,12 @@ import numpy as np
 import psutil
 import pytest
 
+from marl_mm.algorithms.registry import TUNED, preset
 from marl_mm.algorithms.runlog import METRICS
 from marl_mm.cli import main
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import begun
+from marl_mm.declared import as_record
 from marl_mm.errors import (
     MarlMmError,
     OtherConfigError,
@@ -49,6 +51,7 @@ from marl_mm.eval.studies.study import (
     cell_name,
 )
 from marl_mm.eval.studies.targets import GROUPS, STUDIES
+from marl_mm.files import write_json
 from marl_mm.progress import silent_bar
 from marl_mm.runs.paper import GOOD_30K
 from marl_mm.runs.sources import Datasets, Source
@@ -261,11 +264,32 @@ def test_rows_that_were_cut_off_between_files_are_made_again(
     with pytest.raises(KeyboardInterrupt):
         store.keep(cell, runs, [LAST])
     monkeypatch.undo()
-    assert store.missing(cell, [0, 1], [LAST], made_of) == [1]
+    settings = preset("mabc", TUNED)
+    assert store.missing(cell, [0, 1], [LAST], made_of, settings) == [1]
     store.keep(cell, runs, [LAST])
-    assert store.missing(cell, [0, 1], [LAST], made_of) == []
+    assert store.missing(cell, [0, 1], [LAST], made_of, settings) == []
     assert len(store.evaluations(cell, [0, 1], [LAST])) == 4
     assert len(store.curves(cell, [0, 1])) == 2
+
+
+@pytest.mark.parametrize(("before", "now"), [(0.0, 0.3), (0.3, 0.0)])
+def test_rows_of_another_setting_are_refused_though_defaults_are_not_recorded(
+    before: float, now: float, tmp_path: Path
+) -> None:
+    store, cell = RowStore(tmp_path), ("good-5k", OURS)
+    kept, asked = (
+        replace(preset("cql", TUNED), bound_penalty=b) for b in (before, now)
+    )
+    record = {"algorithm": "cql", "probes": {"last": LAST.way}}
+    path = tmp_path / "good-5k" / f"{OURS.name}.json"
+    path.parent.mkdir()
+    write_json(path, record | as_record(kept))
+    missed = store.missing(cell, [0], [LAST], record | as_record(kept), kept)
+    assert missed == [0]
+    with pytest.raises(
+        OtherConfigError, match=rf"bound_penalty = {before} \(now {now}"
+    ):
+        store.missing(cell, [0], [LAST], record | as_record(asked), asked)
 
 
 def test_older_rows_are_added_to(tmp_path: Path) -> None:
