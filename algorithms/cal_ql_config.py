@@ -30,7 +30,8 @@ ALGORITHMS.add(
         advice="Before own episodes: CQL's values are too low to begin with, and it "
         "first unlearns. Without own episodes take CQL. Where returns are far above 0, "
         "where critics begin, nothing is held down until values have risen, and the "
-        "actor lies at its bounds: for 2,000 updates on Hopper, whose returns are 300.",
+        "actor goes to its bounds and may stay there: `bound_penalty` keeps it "
+        "away, as it did on Hopper.",
         departs="CQL's actor is TD3's. What the data's policy is worth is taken from "
         "the returns of its own episodes, as in the source, but of none that was cut "
         "off: those bound nothing, 38 % of the steps of `quiet-zone-noisy`.",
