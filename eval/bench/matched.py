@@ -55,8 +55,8 @@ def matched(name: str, **settings: Any) -> Any:
     """Hyper-parameters of ours that match d3rlpy's.
 
     What stays different: d3rlpy's actors of IQL and CQL are Gaussian and that of CQL is
-    SAC's, with a weight of the entropy that it adapts; ours give one action, and CQL's
-    is TD3's, with theirs' first weight for keeping off the bounds.
+    SAC's, which adapts the weight of its entropy; ours give one action, and CQL's is
+    TD3's, with that weight's first value as ``bound_penalty``.
     """
     return with_settings(name, _SHARED | _OWN.get(name, {}) | settings)
 

@@ -291,6 +291,25 @@ def test_a_learner_that_cannot_observe_is_named(
         trained("iql", tmp_path, online_steps=20)
 
 
+def test_a_run_does_not_go_on_by_a_default_that_records_leave_out(
+    tmp_path: Path,
+) -> None:
+    """Neither from another run nor from its own checkpoint."""
+    short: dict[str, Any] = {"updates": 2, "curve_every": 2}
+    begun = trained("cql", tmp_path / "begun", bound_penalty=0.3, **short)
+    with pytest.raises(UsageError, match=r"with bound_penalty = 0\.3, expected 0\.0"):
+        trained(
+            "cql",
+            tmp_path / "other",
+            start=begun.folder,
+            bound_penalty=0.0,
+            online_steps=20,
+            **short,
+        )
+    with pytest.raises(OtherConfigError, match=r"bound_penalty = 0\.3 \(now 0\.0\)"):
+        trained("cql", tmp_path / "begun", resume=True, bound_penalty=0.0, **short)
+
+
 # --- What is learnt from -----------------------------------------------------
 
 
