@@ -28,6 +28,7 @@ from marl_mm.errors import MarlMmError
 from marl_mm.eval.bench import d3rlpy_reference
 from marl_mm.eval.bench.d3rlpy_process import Rate, learners_of, named
 from marl_mm.eval.bench.matched import learner, matched, with_settings
+from marl_mm.eval.bench.side_by_side import HIDDEN
 from marl_mm.eval.bench.td3_bc_reference import PlainTd3Bc
 from marl_mm.progress import Advance, Bar, silent
 from marl_mm.workers import available_cores
@@ -37,8 +38,6 @@ AUTHORS_AUTO = f"{AUTHORS}, --precision auto"
 PLAIN = "td3-bc, no more than theirs"
 PLAIN_HIGHEST = f"{PLAIN}, --precision highest"
 
-HIDDEN = (256, 256)
-
 THREADS = (1, 2)
 """Numbers of threads that updates are timed with."""
 
@@ -47,9 +46,6 @@ _TURN = 50
 
 _LOOK_EVERY = 0.5
 """Time between measurements of a command's memory [s]."""
-
-MANY = 16
-"""Seeds that learn side by side on a GPU."""
 
 
 def bench_offline(
@@ -139,40 +135,6 @@ def bench_seeds(
         "cost_over_one": several / single,
         "one_memory_mib": memory[1],
         "several_memory_mib": memory[seeds],
-    }
-
-
-def bench_side_by_side(
-    updates: int, seeds: int = MANY, device: str = "cuda", advance: Advance = silent
-) -> dict[str, float]:
-    """Updates per second of many seeds of TD3+BC in one process, together, over one.
-
-    Args:
-        updates: Number of updates of each seed.
-        seeds: Number of seeds.
-        device: Name of a GPU, or "cpu" for one core.
-        advance: Called with the number of finished updates.
-    """
-    arrays, rewards = shipped_arrays(), make_task()
-    config = Td3BcConfig(hidden=HIDDEN)
-    rates = {}
-    for count in (1, seeds):
-        algorithm = Td3Bc(config, arrays, rewards, range(count), device)
-        torch.set_num_threads(1)
-        with matrix_products("auto"):
-            _rate(algorithm.update, min(updates, _TURN))  # warms caches
-            algorithm.diagnose()["q/data"].cpu()  # waits for what is under way
-            begin = perf_counter()
-            for _ in range(updates):
-                algorithm.update()
-            algorithm.diagnose()["q/data"].cpu()
-        rates[count] = count * updates / (perf_counter() - begin)
-        advance(updates, f"{count} seeds")
-    return {
-        "seeds": seeds,
-        "one_updates_per_second": rates[1],
-        "all_updates_per_second": rates[seeds],
-        "over_one": rates[seeds] / rates[1],
     }
 
 

@@ -119,9 +119,28 @@ def offline_speed_table(result: Mapping[str, Any]) -> str:
         f"{seeds['cost_over_one']:.2f} times as long as with one "
         f"({seeds['several_s']:.0f} s, {seeds['one_s']:.0f} s), and {several} MiB of "
         f"memory ({single} MiB). Side by side in one process, on one core, "
-        f"{beside['seeds']} take {beside['seeds'] / beside['over_one']:.2f} times as "
-        f"long.\n"
+        f"5 take {5 * beside['1'] / beside['5']:.2f} times as long.\n"
     )
+
+
+def gpu_table(result: Mapping[str, Any]) -> str:
+    """Updates per second of seeds side by side on a GPU, as Markdown."""
+    lines = []
+    for name, rates in result["learners"].items():
+        core, (one, five, many) = rates["core"], rates["gpu"].values()
+        several = f"{one:.0f}", f"{5 * one / five:.2f}", f"{many:.0f}"
+        over = f"{many / one:.1f}", f"{many / core:.1f}"
+        lines.append((name, f"{core:.0f}", *several, *over))
+    header = (
+        "learner",
+        "one core, one seed",
+        "GPU, one seed",
+        "time of 5 seeds over one",
+        "GPU, 16 seeds",
+        "of one seed",
+        "of one core",
+    )
+    return f"{result['gpu']}, updates per second:\n\n{markdown_table(header, lines)}"
 
 
 def data_table(result: Mapping[str, Any]) -> str:

@@ -8,13 +8,9 @@ import torch
 
 from marl_mm.algorithms.registry import names
 from marl_mm.eval.bench.acting import bench_acting
-from marl_mm.eval.bench.offline import (
-    HIDDEN,
-    bench_offline,
-    bench_seeds,
-    bench_side_by_side,
-)
+from marl_mm.eval.bench.offline import bench_offline, bench_seeds
 from marl_mm.eval.bench.online import bench_online, bench_success
+from marl_mm.eval.bench.side_by_side import HIDDEN, bench_gpu, bench_side_by_side
 from marl_mm.progress import Bar
 
 _TURN = 100
@@ -59,10 +55,11 @@ def bench_train(
         advance = bar("bench seeds", 2 * (1 + seeds))
         result["seeds"] = bench_seeds(_LONGER * updates, seeds, advance=advance)
     advance = bar("bench side by side", 2 * updates)
-    result["side_by_side"] = bench_side_by_side(updates, 5, "cpu", advance)
+    result["side_by_side"] = bench_side_by_side(
+        "td3-bc", updates, (1, 5), "cpu", advance
+    )
     advance = bar("bench acting", len(names(online=False)))
     result["acting_ms"] = bench_acting(HIDDEN, seed, advance=advance)
     if torch.cuda.is_available():
-        advance = bar("bench GPU", 2 * updates)
-        result["side_by_side_cuda"] = bench_side_by_side(updates, advance=advance)
+        result["gpu"] = bench_gpu(updates, bar)
     return result

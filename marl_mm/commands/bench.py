@@ -107,6 +107,23 @@ class BenchTrain(_Bench):
 
 
 @dataclass(frozen=True)
+class BenchGpu(_Bench):
+    """Count updates per second of 1, 5 and 16 seeds side by side on a GPU.
+
+    Beside them is one seed on one core of this machine.
+    """
+
+    updates: int = 200
+    """Updates of each algorithm and number of seeds; 200 take 5 min."""
+
+    def measure(self, bar: Bar) -> dict[str, Any]:
+        """The benchmark of these options."""
+        from marl_mm.eval.bench.side_by_side import bench_gpu
+
+        return bench_gpu(self.updates, bar)
+
+
+@dataclass(frozen=True)
 class BenchData(_Bench):
     """Count collected steps per second, and time loading; sizes on disk.
 
@@ -203,6 +220,7 @@ def main(arguments: Sequence[str]) -> None:
             control=BenchControl,
             abuse=BenchAbuse,
             train=BenchTrain,
+            gpu=BenchGpu,
             learning=BenchLearning,
             data=BenchData,
         ),

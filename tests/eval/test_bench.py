@@ -26,10 +26,10 @@ from marl_mm.eval.bench.offline import (
     PLAIN,
     bench_offline,
     bench_seeds,
-    bench_side_by_side,
     plain_config,
 )
 from marl_mm.eval.bench.online import bench_online, bench_success
+from marl_mm.eval.bench.side_by_side import bench_gpu, bench_side_by_side
 from marl_mm.eval.bench.td3_bc_reference import PlainTd3Bc
 from marl_mm.progress import Advance, silent_bar
 from marl_mm.sim.config import Engine
@@ -222,10 +222,16 @@ def test_bench_seeds_runs_the_command(
 def test_side_by_side_counts_all_seeds() -> None:
     """On a GPU; the CPU can do it, too."""
     counts: list[int] = []
-    result = bench_side_by_side(5, 3, "cpu", lambda done, note: counts.append(done))
-    assert counts == [5, 5] and result["seeds"] == 3
-    ratio = result["all_updates_per_second"] / result["one_updates_per_second"]
-    assert result["over_one"] == pytest.approx(ratio)
+    progress: Advance = lambda done, note: counts.append(done)  # noqa: E731
+    rates = bench_side_by_side("td3-bc", 5, (1, 3), "cpu", progress)
+    assert counts == [5, 5] and list(rates) == ["1", "3"]
+    assert 0 < rates["1"] < 3 * rates["3"]
+
+
+def test_without_a_gpu_its_benchmark_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(UsageError, match="finds no GPU"):
+        bench_gpu(5, silent_bar)
 
 
 def test_acting_is_timed_for_all() -> None:
