@@ -40,6 +40,7 @@ from marl_mm.eval.bench.tables import (
     bench_table,
     data_table,
     env_table,
+    gpu_table,
     offline_speed_table,
     tick_table,
     vector_table,
@@ -241,6 +242,10 @@ def _offline_updates() -> str:
     return offline_speed_table(json.loads((RESULTS / "offline/bench.json").read_text()))
 
 
+def _gpu_updates() -> str:
+    return gpu_table(json.loads((RESULTS / "offline/gpu.json").read_text()))
+
+
 def _entries() -> str:
     """Entries of joint state and action, and whose they are, as Markdown."""
     only = [f"`{name}`" for name, task in TASKS.items() if task.layout == HANDLING]
@@ -375,6 +380,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "recipes": recipes_table,
     "named-others": other_named,
     "offline-updates": _offline_updates,
+    "gpu-updates": _gpu_updates,
     "known": _known,
     "goals": goals_table,
 }

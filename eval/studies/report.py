@@ -15,6 +15,7 @@ from marl_mm.eval.bench.tables import (
     bench_table,
     data_table,
     env_table,
+    gpu_table,
     offline_speed_table,
     tick_table,
     vector_table,
@@ -171,6 +172,7 @@ def _benchmarks(results: Path) -> Iterator[Section]:
         "controller/bench.json": ("The controller's time", "control", bench_table),
         "data/bench.json": ("Collecting and loading", "data", data_table),
         "offline/bench.json": ("Offline updates", "train", offline_speed_table),
+        "offline/gpu.json": ("Updates on a GPU", "gpu", gpu_table),
     }
     for name, (title, target, table) in tables.items():
         for path in _within(results, [results / name]):

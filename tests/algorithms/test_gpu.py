@@ -47,7 +47,8 @@ def test_it_learns_what_a_cpu_learns(name: str) -> None:
 @pytest.mark.parametrize("name", ["matd3-bc", "mac-flow"])
 def test_runs_go_on_and_are_evaluated(tmp_path: Path, name: str) -> None:
     """Resumed half-way they end where straight ones do, to the bit."""
-    words = ["train", name, *SMALL[1:], "--device", "cuda", "--seeds", "0", "1"]
+    words = ["train", name, *SMALL[1:], "--engine", "mujoco", "--device", "cuda"]
+    words += ["--seeds", "0", "1"]
     straight, halved = tmp_path / "straight", tmp_path / "halved"
     assert main([*words, "--out", str(straight)]) == 0
     words += ["--out", str(halved)]
