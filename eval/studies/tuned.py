@@ -17,6 +17,12 @@ CHOSEN: Mapping[str, Mapping[str, Any]] = {
         "hidden": (256, 256),
         "flow_steps": 5,
     },
+    "iql": {
+        "learning_rate": 0.0002,
+        "discount": 0.95,
+        "expectile": 0.5,
+        "temperature": 10.0,
+    },
     "ma-flow-bc": {
         "learning_rate": 0.001,
         "batch_size": 512,
@@ -52,6 +58,12 @@ CHOSEN: Mapping[str, Mapping[str, Any]] = {
     },
     "omar": {},
     "q-chunking": {},
+    "rebrac": {
+        "learning_rate": 0.0005,
+        "discount": 0.9,
+        "actor_weight": 0.3,
+        "critic_weight": 0.0,
+    },
     "td3-bc": {
         "actor_learning_rate": 0.0002,
         "discount": 0.9,
