@@ -16,12 +16,12 @@ from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.cells import read_cells, run_cells, write_cells
 from marl_mm.eval.studies.engines_summary import agreement, paired
-from marl_mm.eval.studies.offline import LEARNERS
+from marl_mm.eval.studies.offline import BLOCKS, LEARNERS
 from marl_mm.eval.studies.options import PolicyOptions, StudyOptions
 from marl_mm.eval.studies.policies import Contestant, PolicyCell, run_cell
 from marl_mm.eval.studies.study import Probe, Study
 from marl_mm.progress import Bar
-from marl_mm.runs.sources import Source
+from marl_mm.runs.sources import Source, on_engine
 from marl_mm.sim.config import ENGINES, Engine
 
 ABOUT = "Policies on both engines, on the same goals, and how far the engines agree."
@@ -94,17 +94,24 @@ _HANDLING = (
 
 
 def contestants(task: str, options: StudyOptions) -> list[Contestant]:
-    """Policies of a task; those of ``transfer`` too, where its runs are in ``runs``."""
-    if make_task(task).layout != make_task(DEFAULT).layout:
-        return [*_HANDLING]
+    """Policies of a task, with agents of ``transfer``, or with a block of ``blocks``.
+
+    Of those take part that have runs in ``runs``.
+    """
+    reaches = make_task(task).layout == make_task(DEFAULT).layout
+    handled = (
+        (on_engine(source, engine), setting)
+        for source, engine, setting in product(BLOCKS, ENGINES, LEARNERS)
+        if source.task == task
+    )
     agents = []
     seed, *_ = options.seeds_of(TRANSFER)
-    for cell in TRANSFER.cells:
+    for cell in TRANSFER.cells if reaches else handled:
         run = options.run_folder(cell, seed)
         if (run / FILE).exists():
             name = "-".join((run.parent.name, *run.parts[-3:-2]))
             agents.append(Contestant(name, "pretrained", (("agent", str(run)),)))
-    return [*_REACHING, *agents]
+    return [*(_REACHING if reaches else _HANDLING), *agents]
 
 
 # --- Cells -------------------------------------------------------------------

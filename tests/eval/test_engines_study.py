@@ -103,6 +103,15 @@ def test_agents_whose_runs_are_there_take_part(tmp_path: Path) -> None:
     assert cell.contestant.settings == (("agent", "good-10k-bullet/mabc/0"),)
 
 
+def test_agents_of_a_block_take_part_in_their_own_task(tmp_path: Path) -> None:
+    options = EnginesOptions(runs=tmp_path)
+    (tmp_path / "marl_mm-grasp-scripted-mujoco-v0/td3-bc/0").mkdir(parents=True)
+    (tmp_path / "marl_mm-grasp-scripted-mujoco-v0/td3-bc/0/checkpoint.pt").touch()
+    *_, agent = contestants("Grasp-v0", options)
+    assert agent.name == "td3-bc-marl_mm-grasp-scripted-mujoco-v0"
+    assert len(contestants("GraspReach-v0", options)) == 21
+
+
 @pytest.mark.bullet
 def test_a_plan_counts_policies_and_runs_none(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
