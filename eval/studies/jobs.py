@@ -1,6 +1,6 @@
 """Runs of studies, each trained and evaluated by one of several processes."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -89,8 +89,9 @@ def do_jobs(
 ) -> dict[Path, Complaint]:
     """Do jobs; one that fails does not stop the others.
 
-    When a process dies, the runs that may have been under way are then done one at a
-    time, so that it shows which of them kills processes.
+    On a GPU those of a cell are done in one process, side by side. When a process dies,
+    those that may have been under way are then done one at a time, so that it shows
+    which of them kills processes.
 
     Args:
         jobs: Runs to train and evaluate.
@@ -107,15 +108,15 @@ def do_jobs(
     Raises:
         KeyboardInterrupt: After Ctrl-C; runs go on from their last checkpoints.
     """
-    left = {job.run: job for job in jobs}
+    left = {group[0].run: group for group in _together(jobs)}
     failed: dict[Path, Complaint] = {}
-    begun, total = monotonic(), sum(job.seconds for job in left.values())
+    begun, total = monotonic(), _seconds(left.values())
     context = get_context("forkserver")
     messages, stop = context.Queue(), context.Event()
     deaths = dict.fromkeys(left, 0)
     suspects: list[Path] = []
     with show_distant_bars(messages, stop, bar):
-        messages.put((_ALL, len(left), 0, ""))
+        messages.put((_ALL, sum(map(len, left.values())), 0, ""))
         while left:
             shared = (messages, stop) if executor == "local" else (None, None)
             under_way = suspects[:1] or list(left)
@@ -125,22 +126,23 @@ def do_jobs(
             try:
                 asked = [left[run] for run in under_way]
                 for run, complaint in pool.completed(_do, asked):
-                    complaint = complaint or _settled(left[run], done)
-                    del left[run]
-                    if complaint:
-                        failed[run] = complaint
-                    rest = sum(job.seconds for job in left.values())
+                    group = left.pop(run)
+                    for job in group:
+                        if why := complaint or _settled(job, done):
+                            failed[job.run] = why
+                    rest = _seconds(left.values())
                     note = _remaining(monotonic() - begun, rest, total)
-                    messages.put((_ALL, 0, 1, note))
+                    messages.put((_ALL, 0, len(group), note))
             except WorkerDiedError as error:
                 if suspects:
                     deaths[suspects[0]] += 1
                     if deaths[suspects[0]] == _DEATHS:
-                        failed[suspects[0]] = str(error)
-                        del left[suspects[0]]
+                        for job in left.pop(suspects[0]):
+                            failed[job.run] = str(error)
                 else:  # no more are handed out at once
                     suspects = [run for run in under_way if run in left][: 2 * workers]
-                notify(f"{error}; going on with {len(left)} runs")
+                runs = sum(map(len, left.values()))
+                notify(f"{error}; going on with {runs} runs")
             except BaseException:
                 stop.set()
                 raise
@@ -148,6 +150,19 @@ def do_jobs(
                 pool.close()
             suspects = [run for run in suspects if run in left]
     return failed
+
+
+def _together(jobs: Iterable[Job]) -> Iterable[Sequence[Job]]:
+    """Jobs by the process that does them: those of a cell on a GPU, else each alone."""
+    groups: dict[object, list[Job]] = {}
+    for job in jobs:
+        key = cell_name(job.cell) if job.learner.on_gpu else job.run
+        groups.setdefault(key, []).append(job)
+    return groups.values()
+
+
+def _seconds(groups: Iterable[Sequence[Job]]) -> float:
+    return sum(job.seconds for group in groups for job in group)
 
 
 def _settled(job: Job, done: Callable[[Job], None]) -> Complaint:
@@ -178,19 +193,21 @@ def _begin(messages: Any, stop: Any) -> None:
         _bar = distant_bars(messages, stop)
 
 
-def _do(job: Job) -> tuple[Path, Complaint]:
-    """Do a job; its run, and why it failed."""
+def _do(group: Sequence[Job]) -> tuple[Path, Complaint]:
+    """Do jobs of one learner; the first one's run, and why they failed."""
+    first = group[0]
     try:
-        if not job.trained:
-            job.learner.train(job.seed, job.run, _named(job))
-        for probe in job.probes:
-            if not job.has(probe):
-                _probe(job, probe)
+        if left := {job.seed: job.run for job in group if not job.trained}:
+            first.learner.train(left, _named(first))
+        for job in group:
+            for probe in job.probes:
+                if not job.has(probe):
+                    _probe(job, probe)
     except MarlMmError as error:
-        return job.run, str(error)
+        return first.run, str(error)
     except Exception as error:  # such as torch's, out of memory: others go on
-        return job.run, f"{type(error).__name__}: {error}"
-    return job.run, ""
+        return first.run, f"{type(error).__name__}: {error}"
+    return first.run, ""
 
 
 def _probe(job: Job, probe: Probe) -> None:

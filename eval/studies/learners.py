@@ -1,5 +1,6 @@
 """Training of a cell's runs: from a dataset, online, or by Stable-Baselines3."""
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,8 +29,9 @@ from marl_mm.eval.studies.study import BEST, LAST, Online, Probe, Setting
 from marl_mm.progress import Bar
 from marl_mm.runs import learning
 from marl_mm.runs.checks import check_training
+from marl_mm.runs.seeds import train_seeds
 from marl_mm.runs.sources import Data
-from marl_mm.runs.training import Offline, Training
+from marl_mm.runs.training import Device, Offline, Training
 from marl_mm.runs.training import Online as OnlineTraining
 from marl_mm.runs.training import training_of as default_training
 from marl_mm.sim.config import RECORDED_ENGINE, Engine
@@ -89,18 +91,29 @@ class Learner:
         for seed, run in runs.items():
             sb3.check_sb3_run(self._sb3, seed, run)
 
-    def train(self, seed: int, run: Path, bar: Bar) -> None:
-        """Train and evaluate a run; one that diverges keeps its checkpoint."""
+    @property
+    def on_gpu(self) -> bool:
+        """Whether runs are trained on a GPU, side by side."""
+        return isinstance(self.training, Offline) and self.training.device == "cuda"
+
+    def train(self, runs: Mapping[int, Path], bar: Bar) -> None:
+        """Train and evaluate runs by seed; one that diverges keeps its checkpoint."""
         training = self.training
         try:
-            if self.sb3:
-                sb3.train_sb3_run(self._sb3, seed, run, bar)
-            else:
-                learning.train_run(training, self.dataset, seed, run, bar)
+            if self.on_gpu:
+                deque(train_seeds(training, self.dataset, runs, bar), maxlen=0)
+                return
+            for seed, run in runs.items():
+                if self.sb3:
+                    sb3.train_sb3_run(self._sb3, seed, run, bar)
+                else:
+                    learning.train_run(training, self.dataset, seed, run, bar)
         except DivergedError:
-            if not all((run / file).exists() for file in (FILE, BEST_FILE)):
+            ends = FILE, BEST_FILE
+            if not all((run / file).exists() for run in runs.values() for file in ends):
                 raise
-            learning.evaluate_run(training, self.dataset, run, bar, "eval")
+            for run in runs.values():
+                learning.evaluate_run(training, self.dataset, run, bar, "eval")
 
     @property
     def _sb3(self) -> OnlineTraining:
@@ -108,18 +121,24 @@ class Learner:
         shown = None if self.source is None else self.source.name
         return replace(self.training, demonstrations=shown)
 
-    def seconds_per_update(self) -> float:
-        """Measured duration of an update [s]; 0 online."""
+    def seconds_per_update(self, seeds: int) -> float:
+        """Measured duration of an update [s], of a seed's share on a GPU; 0 online.
+
+        Args:
+            seeds: Number of seeds that learn side by side there.
+        """
         if not isinstance(self.training, Offline):
             return 0.0
         prepare_for_small_networks()
-        algorithm = learning.algorithm_of(self.training, self.dataset, [0])
+        together = seeds if self.on_gpu else 1
+        every = range(together)
+        algorithm = learning.algorithm_of(self.training, self.dataset, every)
         with matrix_products(self.training.config.precision):
             for number in range(2 * _TIMED):
                 if number == _TIMED:
                     begin = perf_counter()
                 algorithm.update()
-        return (perf_counter() - begin) / _TIMED
+        return (perf_counter() - begin) / _TIMED / together
 
     def seconds_left(self, run: Path, per_update: float, per_goal: float) -> float:
         """Estimated remaining time of a run's training [s].
@@ -148,6 +167,7 @@ def training_of(
     small: bool,
     precision: Precision = "auto",
     engine: Engine = RECORDED_ENGINE,
+    device: Device = "cpu",
 ) -> Training:
     """Settings of a cell's runs, without the path of its dataset.
 
@@ -157,6 +177,7 @@ def training_of(
         small: Whether hardly anything is trained.
         precision: Precision of matrix products of offline runs.
         engine: Engine of the simulation.
+        device: Device of offline training.
     """
     training: Training
     changes = dict(setting.changes)
@@ -178,6 +199,7 @@ def training_of(
             stop_diverging=False,  # a table's runs have all their updates
             fine_tuning=setting.fine_tuning,
             require_success=not small,
+            device=device,
         )
         changes = {"precision": resolved(precision), **changes}
     run_settings: dict[str, Any] = {"eval_episodes": setting.goals}

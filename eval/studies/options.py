@@ -9,7 +9,8 @@ from marl_mm.envs.registry import TASKS, make_task
 from marl_mm.errors import UsageError
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.study import Cell, Study, cell_name
-from marl_mm.runs.settings import check_positive, check_seeds
+from marl_mm.runs.settings import check_device, check_positive, check_seeds
+from marl_mm.runs.training import Device
 from marl_mm.sim.config import RECORDED_ENGINE, Engine, default_engine, engine_overrides
 from marl_mm.workers import Executor
 
@@ -40,6 +41,10 @@ class StudyOptions:
     precision: Precision = "auto"
     """Precision of matrix products; see "marl-mm train td3-bc --help"."""
 
+    device: Device = "cpu"
+    """Device of offline training; on cuda, a GPU, all seeds of a setting learn side by
+    side in a process, and rows are not the same bytes as on cpu."""
+
     engine: Engine | None = None
     """Engine of the simulation, bullet or mujoco, where a study names none: of the
     datasets that are collected, and of all evaluations; default that of the rows in
@@ -65,6 +70,7 @@ class StudyOptions:
             UsageError: Naming the option.
         """
         check_positive(workers=self.workers)
+        check_device(self.device)
         make_task(overrides=engine_overrides(self.engine))
         if self.seeds is not None:
             check_seeds(self.seeds)

@@ -1,5 +1,6 @@
 """Missing runs of studies, and the time that they will take."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import groupby
@@ -42,7 +43,7 @@ def missing_jobs(
     for cell, probes, asked in cells:
         source, setting = cell
         engine = engines[cell_name(cell)]
-        how = options.small, options.precision, engine
+        how = options.small, options.precision, engine, options.device
         training = training_of(source, setting, *how)
         record = made_of(setting, training)
         seeds = options.store.missing(cell, asked, probes, record, training.config)
@@ -112,6 +113,7 @@ def estimated(jobs: Sequence[Job], bar: Bar) -> list[Job]:
     """Jobs with their estimated durations, measured on this machine."""
     per_update: dict[tuple[str, str], float] = {}
     timed, goal_times = [], GoalTimes()
+    seeds = Counter(cell_name(job.cell) for job in jobs if not job.trained)
     advance = bar("measuring", len(jobs))
     for job in jobs:
         source, setting = job.cell
@@ -121,7 +123,8 @@ def estimated(jobs: Sequence[Job], bar: Bar) -> list[Job]:
         if not job.trained:
             key = setting.name, task
             if key not in per_update:
-                per_update[key] = job.learner.seconds_per_update()
+                together = seeds[cell_name(job.cell)]
+                per_update[key] = job.learner.seconds_per_update(together)
             seconds = job.learner.seconds_left(job.run, per_update[key], per_goal)
         probes = sum(not job.has(probe) for probe in job.probes)
         seconds += probes * training.eval_episodes * per_goal

@@ -80,11 +80,11 @@ class TuningOptions(StudyOptions):
         super().check_settings()
         check_positive(tried=self.tried, updates=self.updates, goals=self.goals)
         refuse_unknown(self.data)
-        if self.precision != "auto":
-            raise UsageError(
-                f"`precision` is {self.precision}, expected auto: tuning has that of "
-                "the presets"
-            )
+        for name, fixed in (("precision", "auto"), ("device", "cpu")):
+            if (given := getattr(self, name)) != fixed:
+                raise UsageError(
+                    f"`{name}` is {given}, expected {fixed}: tuning has no other"
+                )
         for name in self.algorithms:
             if name not in RANGES:
                 raise UsageError(

@@ -109,3 +109,16 @@ def refuse_both(resume: bool, overwrite: bool) -> None:
         raise UsageError(
             "`resume=True` and `overwrite=True` contradict each other: choose one"
         )
+
+
+def check_device(device: str) -> None:
+    """Raise a UsageError for "cuda" where there is no GPU."""
+    if device == "cpu":
+        return
+    import torch  # takes a second
+
+    if not torch.cuda.is_available():
+        raise UsageError(
+            "`device` is cuda, but torch finds no such GPU: use `device` cpu, or "
+            "install a torch that is built for yours"
+        )

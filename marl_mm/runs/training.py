@@ -11,6 +11,9 @@ from marl_mm.algorithms.schedule import Schedule
 from marl_mm.runs.settings import check_positive, check_seed, refuse_both
 from marl_mm.sim.config import Engine, engine_overrides
 
+Device = Literal["cpu", "cuda"]
+"""Device of offline training."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
@@ -105,7 +108,7 @@ class Offline(Training):
     require_success: bool = True
     """Refuse a dataset in which no episode reaches its goal."""
 
-    device: Literal["cpu", "cuda"] = "cpu"
+    device: Device = "cpu"
     """Device to train on. On a CPU each seed is a process of one thread, about as many
     at once as there are workers; on a GPU all seeds are trained side by side."""
 

@@ -61,3 +61,12 @@ def test_runs_go_on_and_are_evaluated(tmp_path: Path, name: str) -> None:
             for run in (straight, halved)
         ]
         demand_same_state(*states)
+
+
+def test_a_study_trains_all_seeds_of_a_setting_together(tmp_path: Path) -> None:
+    """And its rows are kept: drawn again, they need no GPU."""
+    words = "ablate benchmark --budget smoke --seeds 0 1 --datasets".split()
+    words += ["marl_mm/gate/expert-v0", "--settings", "benchmark-bc", "--runs"]
+    words += [str(tmp_path / "runs"), "--out", str(tmp_path / "out")]
+    assert main([*words, "--device", "cuda"]) == 0
+    assert main([*words, "--overwrite"]) == 0

@@ -233,3 +233,5 @@ def test_a_missing_gpu_is_said(
     assert main(["train", *words]) == 2
     assert "torch finds no such GPU" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+    assert main(["ablate", "benchmark", "--plan", "--device", "cuda"]) == 2
+    assert "torch finds no such GPU" in capsys.readouterr().err

@@ -36,7 +36,7 @@ from marl_mm.errors import (
 )
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies import rows as study_rows
-from marl_mm.eval.studies.jobs import Job, do_jobs
+from marl_mm.eval.studies.jobs import Job, _together, do_jobs
 from marl_mm.eval.studies.learners import Learner
 from marl_mm.eval.studies.paper import PAPER, reported
 from marl_mm.eval.studies.rows import RowStore
@@ -524,6 +524,21 @@ def test_a_run_that_kills_its_process_takes_no_other_along(
     assert "a worker process died" in failed[tmp_path / "1"]
     assert "going on with" in messages[0]
     assert sorted(job.run.name for job in done) == ["0", "2", "3"]
+
+
+@pytest.mark.slow
+def test_on_a_gpu_a_process_does_all_runs_of_a_cell(tmp_path: Path) -> None:
+    location = load_dataset("good-5k").location
+    learner = Learner(default_training("mabc", device="cuda"), location)
+    jobs = [
+        Done((name, OURS), seed, tmp_path / name / str(seed), learner, (LAST,))
+        for name in ("one", "other")
+        for seed in (0, 1, 2)
+    ]
+    assert [len(group) for group in _together(jobs)] == [3, 3]
+    done: list[Job] = []
+    assert not do_jobs(jobs, 2, "local", done.append, lambda text: None, silent_bar)
+    assert {job.run for job in done} == {job.run for job in jobs}
 
 
 @pytest.mark.slow
