@@ -19,9 +19,10 @@ from marl_mm.eval.studies.engines_summary import agreement, paired
 from marl_mm.eval.studies.offline import BLOCKS, LEARNERS
 from marl_mm.eval.studies.options import PolicyOptions, StudyOptions
 from marl_mm.eval.studies.policies import Contestant, PolicyCell, run_cell
-from marl_mm.eval.studies.study import Probe, Study
+from marl_mm.eval.studies.study import Probe, Study, cell_name
 from marl_mm.progress import Bar
-from marl_mm.runs.sources import Source, on_engine
+from marl_mm.runs.folder import read_config
+from marl_mm.runs.sources import Source
 from marl_mm.sim.config import ENGINES, Engine
 
 ABOUT = "Policies on both engines, on the same goals, and how far the engines agree."
@@ -94,23 +95,23 @@ _HANDLING = (
 
 
 def contestants(task: str, options: StudyOptions) -> list[Contestant]:
-    """Policies of a task, with agents of ``transfer``, or with a block of ``blocks``.
+    """Policies of a task, with the agents whose runs are in ``runs``.
 
-    Of those take part that have runs in ``runs``.
+    They are those of ``transfer``, or where a hand grasps those of ``blocks``, which
+    are named with the engine of their data, too.
     """
     reaches = make_task(task).layout == make_task(DEFAULT).layout
-    handled = (
-        (on_engine(source, engine), setting)
-        for source, engine, setting in product(BLOCKS, ENGINES, LEARNERS)
-        if source.task == task
-    )
+    grasping = [c for c in product(BLOCKS, LEARNERS) if c[0].task == task]
     agents = []
     seed, *_ = options.seeds_of(TRANSFER)
-    for cell in TRANSFER.cells if reaches else handled:
+    for cell in TRANSFER.cells if reaches else grasping:
         run = options.run_folder(cell, seed)
         if (run / FILE).exists():
-            name = "-".join((run.parent.name, *run.parts[-3:-2]))
-            agents.append(Contestant(name, "pretrained", (("agent", str(run)),)))
+            source, setting = cell_name(cell)
+            if not reaches:
+                source = f"scripted-20k-{read_config(run).engine}"
+            about = (("agent", str(run)),)
+            agents.append(Contestant(f"{setting}-{source}", "pretrained", about))
     return [*(_REACHING if reaches else _HANDLING), *agents]
 
 

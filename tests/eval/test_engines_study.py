@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.cli import main
 from marl_mm.errors import UsageError
 from marl_mm.eval.metrics import Row
@@ -25,7 +26,11 @@ from marl_mm.eval.studies.engines_summary import (
     paired,
     pearson,
 )
+from marl_mm.eval.studies.offline import STUDIES
+from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.policies import PolicyCell
+from marl_mm.eval.studies.study import cell_name
+from marl_mm.sim.config import Engine
 
 MUJOCO = {"simulation": {"engine": "mujoco"}}
 
@@ -91,11 +96,18 @@ def test_every_task_has_twenty_policies() -> None:
             assert policy.policy(task, {}).describe() is not None
 
 
-def test_agents_whose_runs_are_there_take_part(tmp_path: Path) -> None:
-    options = EnginesOptions(runs=tmp_path)
-    run = options.run_folder(TRANSFER.cells[0], 0)
+def begun(run: Path, engine: Engine) -> Path:
+    """A run that ``contestants`` finds."""
     run.mkdir(parents=True)
     (run / "checkpoint.pt").touch()
+    config = RunConfig(algorithm="mabc", seed=0, task="Reach-v0", engine=engine)
+    (run / "config.json").write_text(json.dumps(config.to_json()))
+    return run
+
+
+def test_agents_whose_runs_are_there_take_part(tmp_path: Path) -> None:
+    options = EnginesOptions(runs=tmp_path)
+    run = begun(options.run_folder(TRANSFER.cells[0], 0), "bullet")
     *_, agent = contestants("SmoothReach-v0", options)
     assert agent.name == "mabc-good-10k-bullet"
     assert agent.settings == (("agent", str(run)),)
@@ -103,12 +115,16 @@ def test_agents_whose_runs_are_there_take_part(tmp_path: Path) -> None:
     assert cell.contestant.settings == (("agent", "good-10k-bullet/mabc/0"),)
 
 
-def test_agents_of_a_block_take_part_in_their_own_task(tmp_path: Path) -> None:
+@pytest.mark.parametrize("engine", ["bullet", "mujoco"])
+def test_agents_that_grasp_take_part_in_their_own_task(
+    tmp_path: Path, engine: Engine
+) -> None:
+    made = StudyOptions(runs=tmp_path, engine=engine)
+    cell = next(c for c in STUDIES["blocks"].cells if "/grasp/" in cell_name(c)[0])
+    begun(made.run_folder(cell, 0), engine)
     options = EnginesOptions(runs=tmp_path)
-    (tmp_path / "marl_mm-grasp-scripted-mujoco-v0/td3-bc/0").mkdir(parents=True)
-    (tmp_path / "marl_mm-grasp-scripted-mujoco-v0/td3-bc/0/checkpoint.pt").touch()
     *_, agent = contestants("Grasp-v0", options)
-    assert agent.name == "td3-bc-marl_mm-grasp-scripted-mujoco-v0"
+    assert agent.name == f"mabc-scripted-20k-{engine}"
     assert len(contestants("GraspReach-v0", options)) == 21
 
 
