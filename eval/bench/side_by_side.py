@@ -7,7 +7,11 @@ from typing import Any
 import torch
 
 from marl_mm.algorithms.registry import ALGORITHMS, names
-from marl_mm.algorithms.speed import matrix_products, prepare_for_small_networks
+from marl_mm.algorithms.speed import (
+    finish,
+    matrix_products,
+    prepare_for_small_networks,
+)
 from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import UsageError
@@ -68,7 +72,7 @@ def bench_side_by_side(
     rates = {}
     for count in seeds:
         learner = make(config, arrays, judge, range(count), device)
-        with matrix_products("auto"):
+        with matrix_products("auto", device):
             _run(learner, min(updates, _WARM), device)
             begin = perf_counter()
             _run(learner, updates, device)
@@ -80,5 +84,4 @@ def bench_side_by_side(
 def _run(learner: Any, updates: int, device: str) -> None:
     for _ in range(updates):
         learner.update()
-    if device == "cuda":
-        torch.cuda.synchronize()
+    finish(device)

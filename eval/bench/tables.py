@@ -127,20 +127,24 @@ def gpu_table(result: Mapping[str, Any]) -> str:
     """Updates per second of seeds side by side on a GPU, as Markdown."""
     lines = []
     for name, rates in result["learners"].items():
-        core, (one, five, many) = rates["core"], rates["gpu"].values()
+        core, (one, five, many) = (
+            rates["core"],
+            (rates["gpu"][n] for n in ("1", "5", "16")),
+        )
         several = f"{one:.0f}", f"{5 * one / five:.2f}", f"{many:.0f}"
         over = f"{many / one:.1f}", f"{many / core:.1f}"
         lines.append((name, f"{core:.0f}", *several, *over))
     header = (
         "learner",
-        "one core, one seed",
-        "GPU, one seed",
+        "one seed on a core",
+        "one seed",
         "time of 5 seeds over one",
-        "GPU, 16 seeds",
-        "of one seed",
-        "of one core",
+        "16 seeds, all together",
+        "times one seed",
+        "times a core",
     )
-    return f"{result['gpu']}, updates per second:\n\n{markdown_table(header, lines)}"
+    title = f"{result['gpu']}, updates per second, of {result['options']['updates']}"
+    return f"{title}:\n\n{markdown_table(header, lines)}"
 
 
 def data_table(result: Mapping[str, Any]) -> str:

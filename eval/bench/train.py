@@ -61,5 +61,5 @@ def bench_train(
     advance = bar("bench acting", len(names(online=False)))
     result["acting_ms"] = bench_acting(HIDDEN, seed, advance=advance)
     if torch.cuda.is_available():
-        result["gpu"] = bench_gpu(updates, bar)
+        result["gpu"] = bench_gpu(_TURN, bar)
     return result

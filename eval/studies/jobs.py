@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from time import monotonic
@@ -52,12 +53,11 @@ class Job:
     seconds: float = 1.0
     """Estimated remaining time [s]."""
 
-    @property
-    def label(self) -> str:
-        """Label of the run's progress bar."""
+    def label_of(self, seeds: Sequence[str]) -> str:
+        """Label of a progress bar of runs of the cell; without seeds, of this one."""
         source, setting = cell_name(self.cell)
         short = "-".join(source.removeprefix("marl_mm/").split("-")[:2])
-        return f"{setting} {self.seed} {short}"
+        return f"{setting} {' '.join(seeds) or self.seed} {short}"
 
     @property
     def done(self) -> bool:
@@ -108,7 +108,7 @@ def do_jobs(
     Raises:
         KeyboardInterrupt: After Ctrl-C; runs go on from their last checkpoints.
     """
-    left = {group[0].run: group for group in _together(jobs)}
+    left = {group[0].run: group for group in _by_process(jobs)}
     failed: dict[Path, Complaint] = {}
     begun, total = monotonic(), _seconds(left.values())
     context = get_context("forkserver")
@@ -125,9 +125,9 @@ def do_jobs(
             pool = open_pool(executor, processes, _begin, shared)
             try:
                 asked = [left[run] for run in under_way]
-                for run, complaint in pool.completed(_do, asked):
+                for run, complaints in pool.completed(_do, asked):
                     group = left.pop(run)
-                    for job in group:
+                    for job, complaint in zip(group, complaints, strict=True):
                         if why := complaint or _settled(job, done):
                             failed[job.run] = why
                     rest = _seconds(left.values())
@@ -152,11 +152,12 @@ def do_jobs(
     return failed
 
 
-def _together(jobs: Iterable[Job]) -> Iterable[Sequence[Job]]:
-    """Jobs by the process that does them: those of a cell on a GPU, else each alone."""
+def _by_process(jobs: Iterable[Job]) -> Iterable[Sequence[Job]]:
+    """Jobs by the process that does them: one, or those that learn side by side."""
     groups: dict[object, list[Job]] = {}
     for job in jobs:
-        key = cell_name(job.cell) if job.learner.on_gpu else job.run
+        together = job.learner.training.side_by_side
+        key = cell_name(job.cell) if together else job.run
         groups.setdefault(key, []).append(job)
     return groups.values()
 
@@ -193,21 +194,31 @@ def _begin(messages: Any, stop: Any) -> None:
         _bar = distant_bars(messages, stop)
 
 
-def _do(group: Sequence[Job]) -> tuple[Path, Complaint]:
-    """Do jobs of one learner; the first one's run, and why they failed."""
-    first = group[0]
+def _do(group: Sequence[Job]) -> tuple[Path, list[Complaint]]:
+    """Do jobs of one learner; the first one's run, and why each failed."""
+    first, why = group[0], ""
+    if left := {job.seed: job.run for job in group if not job.trained}:
+        why = _complaint(lambda: first.learner.train(left, _named(first)))
+    return first.run, [
+        why if why and not job.trained else _complaint(partial(_evaluate, job))
+        for job in group
+    ]
+
+
+def _complaint(work: Callable[[], None]) -> Complaint:
     try:
-        if left := {job.seed: job.run for job in group if not job.trained}:
-            first.learner.train(left, _named(first))
-        for job in group:
-            for probe in job.probes:
-                if not job.has(probe):
-                    _probe(job, probe)
+        work()
     except MarlMmError as error:
-        return first.run, str(error)
+        return str(error)
     except Exception as error:  # such as torch's, out of memory: others go on
-        return first.run, f"{type(error).__name__}: {error}"
-    return first.run, ""
+        return f"{type(error).__name__}: {error}"
+    return ""
+
+
+def _evaluate(job: Job) -> None:
+    for probe in job.probes:
+        if not job.has(probe):
+            _probe(job, probe)
 
 
 def _probe(job: Job, probe: Probe) -> None:
@@ -229,11 +240,12 @@ def _probe(job: Job, probe: Probe) -> None:
 
 
 def _named(job: Job) -> Bar:
-    """Bars whose labels say which run they are of."""
+    """Bars whose labels say which runs they are of: a job's, or others it names."""
 
     def bar(label: str, total: int) -> Advance:
-        what = label.split()[0]
-        training = what in ALGORITHMS
-        return _bar(job.label if training else f"{job.label} {what}", total)
+        what, *rest = label.split()
+        seeds = [word for word in rest if word.isdigit()]
+        ending = "" if what in ALGORITHMS else f" {what}"
+        return _bar(f"{job.label_of(seeds)}{ending}", total)
 
     return bar

@@ -1,6 +1,5 @@
 """Training of a cell's runs: from a dataset, online, or by Stable-Baselines3."""
 
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from marl_mm.algorithms.config_checks import Precision
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.schedule import Schedule
 from marl_mm.algorithms.speed import (
+    finish,
     matrix_products,
     prepare_for_small_networks,
     resolved,
@@ -91,23 +91,24 @@ class Learner:
         for seed, run in runs.items():
             sb3.check_sb3_run(self._sb3, seed, run)
 
-    @property
-    def on_gpu(self) -> bool:
-        """Whether runs are trained on a GPU, side by side."""
-        return isinstance(self.training, Offline) and self.training.device == "cuda"
-
     def train(self, runs: Mapping[int, Path], bar: Bar) -> None:
-        """Train and evaluate runs by seed; one that diverges keeps its checkpoint."""
+        """Train and evaluate runs; one that diverges keeps its checkpoint.
+
+        Args:
+            runs: Folders by seed: several of those that learn side by side, else one.
+            bar: Factory of progress bars.
+        """
         training = self.training
         try:
-            if self.on_gpu:
-                deque(train_seeds(training, self.dataset, runs, bar), maxlen=0)
+            if training.side_by_side:
+                for _ in train_seeds(training, self.dataset, runs, bar, wait=True):
+                    pass
                 return
-            for seed, run in runs.items():
-                if self.sb3:
-                    sb3.train_sb3_run(self._sb3, seed, run, bar)
-                else:
-                    learning.train_run(training, self.dataset, seed, run, bar)
+            ((seed, run),) = runs.items()
+            if self.sb3:
+                sb3.train_sb3_run(self._sb3, seed, run, bar)
+            else:
+                learning.train_run(training, self.dataset, seed, run, bar)
         except DivergedError:
             ends = FILE, BEST_FILE
             if not all((run / file).exists() for run in runs.values() for file in ends):
@@ -122,22 +123,24 @@ class Learner:
         return replace(self.training, demonstrations=shown)
 
     def seconds_per_update(self, seeds: int) -> float:
-        """Measured duration of an update [s], of a seed's share on a GPU; 0 online.
+        """Measured duration of an update [s]; 0 online.
 
         Args:
-            seeds: Number of seeds that learn side by side there.
+            seeds: Number of seeds; where they learn side by side, the duration is that
+                of all over their number.
         """
         if not isinstance(self.training, Offline):
             return 0.0
         prepare_for_small_networks()
-        together = seeds if self.on_gpu else 1
-        every = range(together)
-        algorithm = learning.algorithm_of(self.training, self.dataset, every)
-        with matrix_products(self.training.config.precision):
+        training, together = self.training, seeds if self.training.side_by_side else 1
+        algorithm = learning.algorithm_of(training, self.dataset, range(together))
+        with matrix_products(training.config.precision, training.device):
             for number in range(2 * _TIMED):
                 if number == _TIMED:
+                    finish(training.device)
                     begin = perf_counter()
                 algorithm.update()
+            finish(training.device)
         return (perf_counter() - begin) / _TIMED / together
 
     def seconds_left(self, run: Path, per_update: float, per_goal: float) -> float:
@@ -201,7 +204,7 @@ def training_of(
             require_success=not small,
             device=device,
         )
-        changes = {"precision": resolved(precision), **changes}
+        changes = {"precision": resolved(precision, device), **changes}
     run_settings: dict[str, Any] = {"eval_episodes": setting.goals}
     run_settings["max_steps"] = setting.max_steps
     if small:

@@ -43,7 +43,8 @@ class StudyOptions:
 
     device: Device = "cpu"
     """Device of offline training; on cuda, a GPU, all seeds of a setting learn side by
-    side in a process, and rows are not the same bytes as on cpu."""
+    side, so many settings at once as there are workers, and rows are not the bytes of
+    cpu."""
 
     engine: Engine | None = None
     """Engine of the simulation, bullet or mujoco, where a study names none: of the
@@ -71,6 +72,11 @@ class StudyOptions:
         """
         check_positive(workers=self.workers)
         check_device(self.device)
+        if self.device == "cuda" and self.executor == "ray":
+            raise UsageError(
+                "`device` is cuda with `executor` ray, which gives its processes no "
+                "GPU: expected `executor` local"
+            )
         make_task(overrides=engine_overrides(self.engine))
         if self.seeds is not None:
             check_seeds(self.seeds)
@@ -113,6 +119,12 @@ class StudyOptions:
         return tuple(range(count))
 
 
+def refuse_device(device: Device, why: str) -> None:
+    """Raise a UsageError for a device that a study has no use for."""
+    if device != "cpu":
+        raise UsageError(f"`device` is {device}, expected cpu: {why}")
+
+
 @dataclass(frozen=True, kw_only=True)
 class PolicyOptions(StudyOptions):
     """Settings of studies that train nothing: they run policies in tasks."""
@@ -129,6 +141,7 @@ class PolicyOptions(StudyOptions):
         Raises:
             UsageError: Naming the option.
         """
+        refuse_device(self.device, "nothing is trained")
         super().check_settings()
         check_positive(goals=self.goals)
         if not self.tasks:

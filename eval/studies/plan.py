@@ -111,7 +111,7 @@ CORES = 2, 16, 64
 
 def estimated(jobs: Sequence[Job], bar: Bar) -> list[Job]:
     """Jobs with their estimated durations, measured on this machine."""
-    per_update: dict[tuple[str, str], float] = {}
+    per_update: dict[tuple[str, str, int], float] = {}
     timed, goal_times = [], GoalTimes()
     seeds = Counter(cell_name(job.cell) for job in jobs if not job.trained)
     advance = bar("measuring", len(jobs))
@@ -121,9 +121,9 @@ def estimated(jobs: Sequence[Job], bar: Bar) -> list[Job]:
         training, seconds = job.learner.training, 0.0
         per_goal = 0.0 if job.done else goal_times(task, training.overrides)
         if not job.trained:
-            key = setting.name, task
+            together = seeds[cell_name(job.cell)]
+            key = setting.name, task, together if training.side_by_side else 1
             if key not in per_update:
-                together = seeds[cell_name(job.cell)]
                 per_update[key] = job.learner.seconds_per_update(together)
             seconds = job.learner.seconds_left(job.run, per_update[key], per_goal)
         probes = sum(not job.has(probe) for probe in job.probes)
@@ -166,4 +166,5 @@ def plan_table(jobs: Sequence[Job], workers: int, measured: bool) -> str:
     lines.append(line("all", "", jobs))
     header = ["dataset", "setting", "runs missing"]
     header += [f"hours, {workers} at once"] if measured else []
-    return markdown_table(header, lines) + f"\n{cost(jobs)}\n" * measured
+    on_cores = measured and not any(j.learner.training.side_by_side for j in jobs)
+    return markdown_table(header, lines) + f"\n{cost(jobs)}\n" * on_cores

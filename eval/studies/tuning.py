@@ -24,7 +24,7 @@ from marl_mm.eval.studies.cells import (
     run_cells,
 )
 from marl_mm.eval.studies.cost import GoalTimes, hours_table
-from marl_mm.eval.studies.options import StudyOptions
+from marl_mm.eval.studies.options import StudyOptions, refuse_device
 from marl_mm.eval.studies.tuning_cells import (
     TuningCell,
     cell_of,
@@ -77,14 +77,15 @@ class TuningOptions(StudyOptions):
         Raises:
             UsageError: Naming the option.
         """
+        refuse_device(self.device, "tuning trains on the CPU")
         super().check_settings()
         check_positive(tried=self.tried, updates=self.updates, goals=self.goals)
         refuse_unknown(self.data)
-        for name, fixed in (("precision", "auto"), ("device", "cpu")):
-            if (given := getattr(self, name)) != fixed:
-                raise UsageError(
-                    f"`{name}` is {given}, expected {fixed}: tuning has no other"
-                )
+        if self.precision != "auto":
+            raise UsageError(
+                f"`precision` is {self.precision}, expected auto: tuning has that of "
+                "the presets"
+            )
         for name in self.algorithms:
             if name not in RANGES:
                 raise UsageError(

@@ -87,7 +87,8 @@ class BenchTrain(_Bench):
     """
 
     updates: int = 500
-    """Gradient updates of each algorithm, rounded up to hundreds; 500 take 15 min."""
+    """Gradient updates of each algorithm, rounded up to hundreds; 500 take 15 min, and
+    where there is a GPU "marl-mm bench gpu" 3 more."""
 
     env_steps: int = 3_000
     """Environment steps of a comparison of success; 3,000 take 3 min, 0 skips it."""

@@ -18,7 +18,7 @@ from marl_mm.runs.folder import (
     task_of,
 )
 from marl_mm.runs.learning import algorithm_of
-from marl_mm.runs.settings import check_device, check_positive
+from marl_mm.runs.settings import check_positive
 from marl_mm.runs.starts import check_start
 from marl_mm.runs.training import Offline, Online, Training
 from marl_mm.sim.config import default_engine
@@ -77,7 +77,6 @@ def _check_offline(training: Offline, dataset: Dataset, fresh: bool) -> None:
             f"`updates` is 0 and `online_steps` too, expected one of them > 0: "
             f"{training.algorithm} has nothing to learn from otherwise"
         )
-    check_device(training.device)
     name, arrays = dataset.location.name, dataset.arrays
     if training.require_success and fresh and not arrays.successes().any():
         others = " (and `imitate` all)" if hasattr(training.config, "imitate") else ""

@@ -36,6 +36,7 @@ from marl_mm.runs.folder import (
     run_config,
     task_of,
 )
+from marl_mm.runs.settings import check_device
 from marl_mm.runs.starts import copy_start, start_hash, start_of
 from marl_mm.runs.training import Offline, Online, Training
 from marl_mm.sim.config import default_engine, engine_of
@@ -50,10 +51,14 @@ def with_exact_precision(training: Trained) -> Trained:
     """Settings that say what ``precision="auto"`` means on this machine.
 
     A run goes on with that elsewhere, too.
+
+    Raises:
+        UsageError: If it is to be on a GPU, and there is none.
     """
     if not isinstance(training, Offline):
         return training
-    precision = resolved(training.config.precision)
+    check_device(training.device)
+    precision = resolved(training.config.precision, training.device)
     return replace(training, config=replace(training.config, precision=precision))
 
 

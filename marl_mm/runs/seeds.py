@@ -27,7 +27,12 @@ _Trained = list[Path] | DivergedError
 
 
 def train_seeds(
-    training: Training, dataset: Dataset | None, runs: Mapping[int, Path], bar: Bar
+    training: Training,
+    dataset: Dataset | None,
+    runs: Mapping[int, Path],
+    bar: Bar,
+    *,
+    wait: bool = False,
 ) -> Iterator[Path]:
     """Train and evaluate seeds, each into a folder that is yielded when it is done.
 
@@ -39,6 +44,7 @@ def train_seeds(
         dataset: Dataset to learn from, or to replay online, if any.
         runs: Folders by seed.
         bar: Factory of progress bars.
+        wait: Whether to wait for another process that is at one of them.
 
     Raises:
         DatasetError: If there is nothing to learn from.
@@ -49,16 +55,14 @@ def train_seeds(
     check_training(training, dataset, runs)
     # Those of an incomplete last round go beside the others: no core is idle then.
     processes = min(len(runs), training.workers + len(runs) % training.workers)
-    offline = isinstance(training, Offline)
-    on_gpu = isinstance(training, Offline) and training.device == "cuda"
-    goes_online = isinstance(training, Offline) and training.fine_tuning.online_steps
+    apart = isinstance(training, Offline) and training.device == "cpu"
     with ExitStack() as stack:
         for run in runs.values():
-            stack.enter_context(only_here(run))
+            stack.enter_context(only_here(run, wait=wait))
         begin_runs(training, dataset, runs)
-        if on_gpu and not goes_online:
+        if training.side_by_side:
             parts: Iterable[_Trained] = _together(training, dataset, runs, bar)
-        elif offline and not on_gpu and min(processes, training.workers) > 1:
+        elif apart and min(processes, training.workers) > 1:
             parts = _apart(training, dataset, runs, processes, bar)
         else:
             parts = (_try(training, dataset, {s: run}, bar) for s, run in runs.items())

@@ -75,6 +75,11 @@ class Training:
     """Start anew where a run exists."""
 
     @property
+    def side_by_side(self) -> bool:
+        """Whether several seeds learn in one process, which takes little longer."""
+        return False
+
+    @property
     def overrides(self) -> dict[str, Any]:
         """Settings of the task that are replaced."""
         steps = {} if self.max_steps is None else {"max_steps": self.max_steps}
@@ -110,7 +115,8 @@ class Offline(Training):
 
     device: Device = "cpu"
     """Device to train on. On a CPU each seed is a process of one thread, about as many
-    at once as there are workers; on a GPU all seeds are trained side by side."""
+    at once as there are workers; on a GPU all seeds are trained side by side, or one
+    after the other where own episodes follow."""
 
     curve_every: int = 2_000
     """Updates between points of the learning curve."""
@@ -125,6 +131,11 @@ class Offline(Training):
     stop_diverging: bool = True
     """Stop a run when a critic's values are a hundred times what any return can be;
     otherwise only when a number is not finite."""
+
+    @property
+    def side_by_side(self) -> bool:
+        """Likewise: on a GPU, unless own episodes follow."""
+        return self.device == "cuda" and not self.fine_tuning.online_steps
 
     @property
     def recorded(self) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """On a GPU every algorithm learns what it learns on a CPU; not run without one."""
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -40,8 +41,6 @@ def test_it_learns_what_a_cpu_learns(name: str) -> None:
         for key, value in made.weights(there, number).items():
             np.testing.assert_array_equal(value, repeated[key], key)
             np.testing.assert_allclose(value, expected[key], atol=1e-3, err_msg=key)
-    for key, value in there.diagnose().items():
-        torch.testing.assert_close(value.cpu(), here.diagnose()[key], atol=0.05, rtol=0)
 
 
 @pytest.mark.parametrize("name", ["matd3-bc", "mac-flow"])
@@ -69,4 +68,6 @@ def test_a_study_trains_all_seeds_of_a_setting_together(tmp_path: Path) -> None:
     words += ["marl_mm/gate/expert-v0", "--settings", "benchmark-bc", "--runs"]
     words += [str(tmp_path / "runs"), "--out", str(tmp_path / "out")]
     assert main([*words, "--device", "cuda"]) == 0
+    shutil.rmtree(tmp_path / "runs")
     assert main([*words, "--overwrite"]) == 0
+    assert not (tmp_path / "runs").exists()

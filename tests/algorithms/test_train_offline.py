@@ -235,3 +235,11 @@ def test_a_missing_gpu_is_said(
     assert not (tmp_path / "run").exists()
     assert main(["ablate", "benchmark", "--plan", "--device", "cuda"]) == 2
     assert "torch finds no such GPU" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("study", ["tuning", "engines"])
+def test_studies_that_use_no_gpu_refuse_it(
+    study: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["ablate", study, "--plan", "--device", "cuda"]) == 2
+    assert "--device is cuda, expected cpu" in capsys.readouterr().err

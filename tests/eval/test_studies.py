@@ -35,9 +35,10 @@ from marl_mm.errors import (
     UsageError,
 )
 from marl_mm.eval.rows import read_rows
+from marl_mm.eval.studies import jobs as studies_jobs
 from marl_mm.eval.studies import rows as study_rows
-from marl_mm.eval.studies.jobs import Job, _together, do_jobs
-from marl_mm.eval.studies.learners import Learner
+from marl_mm.eval.studies.jobs import Job, _begin, _by_process, _do, do_jobs
+from marl_mm.eval.studies.learners import Learner, training_of
 from marl_mm.eval.studies.paper import PAPER, reported
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.shown import Reported
@@ -55,6 +56,7 @@ from marl_mm.files import write_json
 from marl_mm.progress import silent_bar
 from marl_mm.runs.paper import GOOD_30K
 from marl_mm.runs.sources import Datasets, Source
+from marl_mm.runs.training import Offline
 from marl_mm.runs.training import training_of as default_training
 
 WorkersOf = Callable[[int], list[psutil.Process]]
@@ -535,10 +537,37 @@ def test_on_a_gpu_a_process_does_all_runs_of_a_cell(tmp_path: Path) -> None:
         for name in ("one", "other")
         for seed in (0, 1, 2)
     ]
-    assert [len(group) for group in _together(jobs)] == [3, 3]
+    assert [len(group) for group in _by_process(jobs)] == [3, 3]
     done: list[Job] = []
     assert not do_jobs(jobs, 2, "local", done.append, lambda text: None, silent_bar)
     assert {job.run for job in done} == {job.run for job in jobs}
+
+
+@pytest.mark.slow
+def test_of_runs_side_by_side_one_that_fails_is_the_only_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are on a CPU here, and evaluated one by one after all are trained."""
+    monkeypatch.setattr(Offline, "side_by_side", True)
+    training = training_of("good-5k", OURS, small=True)
+    learner = Learner(training, load_dataset("good-5k").location)
+    held = Probe("held", "alpha held", alpha=0.5)
+    jobs = [
+        Job(("good-5k", OURS), seed, tmp_path / str(seed), learner, (LAST, held))
+        for seed in (0, 1)
+    ]
+    probe = studies_jobs._probe
+
+    def full_disk(job: Job, probed: Probe) -> None:
+        if job.seed == 0:
+            raise OSError("no space")
+        probe(job, probed)
+
+    monkeypatch.setattr(studies_jobs, "_probe", full_disk)
+    _begin(None, None)
+    assert _do(jobs) == (tmp_path / "0", ["OSError: no space", ""])
+    assert [held.file(job.run).exists() for job in jobs] == [False, True]
+    assert all(job.trained for job in jobs)
 
 
 @pytest.mark.slow
