@@ -38,7 +38,7 @@ def bench_gpu(updates: int, bar: Bar) -> dict[str, Any]:
         UsageError: If torch finds no GPU.
     """
     if not torch.cuda.is_available():
-        raise UsageError("torch finds no GPU, expected one: use `marl-mm bench train`")
+        raise UsageError("`gpu` is set, but torch finds no GPU: leave it out")
     learners = names(online=False)
     advance = bar("bench GPU", len(learners) * (1 + len(ON_GPU)) * updates)
     result: dict[str, Any] = {"gpu": torch.cuda.get_device_name(), "learners": {}}

@@ -32,7 +32,7 @@ def bench_train(
     """Updates per second of all learners, and time to act; success online; many seeds.
 
     Stable-Baselines3 takes part if it is installed. Seeds learn side by side on a core,
-    and on a GPU if there is one.
+    and, with few updates, on a GPU if there is one.
 
     Args:
         updates: Gradient updates of each algorithm.

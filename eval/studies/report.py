@@ -172,7 +172,7 @@ def _benchmarks(results: Path) -> Iterator[Section]:
         "controller/bench.json": ("The controller's time", "control", bench_table),
         "data/bench.json": ("Collecting and loading", "data", data_table),
         "offline/bench.json": ("Offline updates", "train", offline_speed_table),
-        "offline/gpu.json": ("Updates on a GPU", "gpu", gpu_table),
+        "offline/gpu.json": ("Updates on a GPU", "train --gpu", gpu_table),
     }
     for name, (title, target, table) in tables.items():
         for path in _within(results, [results / name]):

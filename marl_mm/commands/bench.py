@@ -87,8 +87,7 @@ class BenchTrain(_Bench):
     """
 
     updates: int = 500
-    """Gradient updates of each algorithm, rounded up to hundreds; 500 take 15 min, and
-    where there is a GPU "marl-mm bench gpu" 3 more."""
+    """Gradient updates of each algorithm, rounded up to hundreds; 500 take 15 min."""
 
     env_steps: int = 3_000
     """Environment steps of a comparison of success; 3,000 take 3 min, 0 skips it."""
@@ -99,29 +98,17 @@ class BenchTrain(_Bench):
     d3rlpy: Path | None = None
     """Python of an environment with d3rlpy 2.8.1; None: without it."""
 
+    gpu: bool = False
+    """Only 1, 5 and 16 seeds side by side on a GPU, beside one on a core: 3 min."""
+
     def measure(self, bar: Bar) -> dict[str, Any]:
         """The benchmark of these options."""
-        from marl_mm.eval.bench.train import bench_train
+        from marl_mm.eval.bench import side_by_side, train
 
+        if self.gpu:
+            return side_by_side.bench_gpu(self.updates, bar)
         settings = self.updates, self.env_steps, self.seeds, self.seed, self.d3rlpy
-        return bench_train(*settings, bar)
-
-
-@dataclass(frozen=True)
-class BenchGpu(_Bench):
-    """Count updates per second of 1, 5 and 16 seeds side by side on a GPU.
-
-    Beside them is one seed on one core of this machine.
-    """
-
-    updates: int = 200
-    """Updates of each algorithm and number of seeds; 200 take 5 min."""
-
-    def measure(self, bar: Bar) -> dict[str, Any]:
-        """The benchmark of these options."""
-        from marl_mm.eval.bench.side_by_side import bench_gpu
-
-        return bench_gpu(self.updates, bar)
+        return train.bench_train(*settings, bar)
 
 
 @dataclass(frozen=True)
@@ -221,7 +208,6 @@ def main(arguments: Sequence[str]) -> None:
             control=BenchControl,
             abuse=BenchAbuse,
             train=BenchTrain,
-            gpu=BenchGpu,
             learning=BenchLearning,
             data=BenchData,
         ),
