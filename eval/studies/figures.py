@@ -163,7 +163,7 @@ def _kinds(rows: Sequence[Row]) -> dict[str, list[Row]]:
     """Rows by the beginning of the policies' names, such as pd, medium or td3-bc."""
     kinds: dict[str, list[Row]] = {}
     for row in rows:
-        kind = re.split(r"-(?=kp|noise|room|good|\d)", row["policy"])[0]
+        kind = re.split(r"-(?=kp|noise|room|good|scripted|\d)", row["policy"])[0]
         kinds.setdefault(kind, []).append(row)
     return kinds
 
