@@ -5,11 +5,24 @@ from typing import Any
 
 CHOSEN: Mapping[str, Mapping[str, Any]] = {
     "bc": {"learning_rate": 0.0005, "batch_size": 128, "hidden": (128, 128)},
+    "best-of-n-joint": {
+        "learning_rate": 0.001,
+        "discount": 0.95,
+        "samples": 16,
+        "expectile": 0.9,
+    },
     "best-of-n": {
         "learning_rate": 0.0002,
         "discount": 0.95,
         "samples": 4,
         "expectile": 0.9,
+    },
+    "cql": {
+        "learning_rate": 0.0005,
+        "discount": 0.95,
+        "conservatism": 2.0,
+        "sample_noise": 0.2,
+        "bound_penalty": 0.3,
     },
     "flow-bc": {
         "learning_rate": 0.001,
@@ -17,6 +30,7 @@ CHOSEN: Mapping[str, Mapping[str, Any]] = {
         "hidden": (256, 256),
         "flow_steps": 5,
     },
+    "fql": {"learning_rate": 0.001, "discount": 0.9, "distillation": 10.0},
     "iql": {
         "learning_rate": 0.0002,
         "discount": 0.95,
