@@ -17,6 +17,14 @@ CHOSEN: Mapping[str, Mapping[str, Any]] = {
         "samples": 4,
         "expectile": 0.9,
     },
+    "cfcql": {
+        "learning_rate": 0.001,
+        "discount": 0.9,
+        "conservatism": 2.0,
+        "sample_noise": 0.1,
+        "bound_penalty": 0.03,
+        "focus": 1.0,
+    },
     "cql": {
         "learning_rate": 0.0005,
         "discount": 0.95,
