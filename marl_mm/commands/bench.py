@@ -217,7 +217,7 @@ def main(arguments: Sequence[str]) -> None:
     )
     check_seed(options.seed)
     values = {k: v for k, v in asdict(options).items() if k != "json"}
-    counts = [k for k, v in values.items() if isinstance(v, int)]
+    counts = [k for k, v in values.items() if type(v) is int]
     check_positive(**{k: values[k] for k in counts if k not in ("seed", "env_steps")})
     with progress_bars() as bar:
         result = options.measure(bar) | {"options": values}

@@ -10,12 +10,13 @@ import torch
 
 from marl_mm.algorithms.registry import names
 from marl_mm.algorithms.td3_bc import Td3Bc
+from marl_mm.cli import main
 from marl_mm.control.config import Form
 from marl_mm.datasets import cache
 from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import MarlMmError, UsageError
-from marl_mm.eval.bench import learning, online, side_by_side
+from marl_mm.eval.bench import learning, online, side_by_side, train
 from marl_mm.eval.bench.abuse import abuse
 from marl_mm.eval.bench.acting import bench_acting
 from marl_mm.eval.bench.control import bench_control
@@ -238,6 +239,17 @@ def test_without_a_gpu_its_benchmark_says_so(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(UsageError, match="finds no GPU"):
         bench_gpu(5, silent_bar)
+
+
+def test_the_command_times_all_or_the_gpu(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(train, "bench_train", lambda *settings: {"offline": 1})
+    assert main(["bench", "train", "--json"]) == 0
+    assert '"offline": 1' in capsys.readouterr().out
+    assert main(["bench", "train", "--gpu"]) == 2
+    assert "--gpu is set, but torch finds no GPU" in capsys.readouterr().err
 
 
 def test_acting_is_timed_for_all() -> None:
