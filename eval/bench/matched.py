@@ -7,9 +7,11 @@ from typing import Any
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
 from marl_mm.eval.bench import d3rlpy_reference as theirs
 
+SIZES: dict[str, Any] = {"batch_size": theirs.BATCH, "hidden": theirs.HIDDEN}
+"""Settings of all learners whose updates are timed."""
+
 _SHARED: dict[str, Any] = {
-    "batch_size": theirs.BATCH,
-    "hidden": theirs.HIDDEN,
+    **SIZES,
     "discount": theirs.DISCOUNT,
     "learning_rate": theirs.RATE,
     "actor_learning_rate": theirs.RATE,

@@ -27,8 +27,7 @@ from marl_mm.envs.registry import make_task
 from marl_mm.errors import MarlMmError
 from marl_mm.eval.bench import d3rlpy_reference
 from marl_mm.eval.bench.d3rlpy_process import Rate, learners_of, named
-from marl_mm.eval.bench.matched import learner, matched, with_settings
-from marl_mm.eval.bench.side_by_side import HIDDEN
+from marl_mm.eval.bench.matched import SIZES, learner, matched, with_settings
 from marl_mm.eval.bench.td3_bc_reference import PlainTd3Bc
 from marl_mm.progress import Advance, Bar, silent
 from marl_mm.workers import available_cores
@@ -140,9 +139,10 @@ def bench_seeds(
 
 def _train(updates: int, seeds: int, folder: str) -> tuple[float, float]:
     """Seconds that the command took, and the most memory of its processes [MiB]."""
+    hidden = " ".join(map(str, d3rlpy_reference.HIDDEN))
     words = (
-        f"-m marl_mm train td3-bc --dataset {SHIPPED} --updates {updates} --hidden "
-        f"{' '.join(map(str, HIDDEN))} --curve-every {updates} --curve-episodes 1 "
+        f"-m marl_mm train td3-bc --dataset {SHIPPED} --updates {updates} "
+        f"--hidden {hidden} --curve-every {updates} --curve-episodes 1 "
         f"--eval-episodes 2 --out {folder} --overwrite --seeds"
     ).split()
     command = [sys.executable, *words, *map(str, range(seeds))]
@@ -189,10 +189,9 @@ def _learners(seed: int) -> tuple[dict[str, Rate], dict[str, str]]:
         label = f"{name}, as d3rlpy's"
         steps[label] = auto(learner(name, matched(name), arrays, rewards, seed).update)
         references[label] = named(name)
-    settings = {"hidden": HIDDEN, "batch_size": d3rlpy_reference.BATCH}
     for name in ALGORITHMS.names():
         if not ALGORITHMS.get(name).online:
-            config = with_settings(name, settings)
+            config = with_settings(name, SIZES)
             steps[name] = auto(learner(name, config, arrays, rewards, seed).update)
     return {name: _timed(update) for name, update in steps.items()}, references
 
@@ -207,7 +206,7 @@ def _timed(update: Callable[[], object]) -> Rate:
 
 def plain_config() -> Td3BcConfig:
     """Our settings that match the authors' code."""
-    config = with_settings("td3-bc", {"hidden": HIDDEN}, PAPER)
+    config = with_settings("td3-bc", SIZES, PAPER)
     assert isinstance(config, Td3BcConfig)
     return config
 

@@ -15,10 +15,8 @@ from marl_mm.algorithms.speed import (
 from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import UsageError
-from marl_mm.eval.bench.matched import with_settings
+from marl_mm.eval.bench.matched import SIZES, with_settings
 from marl_mm.progress import Advance, Bar, silent
-
-HIDDEN = (256, 256)
 
 ON_GPU = (1, 5, 16)
 """Numbers of seeds that learn side by side on a GPU."""
@@ -67,7 +65,7 @@ def bench_side_by_side(
     """
     prepare_for_small_networks()
     arrays, judge = shipped_arrays(), make_task()
-    config = with_settings(name, {"hidden": HIDDEN, "batch_size": 256})
+    config = with_settings(name, SIZES)
     make: Any = ALGORITHMS.get(name).learner
     rates = {}
     for count in seeds:

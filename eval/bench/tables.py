@@ -127,10 +127,8 @@ def gpu_table(result: Mapping[str, Any]) -> str:
     """Updates per second of seeds side by side on a GPU, as Markdown."""
     lines = []
     for name, rates in result["learners"].items():
-        core, (one, five, many) = (
-            rates["core"],
-            (rates["gpu"][n] for n in ("1", "5", "16")),
-        )
+        core = rates["core"]
+        one, five, many = (rates["gpu"][seeds] for seeds in ("1", "5", "16"))
         several = f"{one:.0f}", f"{5 * one / five:.2f}", f"{many:.0f}"
         over = f"{many / one:.1f}", f"{many / core:.1f}"
         lines.append((name, f"{core:.0f}", *several, *over))

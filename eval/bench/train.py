@@ -7,10 +7,11 @@ from typing import Any
 import torch
 
 from marl_mm.algorithms.registry import names
+from marl_mm.eval.bench import d3rlpy_reference
 from marl_mm.eval.bench.acting import bench_acting
 from marl_mm.eval.bench.offline import bench_offline, bench_seeds
 from marl_mm.eval.bench.online import bench_online, bench_success
-from marl_mm.eval.bench.side_by_side import HIDDEN, bench_gpu, bench_side_by_side
+from marl_mm.eval.bench.side_by_side import bench_gpu, bench_side_by_side
 from marl_mm.progress import Bar
 
 _TURN = 100
@@ -59,7 +60,7 @@ def bench_train(
         "td3-bc", updates, (1, 5), "cpu", advance
     )
     advance = bar("bench acting", len(names(online=False)))
-    result["acting_ms"] = bench_acting(HIDDEN, seed, advance=advance)
+    result["acting_ms"] = bench_acting(d3rlpy_reference.HIDDEN, seed, advance=advance)
     if torch.cuda.is_available():
         result["gpu"] = bench_gpu(_TURN, bar)
     return result

@@ -206,6 +206,7 @@ def _do(group: Sequence[Job]) -> tuple[Path, list[Complaint]]:
 
 
 def _complaint(work: Callable[[], None]) -> Complaint:
+    """Why work failed; empty if it did not."""
     try:
         work()
     except MarlMmError as error:

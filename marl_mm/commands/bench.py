@@ -99,7 +99,7 @@ class BenchTrain(_Bench):
     """Python of an environment with d3rlpy 2.8.1; None: without it."""
 
     gpu: bool = False
-    """Only 1, 5 and 16 seeds side by side on a GPU, beside one on a core: 3 min."""
+    """Only 1, 5 and 16 seeds side by side on a GPU, and one on a core; 100: 3 min."""
 
     def measure(self, bar: Bar) -> dict[str, Any]:
         """The benchmark of these options."""
@@ -217,7 +217,7 @@ def main(arguments: Sequence[str]) -> None:
     )
     check_seed(options.seed)
     values = {k: v for k, v in asdict(options).items() if k != "json"}
-    counts = [k for k, v in values.items() if type(v) is int]
+    counts = [k for k, v in values.items() if type(v) is int]  # no bool
     check_positive(**{k: values[k] for k in counts if k not in ("seed", "env_steps")})
     with progress_bars() as bar:
         result = options.measure(bar) | {"options": values}

@@ -55,12 +55,17 @@ class Candidate:
         names = {field.name for field in fields(config)}
         return replace(config, **{k: v for k, v in small.items() if k in names})
 
-    def fresh(self, arrays: EpisodeArrays, seeds: tuple[int, ...] = (0,)) -> Any:
+    def fresh(
+        self,
+        arrays: EpisodeArrays,
+        seeds: tuple[int, ...] = (0,),
+        device: str = "cpu",
+    ) -> Any:
         """A new learner; an online one has seen the episodes."""
         prepare_for_small_networks()
         task, make = make_task(), self.algorithm.learner
         if not self.online:
-            return make(self.config, arrays, task, seeds, "cpu")
+            return make(self.config, arrays, task, seeds, device)
         learner = make(self.config, task, seeds[0], (), arrays.layout)
         for number in range(len(arrays)):
             learner.observe(arrays.episode(number))
@@ -71,9 +76,10 @@ class Candidate:
         arrays: EpisodeArrays,
         seeds: tuple[int, ...] = (0,),
         updates: int = UPDATES,
+        device: str = "cpu",
     ) -> Any:
         """A new learner after some updates."""
-        learner = self.fresh(arrays, seeds)
+        learner = self.fresh(arrays, seeds, device)
         self.train(learner, updates)
         return learner
 

@@ -2,7 +2,6 @@
 
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from marl_mm.algorithms.checkpoint import FILE, read_checkpoint
 from marl_mm.algorithms.registry import names
 from marl_mm.cli import main
 from marl_mm.contracts.learners import candidate, demand_same_state, some_episodes
-from marl_mm.envs.registry import make_task
 from tests.algorithms.test_train_offline import SMALL, evaluated
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
@@ -21,20 +19,13 @@ UPDATES = 10
 SEEDS = (3, 5)
 
 
-def trained(name: str, device: str) -> Any:
-    """A learner of two seeds after some updates."""
-    made = candidate(name)
-    make: Any = made.algorithm.learner
-    learner = make(made.config, some_episodes(), make_task(), SEEDS, device)
-    for _ in range(UPDATES):
-        learner.update()
-    return learner
-
-
 @pytest.mark.parametrize("name", names(online=False))
 def test_it_learns_what_a_cpu_learns(name: str) -> None:
     made = candidate(name)
-    there, again, here = (trained(name, device) for device in ("cuda", "cuda", "cpu"))
+    there, again, here = (
+        made.trained(some_episodes(), SEEDS, UPDATES, device)
+        for device in ("cuda", "cuda", "cpu")
+    )
     for number in range(len(SEEDS)):
         expected = made.weights(here, number)
         repeated = made.weights(again, number)
