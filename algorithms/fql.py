@@ -52,7 +52,7 @@ class Fql(CriticLearner):
 
         losses = {"flow": self.flow.imitate(state, batch, begin, time)}
         losses |= self._learn_critics(state, batch, self._next_target(batch))
-        losses |= self._improve(state, noise)
+        losses |= self._improve(state, noise, batch.imitated)
         self._target_critics.follow(self.critics, self.config.target_rate)
         return {f"loss/{name}": loss.detach() for name, loss in losses.items()}
 
@@ -65,7 +65,7 @@ class Fql(CriticLearner):
         return self._target(batch, value.mean(dim=2))
 
     def _improve(
-        self, state: torch.Tensor, noise: torch.Tensor
+        self, state: torch.Tensor, noise: torch.Tensor, imitated: torch.Tensor
     ) -> dict[str, torch.Tensor]:
         """One gradient step of every actor."""
         losses: dict[str, torch.Tensor] = {}
@@ -78,7 +78,8 @@ class Fql(CriticLearner):
             action = now.clone()
             action[..., own] = output
             value = self.critics.values(state, action)[:, 0].mean(dim=1)
-            error = (output - taught[..., own]).square().mean(dim=(1, 2))
+            error = (output - taught[..., own]).square() * imitated[..., None]
+            error = error.mean(dim=(1, 2))
             scale = value.detach().abs().mean(dim=1)
             loss = self.config.distillation * error - value.mean(dim=1) / scale
             self.actors.descend(agent.name, loss)

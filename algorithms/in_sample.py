@@ -75,6 +75,5 @@ class InSampleLearner(CriticLearner):
             seeds,
             device,
             twins=1,
-            stream=3,
         )
         self._parts |= {"values": self.values}

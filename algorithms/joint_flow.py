@@ -36,7 +36,7 @@ class JointFlow(SeededActors):
         self._joint = layout.joint
         form = Form(noisy=True, flow_steps=config.flow_steps, chunk=chunk)
         rest = config.hidden, config.learning_rate, seeds, device, form
-        super().__init__((self._joint,), normalizer, *rest, stream=2)
+        super().__init__((self._joint,), normalizer, *rest)
 
     def imitate(
         self,

@@ -5,8 +5,8 @@ min_j Q_j'(s', a'))^2, where a' is the data's next action, and w(s', a') the sof
 over the batch of (Q'(s', a') - Q'(s', pi(s'))) / alpha_Q, times its size. Loss of each
 actor, one after the other: w_i(s, a) MSE(a_i, pi_i(o_i)), with w_i the same of
 A_i / alpha: A_i = Q(s, (pi_<i, a_i, a_>i)) - Q(s, (pi_<i, pi_i, a_>i)). Agents before i
-act as they have just learnt to, those after it as in the data. These advantages add up
-to that of the joint action.
+act as they have just learnt to, those after it as in the data. But for the steps just
+made, these advantages add up to that of the joint action.
 
 What departs: the source multiplies the target's Q'(s', a') by w, of Q itself. Its mean
 over the batch is 1, but over a state's actions it is not: where rewards are below 0, a

@@ -105,7 +105,7 @@ class OfflineBatches:
         chunk: int = 1,
         discount: float = 1.0,
     ) -> None:
-        _refuse_odd_values(arrays)
+        refuse_odd_values(arrays)
         self._layout, self._extra = arrays.layout, extra
         self._size, self._judge, self._device = size, judge, device
         self._future, self._elsewhere = shares
@@ -118,12 +118,11 @@ class OfflineBatches:
                 "`future` and `elsewhere` to 0"
             )
         self._terms = [name for name in self._steps if name.startswith(_TERM)]
-        finite = all(np.isfinite(self._steps[name]).all() for name in self._terms)
-        if any(shares) and not finite:
-            raise UsageError(
-                f"the dataset lacks {', '.join(judge.needs)} of some steps, which "
-                "rewards for other goals depend on: set `future` to 0, and `elsewhere` "
-                "to 0 where there is one"
+        if any(shares):
+            refuse_missing_terms(
+                arrays,
+                judge.needs,
+                "set `future` to 0, and `elsewhere` to 0 where there is one",
             )
         self._streams = [np.random.default_rng(seed) for seed in seeds]
         self._begun = [stream.bit_generator.state for stream in self._streams]
@@ -299,14 +298,28 @@ def _rest(arrays: EpisodeArrays, discount: float) -> np.ndarray:
     Minus infinity in episodes that were cut off, whose rest is not known.
     """
     last = np.cumsum(arrays.lengths) - 1
-    rest = np.where(arrays.truncated, -np.inf, arrays.rewards)
+    rest = arrays.rewards.copy()
     for back in range(1, int(arrays.lengths.max())):
         rows = last[arrays.lengths > back] - back
         rest[rows] += discount * rest[rows + 1]
+    rest[np.repeat(arrays.truncated[last], arrays.lengths)] = -np.inf
     return rest.astype(np.float32)
 
 
-def _refuse_odd_values(arrays: EpisodeArrays) -> None:
+def refuse_missing_terms(
+    arrays: EpisodeArrays, needs: Sequence[str], way_out: str
+) -> None:
+    """Raise a UsageError if steps lack a number that rewards for any goal depend on."""
+    terms = arrays.reward_terms(needs).values()
+    if not all(np.isfinite(values).all() for values in terms):
+        raise UsageError(
+            f"the dataset lacks {', '.join(needs)} of some steps, which rewards for "
+            f"other goals depend on: {way_out}"
+        )
+
+
+def refuse_odd_values(arrays: EpisodeArrays) -> None:
+    """Raise a DatasetError for the first value that is not finite."""
     for name in ("states", "actions", "rewards"):
         finite = np.isfinite(getattr(arrays, name))
         if not finite.all():

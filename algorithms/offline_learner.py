@@ -96,9 +96,10 @@ class OfflineLearner:
         noise = None
         if self.actors.form.noisy:
             width = self.actors.form.chunk * len(self.layout.action)
-            shape = *inputs.shape[:-1], width
+            shape = inputs.shape[1], width
             drawn = np.random.default_rng(0).standard_normal(shape, np.float32)
             noise = torch.from_numpy(drawn).to(inputs.device)
+            noise = noise.expand(len(inputs), -1, -1)
         return self.actors.joint(inputs, noise)
 
     @torch.no_grad()

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from marl_mm.algorithms.config_checks import check_ranges
-from marl_mm.algorithms.offline_config import Td3Config
+from marl_mm.algorithms.offline_config import BOUNDED, Td3Config
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
 from marl_mm.errors import UsageError
 
@@ -34,7 +34,7 @@ _DEPARTS = (
     "every twentieth, and targets follow at each. There is 1 update per step unless "
     "`updates_per_step` says otherwise, 20 in the source. The first "
     "episodes are the untrained actor's, with noise; halves of a batch are halves by "
-    "chance."
+    f"chance. The penalty on actions is ours. {BOUNDED}"
 )
 
 ALGORITHMS.add(

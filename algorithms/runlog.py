@@ -80,7 +80,7 @@ class RunLog:
         check_loggers(loggers)
         self.run, self._clock, self._names = run, clock, loggers
         self._loggers: list[Logger] | None = None
-        self.rows = [row for row in read_metrics(run) if row[clock] <= since]
+        self.rows = [row for row in read_metrics(run, clock) if row[clock] <= since]
         """All rows of the run so far."""
 
         if since and (not self.rows or self.rows[-1][clock] != since):
@@ -115,8 +115,12 @@ class RunLog:
             logger.log(row[self._clock], row)
 
 
-def read_metrics(run: Path) -> list[Row]:
+def read_metrics(run: Path, clock: str | None = None) -> list[Row]:
     """The rows of a run's ``metrics.jsonl``; a last line cut off is left out.
+
+    Args:
+        run: The run's folder.
+        clock: Key that every row has to have; None: any.
 
     Raises:
         CheckpointError: If another line is damaged, or there are far too many; if the
@@ -135,10 +139,11 @@ def read_metrics(run: Path) -> list[Row]:
         rows.append({sys.intern(name): value for name, value in row.items()})
         values += len(row)
         names |= row.keys()
-        if not row or len(rows) > _ROWS or values > _VALUES or len(names) > _NAMES:
+        empty = not row or (clock is not None and clock not in row)
+        if empty or len(rows) > _ROWS or values > _VALUES or len(names) > _NAMES:
             raise CheckpointError(
-                f"{path} is damaged: it has an empty row, or more than {_ROWS:,} rows, "
-                f"{_VALUES:,} values or {_NAMES:,} names of them"
+                f"{path} is damaged: it has a row without {clock or 'values'}, or more "
+                f"than {_ROWS:,} rows, {_VALUES:,} values or {_NAMES:,} names of them"
             )
     return rows
 

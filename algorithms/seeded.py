@@ -32,8 +32,8 @@ class SeededActors:
         seeds: Seeds of initial weights, S of them.
         device: Device of the networks.
         form: Form of the networks.
-        stream: Number of the stream of initial weights, the same for no two networks
-            of a learner.
+        stream: Stream of initial weights: 0, or 1, which critics have. A flow beside
+            actors has their stream, whose numbers fall into other places there.
     """
 
     learns = True
@@ -172,8 +172,8 @@ class SeededCritics:
         seeds: Seeds of initial weights, S of them.
         device: Device of the networks.
         twins: Critics of a pair.
-        stream: Number of the stream of initial weights, the same for no two networks
-            of a learner.
+        stream: Stream of initial weights, 0 or 1. A state's value beside critics has
+            theirs, whose numbers fall into other places there.
     """
 
     learns = True
@@ -301,7 +301,10 @@ def _chunked(parts: Sequence[torch.Tensor], chunk: int, order: Any) -> torch.Ten
 
 @contextmanager
 def _seeded(seed: int, stream: int) -> Iterator[None]:
-    """Seed torch's own generator, which draws initial weights, for a block."""
+    """Seed torch's own generator, which draws initial weights, for a block.
+
+    It tells apart what differs in 32 bits: seeds are below ``SEEDS_OF_RUNS``.
+    """
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(2 * seed + stream % 2 + (stream // 2 << 40))
+        torch.manual_seed(2 * seed + stream)
         yield

@@ -106,6 +106,10 @@ def _side_by_side(candidate: Candidate) -> None:
         for key, value in candidate.weights(alone).items():
             close = np.allclose(value, both[key], atol=_CLOSE, rtol=_CLOSE)
             demand(close, f"seed {seed} learns other weights beside another, {key}")
+        measured = together.diagnose()
+        for key, value in alone.diagnose().items():
+            close = np.allclose(value, measured[key][number], atol=_CLOSE, rtol=_CLOSE)
+            demand(close, f"seed {seed} measures another {key} beside another")
 
 
 def _measures(candidate: Candidate) -> None:

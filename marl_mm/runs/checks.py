@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+from marl_mm.algorithms.offline_batches import refuse_missing_terms, refuse_odd_values
 from marl_mm.algorithms.online import is_flat
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.algorithms.runlog import read_metrics
@@ -96,7 +97,8 @@ def _check_offline(training: Offline, dataset: Dataset, fresh: bool) -> None:
 
 def _check_online(training: Training, demonstrations: Dataset | None) -> None:
     assert isinstance(training, Online)
-    longest = make_task(training.task, training.overrides).max_steps
+    task = make_task(training.task, training.overrides)
+    longest = task.max_steps
     if getattr(training.config, "capacity", longest) < longest:
         raise UsageError(
             f"`capacity` is {training.config.capacity}, expected at least an episode's "
@@ -109,17 +111,25 @@ def _check_online(training: Training, demonstrations: Dataset | None) -> None:
             f"`imitation_weight` is {weight}, but there are no `demonstrations`: name "
             "a dataset, or leave it at 0"
         )
-    task = training.task if demonstrations is None else demonstrations.provenance.task
-    if task != training.task:
+    if demonstrations is None:
+        return
+    name, arrays = demonstrations.location.name, demonstrations.arrays
+    if demonstrations.provenance.task != training.task:
         raise UsageError(
-            f"`demonstrations` {training.demonstrations} is of {task}, expected "
+            f"`demonstrations` {name} is of {demonstrations.provenance.task}, expected "
             f"{training.task}: their rewards differ"
         )
+    refuse_other_layout(name, arrays.layout, training.task, task.layout)
+    refuse_odd_values(arrays)
+    if getattr(training.config, "hindsight", 0):
+        without = training.algorithm.removesuffix("-her")
+        way_out = f"take {without}, without hindsight, or leave `demonstrations` out"
+        refuse_missing_terms(arrays, task.needs, way_out)
 
 
 def _check_end(training: Training, run: Path) -> None:
     """Raise if a run cannot go on to the updates or episodes asked for."""
-    rows, clock = read_metrics(run), training.clock
+    rows, clock = read_metrics(run, training.counter), training.clock
     own = [row for row in rows if "env_steps" in row and clock == "updates"]
     rows = rows[: len(rows) - len(own)]
     done = rows[-1][training.counter] if rows else 0

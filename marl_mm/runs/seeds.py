@@ -125,7 +125,7 @@ def _together(
     steps: dict[int, dict[int, Path]] = {}
     for seed, run in runs.items():
         begun = (run / FILE).exists()
-        step = read_checkpoint(run)["state"]["step"] if begun else -1
+        step = read_checkpoint(run)["state"].get("step", -1) if begun else -1
         steps.setdefault(step, {})[seed] = run
     for group in steps.values():
         trained = _try(training, dataset, group, bar)

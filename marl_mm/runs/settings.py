@@ -16,6 +16,10 @@ MOST_GOALS = 1_000_000
 
 _GOALS = ("episodes", "eval_episodes", "curve_episodes", "goals")
 
+SEEDS_OF_RUNS = 2**31
+"""Number of seeds of runs: two streams of each, which torch's generator of 32 bits
+tells apart."""
+
 SEEDS = 2**63 - 1
 """Number of seeds: whole numbers of 64 bits, and the next of each."""
 
@@ -85,22 +89,22 @@ def check_positive(**values: float) -> None:
 
 
 def check_seeds(seeds: Sequence[int]) -> None:
-    """Raise a UsageError for seeds of runs that are none, negative or named twice."""
+    """Raise a UsageError for seeds of runs that are none, named twice, or no seeds."""
     if not seeds:
         raise UsageError("`seeds` names no seed, expected at least one")
     if len(set(seeds)) < len(seeds):
         listed = " ".join(map(str, seeds))
         raise UsageError(f"`seeds` is {listed}, expected each seed once")
     for seed in seeds:
-        check_seed(seed)
+        check_seed(seed, SEEDS_OF_RUNS)
 
 
-def check_seed(seed: int) -> None:
-    """Raise a UsageError for a seed that is negative, or more than files can hold."""
+def check_seed(seed: int, number: int = SEEDS) -> None:
+    """Raise a UsageError for a seed that is negative, or not below their number."""
     if seed < 0:
         raise UsageError(f"the seed is {seed}, expected >= 0")
-    if seed >= SEEDS:
-        raise UsageError(f"the seed is {seed}, expected below {SEEDS:,}")
+    if seed >= number:
+        raise UsageError(f"the seed is {seed}, expected below {number:,}")
 
 
 def refuse_both(resume: bool, overwrite: bool) -> None:

@@ -289,6 +289,8 @@ def test_actions_for_other_goals_teach_critics_only() -> None:
         np.testing.assert_array_equal(value, before[key])
     conservative = quick("cfcql", elsewhere=1.0).fresh(some_episodes())
     assert conservative.update()["loss/conservative"].item() == 0.0
+    distilled = quick("fql", elsewhere=1.0).fresh(some_episodes())
+    assert distilled.update()["loss/distillation/joint"].item() == 0.0
 
 
 def test_one_agent_that_sees_all_is_improved_like_cql() -> None:

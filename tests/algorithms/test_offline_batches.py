@@ -273,3 +273,18 @@ def test_the_goal_may_stand_anywhere(arrays: EpisodeArrays) -> None:
     assert torch.equal(one.next_observation[:, order], other.next_observation)
     assert torch.equal(one.reward, other.reward)
     assert torch.equal(one.terminated, other.terminated)
+
+
+@pytest.mark.parametrize("discount", [0.0, 0.5])
+def test_the_rest_of_an_episode_is_its_return_unless_it_was_cut_off(
+    arrays: EpisodeArrays, discount: float
+) -> None:
+    batches = OfflineBatches(arrays, 400, (0, 0), TASK, [0], discount=discount)
+    batch = OfflineBatch(*(part[0] for part in batches.next()))
+    ends = np.cumsum(arrays.lengths)
+    for row, rest in zip(rows_of(arrays, batch), batch.rest, strict=True):
+        end = ends[np.searchsorted(ends, row, "right")]
+        ahead = arrays.rewards[row:end]
+        known = (ahead * discount ** np.arange(len(ahead))).sum()
+        cut = arrays.truncated[end - 1]
+        assert rest == (-np.inf if cut else pytest.approx(known, rel=1e-5))

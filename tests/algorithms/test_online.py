@@ -30,15 +30,19 @@ from marl_mm.algorithms.runlog import CurvePoint, RunLog, read_metrics
 from marl_mm.algorithms.schedule import Schedule
 from marl_mm.algorithms.train import resume
 from marl_mm.cli import main
+from marl_mm.contracts.learners import UNUSUAL, several_layouts
+from marl_mm.datasets import load_dataset
 from marl_mm.declared import as_record
 from marl_mm.envs.parallel import split_action
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import Episode
-from marl_mm.errors import CheckpointError, DivergedError
+from marl_mm.errors import CheckpointError, DivergedError, UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.files import only_here
 from marl_mm.progress import silent
+from marl_mm.runs.checks import check_training
+from marl_mm.runs.training import training_of
 
 MakeEpisode = Callable[..., Episode]
 RunEpisodes = Callable[[Explorer, Iterable[int]], Iterator[Episode]]
@@ -424,6 +428,18 @@ def test_demonstrations_are_of_the_same_task(
     assert main([*words, *half, "--out", "cut"]) == 0
     assert main([*words, *TINY, "--out", "cut", "--resume"]) == 0
     assert files(Path("whole/0")) == files(Path("cut/0"))
+
+
+def test_demonstrations_tell_all_that_is_learnt_from() -> None:
+    shown, training = load_dataset("good-5k"), training_of("ddpg-her")
+    other = several_layouts(shown.arrays)[UNUSUAL]
+    with pytest.raises(UsageError, match="layout"):
+        check_training(training, replace(shown, arrays=other), {})
+    info = shown.arrays.info | {"d_mm": np.full(len(shown.arrays.rewards), np.nan)}
+    lacking = replace(shown, arrays=replace(shown.arrays, info=info))
+    with pytest.raises(UsageError, match=r"lacks d_mm.* take ddpg, without hindsight"):
+        check_training(training, lacking, {})
+    check_training(training_of("ddpg"), lacking, {})
 
 
 @pytest.mark.slow

@@ -49,12 +49,14 @@ def test_rows_beyond_the_checkpoint_are_of_an_attempt_that_was_cut_off(
     assert [kept["step"] for kept in read_metrics(tmp_path)] == [10, 20]
     with pytest.raises(CheckpointError, match=r"ends at step 20, the checkpoint .* 25"):
         RunLog(tmp_path, "step", 25, ())
+    with pytest.raises(CheckpointError, match="has a row without episode"):
+        RunLog(tmp_path, "episode", 0, ())
 
 
 @pytest.mark.parametrize(
     ("data", "match"),
     [
-        ("{}\n" * 8_000_000, "an empty row, or more than"),
+        ("{}\n" * 8_000_000, "a row without values, or more than"),
         ('{"a": 1}\n' * 100_001, "more than 100,000 rows"),
         (json.dumps({str(n): 1 for n in range(1_001)}) + "\n", "1,000 names"),
         ('{"a": 1, "b": 2}\n' * 1_000 + "[1]\n", "dict"),

@@ -139,6 +139,10 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
             "train knows no 'sac', expected one of bc, mabc",
         ),
         (["train", "mabc"], "Missing from marl-mm train mabc: --dataset"),
+        (
+            ["train", "fql", "--dataset", "good-5k", "--seeds", str(2**31)],
+            "the seed is 2147483648, expected below 2,147,483,648",
+        ),
         (["play", "pd", "--camera.width", "0"], "camera width is 0, expected even"),
         (["collect", "pd", "--dataset", "marl_mm/reach/pd"], "without its version"),
         (["eval"], "no policy given"),
