@@ -118,7 +118,7 @@ def evaluate(
     workers: int = 1,
     advance: Advance = silent,
 ) -> Evaluation:
-    """Run a policy on a seed's goals, half ahead and half behind; see ``goal_set``.
+    """Run a policy on a seed's goals; see ``goal_set``.
 
     Args:
         policy: Policy to evaluate.

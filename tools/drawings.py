@@ -285,14 +285,16 @@ def _card(name: str) -> str:
     """Returns of a dataset's episodes, and alphas of its steps."""
     card = load_dataset(name).card()
     parts: list[str] = []
-    for left, what, label in (
-        (80, "return_histogram", "return"),
-        (500, "alpha_histogram", "alpha"),
+    for left, what, *labels in (
+        (80, "return_histogram", "return", "episodes"),
+        (500, "alpha_histogram", "alpha", "steps"),
     ):
         histogram = card[what]
         counts, low, high = (histogram[key] for key in ("counts", "low", "high"))
         most = max(counts)
-        plot = Plot((left, 30, 300, 150), (low, high), (0, most), (label, "count"))
+        plot = Plot(
+            (left, 30, 300, 150), (low, high), (0, most), (labels[0], labels[1])
+        )
         width = (high - low) / len(counts)
         for number, count in enumerate(counts):
             x0, y0 = plot.at(low + number * width, count)

@@ -116,7 +116,7 @@ def _algorithm_page(name: str) -> str:
         where = "`Reach-v0`" if algorithm.online else "good-30k"
         curve = (
             f"![Goals reached while {name} learns](../../images/curve-{name}.svg)\n\n"
-            f"Goals reached on {where} while it learns, mean and three seeds.\n"
+            f"Goals reached on {where} while it learns, mean and three seeds.\n\n"
         )
     if any(setting.algorithm == name for setting in LEARNERS):
         curve += (
@@ -294,9 +294,10 @@ def _algorithms_index() -> str:
         for name, algorithm in ALGORITHMS.items()
     ]
     return (
-        "# Algorithms\n\n**From good data start with MABC. With failures or random steps "
-        "among them take TD3+BC or MATD3+BC, with several conventions a joint flow, and "
-        "without data DDPG + HER.**\n\n"
+        "# Algorithms\n\n**From good data start with MABC. If there are failures or "
+        "random steps among them, take TD3+BC or MATD3+BC. If the episodes of a team "
+        "follow several conventions, take best-of-n students. Without data take DDPG + "
+        "HER.**\n\n"
         + markdown_table(("algorithm", "loss of the actors", "learns", "source"), rows)
     )
 

@@ -150,8 +150,8 @@ class Plot:
 
 
 def _ticks(least: float, most: float) -> list[float]:
-    """Round numbers from one end to the other, four to eight of them."""
+    """Round numbers between two, four to eight of them."""
     step = 10.0 ** math.floor(math.log10((most - least) / 4))
     step *= next(n for n in (1, 2, 2.5, 5, 10) if (most - least) / (step * n) <= 8)
-    count = math.floor((most - least) / step + 1e-9)
-    return [round(least + i * step, 10) for i in range(count + 1)]
+    first, last = math.ceil(least / step - 1e-9), math.floor(most / step + 1e-9)
+    return [round(i * step, 10) for i in range(first, last + 1)]

@@ -152,7 +152,7 @@ def _parse(
         if not end.code:  # --help
             raise
         text = _summary(complaint.getvalue())
-        raise UsageError(f"{text}; see {helped} --help") from None
+        raise UsageError(f"{text.rstrip('.')}; see {helped} --help") from None
 
 
 def _summary(box: str) -> str:

@@ -18,7 +18,7 @@ def main(
     """Put tables and figures of results on one page that needs no other file.
 
     With them: what the runs were made of, versions, and the command that makes each.
-    The environments' and the online learners' speed are not among them.
+    The online learners' speed is not among them.
 
     Args:
         results: Folder of results: what "marl-mm ablate all --out" fills, and more.

@@ -31,7 +31,9 @@ def evaluate(
     progress: Bar = silent_bar,
     **settings: Any,
 ) -> Evaluation:
-    """Evaluate a policy on a seed's goals, half ahead and half behind.
+    """Evaluate a policy on a seed's goals.
+
+    They are half ahead and half behind where the task does not draw its own.
 
     Args:
         policy: Run, run folder, checkpoint file, ``pretrained``, a collector's name, or

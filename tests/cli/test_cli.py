@@ -132,7 +132,7 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         (["collect", "pd", "--stpes", "5"], "--stpes, 5; Perhaps you meant: --steps"),
         (
             ["train", "iql", "--dataset", "good-5k", "--distillation", "3"],
-            "can matter.; see marl-mm train iql --help",  # which does not have it
+            "can matter; see marl-mm train iql --help",  # which does not have it
         ),
         (
             ["train", "sac"],

@@ -61,7 +61,8 @@ def small_code(code: str) -> str:
         code = re.sub(rf"\b{name}=[\d_]+", f"{name}={value}", code)
     code = re.sub(r"  #.*", "", code)
     code = re.sub(r"(marl_mm\.train\((?:[^()]|\([^()]*\))*)\)", _with_few, code)
-    evaluated = r"(marl_mm\.(?:evaluate|robustness|cross_play)\([^)]*)\)"
+    evaluations = r"evaluate|robustness|cross_play"
+    evaluated = rf"(marl_mm\.(?:{evaluations})\((?:[^()]|\([^()]*\))*)\)"
     code = re.sub(evaluated, r"\1, max_steps=4)", code)
     return re.sub(r"(marl_mm\.play\([^)]*)\)", r"\1, max_steps=2, fps=2)", code)
 
