@@ -68,6 +68,8 @@ class RunConfig:
         for name, kind in get_type_hints(cls).items():
             where = f"config.json: {name}"
             check_kind(getattr(record, name), kind, where, CheckpointError)
+        where, steps = "config.json: max_steps", rest.get("max_steps")
+        check_kind(steps, int | None, where, CheckpointError)
         return record
 
     def continued(

@@ -76,8 +76,12 @@ def replay(dataset: Dataset, workers: int = 1) -> Iterator[str | None]:
 def _differences(
     items: list[tuple[Task, Episode]], workers: int
 ) -> Iterator[str | None]:
-    with Workers(workers) as pool:
-        yield from pool.map(_difference, items)
+    try:
+        with Workers(workers) as pool:
+            yield from pool.map(_difference, items)
+    finally:
+        while _cores:
+            _cores.popitem()[1].close()
 
 
 _cores: dict[str, EpisodeCore] = {}

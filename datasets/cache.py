@@ -15,7 +15,7 @@ from pathlib import Path
 
 from marl_mm.datasets.arrays import EpisodeArrays, load_arrays, save_arrays
 from marl_mm.errors import DatasetError, UsageError
-from marl_mm.files import new_file
+from marl_mm.files import home, new_file
 from marl_mm.layout import Layout
 from marl_mm.received import check_regular
 
@@ -52,7 +52,7 @@ def cache_folder() -> Path:
     if folder := os.environ.get(FOLDER_VARIABLE):
         return Path(folder) / "datasets"
     base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "marl_mm" / "datasets"
+    return (Path(base) if base else home() / ".cache") / "marl_mm" / "datasets"
 
 
 def most_bytes() -> int:

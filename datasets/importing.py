@@ -106,16 +106,21 @@ def _read(arguments: tuple[Path, str, str]) -> tuple[EpisodeArrays, Engine | Non
             agents = forms[0].by_agent
             refuse_other_layout("its data", layout, name, task.layout, agents)
         episodes = forms[0].episodes(path, file, task.layout, list(task.info))
-    return _judged(arrays_of(episodes, dataset_id), task), _engine(metadata)
+    arrays = arrays_of(episodes, dataset_id)
+    return _judged(arrays, task, path), _engine(metadata)
 
 
-def _judged(arrays: EpisodeArrays, task: Task) -> EpisodeArrays:
+def _judged(arrays: EpisodeArrays, task: Task, path: Path) -> EpisodeArrays:
     """Episodes with their success, where the file does not say it.
 
     An episode that ended has reached its goal, unless its task can fail too: then the
     task's own rule decides, from the state after the step.
     """
     told = np.asarray(arrays.info["is_success"], np.float64)
+    if not (np.isin(told, (0, 1)) | np.isnan(told)).all():
+        raise DatasetError(
+            f"{path}: 'infos/is_success' holds other values than 0, 1 and NaN"
+        )
     if not np.isnan(told).any():
         return arrays
     hit = arrays.terminated
@@ -133,7 +138,7 @@ def _engine(metadata: Mapping[str, Any]) -> Engine | None:
     engine, overrides = metadata.get("engine"), metadata.get("overrides")
     if isinstance(overrides, Mapping):
         engine = engine_of(overrides)
-    return engine if engine in ENGINES else None
+    return engine if isinstance(engine, str) and engine in ENGINES else None
 
 
 def _metadata(path: Path, file: Any) -> Mapping[str, Any]:

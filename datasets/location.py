@@ -12,6 +12,7 @@ from pathlib import Path
 
 from marl_mm.datasets.named import named_ids
 from marl_mm.errors import UsageError
+from marl_mm.files import home
 from marl_mm.words import refuse_control_characters
 
 SHIPPED = "marl_mm/reach/good-5k-v0"
@@ -53,7 +54,7 @@ class Location:
 def datasets_root() -> Path:
     """``$MINARI_DATASETS_PATH``, or Minari's default in the home folder."""
     root = os.environ.get("MINARI_DATASETS_PATH")
-    return Path(root).resolve() if root else Path.home() / ".minari" / "datasets"
+    return Path(root).resolve() if root else home() / ".minari" / "datasets"
 
 
 def locate(text: str) -> Location:
@@ -75,7 +76,10 @@ def locate(text: str) -> Location:
         return Location(text, datasets_root() / text)
     if text.startswith("marl_mm/"):
         raise UsageError(f"{text!r} looks like an id without its version, as in -v0")
-    folder = _absolute(Path(text).expanduser())
+    try:
+        folder = _absolute(Path(text).expanduser())
+    except RuntimeError as error:  # such as of ~nobody
+        raise UsageError(f"dataset {text!r}: {error}") from None
     if folder.name == "data" and (folder / "metadata.json").exists():
         folder = folder.parent
     name = re.sub(r"[^a-zA-Z0-9_-]", "-", folder.name)

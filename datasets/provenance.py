@@ -7,6 +7,7 @@ from typing import Any, get_type_hints
 from marl_mm.errors import DatasetError
 from marl_mm.received import check_kind
 from marl_mm.registry import NAME
+from marl_mm.sim.config import RECORDED_ENGINE, Engine
 
 _MOST_STEPS = 1_000_000_000
 """Largest number of steps per episode in a dataset's record."""
@@ -163,7 +164,7 @@ class Provenance:
 
 
 def _check_task(record: Origin | Provenance) -> None:
-    """Raise a DatasetError for a task that cannot have its name or number of steps."""
+    """Raise a DatasetError for a task that cannot have its name, steps or engine."""
     if record.task is not None and not NAME.fullmatch(record.task):
         raise DatasetError(
             f"metadata.json: task is {record.task!r:.60}, expected a letter and then "
@@ -175,6 +176,12 @@ def _check_task(record: Origin | Provenance) -> None:
             f"metadata.json: max_steps is {steps!r:.60}, expected an integer from 1 to "
             f"{_MOST_STEPS:,}"
         )
+    for replaced in (record.overrides, record.config):
+        simulation = replaced.get("simulation", {})
+        where = "metadata.json: simulation"
+        check_kind(simulation, dict[str, Any], where, DatasetError)
+        engine = simulation.get("engine", RECORDED_ENGINE)
+        check_kind(engine, Engine, f"{where}.engine", DatasetError)
 
 
 _SHARED = {item.name for item in fields(Provenance)} & {

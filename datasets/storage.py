@@ -30,6 +30,7 @@ from marl_mm.episode import INFO
 from marl_mm.errors import DatasetError, UsageError
 from marl_mm.files import new_folder, only_here, refuse_existing, write_json
 from marl_mm.received import file_digest
+from marl_mm.sim.config import as_recorded
 from marl_mm.spaces import action_space, goal_observation_space
 
 
@@ -112,7 +113,7 @@ def env_spec(provenance: Provenance) -> EnvSpec | None:
     if provenance.task not in TASKS:
         return None
     spec = deepcopy(gymnasium.spec(f"marl_mm/{provenance.task}"))
-    spec.kwargs["overrides"] = dict(provenance.overrides)
+    spec.kwargs["overrides"] = as_recorded(provenance.overrides)
     spec.max_episode_steps = provenance.overrides.get("max_steps")
     return spec
 

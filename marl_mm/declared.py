@@ -1,5 +1,6 @@
 """Checks of dataclasses of settings, whose fields become options and records."""
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, asdict, fields, is_dataclass
 from types import MappingProxyType
@@ -50,6 +51,29 @@ def with_added(record: Mapping[str, Any], settings: Any) -> dict[str, Any]:
     """
     added = {f.name: f.default for f in fields(settings) if f.metadata == ADDED}
     return {**added, **record}
+
+
+def check_positive(config: Any, *fields: str, of: str = "") -> None:
+    """Raise for a number that is not above 0, or an interval that is not.
+
+    Args:
+        config: Config with the numbers and intervals.
+        fields: Names of their fields.
+        of: Beginning of the fields' names in messages, such as "wall.".
+
+    Raises:
+        UsageError: Naming the first such field.
+    """
+    for name in fields:
+        value = getattr(config, name)
+        if isinstance(value, tuple):
+            low, high = value
+            if not 0 < low <= high < math.inf:
+                raise UsageError(
+                    f"{of}{name} is {low} to {high}, expected 0 < low <= high"
+                )
+        elif not 0 < value < math.inf:
+            raise UsageError(f"{of}{name} is {value}, expected > 0")
 
 
 def check_settings(

@@ -14,6 +14,18 @@ from typing import Any
 from marl_mm.errors import OutputExistsError, UsageError
 
 
+def home() -> Path:
+    """Home folder of the user.
+
+    Raises:
+        UsageError: If there is none.
+    """
+    try:
+        return Path.home()
+    except RuntimeError as error:
+        raise UsageError(f"{error} Set $HOME") from None
+
+
 def refuse_existing(path: Path, overwrite: bool) -> None:
     """Raise before any work is done if an output would be overwritten.
 
@@ -21,7 +33,8 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
         OutputExistsError: If ``path`` exists and ``overwrite`` is False.
         UsageError: If its folder cannot be written.
     """
-    folder = next(parent for parent in path.absolute().parents if parent.exists())
+    above = path.absolute().parents or (path.absolute(),)  # of the root it is itself
+    folder = next(parent for parent in above if parent.exists())
     if not folder.is_dir() or not os.access(folder, os.W_OK):
         raise UsageError(f"cannot write {path}: {folder} is no folder open to you")
     if path.exists() and not overwrite:

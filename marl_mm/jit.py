@@ -115,9 +115,9 @@ def _cache_folder() -> Path:
     """The first folder that can be written, named after the sources' fingerprint."""
     package = Path(__file__).resolve().parent
     name = f"numba-{source_fingerprint()}"
-    for parent in (package / "__pycache__", Path.home() / ".cache" / "marl_mm"):
-        folder = parent / name
+    for parent in (package / "__pycache__", Path("~/.cache/marl_mm")):
         try:
+            folder = parent.expanduser() / name
             new = not folder.exists()
             folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=folder):
@@ -126,6 +126,6 @@ def _cache_folder() -> Path:
                         "the first use compiles controller and model: half a minute"
                     )
                 return folder
-        except OSError:
+        except (OSError, RuntimeError):  # such as of a user without a home
             continue
     return Path(tempfile.mkdtemp(prefix="marl_mm-"))

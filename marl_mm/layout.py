@@ -286,7 +286,7 @@ class Layout:
                 _names(values["compared"]),
                 _names(values["desired"]),
             )
-        except (KeyError, TypeError, ValueError) as error:
+        except (LookupError, TypeError, ValueError) as error:
             raise LayoutError(f"no layout of marl_mm ({error!r:.80})") from error
 
     def _placed(

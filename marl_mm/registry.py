@@ -112,6 +112,8 @@ class Registry(Generic[T]):
             UsageError: If nothing has it; the message lists all names and the nearest.
         """
         self._load()
+        if not isinstance(name, str):
+            raise UsageError(f"{self.kind} is {name!r:.60}, expected a name")
         if name not in self._things:
             raise UsageError(
                 f"unknown {self.kind} {name!r}{meant(name, self._things)}, expected "

@@ -236,7 +236,8 @@ def build_episode(
         rewards=rng.normal(size=steps),
         terminated=ends & success,
         truncated=ends & (not success),
-        info={key: rng.normal(size=steps) for key in INFO},
+        info={key: rng.normal(size=steps) for key in INFO}
+        | {"is_success": (ends & success).astype(float)},
         seed=100 + index,
         index=index,
         source="pd",

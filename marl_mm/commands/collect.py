@@ -12,7 +12,7 @@ from marl_mm.commands.output import show
 from marl_mm.commands.parser import Subcommand, parse_subcommand, value_of
 from marl_mm.datasets.card import card, card_text, keep_card
 from marl_mm.envs.registry import DEFAULT, TASKS
-from marl_mm.errors import UsageError
+from marl_mm.errors import DatasetError, UsageError
 from marl_mm.progress import progress_bars
 from marl_mm.runs.collect import begun_settings, collect_into, default_dataset
 from marl_mm.runs.collecting import Collecting
@@ -73,9 +73,8 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _options(name: str, settings: Mapping[str, Any]) -> Collect:
-    policy = COLLECTORS.get(name).config()
-    options = Collect(policy=policy, workers=available_cores())
-    return with_values(options, settings)
+    options = Collect(policy=COLLECTORS.get(name).config(), workers=available_cores())
+    return with_values(options, settings, "the dataset's record", DatasetError)
 
 
 def _begun(arguments: Sequence[str]) -> Mapping[str, Any]:

@@ -15,7 +15,7 @@ from marl_mm.commands.options import task_help
 from marl_mm.commands.output import show
 from marl_mm.commands.parser import Subcommand, parse_subcommand, value_of
 from marl_mm.envs.registry import DEFAULT
-from marl_mm.errors import UsageError
+from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.runs import training
 from marl_mm.runs.settings import with_values
 from marl_mm.workers import available_cores
@@ -132,7 +132,8 @@ def _subcommand(name: str, started_from: str, saved: Any = None) -> Subcommand:
         if algorithm.online
         else Offline(**settings, dataset=tyro.MISSING)
     )
-    return Subcommand(with_values(options, saved or {}), algorithm.about)
+    record = saved or {}, "config.json", CheckpointError
+    return Subcommand(with_values(options, *record), algorithm.about)
 
 
 def _train(name: str, options: Offline | Online) -> None:

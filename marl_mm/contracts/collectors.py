@@ -96,19 +96,21 @@ def _settings(candidate: Candidate) -> None:
 
 
 def _acts(candidate: Candidate) -> None:
-    layout = candidate.task.layout
-    for episode in _episodes(candidate, _plans()):
-        actions = episode.actions
-        demand(np.isfinite(actions).all(), "an action is not finite")
-        inside = (actions >= layout.low).all() and (actions <= layout.high).all()
-        demand(inside, "an action is outside of the action space")
-    policy = candidate.policy()
+    layout, policy = candidate.task.layout, candidate.policy()
     with closing(EpisodeCore(candidate.task)) as core:
-        state = core.reset(np.random.default_rng(0))
-        policy.begin(np.random.default_rng(0), layout)
-        action = policy.act(state.copy())
-    right = action.shape == (len(layout.action),) and action.dtype == np.float32
-    demand(right, f"an action is {action.dtype} of shape {action.shape}")
+        for plan in _plans():
+            state, ended = core.reset(np.random.default_rng(plan.seed)), False
+            policy.begin(np.random.default_rng([plan.seed, 1]), layout)
+            while not ended:
+                action = policy.act(state.copy())
+                right = action.shape == (len(layout.action),)
+                right = right and action.dtype == np.float32
+                demand(right, f"an action is {action.dtype} of shape {action.shape}")
+                demand(np.isfinite(action).all(), "an action is not finite")
+                inside = (action >= layout.low).all() and (action <= layout.high).all()
+                demand(inside, "an action is outside of the action space")
+                step = core.step(action)
+                state, ended = step.state, step.terminated or step.truncated
 
 
 def _seeds(candidate: Candidate) -> None:

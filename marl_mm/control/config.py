@@ -8,6 +8,7 @@ why. ``marl-mm bench abuse`` and ``sweep-alpha`` measure them.
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, get_args
 
+from marl_mm.declared import check_positive
 from marl_mm.errors import UsageError
 
 Knowledge = Literal["estimated", "given", "none"]
@@ -164,13 +165,7 @@ class ControllerConfig:
             raise UsageError(
                 f"controller.response is {self.response}, expected 1 to 10"
             )
-        _check_positive("hierarchy", self.hierarchy, ("damping", "projector_damping"))
+        names: tuple[str, ...] = ("damping", "projector_damping", "iterations")
+        check_positive(self.hierarchy, *names, of="controller.hierarchy.")
         names = ("horizon", "speed_share", "keep_out_rate", "traction")
-        _check_positive("limits", self.limits, names)
-
-
-def _check_positive(group: str, numbers: NamedTuple, names: tuple[str, ...]) -> None:
-    for name in names:
-        value = getattr(numbers, name)
-        if not value > 0:
-            raise UsageError(f"controller.{group}.{name} is {value}, expected > 0")
+        check_positive(self.limits, *names, of="controller.limits.")

@@ -128,7 +128,16 @@ class EpisodeCore:
             InvalidActionError: If the action has another shape or is not finite.
             UsageError: If there was no ``reset()``, or after ``close()``.
         """
-        return self.push(np.clip(self._checked(action), self._low, self._high), watch)
+        return self.push(self.bounded(action), watch)
+
+    def bounded(self, action: np.ndarray) -> np.ndarray:
+        """The action that ``step`` carries out: within the bounds, float64.
+
+        Raises:
+            InvalidActionError: If the action has another shape or is not finite.
+        """
+        bounded: np.ndarray = np.clip(self._checked(action), self._low, self._high)
+        return bounded
 
     def push(self, action: np.ndarray, watch: Watch | None = None) -> Step:
         """``step`` without checks and bounds, for actions beyond the action space."""
@@ -144,10 +153,9 @@ class EpisodeCore:
         """A picture of every robot's world, side by side, shape (h, w, 3), uint8.
 
         Raises:
-            UsageError: After ``close()``.
+            UsageError: If there was no ``reset()``, or after ``close()``.
         """
-        self.check_open()
-        moved = self.task.moved_marks(self.attempt) if self.attempt else ()
+        moved = self.task.moved_marks(self._begun("render"))
         for drive, marks in zip(self.drives, moved, strict=False):
             drive.world.move_marks(marks)
         return np.hstack([drive.world.render(camera) for drive in self.drives])
@@ -171,10 +179,10 @@ class EpisodeCore:
         for drive in self.drives:
             drive.close()
 
-    def _begun(self) -> Attempt:
+    def _begun(self, what: str = "step") -> Attempt:
         self.check_open()
         if self.attempt is None:
-            raise UsageError("step() was called before reset()")
+            raise UsageError(f"{what}() was called before reset()")
         return self.attempt
 
     def _judged(self, attempt: Attempt, info: dict[str, Any], reason: str) -> Step:

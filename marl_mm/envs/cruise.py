@@ -7,6 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from marl_mm.control.records import Track
+from marl_mm.declared import check_positive
 from marl_mm.envs.intervals import Interval
 from marl_mm.envs.order import Order
 from marl_mm.envs.task import Attempt, Task, Values
@@ -124,10 +125,13 @@ class CruiseTask(Task, ABC):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.action_scale > 0:
-            raise UsageError(f"action_scale is {self.action_scale}, expected > 0")
+        check_positive(self, "action_scale", "cruise")
         if not 0.0 <= self.initial_alpha <= 1.0:
             raise UsageError(f"initial_alpha is {self.initial_alpha}, expected [0, 1]")
+        if self.random_start_steps < 0:
+            raise UsageError(
+                f"random_start_steps is {self.random_start_steps}, expected >= 0"
+            )
         if self.random_start_steps and type(self).at_step is not Task.at_step:
             raise UsageError(
                 f"random_start_steps is {self.random_start_steps}, expected 0: "

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from marl_mm.declared import check_positive
 from marl_mm.envs.cruise import GOAL, CruiseTask, Targets, names
-from marl_mm.envs.intervals import Interval, check_intervals, check_positive
+from marl_mm.envs.intervals import Interval, check_intervals
 from marl_mm.envs.load import check_reach
 from marl_mm.envs.task import Attempt, ScriptConfig, Terms
 from marl_mm.episode import FAILED

@@ -1,6 +1,5 @@
 """Intervals that tasks draw from."""
 
-import math
 from typing import Any
 
 from marl_mm.errors import UsageError
@@ -25,29 +24,6 @@ def check_intervals(config: Any, *fields: str, of: str = "") -> None:
             raise UsageError(
                 f"{of}{name} is {low:g} to {high:g}, expected the smaller first"
             )
-
-
-def check_positive(config: Any, *fields: str, of: str = "") -> None:
-    """Raise for a number that is not above 0, or an interval that is not.
-
-    Args:
-        config: Config with the numbers and intervals.
-        fields: Names of their fields.
-        of: Beginning of the fields' names in messages, such as "wall.".
-
-    Raises:
-        UsageError: Naming the first such field.
-    """
-    for name in fields:
-        value = getattr(config, name)
-        if isinstance(value, tuple):
-            low, high = value
-            if not 0 < low <= high < math.inf:
-                raise UsageError(
-                    f"{of}{name} is {low} to {high}, expected 0 < low <= high"
-                )
-        elif not 0 < value < math.inf:
-            raise UsageError(f"{of}{name} is {value}, expected > 0")
 
 
 def check_within(name: str, interval: Interval, of: Interval, why: str) -> None:

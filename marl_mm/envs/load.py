@@ -7,7 +7,8 @@ from typing import get_args
 import numpy as np
 
 from marl_mm.control.config import Knowledge
-from marl_mm.envs.intervals import Interval, check_positive, check_within
+from marl_mm.declared import check_positive
+from marl_mm.envs.intervals import Interval, check_within
 from marl_mm.errors import UsageError
 from marl_mm.sim.scene import Block, Grasp, Scene
 

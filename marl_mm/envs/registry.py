@@ -1,6 +1,6 @@
 """The registry of tasks, and tasks with some fields replaced."""
 
-import math
+import sys
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
@@ -116,8 +116,12 @@ def _replaced(config: Any, overrides: Mapping[str, Any], path: str) -> Any:
         known = [item.name for item in fields(config)]
     else:
         known = list(config._fields)
+    if not isinstance(overrides, Mapping):
+        raise UsageError(f"overrides are {overrides!r:.60}, expected a mapping")
     changes = {}
     for name, value in overrides.items():
+        if not isinstance(name, str):
+            raise UsageError(f"a field is {name!r:.60}, expected a name")
         if name not in known:
             raise UsageError(
                 f"unknown field {path + name!r}{meant(name, known)}, expected one of "
@@ -149,9 +153,9 @@ def _like(current: Any, value: Any, name: str) -> Any:
         return tuple(_like(*pair, name) for pair in zip(current, value, strict=True))
     truth = isinstance(value, bool)
     if isinstance(current, float) and isinstance(value, int | float) and not truth:
-        if math.isfinite(value):
+        if abs(value) <= sys.float_info.max:
             return float(value)
     elif isinstance(value, type(current)) and truth == isinstance(current, bool):
         return value
     kind = "a finite number" if isinstance(current, float) else type(current).__name__
-    raise UsageError(f"{name} is {value!r}, expected {kind}")
+    raise UsageError(f"{name} is {value!r:.60}, expected {kind}")

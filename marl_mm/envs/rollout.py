@@ -64,12 +64,12 @@ def run_episode(
     actions: list[np.ndarray] = []
     steps: list[Step] = []
     while not steps or not (steps[-1].terminated or steps[-1].truncated):
-        actions.append(policy.act(states[-1]))
+        actions.append(core.bounded(policy.act(states[-1])).astype(np.float32))
         steps.append(core.step(actions[-1], watch))
         states.append(steps[-1].state)
     return Episode(
         states=np.stack(states),
-        actions=np.stack(actions).astype(np.float32),
+        actions=np.stack(actions),
         rewards=np.array([step.reward for step in steps]),
         terminated=np.array([step.terminated for step in steps]),
         truncated=np.array([step.truncated for step in steps]),

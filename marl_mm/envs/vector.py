@@ -63,7 +63,7 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
         self.action_space = batch_space(self.single_action_space, n)
         self.observation_space = batch_space(self.single_observation_space, n)
         self._seeds: list[int | None] = [None] * n
-        self._begun = False
+        self._begun = np.zeros(n, bool)
         self._slots = _opened(
             self.task, n, min(workers, n), render_mode is not None, backend
         )
@@ -132,7 +132,7 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
             WorkerDiedError: If a worker process died; the vector is closed then.
         """
         self._check_open()
-        if not self._begun:
+        if not self._begun.all():
             raise UsageError("step() was called before reset()")
         outcomes = self._call("step", [(a,) for a in self._checked(actions)])
         rewards, terminated, truncated, _, _ = zip(*outcomes, strict=True)
@@ -167,13 +167,13 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
 
     def _call(self, name: str, arguments: list[tuple[Any, ...] | None]) -> list[Any]:
         """Call all environments; after an error they have to be reset."""
-        begun, self._begun = self._begun, False
+        begun, self._begun = self._begun, np.zeros(self.num_envs, bool)
         try:
             results = self._slots.call(name, arguments)
         except WorkerDiedError:
             self.close()
             raise
-        self._begun = begun or None not in arguments
+        self._begun = begun | np.array([each is not None for each in arguments])
         return results
 
     def _infos(self, outcomes: Sequence[Outcome]) -> dict[str, Any]:

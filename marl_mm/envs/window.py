@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from marl_mm.envs.intervals import Interval, check_intervals, check_positive
+from marl_mm.declared import check_positive
+from marl_mm.envs.intervals import Interval, check_intervals
 from marl_mm.envs.load import check_reach
 from marl_mm.errors import UsageError
 from marl_mm.layout import Entry

@@ -5,6 +5,7 @@ from importlib.resources import as_file, files
 from typing import NamedTuple
 from xml.etree import ElementTree
 
+from marl_mm.declared import check_positive
 from marl_mm.errors import UsageError
 from marl_mm.robot.names import (
     ARM_LINKS,
@@ -47,6 +48,9 @@ class RobotConfig:
 
     initial_finger: float = 0.04
     """Travel of each finger [m]; the paper's 0.08 is the opening between the two."""
+
+    def __post_init__(self) -> None:
+        check_positive(self, "base_mass", of="robot.")
 
 
 PAD_SIZE = (0.020, 0.014, 0.022)

@@ -10,6 +10,7 @@ from marl_mm.datasets.journal import noted
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.envs.registry import DEFAULT, TASKS
+from marl_mm.errors import DatasetError
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.collecting import Collecting, collect_dataset, recorded
 from marl_mm.runs.settings import with_settings, with_values
@@ -49,9 +50,10 @@ def collect(
     name = default_dataset(task or DEFAULT, collector) if dataset is None else dataset
     name = str(name)
     saved = begun_settings(name, collector) if settings.get("resume") else {}
-    config = with_values(own, saved) if config is None else config
+    record = f"the record of {name}", DatasetError
+    config = with_values(own, saved, *record) if config is None else config
     asked = {} if task is None else {"task": task}
-    collecting = with_values(Collecting(), saved | asked)
+    collecting = with_values(Collecting(), saved | asked, *record)
     collector_values = {k: v for k, v in settings.items() if not hasattr(collecting, k)}
     rest = {k: v for k, v in settings.items() if k not in collector_values}
     data, complete = collect_into(

@@ -144,6 +144,10 @@ def play(
     """
     check_positive(fps=fps)
     check_seed(seed)
+    if direction not in (None, "forward", "backward"):
+        raise UsageError(
+            f"`direction` is {direction!r:.40}, expected forward, backward or None"
+        )
     name = task or (DEFAULT if policy is None else own_task([policy]))
     policy = default_policy(name) if policy is None else policy
     overrides = task_overrides(max_steps, engine or own_engine([policy]))

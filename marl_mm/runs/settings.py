@@ -4,10 +4,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar, get_type_hints
 
-from typeguard import TypeCheckError, check_type
+import numpy as np
 
 from marl_mm.algorithms.config_checks import LARGEST
 from marl_mm.errors import UsageError, meant
+from marl_mm.received import Refusal, check_kind
 
 T = TypeVar("T")
 
@@ -35,52 +36,65 @@ def with_settings(owner: str, record: T, settings: Mapping[str, Any]) -> T:
     Raises:
         UsageError: If no field has a name, or a value is of another type.
     """
-    kinds = dict(_kinds(record))
-    for name, value in settings.items():
-        if name not in kinds:
+    names = sorted(_names(record))
+    for name in settings:
+        if name not in names:
             raise UsageError(
-                f"{owner} has no setting {name!r}{meant(name, kinds)}, expected some "
-                f"of {', '.join(sorted(kinds))}"
+                f"{owner} has no setting {name!r}{meant(name, names)}, expected some "
+                f"of {', '.join(names)}"
             )
-        try:
-            check_type(value, kinds[name])
-        except TypeCheckError as error:
-            why = " ".join(str(error).split())
-            raise UsageError(f"{owner}: {name} is {value!r:.80}, {why}") from None
-    return with_values(record, settings)
+    return with_values(record, settings, owner)
 
 
-def with_values(record: T, values: Mapping[str, Any]) -> T:
-    """A dataclass, and those in its fields, with the values that are known by name."""
+def with_values(
+    record: T, values: Mapping[str, Any], owner: str, refusal: Refusal = UsageError
+) -> T:
+    """A dataclass, and those in its fields, with the values that are known by name.
+
+    Args:
+        record: Frozen dataclass with the defaults.
+        values: New values by name; a list stands for a tuple.
+        owner: Name of where they are from, for messages.
+        refusal: Class of the error.
+
+    Raises:
+        MarlMmError: If a value is of another type than its field.
+    """
+    hints = get_type_hints(type(record))
     changes: dict[str, Any] = {}
     for field in fields(record):  # type: ignore[arg-type]
         before = getattr(record, field.name)
         if _is_record(before):
-            changes[field.name] = with_values(before, values)
+            changes[field.name] = with_values(before, values, owner, refusal)
         elif field.name in values:
             value = values[field.name]
-            changes[field.name] = tuple(value) if isinstance(before, tuple) else value
+            if isinstance(before, tuple) and isinstance(value, list):
+                value = tuple(value)
+            where = f"{owner}: {field.name} is {value!r:.80}"
+            check_kind(value, hints[field.name], where, refusal)
+            changes[field.name] = value
     return replace(record, **changes)  # type: ignore[type-var]
 
 
-def _kinds(record: Any) -> Iterator[tuple[str, Any]]:
-    """Names and types of the settings of a dataclass, and of those in its fields."""
-    hints = get_type_hints(type(record))
+def _names(record: Any) -> Iterator[str]:
+    """Names of the settings of a dataclass, and of those in its fields."""
     for field in fields(record):
         value = getattr(record, field.name)
         if _is_record(value):
-            yield from _kinds(value)
+            yield from _names(value)
         else:
-            yield field.name, hints[field.name]
+            yield field.name
 
 
 def _is_record(value: Any) -> bool:
     return is_dataclass(value) and not isinstance(value, type)
 
 
-def check_positive(**values: float) -> None:
-    """Raise a UsageError for the first setting below 1, or too large to have an end."""
+def check_positive(**values: int) -> None:
+    """Raise a UsageError for the first number that is not whole, below 1 or endless."""
     for name, value in values.items():
+        if not _is_whole(value):
+            raise UsageError(f"`{name}` is {value!r:.40}, expected a whole number")
         if value < 1:
             raise UsageError(f"`{name}` is {value}, expected >= 1")
         most = MOST_GOALS if name in _GOALS else LARGEST
@@ -90,21 +104,29 @@ def check_positive(**values: float) -> None:
 
 def check_seeds(seeds: Sequence[int]) -> None:
     """Raise a UsageError for seeds of runs that are none, named twice, or no seeds."""
-    if not seeds:
+    if isinstance(seeds, str) or not hasattr(seeds, "__len__"):
+        raise UsageError(f"`seeds` is {seeds!r:.40}, expected several, such as (0, 1)")
+    if len(seeds) == 0:
         raise UsageError("`seeds` names no seed, expected at least one")
+    for seed in seeds:
+        check_seed(seed, SEEDS_OF_RUNS)
     if len(set(seeds)) < len(seeds):
         listed = " ".join(map(str, seeds))
         raise UsageError(f"`seeds` is {listed}, expected each seed once")
-    for seed in seeds:
-        check_seed(seed, SEEDS_OF_RUNS)
 
 
 def check_seed(seed: int, number: int = SEEDS) -> None:
     """Raise a UsageError for a seed that is negative, or not below their number."""
+    if not _is_whole(seed):
+        raise UsageError(f"the seed is {seed!r:.40}, expected a whole number")
     if seed < 0:
         raise UsageError(f"the seed is {seed}, expected >= 0")
     if seed >= number:
         raise UsageError(f"the seed is {seed}, expected below {number:,}")
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def refuse_both(resume: bool, overwrite: bool) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 from marl_mm.algorithms.registry import TUNED, names
 from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.datasets.dataset import Dataset, load_dataset
-from marl_mm.errors import UsageError
+from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.folder import (
     check_runs,
@@ -66,7 +66,7 @@ def train(
     elif settings.get("start"):
         saved = started_settings(settings["start"])
     if preset is None:
-        training = with_values(training, saved)
+        training = with_values(training, saved, "config.json", CheckpointError)
     if config is not None:
         kind = type(training.config)
         if not isinstance(config, kind):
@@ -96,7 +96,8 @@ def repeat(
         UsageError: If the run's dataset, or the checkpoint that it started from, is
             gone or another, or the new run exists.
     """
-    training = with_values(training_of(config.algorithm), settings_of(config))
+    record = settings_of(config), "config.json", CheckpointError
+    training = with_values(training_of(config.algorithm), *record)
     training = with_settings(config.algorithm, training, settings)
     if not {"start", "resume"} & settings.keys():
         refuse_changed_start(config)

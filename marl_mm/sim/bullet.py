@@ -120,6 +120,9 @@ class BulletWorld:
             self._handling = BulletHandling(
                 client, self._robot, links, self._ground, config, scene, self._visual
             )
+        # Drawn things last: bodies are numbered, and contacts are in that order.
+        if self._visual:
+            self._draw_ground()
         self._marks = [self._draw(mark) for mark in marks if self._visual]
 
     def read(self) -> RobotState:
@@ -259,8 +262,9 @@ class BulletWorld:
         pybullet.changeDynamics(
             self._ground, -1, lateralFriction=1, physicsClientId=client
         )
-        if not self._visual:
-            return
+
+    def _draw_ground(self) -> None:
+        client = self._client
         data = pybullet_data.getDataPath()
         visual = pybullet.createVisualShape(
             pybullet.GEOM_MESH, fileName=f"{data}/plane.obj", physicsClientId=client

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from marl_mm.declared import check_positive
 from marl_mm.errors import UsageError
 
 RATE = 240
@@ -117,6 +118,9 @@ class SimulationConfig:
             raise UsageError(
                 f"simulation.engine is {self.engine!r}, expected {' or '.join(ENGINES)}"
             )
+        numbers = ("solver_iterations", "wheel_force", "wheel_friction")
+        blocks = ("finger_force", "grasp_iterations", "grip_force", "grip_speed")
+        check_positive(self, *numbers, *blocks, of="simulation.")
 
 
 @dataclass(frozen=True)

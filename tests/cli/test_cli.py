@@ -147,6 +147,7 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         (["collect", "pd", "--dataset", "marl_mm/reach/pd"], "without its version"),
         (["eval"], "no policy given"),
         (["collect", "random", "--dataset", "/dev/null/x"], "cannot write"),
+        (["quickstart", "--out", "/"], "/"),
         (
             ["eval", "nowhere"],
             "no policy 'nowhere': expected pretrained, pd, medium, random, scripted",

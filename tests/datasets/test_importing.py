@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -117,6 +118,7 @@ def test_layouts_hold_what_they_say(dataset: Path, tmp_path: Path) -> None:
         ("terminals", np.zeros(24, bool), "neither 'terminals' nor 'timeouts'"),
         ("terminals", np.full(24, np.nan), "'terminals' holds other values than 0"),
         ("observations", np.zeros((24, 11)), "has shape (24, 11), expected (24, 10)"),
+        ("infos/is_success", np.full(24, 0.5), "other values than 0, 1 and NaN"),
     ],
 )
 def test_schema_errors_name_key_got_and_expected(
@@ -141,6 +143,27 @@ def test_schema_errors_name_key_got_and_expected(
     complaint = capsys.readouterr().err
     assert message in complaint and complaint.count("\n") == 1
     assert not locate("marl_mm/reach/bad-v0").folder.exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "code"),
+    [("engine", np.array([1, 2]), 0), ("layout", 5, 2)],
+)
+def test_attributes_of_any_type_are_read(
+    dataset: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    name: str,
+    value: Any,
+    code: int,
+) -> None:
+    path = tmp_path / "flat.h5"
+    assert run("datasets", "export", ID, "--out", path) == 0
+    with h5py.File(path, "a") as file:
+        file.attrs[name] = value
+    capsys.readouterr()
+    assert run("datasets", "import", path, "--out", "other") == code
+    assert "Traceback" not in capsys.readouterr().err
 
 
 @pytest.mark.slow

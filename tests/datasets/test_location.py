@@ -43,6 +43,19 @@ def test_no_name_and_half_an_id_are_refused(text: str) -> None:
         locate(text)
 
 
+def test_homes_that_nobody_has_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UsageError, match="'~nobody-here/x'"):
+        locate("~nobody-here/x")
+
+    def fail() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("MINARI_DATASETS_PATH", raising=False)
+    monkeypatch.setattr(Path, "home", fail)
+    with pytest.raises(UsageError, match=r"home directory\. Set \$HOME"):
+        locate("pd")
+
+
 def test_a_word_is_a_folder_here_only_where_there_is_no_such_id(
     datasets_home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

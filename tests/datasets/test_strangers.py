@@ -515,6 +515,11 @@ def test_deep_nesting_is_refused(gift: Path, capsys: Output) -> None:
         (lambda m: m["marl_mm"]["overrides"].update(max_steps=-1), "max_steps is -1"),
         (lambda m: m["marl_mm"]["overrides"].update(max_steps=2.5), "max_steps is 2.5"),
         (lambda m: m["marl_mm"]["info"].append("is_success"), "a step number twice"),
+        (lambda m: m["marl_mm"]["overrides"].update(simulation=5), "simulation: int"),
+        (
+            lambda m: m["marl_mm"].update(config={"simulation": {"engine": ["x"]}}),
+            "simulation.engine",
+        ),
         *(
             (lambda m, key=key: m["marl_mm"].pop(key), key)
             for key in ("data_sha256", "episodes", "steps", "statistics", "task")

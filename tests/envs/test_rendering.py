@@ -1,5 +1,6 @@
 """Pictures of the environments, and films that Gymnasium records of them."""
 
+from contextlib import closing
 from pathlib import Path
 
 import gymnasium
@@ -13,6 +14,7 @@ from marl_mm.envs import parallel_env
 from marl_mm.envs.goal_env import GoalEnv
 from marl_mm.envs.registry import TASKS
 from marl_mm.envs.tasks.reach import Reach
+from marl_mm.errors import UsageError
 
 REACHING = [name for name, task in TASKS.items() if isinstance(task, Reach)]
 
@@ -26,6 +28,25 @@ def test_render_shows_the_robot(task: str) -> None:
     assert image.shape == (320, 480, 3)
     assert image.std() > 10  # not an empty picture
     env.close()
+
+
+def test_who_is_filmed_moves_as_otherwise() -> None:
+    """A block's contacts come in the order of the bodies, the drawn ones among them."""
+    states = []
+    for mode in (None, "rgb_array"):
+        with closing(parallel_env("CarryReach-v0", render_mode=mode)) as env:
+            env.reset(seed=0)
+            env.step({a: env.action_space(a).high for a in env.agents})
+            states.append(env.state().tobytes())
+    assert states[0] == states[1]
+
+
+def test_there_is_no_picture_before_an_episode() -> None:
+    for engine in ("bullet", "mujoco"):
+        overrides = {"simulation": {"engine": engine}}
+        with closing(GoalEnv("Reach-v0", overrides, render_mode="rgb_array")) as env:
+            with pytest.raises(UsageError, match=r"render\(\) was called before reset"):
+                env.render()
 
 
 @pytest.mark.parametrize(("ticks", "fps"), [(240, 1.0), (24, 10.0)])

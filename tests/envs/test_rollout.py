@@ -1,6 +1,7 @@
 """Episodes in threads and processes are those of a single process."""
 
 import threading
+from contextlib import closing
 
 import numpy as np
 import psutil
@@ -8,11 +9,14 @@ import pytest
 
 from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.policy import LearnedPolicy
+from marl_mm.collectors.replay import ReplayPolicy
 from marl_mm.envs import slots
+from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.registry import make_task
-from marl_mm.envs.rollout import EpisodePlan, Rollouts
+from marl_mm.envs.rollout import EpisodePlan, Rollouts, run_episode
 from marl_mm.envs.task import Task
 from marl_mm.episode import Episode
+from marl_mm.layout import Layout
 from marl_mm.policy import Policy
 from marl_mm.runs.policies import load_policy
 
@@ -41,6 +45,32 @@ def kinds() -> tuple[int, int]:
 def run(task: Task, policy: Policy, workers: int) -> list[Episode]:
     with Rollouts(task, workers) as rollouts:
         return list(rollouts.run(policy, PLANS))
+
+
+class Loud:
+    """Acts in float64, and out of bounds."""
+
+    name = "loud"
+
+    def describe(self) -> dict[str, object]:
+        return {}
+
+    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
+        self._rng = rng
+
+    def act(self, state: np.ndarray) -> np.ndarray:
+        return self._rng.uniform(-1.3, 1.3, 4)
+
+
+def test_what_is_kept_is_what_was_carried_out() -> None:
+    task = make_task("Reach-v0", {"max_steps": 2, "simulation": {"engine": "mujoco"}})
+    with closing(EpisodeCore(task)) as core:
+        episode = run_episode(core, Loud(), EpisodePlan(0, 3))
+        again = run_episode(core, ReplayPolicy(episode), EpisodePlan(0, 3))
+    assert episode.actions.dtype == np.float32
+    low, high = task.layout.low, task.layout.high
+    assert (episode.actions >= low).all() and (episode.actions <= high).all()
+    assert content(episode) == content(again)
 
 
 @pytest.mark.slow

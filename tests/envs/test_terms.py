@@ -1,5 +1,7 @@
 """Reward and success, worked by hand and vectorised."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -87,11 +89,22 @@ def test_overrides_take_json_lists() -> None:
         ("Reach-v0", {"goal_y": [0.2]}, "expected 2 numbers"),
         ("Reach-v0", {"action_scale": -1}, "expected > 0"),
         ("Reach-v0", {"controller": 5}, "expected a mapping of its fields"),
+        ("Reach-v0", [1], "overrides are .*, expected a mapping"),
+        ("Reach-v0", {3: 4}, "a field is 3, expected a name"),
+        ("Reach-v0", {"cruise": 10**400}, "expected a finite number"),
+        ("Reach-v0", {"random_start_steps": -1}, "expected >= 0"),
+        ("Reach-v0", {"robot": {"base_mass": -5}}, "robot.base_mass is -5.0"),
+        ("Reach-v0", {"simulation": {"wheel_force": 0}}, "wheel_force is 0.0"),
+        (
+            "Reach-v0",
+            {"controller": {"hierarchy": {"iterations": 0}}},
+            "hierarchy.iterations is 0, expected > 0",
+        ),
         ("Reach-v0", {"controller": {"form": "mix"}}, "'blend', 'rhp'"),
     ],
 )
 def test_unknown_names_and_bad_values_are_refused(
-    task: str, overrides: dict[str, object], message: str
+    task: str, overrides: Any, message: str
 ) -> None:
     with pytest.raises(UsageError, match=message):
         make_task(task, overrides)

@@ -299,6 +299,11 @@ def test_wrong_actions_are_told_before_any_environment_acts() -> None:
             vector.reset(options={"reset_mask": np.array(mask)})
     with pytest.raises(UsageError, match=r"goal is .*, expected 3 finite numbers"):
         vector.reset(options={"goal": (1, 2)})
+    vector.reset(options={"reset_mask": np.array([True, False, False])})
+    with pytest.raises(UsageError, match=r"step\(\) was called before reset"):
+        vector.step(right)
+    vector.reset(options={"reset_mask": np.array([False, True, True])})
+    vector.step(right)
     vector.close()
     reference.close()
 

@@ -12,7 +12,7 @@ import marl_mm
 from marl_mm.cli import main
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.metadata import sign_metadata
-from marl_mm.errors import UsageError
+from marl_mm.errors import CheckpointError, UsageError
 
 FEW: dict[str, Any] = {
     "eval_episodes": 2,
@@ -100,6 +100,9 @@ def test_what_version_1_began_goes_on(datasets_home: Path, tmp_path: Path) -> No
     marl_mm.collect("pd", dataset="old", steps=60, resume=True)
     (first,) = marl_mm.train("td3-bc", "good-5k", out=tmp_path, updates=20, **FEW)
     config = json.loads((first.folder / "config.json").read_text())
+    (first.folder / "config.json").write_text(json.dumps(config | {"updates": "x"}))
+    with pytest.raises(CheckpointError, match="updates is 'x'"):
+        marl_mm.train("td3-bc", "good-5k", out=tmp_path, resume=True)
     assert config.pop("engine") == "bullet"
     (first.folder / "config.json").write_text(json.dumps(config))
     marl_mm.train("td3-bc", "good-5k", out=tmp_path, updates=40, resume=True, **FEW)

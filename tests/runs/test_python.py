@@ -261,7 +261,7 @@ def test_a_run_and_its_film_are_read_back(
         (lambda: marl_mm.train("mabc", "good-5k", update=5), "did you mean updates?"),
         (
             lambda: marl_mm.train("mabc", "good-5k", updates="5"),
-            "mabc: updates is '5', str is not an instance of int",
+            "mabc: updates is '5': str is not an instance of int",
         ),
         (lambda: marl_mm.train("mabc", "good-5k", seeds=()), "names no seed"),
         (lambda: marl_mm.collect("pd", alpha_rul="room"), "did you mean alpha_rule?"),
@@ -270,6 +270,20 @@ def test_a_run_and_its_film_are_read_back(
         (lambda: marl_mm.evaluate("pretrained", alpha=1.0), "takes no settings"),
         (lambda: marl_mm.evaluate("pd", episodes=0), "`episodes` is 0, expected >= 1"),
         (lambda: marl_mm.play("pd", fps=0), "`fps` is 0, expected >= 1"),
+        (lambda: marl_mm.play("pd", direction=cast(Any, "up")), "`direction` is 'up'"),
+        (
+            lambda: marl_mm.evaluate("pd", episodes=cast(Any, "1")),
+            "`episodes` is '1', expected a whole number",
+        ),
+        (
+            lambda: marl_mm.evaluate("pd", seed=cast(Any, 0.5)),
+            "the seed is 0.5, expected a whole number",
+        ),
+        (
+            lambda: marl_mm.train("mabc", "good-5k", seeds=cast(Any, 3)),
+            "`seeds` is 3, expected several",
+        ),
+        (lambda: marl_mm.train(cast(Any, None)), "algorithm is None, expected a name"),
         (lambda: marl_mm.load_run("nowhere"), "nowhere is no run"),
         (lambda: marl_mm.load_run(cast(Any, None)), "None is no folder"),
         (lambda: marl_mm.load_policy(3), "3 is no policy, expected a run"),
@@ -277,7 +291,7 @@ def test_a_run_and_its_film_are_read_back(
         (lambda: marl_mm.load_dataset(cast(Any, None)), "None is no dataset's name"),
         (
             lambda: marl_mm.collect("pd", steps="a"),
-            "collect: steps is 'a', str did not match",
+            "collect: steps is 'a': str did not match",
         ),
         (
             lambda: marl_mm.train("mabc", "good-5k", config=3),

@@ -58,7 +58,7 @@ def refusal(values: Any, folder: Path, capsys: pytest.CaptureFixture[str]) -> st
             {"collector_config": {"kq": 1}},
             "has no setting 'kq', expected some of alpha",
         ),
-        ({"collector_config": {"kp": "1"}}, "kp is '1', str is neither float or int"),
+        ({"collector_config": {"kp": "1"}}, "kp is '1': str is neither float or int"),
         ({"packages": None}, "made_of: packages: None is not a dict"),
         ({"packages": {"numpy": 2}}, "packages: value of key 'numpy' of dict is not"),
         ({"weights": "w"}, "made_of has 'weights', which is not rebuilt"),

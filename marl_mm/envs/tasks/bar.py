@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from marl_mm.declared import check_positive
 from marl_mm.envs.cruise import (
     ALPHA,
     BASE,
@@ -29,12 +30,7 @@ from marl_mm.envs.cruise import (
     names,
 )
 from marl_mm.envs.hazard import RiskyTask
-from marl_mm.envs.intervals import (
-    Interval,
-    check_intervals,
-    check_positive,
-    check_within,
-)
+from marl_mm.envs.intervals import Interval, check_intervals, check_within
 from marl_mm.envs.load import HIGH
 from marl_mm.envs.order import Order
 from marl_mm.envs.registry import register_task

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
+from marl_mm.declared import check_positive
 from marl_mm.envs.course_layout import BIN, LAYOUT, STAGE, STAGES, ZONE
 from marl_mm.envs.cruise import (
     ALPHA,
@@ -28,12 +29,7 @@ from marl_mm.envs.cruise import (
     names,
 )
 from marl_mm.envs.grasping import LIFT, grasping
-from marl_mm.envs.intervals import (
-    Interval,
-    check_intervals,
-    check_positive,
-    check_within,
-)
+from marl_mm.envs.intervals import Interval, check_intervals, check_within
 from marl_mm.envs.load import StandConfig, check_reach
 from marl_mm.envs.order import Order
 from marl_mm.envs.registry import register_task

@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from marl_mm.declared import check_positive
 from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, Targets, names
 from marl_mm.envs.hazard import HazardTask
-from marl_mm.envs.intervals import Interval, check_positive
+from marl_mm.envs.intervals import Interval
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Values
 from marl_mm.envs.tasks.reach import steer

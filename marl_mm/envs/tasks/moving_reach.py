@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from marl_mm.declared import check_positive
 from marl_mm.envs.cruise import (
     ALPHA,
     BASE,
@@ -27,7 +28,7 @@ from marl_mm.envs.cruise import (
     CruiseTask,
     names,
 )
-from marl_mm.envs.intervals import Interval, check_intervals, check_positive
+from marl_mm.envs.intervals import Interval, check_intervals
 from marl_mm.envs.load import check_reach
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Terms, Values

@@ -5,8 +5,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from marl_mm.declared import check_positive
 from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, CruiseTask, names
-from marl_mm.envs.intervals import Interval, check_positive
+from marl_mm.envs.intervals import Interval
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Terms, Values
 from marl_mm.layout import Agent, Layout
