@@ -122,7 +122,7 @@ class WholeBodyController:
             command = self._readable(state, terms, reference, priorities)
             finite = bool(np.isfinite(command.torque).all())
         if not finite:
-            raise no_command(state, reference.ee_position_w, priorities)
+            raise no_command_error(state, reference.ee_position_w, priorities)
         return command
 
     def along(
@@ -152,7 +152,7 @@ class WholeBodyController:
             u, torque = np.empty(VARIABLES), np.empty(7)
             finite, rest = tick_along(*state, *terms, k, *unchanging, u, torque)
             if not finite:
-                raise no_command(state, track.target_w, priorities)
+                raise no_command_error(state, track.target_w, priorities)
             return named(Command, (u, torque, *rest))
 
         return command
@@ -212,7 +212,7 @@ class WholeBodyController:
         )
 
 
-def no_command(
+def no_command_error(
     state: RobotState, target_w: np.ndarray, priorities: Priorities
 ) -> NonFiniteStateError:
     """Error of a tick without a finite command.

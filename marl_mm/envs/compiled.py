@@ -13,7 +13,7 @@ from marl_mm.control.compiled.tick import tick
 from marl_mm.control.limits import WHEEL_ARM
 from marl_mm.control.payload import learned
 from marl_mm.control.records import VARIABLES, Track
-from marl_mm.control.wbc import no_command
+from marl_mm.control.wbc import no_command_error
 from marl_mm.envs.drive import Drive, Motion
 from marl_mm.envs.order import Order
 from marl_mm.jit import jit, on_stack
@@ -92,7 +92,7 @@ def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
             counts,
         )
         if outcome == NO_COMMAND:
-            raise no_command(RobotState(q, v), track.target_w, priorities)
+            raise no_command_error(RobotState(q, v), track.target_w, priorities)
         if outcome == NO_STATE:
             raise fault(native, RobotState(q, v))
         if hand is not None:

@@ -90,7 +90,7 @@ class Targets:
 
 @dataclass(frozen=True, kw_only=True)
 class CruiseTask(Task, ABC):
-    """Parameters of hand and base, which the paper leaves open."""
+    """A task whose base follows the hand's target slowly; its numbers are ours."""
 
     own_info: ClassVar[dict[str, str]] = {
         "d_mm": "distance of the end-effector to its target at the step's end [m]",

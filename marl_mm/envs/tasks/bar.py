@@ -118,7 +118,7 @@ class Pair:
 
 @dataclass(frozen=True, kw_only=True)
 class Bar(RiskyTask):
-    """Parameters of goals, bar and beam.
+    """The task, with goals, bar and beam as fields.
 
     Each robot is simulated by itself, with half of the bar's mass in its hand. The bar
     is a straight line between the hands, and a failure where it cannot be. The beam

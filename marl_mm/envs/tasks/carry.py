@@ -18,7 +18,7 @@ GOAL_SIZE = 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class Carry(Reach):
-    """Parameters of goals, reward and load."""
+    """The task, with goals, reward and load as fields."""
 
     about = "Bring a load of unknown mass in the hand to a goal ahead or behind."
     fails: ClassVar[bool] = True

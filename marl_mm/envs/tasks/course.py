@@ -80,7 +80,7 @@ class Way(Targets):
 
 @dataclass(frozen=True, kw_only=True)
 class Course(CruiseTask):
-    """Parameters of block, zone, wall, bin and reward."""
+    """The task, with block, zone, wall, bin and reward as fields."""
 
     about = "Take a block, cross a quiet zone, pass a gate, deliver it, and come back."
     layout = LAYOUT

@@ -48,7 +48,7 @@ LAYOUT = Layout(
 
 @dataclass(frozen=True, kw_only=True)
 class Gate(HazardTask):
-    """Parameters of goals, wall, quiet floor and reward."""
+    """The task, with goals, wall, quiet floor and reward as fields."""
 
     about = "Reach a goal through a narrow window, after a way on a quiet floor."
     layout = LAYOUT

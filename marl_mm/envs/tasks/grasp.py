@@ -64,7 +64,7 @@ def holds_clear(attempt: Attempt, ticks: int) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class Grasp(Carry):
-    """Parameters of goals, reward, block and stand."""
+    """The task, with goals, reward, block and stand as fields."""
 
     about = "Take a block from a stand and bring it to a goal."
     layout = LAYOUT

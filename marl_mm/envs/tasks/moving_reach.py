@@ -92,7 +92,7 @@ class Circle:
 
 @dataclass(frozen=True, kw_only=True)
 class MovingReach(CruiseTask):
-    """Parameters of circle, goal and reward."""
+    """The task, with circle, goal and reward as fields."""
 
     about = "Follow a goal that moves on a circle, for three seconds."
     layout = LAYOUT

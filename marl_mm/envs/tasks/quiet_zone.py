@@ -70,7 +70,7 @@ def felt_within(zones: np.ndarray, motion: "Motion") -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class QuietZone(HazardTask):
-    """Parameters of goals, zones and reward."""
+    """The task, with goals, zones and reward as fields."""
 
     about = "Reach a goal behind, with a base that is quiet within zones."
     layout = LAYOUT

@@ -29,7 +29,7 @@ agent does not see the control mode."""
 
 @dataclass(frozen=True, kw_only=True)
 class Reach(CruiseTask):
-    """Parameters of goals and reward."""
+    """The task, with goals and reward as fields."""
 
     about = "Bring the end-effector to a goal ahead or behind."
     layout = LAYOUT

@@ -78,7 +78,7 @@ class Cup:
 
 @dataclass(frozen=True, kw_only=True)
 class Tray(HazardTask):
-    """Parameters of goals, cup and reward.
+    """The task, with goals, cup and reward as fields.
 
     The liquid is a mass on a damped spring along x and along y, which the hand's
     acceleration drives at every tick: linear, as for small waves. It spills where its
