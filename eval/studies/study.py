@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from marl_mm.algorithms.fine_tuning import FineTuning
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
+from marl_mm.datasets.named import named_ids
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.errors import UsageError
 from marl_mm.eval.studies.shown import Curves, Reported
@@ -264,7 +265,12 @@ class Study:
     def part(
         self, datasets: Sequence[str] | None, settings: Sequence[str] | None
     ) -> "Study":
-        """The study with the cells of some sources and settings only; None: all."""
+        """The study with the cells of some sources and settings only; None: all.
+
+        The word of a named dataset, such as gate-noisy, stands for its id.
+        """
+        if datasets is not None:
+            datasets = [named_ids().get(name, name) for name in datasets]
         names = [cell_name(cell) for cell in self.cells]
         sources = _chosen("datasets", datasets, [name for name, _ in names])
         ways = _chosen("settings", settings, [name for _, name in names])

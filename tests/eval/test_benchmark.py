@@ -175,7 +175,7 @@ def test_it_runs_where_policies_are_tested_elsewhere_and_goes_on_from_its_rows(
 ) -> None:
     """Gate-stitch has data of a task of halves, and its policies act in the whole."""
     part = AGENTS.part(
-        ["marl_mm/gate/expert-v0", "marl_mm/gate/stitch-v0"],
+        ["gate-expert", "marl_mm/gate/stitch-v0"],  # a name or an id
         ["benchmark-mabc", "gate-v0-mabc"],
     )
     assert len(part.cells) == 2
