@@ -59,6 +59,12 @@ def offline() -> None:
     marl_mm.train("mabc", DATA, out="run", resume=begun, **updates, **SMALL)
 
 
+def fine_tuned() -> None:
+    begun = Path("run/0/config.json").exists()
+    learn: dict[str, Any] = {"updates": 100, "online_steps": 40, "online_every": 10}
+    marl_mm.train("td3-bc", DATA, out="run", resume=begun, **learn, **SMALL)
+
+
 def online() -> None:
     begun = Path("run/0/config.json").exists()
     learn: dict[str, Any] = {"episodes": 24, "warm_up": 20, "updates_per_episode": 10}
@@ -89,6 +95,7 @@ def cached() -> None:
 KINDS: dict[str, Callable[[], None]] = {
     "collect": collect,
     "offline": offline,
+    "fine-tuned": fine_tuned,
     "online": online,
     "study": study,
     "mix": mixed,

@@ -16,7 +16,7 @@ import pytest
 POINTS = int(os.environ.get("MARL_MM_KILLS", "2"))
 """Number of moments for each kind of work."""
 
-KINDS = ("collect", "offline", "online", "study", "mix", "cache")
+KINDS = ("collect", "offline", "fine-tuned", "online", "study", "mix", "cache")
 
 
 @pytest.mark.slow
