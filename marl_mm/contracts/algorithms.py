@@ -108,7 +108,11 @@ def _side_by_side(candidate: Candidate) -> None:
             demand(close, f"seed {seed} learns other weights beside another, {key}")
         measured = together.diagnose()
         for key, value in alone.diagnose().items():
-            close = np.allclose(value, measured[key][number], atol=_CLOSE, rtol=_CLOSE)
+            pair, near = (
+                (value, measured[key][number]),
+                {"atol": _CLOSE, "rtol": _CLOSE},
+            )
+            close = np.allclose(*pair, **near, equal_nan=True)
             demand(close, f"seed {seed} measures another {key} beside another")
 
 

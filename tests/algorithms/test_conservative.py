@@ -77,7 +77,7 @@ def test_nearness_to_bounds_is_finite_at_them() -> None:
     [("cql", GENTLE), ("cfcql", GENTLE), ("omar", GENTLE), ("maicq", QUICK)],
 )
 def test_the_better_convention_is_kept(name: str, changes: Any) -> None:
-    learner = trained(name, conventions(rewards=(1.0, 0.0)), 300, **changes)
+    learner = trained(name, conventions(rewards=(1.0, 0.0)), 400, **changes)
     np.testing.assert_allclose(acted(learner), [XOR[0], XOR[0]], atol=0.2)
 
 
