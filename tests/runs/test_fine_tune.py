@@ -368,12 +368,12 @@ def test_the_study_of_the_ways_goes_online_from_data(
     ways = ["matd3-bc-kept", "rlpd-kept"]
     folders = ["--runs", str(tmp_path / "runs"), "--out", str(tmp_path / "out")]
     words = ["ablate", "fine-tuning", "--engine", "mujoco", *folders, "--seeds", "0"]
-    words += ["--datasets", "marl_mm/gate/expert-v0", "--settings", *ways]
+    words += ["--settings", *ways]
     assert main([*words, "--budget", "smoke", "--workers", "1"]) == 0
     assert "| RLPD |" in capsys.readouterr().out
     (table,) = (tmp_path / "out").glob("fine-tuning-part.csv")
     assert [row["setting"] for row in read_rows(table)] == ways
     for way in ways:
-        run = tmp_path / "runs/marl_mm-gate-expert-v0" / way / "0"
+        run = tmp_path / "runs/script-2k-Grasp" / way / "0"
         rows = read_metrics(run)
         assert rows[-1]["env_steps"] >= 8 and "online/regret" in rows[-1]
