@@ -265,12 +265,8 @@ class Study:
     def part(
         self, datasets: Sequence[str] | None, settings: Sequence[str] | None
     ) -> "Study":
-        """The study with the cells of some sources and settings only; None: all.
-
-        The word of a named dataset, such as gate-noisy, stands for its id.
-        """
-        if datasets is not None:
-            datasets = [named_ids().get(name, name) for name in datasets]
+        """The study with the cells of some sources and settings only; None: all."""
+        datasets = datasets and [named_ids().get(name, name) for name in datasets]
         names = [cell_name(cell) for cell in self.cells]
         sources = _chosen("datasets", datasets, [name for name, _ in names])
         ways = _chosen("settings", settings, [name for _, name in names])
