@@ -13,6 +13,7 @@ from marl_mm.control.config import ControllerConfig, Gains
 from marl_mm.control.priorities import LEFT_OUT, STABILITY, cumulative
 from marl_mm.control.records import Priorities, Reference
 from marl_mm.envs.drive import Drive, Tick, Watch
+from marl_mm.envs.terms import length
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.model import RobotState
 from marl_mm.sim.config import RATE, SimulationConfig
@@ -63,7 +64,7 @@ def arm_reach(
     states = _follow(drive, STABILITY, lambda k, state: reference, seconds, watch)
     error = drive.world.grasp_position_w() - reference.ee_position_w
     drift = _drift(start, states)
-    return drift._replace(position_error=float(np.linalg.norm(error)), arm_drift=None)
+    return drift._replace(position_error=float(length(error)), arm_drift=None)
 
 
 def base_turn(

@@ -6,6 +6,8 @@ learn it from data.
 
 import numpy as np
 
+from marl_mm.envs.terms import length
+
 CLOSED = 0.0775
 """Opening below which the hand holds something [m]: blocks are up to 0.075 wide."""
 
@@ -43,14 +45,14 @@ def grasping(
         opening: Distance between the finger tips [m].
     """
     to_block, to_goal = block - hand, goal - block
-    near = np.linalg.norm(to_block)
+    near = length(to_block)
     if opening < CLOSED and near < HOLDS:
         up = stand[2] + LIFT - block[2]
-        if up > 0.02 and np.linalg.norm(to_goal[:2]) > 0.06:
+        if up > 0.02 and length(to_goal[:2]) > 0.06:
             return np.array([0.0, 0.0, up]), True
         return to_goal, True
     if near < THERE:
         return np.zeros(3), True
-    if np.linalg.norm(to_block[:2]) > OVER:
+    if length(to_block[:2]) > OVER:
         return to_block + np.array([0.0, 0.0, CLEARANCE]), False
     return to_block, False

@@ -4,6 +4,7 @@ import numpy as np
 
 from marl_mm.control.config import Knowledge
 from marl_mm.control.payload import Payload
+from marl_mm.envs.terms import length
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
 from marl_mm.sim.config import RATE
 from marl_mm.sim.scene import Scene
@@ -122,7 +123,7 @@ class Hand:
         block_w, _ = self._handling.block_w()
         if self.held:
             way = block_w - grasp_w - self._offset
-            if not self._weld and np.linalg.norm(way) > SLIPPED:
+            if not self._weld and length(way) > SLIPPED:
                 self._lose()
         elif self._closing:
             self._close_around(touches, grasp_w)

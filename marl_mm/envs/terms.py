@@ -3,11 +3,16 @@
 import numpy as np
 
 
-def goal_distance(achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
-    """Distances of achieved entries to goals, shapes (..., g) to (...) [m].
+def length(vectors: np.ndarray) -> np.ndarray:
+    """Euclidean lengths of vectors, shapes (..., n) to (...), the same everywhere.
 
     With an axis numpy sums by itself. Without one it calls BLAS, whose last bit depends
     on the processor.
     """
-    distance: np.ndarray = np.linalg.norm(np.subtract(achieved, desired), axis=-1)
-    return distance
+    lengths: np.ndarray = np.linalg.norm(vectors, axis=-1)
+    return lengths
+
+
+def goal_distance(achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
+    """Distances of achieved entries to goals, shapes (..., g) to (...) [m]."""
+    return length(np.subtract(achieved, desired))

@@ -61,7 +61,8 @@ class MujocoHandling:
         model, data, block = self._model, self._data, scene.block
         geom, body = model.geom(BLOCK).id, self._body
         half = np.divide(block.size, 2)
-        model.geom_size[geom], model.geom_rbound[geom] = half, np.linalg.norm(half)
+        model.geom_size[geom] = half
+        model.geom_rbound[geom] = np.linalg.norm(half, axis=-1)
         model.body_mass[body] = block.mass
         squares = np.square(block.size)
         model.body_inertia[body] = block.mass / 12 * (squares.sum() - squares)
@@ -75,7 +76,7 @@ class MujocoHandling:
         if scene.stand_size is not None:
             half = np.divide(scene.stand_size, 2)
             model.geom_size[stand] = half
-            model.geom_rbound[stand] = np.linalg.norm(half)
+            model.geom_rbound[stand] = np.linalg.norm(half, axis=-1)
             place = (*scene.position_w[:2], scene.stand_size[2] / 2)
         model.geom_pos[stand] = place
         self._touch_block(True)

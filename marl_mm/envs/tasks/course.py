@@ -44,6 +44,7 @@ from marl_mm.envs.tasks.grasp import (
 )
 from marl_mm.envs.tasks.quiet_zone import BRAKING, felt_within
 from marl_mm.envs.tasks.reach import steer
+from marl_mm.envs.terms import goal_distance, length
 from marl_mm.envs.window import DISTANCE, GATE, WallConfig, Window
 from marl_mm.episode import FAILED
 from marl_mm.errors import UsageError
@@ -246,7 +247,7 @@ class Course(CruiseTask):
 
     def _over_bin(self, attempt: Attempt) -> bool:
         block_w, _ = attempt.drives[0].world.handling.block_w()
-        gap = np.linalg.norm(block_w - attempt.memory.drawn.bin_w)
+        gap = goal_distance(block_w, attempt.memory.drawn.bin_w)
         return bool(gap < self.success_distance)
 
     def _reach(self, way: Way, name: str) -> None:
@@ -307,7 +308,7 @@ class Course(CruiseTask):
             way = window.way(hand, self.action_scale)
         elif stage == STAGES.index("deliver"):
             way = bin_w - block
-            closes = bool(np.linalg.norm(way) > self.success_distance / 2)
+            closes = bool(length(way) > self.success_distance / 2)
         else:
             thickness, step = self.wall.thickness, self.action_scale
             way, closes = window.way_back(hand, step, thickness), False

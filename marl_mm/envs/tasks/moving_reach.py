@@ -33,6 +33,7 @@ from marl_mm.envs.load import check_reach
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Terms, Values
 from marl_mm.envs.tasks.reach import steer
+from marl_mm.envs.terms import goal_distance
 from marl_mm.errors import UsageError
 from marl_mm.layout import Agent, Entry, Layout
 from marl_mm.sim.config import Camera
@@ -179,7 +180,7 @@ class MovingReach(CruiseTask):
         circle: Circle = attempt.memory.drawn
         circle.angle += circle.rate * self.seconds_per_step
         goal_w = self._place(circle.centre_w, circle.angle)
-        gap = float(np.linalg.norm(self.hand_w(attempt) - goal_w))
+        gap = float(goal_distance(self.hand_w(attempt), goal_w))
         circle.near = circle.near + 1 if gap < self.near_distance else 0
         attempt.memory.measured = {"gap": gap}
 

@@ -23,6 +23,7 @@ from marl_mm.envs.intervals import Interval, check_intervals
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Values
 from marl_mm.envs.tasks.reach import steer, to_goal
+from marl_mm.envs.terms import length
 from marl_mm.errors import UsageError
 from marl_mm.layout import Agent, Entry, Layout
 from marl_mm.sim.config import Camera
@@ -191,7 +192,7 @@ class Tray(HazardTask):
         rim = self.rim_dry + (self.rim_full - self.rim_dry) * level
         longest = rim / SWING
         way = script.kp * to_goal(state)
-        way *= min(1.0, longest / max(float(np.linalg.norm(way)), longest))
+        way *= min(1.0, longest / max(float(length(way)), longest))
         return steer(way) | {ALPHA.name: FULL_ALPHA * state[LEVEL.name]}
 
 
