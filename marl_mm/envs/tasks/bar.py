@@ -13,7 +13,7 @@ here: the script sets it to 0.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import sqrt
+from math import acos, sqrt
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -230,7 +230,9 @@ class Bar(RiskyTask):
         left, right = (motion.hand_w for motion in motions)
         along = right - left + np.array([0.0, -self.bar_length, 0.0])
         length = np.linalg.norm(along, axis=1)
-        tilt = np.arccos(np.clip(-along[:, 1] / length, -1.0, 1.0)).max()
+        cosine = float((-along[:, 1] / length).min())
+        # The last bit of numpy's arccos depends on the processor.
+        tilt = acos(max(-1.0, min(cosine, 1.0)))
         stretch = np.abs(length - self.bar_length).max()
         gap = np.linalg.norm((left + right)[:, [0, 2]] / 2 - pair.beam, axis=1).min()
         reason = ""
@@ -242,7 +244,7 @@ class Bar(RiskyTask):
             reason = "the bar touched the beam"
         pair.failure = pair.failure or reason
         pair.measured = {
-            "bar_tilt": float(tilt),
+            "bar_tilt": tilt,
             "bar_stretch": float(stretch),
             "beam_gap": float(gap),
         }

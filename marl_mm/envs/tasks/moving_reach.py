@@ -13,6 +13,7 @@ little.
 """
 
 from dataclasses import dataclass, replace
+from math import atan2
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -223,7 +224,7 @@ class MovingReach(CruiseTask):
             for entries in (HAND, GOAL, CENTRE)
         )
         _, y, z = goal - centre
-        angle = np.arctan2(z, y) + rate * self.seconds_per_step
+        angle = atan2(z, y) + rate * self.seconds_per_step
         way = self._place(centre, angle) - hand
         alpha = float(np.clip(0.5 + state[GOAL_RATE.name] / (2 * fastest), 0.0, 1.0))
         return steer(script.kp * way) | {ALPHA.name: alpha}
