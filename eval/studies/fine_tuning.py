@@ -7,6 +7,7 @@ from marl_mm.algorithms.fine_tuning import FineTuning
 from marl_mm.eval.studies.shown import Curves
 from marl_mm.eval.studies.study import Setting, Study, setting_of
 from marl_mm.eval.studies.tuned import CHOSEN
+from marl_mm.runs.recipes import RECIPES
 from marl_mm.runs.sources import Source
 
 OWN = FineTuning(online_steps=5_000)
@@ -41,8 +42,9 @@ WAYS = (
 
 SOURCES = (
     Source("scripted", "Grasp-v0", 2_000, name="script-2k-Grasp", engine="mujoco"),
+    RECIPES.get("quiet-zone-explore").source,
 )
-"""Datasets that are begun with; the page says which are to follow."""
+"""Datasets that are begun with; the page says which is to follow."""
 
 FINE_TUNING = Study(
     "Table: going on online from data.",

@@ -368,7 +368,7 @@ def test_the_study_of_the_ways_goes_online_from_data(
     ways = ["matd3-bc-kept", "rlpd-kept"]
     folders = ["--runs", str(tmp_path / "runs"), "--out", str(tmp_path / "out")]
     words = ["ablate", "fine-tuning", "--engine", "mujoco", *folders, "--seeds", "0"]
-    words += ["--settings", *ways]
+    words += ["--settings", *ways, "--datasets", "script-2k-Grasp"]
     assert main([*words, "--budget", "smoke", "--workers", "1"]) == 0
     assert "| RLPD |" in capsys.readouterr().out
     (table,) = (tmp_path / "out").glob("fine-tuning-part.csv")
