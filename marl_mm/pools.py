@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 from marl_mm.errors import WorkerDiedError
 from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.plugins import Carried
-from marl_mm.processes import process_context
+from marl_mm.processes import check_importable, process_context, starting
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -53,6 +53,7 @@ def opened(
     """
     if threads:
         return ThreadPoolExecutor(workers, "", initializer, arguments)
+    check_importable(arguments)
     first = Carried(), dict(os.environ), initializer, arguments
     context = process_context((initializer or _begin).__module__)
     return ProcessPoolExecutor(workers, context, _begin, first)
@@ -67,8 +68,9 @@ def submit(
     # Pickled here: the pool's own thread meets an item that cannot be pickled, and
     # a pool that is closed meanwhile waits for that item forever.
     packed = [pickle.dumps((function, item)) for item in items]
+    check_importable(packed)
     # Workers start here, and inherit the signal mask.
-    with deaf_to_interrupts(), dead_servers_named():
+    with deaf_to_interrupts(), dead_servers_named(), starting():
         pairs = zip(pools, packed, strict=False)
         return [pool.submit(_call, each) for pool, each in pairs]
 

@@ -6,12 +6,15 @@ They start in milliseconds instead of seconds, and share the libraries' memory.
 import json
 import os
 import resource
-from collections.abc import Iterator, Mapping
+import sys
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from multiprocessing import forkserver, get_context, resource_tracker
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
+from marl_mm.errors import UsageError
 from marl_mm.interrupts import deaf_to_interrupts
 
 _CHANGED = ("PYTHONSAFEPATH", "PYTHONPATH")
@@ -36,6 +39,59 @@ def process_context(module: str) -> ForkServerContext:
     with deaf_to_interrupts(), _of_this_package():
         forkserver.ensure_running()
     return context
+
+
+@contextmanager
+def starting() -> Iterator[None]:
+    """Start processes, which import the running script only if it has a guard.
+
+    Without ``if __name__ == "__main__":`` each would do the script's work once more.
+    """
+    if (path := _unguarded_script()) is None:
+        yield
+        return
+    main = sys.modules["__main__"]
+    del main.__file__
+    try:
+        yield
+    finally:
+        main.__file__ = path
+
+
+def check_importable(objects: Iterable[object]) -> None:
+    """Raise for objects of the running script, if processes do not import it.
+
+    Args:
+        objects: Objects for another process, or their pickles.
+
+    Raises:
+        UsageError: If one is of the script, or its pickle names the script.
+    """
+    if _unguarded_script() is None:
+        return
+    for each in objects:
+        of_pickle = isinstance(each, bytes) and b"__main__" in each
+        if of_pickle or type(each).__module__ == "__main__":
+            raise UsageError(
+                "worker processes need what the script defines, but cannot import it: "
+                'put the script\'s work under `if __name__ == "__main__":`, or use '
+                "`workers=1`"
+            )
+
+
+def _unguarded_script() -> str | None:
+    """Path of the running script if it does not ask what it is run as."""
+    path = getattr(sys.modules["__main__"], "__file__", None)
+    return (
+        path
+        if path and path.endswith(".py") and "__name__" not in _text(path)
+        else None
+    )
+
+
+@cache
+def _text(path: str) -> str:
+    return Path(path).read_text(errors="replace")
 
 
 @contextmanager

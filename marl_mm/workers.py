@@ -22,7 +22,12 @@ from marl_mm.pools import (
     opened,
     submit,
 )
-from marl_mm.processes import limit_memory, process_context
+from marl_mm.processes import (
+    check_importable,
+    limit_memory,
+    process_context,
+    starting,
+)
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -223,11 +228,12 @@ def apart(
     Raises:
         WorkerDiedError: If the process crashed, took too long or asked for more memory.
     """
+    check_importable([item])
     context = process_context(function.__module__)
     receiver, sender = context.Pipe(duplex=False)
     arguments = Carried(), dict(os.environ), sender, memory, function, item
     process = context.Process(target=_send, args=arguments, daemon=True)
-    with deaf_to_interrupts(), dead_servers_named():
+    with deaf_to_interrupts(), dead_servers_named(), starting():
         process.start()
     sender.close()
     try:

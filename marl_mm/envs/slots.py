@@ -131,6 +131,7 @@ class Here:
     def __init__(self, task: Task, number: int, threads: int, visual: bool) -> None:
         self.states = np.zeros((number, len(task.layout.state)))
         self._slots = [Slot(task, visual, state) for state in self.states]
+        self._number = threads
         self._threads = ThreadPoolExecutor(threads) if threads > 1 else None
 
     def call(self, name: str, arguments: Sequence[tuple[Any, ...] | None]) -> list[Any]:
@@ -138,7 +139,15 @@ class Here:
         calls = _calls(self._slots, name, arguments)
         if self._threads is None:
             return [call() for call in calls]
-        return gathered([self._threads.submit(call) for call in calls])
+        results: list[Any] = [None] * len(calls)
+        left = iter(enumerate(calls))  # of all threads
+
+        def work() -> None:
+            for i, call in left:
+                results[i] = call()
+
+        gathered([self._threads.submit(work) for _ in range(self._number)])
+        return results
 
     def close(self) -> None:
         """See ``Slots``."""

@@ -100,6 +100,39 @@ def test_a_server_that_is_killed_while_it_imports_is_told(tmp_path: Path) -> Non
     )
 
 
+@pytest.mark.slow
+def test_a_script_without_a_guard_has_workers_and_runs_once(tmp_path: Path) -> None:
+    script = tmp_path / "plain.py"
+    script.write_text(
+        "from marl_mm.errors import UsageError\n"
+        "from marl_mm.workers import Workers\n"
+        "print('begun')\n"
+        "class Own:\n"
+        "    def __init__(self, *numbers):\n"
+        "        pass\n"
+        "with Workers(2) as pool:\n"
+        "    print(*pool.map(abs, [-1, -2]))\n"
+        "    for function, item in ((Own, 1), (id, Own())):\n"
+        "        try:\n"
+        "            list(pool.map(function, [item]))\n"
+        "        except UsageError as error:\n"
+        "            print(error)\n"
+        "try:\n"
+        "    Workers(2, id, (Own(),))\n"
+        "except UsageError as error:\n"
+        "    print(error)\n"
+        "print(__file__)\n"
+    )
+    ran = subprocess.run(
+        [sys.executable, str(script)], timeout=60, capture_output=True, text=True
+    )
+    begun, results, *errors, path = ran.stdout.splitlines()
+    assert (begun, results, path) == ("begun", "1 2", str(script)), ran.stderr
+    assert len(errors) == 3
+    assert all('under `if __name__ == "__main__":`' in error for error in errors)
+    assert not ran.stderr
+
+
 def run_script(folder: Path, body: str) -> "subprocess.CompletedProcess[str]":
     """Run it as somebody's own script, in a folder that is not the project's."""
     script = folder / "scripts/own.py"
