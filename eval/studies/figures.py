@@ -42,7 +42,10 @@ def curves_figure(
             std = curves.scale * values.std(axis=0, ddof=min(1, len(values) - 1))
             _with_spread(axis, times, mean, std, color, label)
         axis.set(title=title, xlabel=clock, ylim=(curves.bottom, curves.top))
-        axis.legend(frameon=False, fontsize=8)
+        if curves.panels != "dataset":
+            axis.legend(frameon=False, fontsize=8)
+    if curves.panels == "dataset":  # whose lines are the same in all
+        axis.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1, 1))
     axes[0][0].set_ylabel(curves.label)
     save_small(figure, path)
 

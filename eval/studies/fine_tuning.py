@@ -43,8 +43,9 @@ WAYS = (
 SOURCES = (
     Source("scripted", "Grasp-v0", 2_000, name="script-2k-Grasp", engine="mujoco"),
     RECIPES.get("quiet-zone-explore").source,
+    RECIPES.get("gate-expert").source,
 )
-"""Datasets that are begun with; the page says which is to follow."""
+"""Datasets that are begun with."""
 
 FINE_TUNING = Study(
     "Table: going on online from data.",
