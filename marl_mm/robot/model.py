@@ -6,6 +6,7 @@ joints [rad/s]. Wheels and fingers are locked; a differential drive never moves
 sideways, so the controller leaves the lateral column out.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,7 +39,7 @@ class RobotState(NamedTuple):
     @property
     def yaw(self) -> float:
         """Heading of the base in the world [rad]."""
-        return float(np.arctan2(self.q[3], self.q[2]))
+        return math.atan2(self.q[3], self.q[2])  # NumPy's depends on the processor
 
 
 class ModelTerms(NamedTuple):

@@ -297,12 +297,34 @@ def digests(*tasks: str, **environment: str) -> list[bytes]:
     return output
 
 
+WITHOUT_AVX512 = {"OPENBLAS_CORETYPE": "Haswell", "NPY_DISABLE_CPU_FEATURES": "X86_V4"}
+"""Environment variables without its kernels, whose last bits differ: of a dot product,
+arccos and arctan2."""
+
+
 @pytest.mark.slow
 def test_bytes_do_not_depend_on_the_kernels_of_numpy_and_blas() -> None:
-    """With AVX-512 both have others, and last bits of arccos and dot differ."""
     tasks = "MovingReach-v0", "Tray-v0", "Bar-v0", "Grasp-v0", "Course-v0"
-    without = {"OPENBLAS_CORETYPE": "Haswell", "NPY_DISABLE_CPU_FEATURES": "X86_V4"}
-    assert digests(*tasks, **without) == digests(*tasks)
+    assert digests(*tasks, **WITHOUT_AVX512) == digests(*tasks)
+
+
+HEADINGS = """
+import numpy as np
+from marl_mm.robot.model import RobotState
+for angle in np.linspace(-3, 3, 500).tolist():
+    q = np.array([0.0, 0.0, np.cos(angle), np.sin(angle)])
+    print(RobotState(q, np.zeros(10)).yaw.hex())
+"""
+
+
+def test_headings_do_not_depend_on_the_kernels_of_numpy() -> None:
+    """Few of an episode's would differ."""
+    command = [sys.executable, "-c", HEADINGS]
+    usual, without = (
+        subprocess.check_output(command, env={**os.environ, **environment})
+        for environment in ({}, WITHOUT_AVX512)
+    )
+    assert usual == without and len(usual.split()) == 500
 
 
 @pytest.mark.slow
