@@ -55,7 +55,7 @@ AGENTS = Study(
     tuple(
         (
             RECIPES.get(recipe).source,
-            setting_of(f"{PREFIX}{name}", name, UPDATES, CHOSEN[name]),
+            setting_of(f"{PREFIX}{name}", name, UPDATES, CHOSEN[name], curve_goals=2),
         )
         for recipe, form in product(SOURCES.values(), FORMS)
         for name in form
