@@ -67,7 +67,16 @@ class Evaluation:
         """Success rate less another's on the same goals, and its paired interval.
 
         The interval is of 95 %, see ``paired_interval``.
+
+        Raises:
+            UsageError: If the other is of other goals.
         """
+        goals = [(e.task, [row["seed"] for row in e.rows]) for e in (self, other)]
+        if goals[0] != goals[1]:
+            raise UsageError(
+                f"{self!r} and {other!r} are not on the same goals: evaluate both on "
+                "one task with the same `episodes` and `seed`"
+            )
         own, others = ([row["success"] for row in e.rows] for e in (self, other))
         return self.success_rate - other.success_rate, paired_interval(own, others)
 

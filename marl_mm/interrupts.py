@@ -29,14 +29,15 @@ def deaf_to_interrupts(*, forget: bool = False) -> Iterator[None]:
         forget: Whether an interrupt is dropped, as there was one already.
 
     Raises:
-        KeyboardInterrupt: After the block, if an interrupt came in it and no other
-            exception is being raised.
+        KeyboardInterrupt: After the block, if an interrupt came in it, the block raises
+            nothing else, and no other interrupt is being handled.
     """
     global _deaf, _late
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    _deaf += 1  # first of all: from here on, ``interrupt`` only postpones
+    handled = sys.exc_info()[1]
+    _deaf += 1  # before all else: from here on, ``interrupt`` only postpones
     handler = signal.getsignal(signal.SIGINT)
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, ())  # unchanged
     try:
@@ -51,7 +52,8 @@ def deaf_to_interrupts(*, forget: bool = False) -> Iterator[None]:
         _deaf -= 1
         if not _deaf:
             late, _late = _late and not forget, False
-            if late and sys.exc_info()[0] is None:
+            now = sys.exc_info()[1]
+            if late and now is handled and not isinstance(now, KeyboardInterrupt):
                 raise KeyboardInterrupt
 
 

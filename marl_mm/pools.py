@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from multiprocessing import connection, parent_process
 from typing import Any, TypeVar
 
-from marl_mm.errors import WorkerDiedError
+from marl_mm.errors import UsageError, WorkerDiedError
 from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.plugins import Carried
 from marl_mm.processes import check_importable, process_context, starting
@@ -67,12 +67,24 @@ def submit(
     """Hand out items, one to each pool in turn."""
     # Pickled here: the pool's own thread meets an item that cannot be pickled, and
     # a pool that is closed meanwhile waits for that item forever.
-    packed = [pickle.dumps((function, item)) for item in items]
-    check_importable(packed)
+    pairs = [
+        (pool, _packed((function, each)))
+        for each, pool in zip(items, pools, strict=False)
+    ]
+    apart = (each for pool, each in pairs if isinstance(pool, ProcessPoolExecutor))
+    check_importable(apart)
     # Workers start here, and inherit the signal mask.
     with deaf_to_interrupts(), dead_servers_named(), starting():
-        pairs = zip(pools, packed, strict=False)
         return [pool.submit(_call, each) for pool, each in pairs]
+
+
+def _packed(call: tuple[Callable[[T], R], T]) -> bytes:
+    try:
+        return pickle.dumps(call)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise UsageError(
+            f"workers cannot have {call[1]!r:.60} ({error}): use `workers=1`"
+        ) from error
 
 
 def close(pools: Iterable[Executor]) -> None:

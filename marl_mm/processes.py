@@ -3,10 +3,13 @@
 They start in milliseconds instead of seconds, and share the libraries' memory.
 """
 
+import ast
 import json
 import os
+import pickle
 import resource
 import sys
+import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
@@ -47,51 +50,66 @@ def starting() -> Iterator[None]:
 
     Without ``if __name__ == "__main__":`` each would do the script's work once more.
     """
-    if (path := _unguarded_script()) is None:
-        yield
-        return
-    main = sys.modules["__main__"]
-    del main.__file__
-    try:
-        yield
-    finally:
-        main.__file__ = path
+    main = vars(sys.modules["__main__"])
+    hidden = {name: main.get(name) for name in ("__file__", "__spec__")}
+    with _one_starts:
+        if "__file__" not in main or _is_imported():
+            yield
+            return
+        main.update(dict.fromkeys(hidden))
+        try:
+            yield
+        finally:
+            main.update(hidden)
+
+
+_one_starts = threading.RLock()
+"""Lock of what ``starting`` hides."""
 
 
 def check_importable(objects: Iterable[object]) -> None:
-    """Raise for objects of the running script, if processes do not import it.
+    """Raise for objects of the running script or notebook, if processes lack it.
 
     Args:
         objects: Objects for another process, or their pickles.
 
     Raises:
-        UsageError: If one is of the script, or its pickle names the script.
+        UsageError: If a pickle names the script.
     """
-    if _unguarded_script() is None:
-        return
-    for each in objects:
-        of_pickle = isinstance(each, bytes) and b"__main__" in each
-        if of_pickle or type(each).__module__ == "__main__":
-            raise UsageError(
-                "worker processes need what the script defines, but cannot import it: "
-                'put the script\'s work under `if __name__ == "__main__":`, or use '
-                "`workers=1`"
-            )
+    if not _is_imported() and any(b"__main__" in _pickled(each) for each in objects):
+        raise UsageError(
+            "worker processes cannot import what this script or notebook defines: "
+            "define it in a module, put the script's work under "
+            '`if __name__ == "__main__":`, or use `workers=1`'
+        )
 
 
-def _unguarded_script() -> str | None:
-    """Path of the running script if it does not ask what it is run as."""
+def _pickled(value: object) -> bytes:
+    """Pickle of an object; empty for what only goes to processes that start."""
+    if isinstance(value, bytes):
+        return value
+    try:
+        return pickle.dumps(value)
+    except (RuntimeError, TypeError, AttributeError, pickle.PicklingError):
+        return b""
+
+
+def _is_imported() -> bool:
+    """Whether processes import what runs: not a script without a guard, or notebook."""
     path = getattr(sys.modules["__main__"], "__file__", None)
-    return (
-        path
-        if path and path.endswith(".py") and "__name__" not in _text(path)
-        else None
-    )
+    return path is not None and _has_guard(path)
 
 
 @cache
-def _text(path: str) -> str:
-    return Path(path).read_text(errors="replace")
+def _has_guard(path: str) -> bool:
+    """Whether a script asks what it is run as; true for what is none."""
+    try:
+        body = ast.parse(Path(path).read_bytes()).body
+    except (OSError, SyntaxError, ValueError):
+        return True
+    tests = [each.test for each in body if isinstance(each, ast.If)]
+    parts = [part for test in tests for part in ast.walk(test)]
+    return any(isinstance(part, ast.Name) and part.id == "__name__" for part in parts)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.errors import UsageError
 from marl_mm.eval.studies.shown import Curves, Reported
 from marl_mm.progress import Bar, silent_bar
-from marl_mm.runs.settings import with_settings
+from marl_mm.runs.settings import check_seeds, with_settings
 from marl_mm.runs.sources import Data, Mix, Source
 from marl_mm.sim.config import Engine
 
@@ -311,7 +311,8 @@ class Study:
         paths = {"out": out, "runs": options.pop("runs", None)}
         options |= {key: Path(path) for key, path in paths.items() if path is not None}
         if options.get("seeds") is not None:
-            options["seeds"] = tuple(options["seeds"])
+            check_seeds(options["seeds"])
+            options["seeds"] = tuple(map(int, options["seeds"]))
         chosen = with_settings("study", StudyOptions(), options)
         return dict(Engine(chosen, bar=progress).run({name: self}))[name]
 

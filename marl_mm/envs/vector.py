@@ -159,7 +159,7 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
         self._check_open()
         if not self.render_mode:
             return None
-        return tuple(self._slots.call("render", [()] * self.num_envs))
+        return tuple(self._called("render", [()] * self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """End simulators, threads and processes."""
@@ -168,13 +168,17 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
     def _call(self, name: str, arguments: list[tuple[Any, ...] | None]) -> list[Any]:
         """Call all environments; after an error they have to be reset."""
         begun, self._begun = self._begun, np.zeros(self.num_envs, bool)
+        results = self._called(name, arguments)
+        self._begun = begun | np.array([each is not None for each in arguments])
+        return results
+
+    def _called(self, name: str, arguments: list[tuple[Any, ...] | None]) -> list[Any]:
+        """Call all environments; if a worker died, it is closed."""
         try:
-            results = self._slots.call(name, arguments)
+            return self._slots.call(name, arguments)
         except WorkerDiedError:
             self.close()
             raise
-        self._begun = begun | np.array([each is not None for each in arguments])
-        return results
 
     def _infos(self, outcomes: Sequence[Outcome]) -> dict[str, Any]:
         infos: dict[str, Any] = {}

@@ -10,10 +10,10 @@ from marl_mm.datasets.journal import noted
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.envs.registry import DEFAULT, TASKS
-from marl_mm.errors import DatasetError
+from marl_mm.errors import DatasetError, UsageError
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.collecting import Collecting, collect_dataset, recorded
-from marl_mm.runs.settings import with_settings, with_values
+from marl_mm.runs.settings import check_config, with_settings, with_values
 from marl_mm.runs.sources import task_folder
 from marl_mm.sim.config import engine_of
 
@@ -48,10 +48,13 @@ def collect(
     """
     own = COLLECTORS.get(collector).config()
     name = default_dataset(task or DEFAULT, collector) if dataset is None else dataset
+    if not isinstance(name, str | Path):
+        raise UsageError(f"`dataset` is {name!r:.80}, expected an id or a path")
     name = str(name)
     saved = begun_settings(name, collector) if settings.get("resume") else {}
     record = f"the record of {name}", DatasetError
     config = with_values(own, saved, *record) if config is None else config
+    check_config(config, own)
     asked = {} if task is None else {"task": task}
     collecting = with_values(Collecting(), saved | asked, *record)
     collector_values = {k: v for k, v in settings.items() if not hasattr(collecting, k)}

@@ -80,7 +80,7 @@ def setup_of(
     check_seed(seed)
     overrides = task_overrides(max_steps, engine or own_engine(policies))
     name = own_task(policies) if task is None else task
-    return Setup(name, overrides, episodes, seed, workers)
+    return Setup(name, overrides, int(episodes), int(seed), int(workers))
 
 
 def called(source: Any, policy: Policy) -> str:

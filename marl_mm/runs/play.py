@@ -3,6 +3,7 @@
 import base64
 import math
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
@@ -65,6 +66,7 @@ class Film:
         Raises:
             UsageError: If the ending is another, or the file exists.
         """
+        self._check_drawn()
         check_format(Path(path))
         refuse_existing(Path(path), overwrite)
         write_video(Path(path), self.frames, self.fps)
@@ -75,10 +77,15 @@ class Film:
         Raises:
             UsageError: If the name does not end in .png, or the file exists.
         """
+        self._check_drawn()
         check_strip(Path(path))
         refuse_existing(Path(path), overwrite)
         label = f"{self.task}: {len(self.episode)} steps"
         film_strip(Path(path), [(label, pictures_of(self.frames, self.fps, _STRIP))])
+
+    def _check_drawn(self) -> None:
+        if not self.frames:
+            raise UsageError(f"{self!r} has no pictures: play without `gui=True`")
 
     def __repr__(self) -> str:
         ending = "reached" if self.episode.success else "did not reach"
@@ -88,6 +95,8 @@ class Film:
 
     def _repr_html_(self) -> str:
         """The film itself, for notebooks."""
+        if not self.frames:
+            return escape(repr(self))
         with TemporaryDirectory() as folder:
             path = Path(folder, "film.mp4")
             write_video(path, self.frames, self.fps)

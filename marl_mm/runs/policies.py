@@ -10,7 +10,7 @@ from marl_mm.envs.task import Task
 from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.policy import Policy
 from marl_mm.received import read_json
-from marl_mm.runs.settings import with_settings
+from marl_mm.runs.settings import check_config, with_settings
 from marl_mm.sim.config import RECORDED_ENGINE, Engine, default_engine
 
 AGENT = "pretrained"
@@ -40,23 +40,26 @@ def load_policy(
     """
     if isinstance(source, str) and source != AGENT and source in COLLECTORS:
         collector = COLLECTORS.get(source)
-        config = collector.config() if config is None else config
+        own = collector.config()
+        config = own if config is None else config
+        check_config(config, own)
         config = with_settings(f"collector {source}", config, settings)
         instance = make_task(task) if isinstance(task, str) else task
         return collector.policy(config, instance)
-    if settings:
+    if settings or config is not None:
         raise UsageError(
-            f"{source!s:.80} takes no settings, got {', '.join(settings)}: they are "
-            "for collectors' policies"
+            f"{source!s:.80} takes no settings, got {', '.join(settings or ['config'])}"
+            ": they are for collectors' policies"
         )
-    if hasattr(source, "act"):
+    if all(hasattr(source, name) for name in ("name", "describe", "begin", "act")):
         policy: Policy = source
         return policy
     path = getattr(source, "folder", source)
     if not isinstance(path, str | Path):
         raise UsageError(
             f"{source!r:.80} is no policy, expected a run, its folder, a checkpoint "
-            f"file, {', '.join(policy_names())}, or an object with `act`"
+            f"file, {', '.join(policy_names())}, or an object with `name`, `describe`, "
+            "`begin` and `act`"
         )
     if path != AGENT and not Path(path).exists():
         raise UsageError(

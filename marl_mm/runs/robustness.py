@@ -96,10 +96,15 @@ def cross_play(
         LayoutError: If a run is made for another layout than the task has.
         CheckpointError: If a run's checkpoint is damaged.
     """
+    policies = list(policies)
     if len(policies) < 2:
         raise UsageError(f"cross-play of {len(policies)} policy, expected 2 or more")
     setup = setup_of(policies, episodes, seed, task, max_steps, engine, workers)
     settings = configs or [None] * len(policies)
+    if len(settings) != len(policies):
+        raise UsageError(
+            f"`configs` are {len(settings)}, expected {len(policies)}, one of a policy"
+        )
     actors = [
         load_policy(policy, setup.made, config)
         for policy, config in zip(policies, settings, strict=True)

@@ -23,7 +23,7 @@ from marl_mm.runs.folder import (
     read_config,
     read_evaluation,
 )
-from marl_mm.sim.config import Engine
+from marl_mm.sim.config import Engine, is_installed
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Run:
         """Rows of ``metrics.jsonl``, in the order of the training."""
         return read_metrics(self.folder)
 
-    @cached_property
+    @property
     def policy(self) -> LearnedPolicy:
         """The policy of the last checkpoint."""
         return load_policy(self.folder)
@@ -84,19 +84,20 @@ class Run:
         from marl_mm.envs.registry import make_task
         from marl_mm.eval.video import draw_film_strip, strips_both_ways
 
-        if seed in self._strips:
-            return self._strips[seed]
+        policy = self.policy
+        if (key := (seed, policy.fingerprint)) in self._strips:
+            return self._strips[key]
         max_steps = self.config.settings.get("max_steps")
         engine = cast(Engine, self.config.engine)
         task = make_task(self.config.task, task_overrides(max_steps, engine))
         picture = io.BytesIO()
-        draw_film_strip(picture, strips_both_ways(task, self.policy, seed))
-        self._strips[seed] = picture.getvalue()
-        return self._strips[seed]
+        draw_film_strip(picture, strips_both_ways(task, policy, seed))
+        self._strips[key] = picture.getvalue()
+        return self._strips[key]
 
     @cached_property
-    def _strips(self) -> dict[int, bytes]:
-        """Film strips that are drawn already, by seed."""
+    def _strips(self) -> dict[tuple[int, str], bytes]:
+        """Film strips that are drawn already, by seed and the policy's fingerprint."""
         return {}
 
     def __repr__(self) -> str:
@@ -115,7 +116,7 @@ class Run:
             parts.append(
                 html_picture((self.folder / CURVE).read_bytes(), "learning curve")
             )
-        if evaluation:
+        if evaluation and is_installed("bullet"):  # which draws
             parts.append(html_picture(self.film_strip(), "film strip"))
         return "\n".join(parts)
 

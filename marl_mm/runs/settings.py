@@ -102,6 +102,13 @@ def check_positive(**values: int) -> None:
             raise UsageError(f"`{name}` is {value}, expected at most {most:,}")
 
 
+def check_config(config: object, own: object) -> None:
+    """Raise a UsageError for a config that is not of the class of another."""
+    if not isinstance(config, type(own)):
+        expected = type(own).__name__
+        raise UsageError(f"`config` is {config!r:.80}, expected a {expected}")
+
+
 def check_seeds(seeds: Sequence[int]) -> None:
     """Raise a UsageError for seeds of runs that are none, named twice, or no seeds."""
     if isinstance(seeds, str) or not hasattr(seeds, "__len__"):

@@ -32,6 +32,8 @@ def start_of(start: str | Path, seed: int) -> Path:
 
 def started_settings(start: str | Path) -> dict[str, Any]:
     """Settings of the run that another starts from, or of the first of its folder."""
+    if not isinstance(start, str | Path):
+        raise UsageError(f"`start` is {start!r:.80}, expected a run or its folder")
     if (Path(start) / CONFIG).exists():
         return settings_of(read_config(Path(start)))
     if saved := saved_settings(Path(start)):

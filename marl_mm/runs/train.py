@@ -17,7 +17,12 @@ from marl_mm.runs.folder import (
 )
 from marl_mm.runs.run import Run
 from marl_mm.runs.seeds import train_seeds
-from marl_mm.runs.settings import with_settings, with_values
+from marl_mm.runs.settings import (
+    check_config,
+    check_seeds,
+    with_settings,
+    with_values,
+)
 from marl_mm.runs.starts import refuse_changed_start, started_settings
 from marl_mm.runs.training import Offline, Online, training_of
 
@@ -63,20 +68,21 @@ def train(
     saved: dict[str, Any] = {}
     if settings.get("resume"):
         saved = saved_settings(folder)
-    elif settings.get("start"):
+    elif start := settings.get("start"):
+        settings["start"] = getattr(start, "folder", start)
         saved = started_settings(settings["start"])
     if preset is None:
         training = with_values(training, saved, "config.json", CheckpointError)
     if config is not None:
-        kind = type(training.config)
-        if not isinstance(config, kind):
-            raise UsageError(f"config is {config!r:.80}, expected a {kind.__name__}")
+        check_config(config, training.config)
         training = replace(training, config=config)
     training = with_settings(algorithm, training, settings)
     if dataset is None and isinstance(training, Offline):
         dataset = saved.get("dataset")
     if seeds is None:
         seeds = saved.get("seeds", (0,))
+    check_seeds(seeds)
+    seeds = [int(seed) for seed in seeds]
     runs = list(trained(training, dataset, folder, seeds, progress))
     return sorted(runs, key=lambda run: seeds.index(int(run.folder.name)))
 

@@ -42,6 +42,16 @@ def test_an_interrupt_comes_after_the_outermost_block(number: signal.Signals) ->
         pass
 
 
+def test_an_interrupt_comes_while_another_error_is_handled() -> None:
+    with pytest.raises(KeyboardInterrupt):
+        try:
+            raise ValueError
+        except ValueError:
+            with deaf_to_interrupts():
+                signal.raise_signal(signal.SIGINT)
+            raise AssertionError("it was lost") from None
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_second_interrupt_changes_nothing(number: signal.Signals) -> None:
     with pytest.raises(KeyboardInterrupt, match="the first"):

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from marl_mm.cli import main
-from marl_mm.errors import WorkerDiedError
+from marl_mm.errors import UsageError, WorkerDiedError
 from marl_mm.workers import Workers, apart, available_cores
 
 
@@ -100,35 +100,52 @@ def test_a_server_that_is_killed_while_it_imports_is_told(tmp_path: Path) -> Non
     )
 
 
+PLAIN = """
+import logging
+from marl_mm.errors import UsageError
+from marl_mm.workers import Workers
+print("begun", type(1).__name__, logging.getLogger(__name__).name)
+class Own:
+    def __init__(self, *numbers):
+        pass
+    def __call__(self, number):
+        return number
+with Workers(2, threads=True) as pool:
+    print(*pool.map(Own(), [-1, -2]))
+with Workers(2) as pool:
+    print(*pool.map(abs, [-1, -2]))
+    for function, item in ((Own, 1), (id, Own()), (id, [Own()])):
+        try:
+            list(pool.map(function, [item]))
+        except UsageError as error:
+            print(error)
+try:
+    Workers(2, id, ([Own()],))
+except UsageError as error:
+    print(error)
+print(__name__)
+"""
+
+
 @pytest.mark.slow
-def test_a_script_without_a_guard_has_workers_and_runs_once(tmp_path: Path) -> None:
-    script = tmp_path / "plain.py"
-    script.write_text(
-        "from marl_mm.errors import UsageError\n"
-        "from marl_mm.workers import Workers\n"
-        "print('begun')\n"
-        "class Own:\n"
-        "    def __init__(self, *numbers):\n"
-        "        pass\n"
-        "with Workers(2) as pool:\n"
-        "    print(*pool.map(abs, [-1, -2]))\n"
-        "    for function, item in ((Own, 1), (id, Own())):\n"
-        "        try:\n"
-        "            list(pool.map(function, [item]))\n"
-        "        except UsageError as error:\n"
-        "            print(error)\n"
-        "try:\n"
-        "    Workers(2, id, (Own(),))\n"
-        "except UsageError as error:\n"
-        "    print(error)\n"
-        "print(__file__)\n"
-    )
+@pytest.mark.parametrize("command", [("plain.py",), ("-m", "plain"), ("plain",), None])
+def test_a_script_without_a_guard_has_workers_and_runs_once(
+    tmp_path: Path, command: tuple[str, ...] | None
+) -> None:
+    """None: a notebook, whose classes are of no file either."""
+    for name in ("plain.py", "plain"):
+        (tmp_path / name).write_text(PLAIN)
     ran = subprocess.run(
-        [sys.executable, str(script)], timeout=60, capture_output=True, text=True
+        [sys.executable, *(command or ("-c", PLAIN))],
+        cwd=tmp_path,
+        timeout=60,
+        capture_output=True,
+        text=True,
     )
-    begun, results, *errors, path = ran.stdout.splitlines()
-    assert (begun, results, path) == ("begun", "1 2", str(script)), ran.stderr
-    assert len(errors) == 3
+    begun, threads, results, *errors, end = ran.stdout.splitlines()
+    assert (begun, end) == ("begun int __main__", "__main__"), ran.stderr
+    assert (threads, results) == ("-1 -2", "1 2")
+    assert len(errors) == 4
     assert all('under `if __name__ == "__main__":`' in error for error in errors)
     assert not ran.stderr
 
@@ -173,5 +190,5 @@ class Unsendable:
 
 def test_a_pool_ends_when_its_items_cannot_be_sent() -> None:
     """Closing it while later items are looked at would wait for them forever."""
-    with Workers(2) as pool, pytest.raises(TypeError, match="stays here"):
+    with Workers(2) as pool, pytest.raises(UsageError, match="stays here"):
         list(pool.map(id, [Unsendable() for _ in range(8)]))

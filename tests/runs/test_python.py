@@ -2,6 +2,8 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
+from html import escape
 from pathlib import Path
 from typing import Any, cast
 
@@ -11,6 +13,7 @@ import pytest
 import marl_mm
 from marl_mm.cli import main
 from marl_mm.errors import MarlMmError, OutputExistsError, UsageError
+from marl_mm.eval.evaluate import Evaluation
 from marl_mm.progress import Advance
 from marl_mm.runs.evaluate import save_evaluations
 from marl_mm.runs.train import repeat
@@ -228,7 +231,7 @@ def test_runs_are_listed_with_their_scores_whatever_is_damaged(
 
 @pytest.mark.slow
 def test_a_run_and_its_film_are_read_back(
-    tmp_path: Path, datasets_home: Path, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, datasets_home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (made,) = marl_mm.train("mabc", "good-5k", out=tmp_path, **FEW)
     run = marl_mm.load_run(tmp_path / "0")
@@ -240,17 +243,33 @@ def test_a_run_and_its_film_are_read_back(
     assert " reached 0 of 2 goals of Reach-v0>" in repr(again)
     page = run._repr_html_()
     assert page.count("data:image/png;base64,") == 2
+    with monkeypatch.context() as without:
+        without.setattr("marl_mm.sim.config.find_spec", lambda name: None)
+        assert run._repr_html_().count("data:image/png;base64,") == 1
+    before = run.policy.fingerprint
+    more = FEW | {"updates": 60, "resume": True}
+    marl_mm.train("mabc", "good-5k", out=tmp_path, **more)
+    assert run.policy.fingerprint != before
     film = marl_mm.play(run, max_steps=2, fps=2)
     film.save(tmp_path / "film.gif")
     film.strip(tmp_path / "film.png")
     assert (tmp_path / "film.gif").read_bytes().startswith(b"GIF8")
     assert "video/mp4" in film._repr_html_()
     assert len(film.frames) == 5
+    empty = replace(film, frames=[])  # as of a window
+    assert empty._repr_html_() == escape(repr(empty))
+    with pytest.raises(UsageError, match="has no pictures"):
+        empty.save(tmp_path / "empty.gif")
     assert "reach" in repr(film)
     with pytest.raises(OutputExistsError):
         film.save(tmp_path / "film.gif")
     with pytest.raises(UsageError, match=r"name one of its runs, such as .*/0"):
         marl_mm.load_run(tmp_path)
+
+
+ROW: Any = {"seed": 1, "success": True}
+ONE = Evaluation("pd", {}, "Reach-v0", {}, 0, [ROW])
+"""An evaluation of one goal."""
 
 
 @pytest.mark.parametrize(
@@ -295,8 +314,19 @@ def test_a_run_and_its_film_are_read_back(
         ),
         (
             lambda: marl_mm.train("mabc", "good-5k", config=3),
-            "config is 3, expected a MabcConfig",
+            "`config` is 3, expected a MabcConfig",
         ),
+        (lambda: marl_mm.evaluate("pd", config={}), "`config` is {}, expected a Pd"),
+        (lambda: marl_mm.collect("pd", config={}), "`config` is {}, expected a Pd"),
+        (lambda: marl_mm.evaluate("pretrained", config={}), "no settings, got config"),
+        (lambda: marl_mm.collect("pd", dataset=cast(Any, 3)), "expected an id or a"),
+        (lambda: marl_mm.train("mabc", "good-5k", start=3), "`start` is 3, expected a"),
+        (
+            lambda: marl_mm.cross_play(["pd", "random"], configs=[None]),
+            "`configs` are 1, expected 2",
+        ),
+        (lambda: ONE.less(replace(ONE, task="Grasp-v0")), "not on the same goals"),
+        (lambda: ONE.less(replace(ONE, rows=[])), "not on the same goals"),
     ],
 )
 def test_mistakes_are_told_in_one_line(
@@ -313,8 +343,11 @@ def test_runs_come_in_the_order_of_the_seeds(
     tmp_path: Path, datasets_home: Path
 ) -> None:
     few = FEW | {"updates": 4, "workers": 2}
-    runs = marl_mm.train("mabc", "good-5k", out=tmp_path, seeds=(2, 0, 1), **few)
+    seeds: Any = np.array([2, 0, 1])
+    runs = marl_mm.train("mabc", "good-5k", out=tmp_path, seeds=seeds, **few)
     assert [run.config.seed for run in runs] == [2, 0, 1]
+    with pytest.raises(UsageError, match="there is nothing to learn"):
+        marl_mm.train("mabc", out=tmp_path / "on", start=runs[0], **few)
 
 
 @pytest.mark.slow
