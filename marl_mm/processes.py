@@ -51,11 +51,11 @@ def starting() -> Iterator[None]:
     Without ``if __name__ == "__main__":`` each would do the script's work once more.
     """
     main = vars(sys.modules["__main__"])
-    hidden = {name: main.get(name) for name in ("__file__", "__spec__")}
-    with _one_starts:
+    with _one_starts:  # or another thread would keep what is hidden as it is
         if "__file__" not in main or _is_imported():
             yield
             return
+        hidden = {name: main.get(name) for name in ("__file__", "__spec__")}
         main.update(dict.fromkeys(hidden))
         try:
             yield
