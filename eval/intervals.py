@@ -3,6 +3,7 @@
 import math
 import warnings
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -51,9 +52,14 @@ def bootstrap_interval(
     values: np.ndarray, resamples: int = 10_000
 ) -> tuple[float, float]:
     """95 % percentile interval of the mean, by resampling with a fixed seed."""
-    rng = np.random.default_rng(0)
-    picks = rng.integers(len(values), size=(resamples, len(values)))
+    picks = _picks(len(values), resamples)
     return percentile_interval(np.asarray(values)[picks].mean(axis=1))
+
+
+@lru_cache(maxsize=1)  # what is compared has as many goals as what came before
+def _picks(values: int, resamples: int) -> np.ndarray:
+    """Indices of resampled values, which take longer to draw than to use."""
+    return np.random.default_rng(0).integers(values, size=(resamples, values))
 
 
 def percentile_interval(drawn: np.ndarray) -> tuple[float, float]:

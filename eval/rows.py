@@ -8,7 +8,7 @@ import lzma
 import math
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +91,8 @@ def _spread(row: Row) -> dict[str, str]:
 
 def as_read(rows: Sequence[Row]) -> list[Row]:
     """Rows as they are read back from a file, with six digits."""
-    return [_typed(_spread(row)) for row in rows]
+    cells = ({name: [text] for name, text in _spread(row).items()} for row in rows)
+    return [row for columns in cells for row in _typed(columns)]
 
 
 def to_json(values: Any) -> str:
@@ -127,28 +128,28 @@ def read_rows(path: Path) -> list[Row]:
         if data.count(b",") + _ROW_CELLS * data.count(b"\n") > _CELLS:
             raise ValueError(f"more than {_CELLS:,} cells")
         check_plain(data.decode().replace("\r\n", "\n"), "it", MarlMmError)
-        return list(_typed_rows(data))
+        return _typed(_columns(data))
     except _DAMAGE as error:
         reason = str(error) or type(error).__name__
         raise MarlMmError(f"{path} is damaged ({reason:.120})") from error
 
 
-def _typed_rows(data: bytes) -> Iterator[Row]:
-    """Rows of a CSV file's bytes, one after the other."""
+def _columns(data: bytes) -> dict[str, Sequence[str]]:
+    """Texts of a CSV file's bytes by column."""
     if not data:
         raise ValueError("it is empty")
     file = io.TextIOWrapper(io.BytesIO(data), "utf-8", newline="")
-    reader = csv.DictReader(file, strict=True)
-    names = Counter(reader.fieldnames or [])
+    names, *lines = csv.reader(file, strict=True)
     if len(names) > _COLUMNS:
         raise ValueError(f"{len(names):,} columns, expected at most {_COLUMNS:,}")
-    for name, count in names.most_common(1):
+    for name, count in Counter(names).most_common(1):
         if count > 1:
             raise ValueError(f"{count} columns of the name {name:.40}")
-    for number, row in enumerate(reader, 1):
-        if None in row or None in row.values():
+    lines = [line for line in lines if line]
+    for number, line in enumerate(lines, 1):
+        if len(line) != len(names):
             raise ValueError(f"row {number} has not as many values as the first")
-        yield _typed(row)
+    return dict(zip(names, zip(*lines, strict=True), strict=False))  # none of no lines
 
 
 _DAMAGE = (
@@ -172,12 +173,18 @@ def _unpacked(path: Path, most: int) -> bytes:
     return data
 
 
-def _typed(row: dict[str, str]) -> Row:
-    values = {name: _number(text) for name, text in row.items()}
+def _typed(columns: Mapping[str, Sequence[str]]) -> list[Row]:
+    """Rows with numbers and pairs, of texts by column."""
+    values = {name: [*map(_number, texts)] for name, texts in columns.items()}
     for name in [name for name in values if name.endswith("_low")]:
         stem = name.removesuffix("_low")
-        values[stem] = [values.pop(name), values.pop(f"{stem}_high")]
-    return values
+        values[stem] = list(
+            map(list, zip(values.pop(name), values.pop(f"{stem}_high"), strict=True))
+        )
+    return [
+        dict(zip(values, row, strict=True))
+        for row in zip(*values.values(), strict=True)
+    ]
 
 
 def _number(text: str) -> Any:
