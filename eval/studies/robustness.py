@@ -73,6 +73,9 @@ _FEWER = {"Bar-v0": 4}
 class RobustnessOptions(StudyOptions):
     """Settings of the comparison under disturbances."""
 
+    datasets: tuple[str, ...] | None = None
+    """Names of the datasets whose runs are disturbed; default both."""
+
     goals: int = 50
     """Number of goals of each run and condition, the same for all; of Bar, whose
     episodes take six times as long, a quarter."""
@@ -85,6 +88,11 @@ class RobustnessOptions(StudyOptions):
         """
         super().check_settings()
         check_positive(goals=self.goals)
+
+    @property
+    def agents(self) -> Study:
+        """Runs that are disturbed."""
+        return AGENTS.part(self.datasets, None)
 
 
 @dataclass(frozen=True)
@@ -302,7 +310,7 @@ def make_robustness(options: RobustnessOptions, bar: Bar) -> list[Row]:
     # Processes of a cluster start in other folders.
     options = replace(options, runs=options.runs_folder.absolute(), out=options.results)
     groups = {}
-    for dataset, setting in map(cell_name, AGENTS.cells):
+    for dataset, setting in map(cell_name, options.agents.cells):
         path = _path(options, dataset, setting)
         cells = cells_of(options, dataset, setting)
         groups[path] = _with_weights(options, path, cells)
@@ -327,8 +335,9 @@ def plan_robustness(options: RobustnessOptions, bar: Bar) -> str:
     """
     options.check_settings()
     lines, goal_times = [], GoalTimes()
-    advance = bar("measuring", len(AGENTS.cells))
-    for dataset, setting in map(cell_name, AGENTS.cells):
+    names = [cell_name(cell) for cell in options.agents.cells]
+    advance = bar("measuring", len(names))
+    for dataset, setting in names:
         cells = cells_of(options, dataset, setting)
         path = _path(options, dataset, setting).with_suffix(".json")
         left = [] if path.exists() else cells

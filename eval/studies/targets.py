@@ -66,8 +66,8 @@ class Comparison:
     agents: Study | None = None
     """Study whose runs are compared, and are trained first."""
 
-    in_parts: bool = False
-    """Whether the table is of those runs whose rows are there, be they all or not."""
+    in_parts: tuple[str, ...] = ()
+    """Options that choose some of those runs; the table is of all that have rows."""
 
     plan: Callable[[Any, Bar], str] | None = None
     """Function of options and a factory of progress bars that says what is missing."""
@@ -106,6 +106,7 @@ COMPARISONS: Comparisons = {
         robustness_summary.draw_robustness,
         robustness_summary.robustness_table,
         robustness.AGENTS,
+        in_parts=("datasets",),
         plan=robustness.plan_robustness,
     ),
     "benchmark": Comparison(
@@ -115,7 +116,7 @@ COMPARISONS: Comparisons = {
         benchmark.draw_benchmark,
         benchmark.benchmark_table,
         benchmark.AGENTS,
-        in_parts=True,
+        in_parts=("datasets", "settings"),
     ),
     "early": Comparison(
         early.ABOUT,
@@ -124,7 +125,7 @@ COMPARISONS: Comparisons = {
         early.draw_early,
         early.early_table,
         early.AGENTS,
-        in_parts=True,
+        in_parts=("datasets", "settings"),
     ),
     "tuning": Comparison(
         tuning.ABOUT,

@@ -38,8 +38,7 @@ class Ablate(StudyOptions):
     """Make tables and figures, training the runs that are missing."""
 
     datasets: tuple[str, ...] | None = None
-    """Names of the datasets to run; default all of the study. Missing ones of ours are
-    collected first."""
+    """Names of the datasets to run, default all; missing ones are collected first."""
 
     settings: tuple[str, ...] | None = None
     """Names of the settings to run; default all of the study. With some datasets or
@@ -154,12 +153,13 @@ def _parts(
     studies: dict[str, Study], comparisons: Comparisons, options: Ablate, target: str
 ) -> tuple[dict[str, Study], Comparisons]:
     """The requested part of a study, or of the runs that a comparison goes on with."""
+    chosen = [n for n in ("datasets", "settings") if getattr(options, n) is not None]
     for name, comparison in comparisons.items():
-        if not studies and comparison.agents is not None and comparison.in_parts:
+        if not studies and comparison.agents and {*chosen} <= {*comparison.in_parts}:
             part = comparison.agents.part(options.datasets, options.settings)
             return studies, {name: replace(comparison, agents=part)}
     if len(studies) != 1:
-        raise UsageError(f"--settings and --datasets are for a study, not {target}")
+        raise UsageError(f"--{' and --'.join(chosen)} are for a study, not {target}")
     ((name, study),) = studies.items()
     part = study.part(options.datasets, options.settings)
     whole = len(part.cells) == len(study.cells)

@@ -119,7 +119,9 @@ def test_settings_are_named_once_and_unknown_ones_refused(
     assert ablate(tmp_path, tmp_path, "online", "--settings") == 2
     assert "--settings is empty: expected ddpg, " in capsys.readouterr().err
     assert ablate(tmp_path, tmp_path, "alpha", "--settings", "ddpg") == 2
-    assert "--settings and --datasets are for a study" in capsys.readouterr().err
+    assert "--settings are for a study, not alpha" in capsys.readouterr().err
+    assert ablate(tmp_path, tmp_path, "robustness", "--settings", "robust-bc") == 2
+    assert "--settings are for a study, not robustness" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -12,7 +12,12 @@ from marl_mm.cli import main
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows, write_csv
 from marl_mm.eval.studies import robustness
-from marl_mm.eval.studies.robustness import AGENTS, RobustCell
+from marl_mm.eval.studies.robustness import (
+    AGENTS,
+    RobustCell,
+    RobustnessOptions,
+    cells_of,
+)
 from marl_mm.eval.studies.robustness_summary import (
     FORMS,
     SOURCES,
@@ -20,6 +25,7 @@ from marl_mm.eval.studies.robustness_summary import (
     draw_robustness,
     robustness_table,
 )
+from marl_mm.eval.studies.study import cell_name
 from marl_mm.eval.studies.targets import COMPARISONS, STUDIES
 from marl_mm.eval.studies.tuned import CHOSEN
 
@@ -141,7 +147,7 @@ def test_it_is_trained_disturbed_once_and_checked(
     monkeypatch.setattr(robustness, "run_cell", run)
     runs = ["--runs", str(tmp_path / "runs"), "--out", str(tmp_path / "out")]
     words = ["ablate", "robustness", *runs, "--seeds", "0", "1", "--workers", "1"]
-    words += ["--budget", "smoke"]
+    words += ["--budget", "smoke", "--datasets", "gate-expert"]
     assert main(words) == 0
     assert "`bc`, `mabc`" in capsys.readouterr().out and len(ran) == 4
     assert main([*words, "--resume"]) == 0
@@ -158,3 +164,14 @@ def test_it_is_trained_disturbed_once_and_checked(
     made.unlink()
     assert main([*words, "--resume"]) == 2
     assert "robust-bc/0 is gone" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "goals"), [("gate-expert", 50), ("bar-expert", 13)])
+def test_a_part_has_its_datasets_runs_and_fewer_goals_of_long_tasks(
+    name: str, goals: int
+) -> None:
+    options = RobustnessOptions(datasets=(name,))
+    cells = [cell_name(cell) for cell in options.agents.cells]
+    assert len(cells) == len(AGENTS.cells) / 2
+    made = [cell for names in cells for cell in cells_of(options, *names)]
+    assert {(SOURCES[cell.dataset], cell.goals) for cell in made} == {(name, goals)}

@@ -744,7 +744,7 @@ def test_what_there_is_no_data_for_is_collected_first(
         ),
         (["own.py:WIDTHS", "--datasets"], "--datasets is empty: expected sixty"),
         (["own.py:WIDTHS", "--seeds", "0", "0"], "seeds"),
-        (["all", "--settings", "td3-bc"], "--settings and --datasets are for a study"),
+        (["all", "--settings", "td3-bc"], "--settings are for a study, not all"),
         (["own.py:ELSEWHERE"], "no dataset marl_mm/reach/none-v0"),
         (
             ["own.py:WIDTHS", "--settings", "width-16", "--check"],
