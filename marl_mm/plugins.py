@@ -55,7 +55,7 @@ def load(source: str | Path) -> Plugin:
 
     Raises:
         UsageError: If there is no such file or module, or another plug-in has its name.
-        PluginError: If its code fails.
+        PluginError: If its code fails, or the file was loaded and has changed since.
     """
     text = str(source)
     if not text:
@@ -69,7 +69,7 @@ def load(source: str | Path) -> Plugin:
         if not path.is_file():
             raise UsageError(f"no plug-in {text}: expected a file, or a module's name")
         text = str(path)
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        digest = _sha256(path)
         for plugin in _loaded.values():
             if plugin.sha256 == digest:  # such as an installed copy
                 return plugin
@@ -79,6 +79,7 @@ def load(source: str | Path) -> Plugin:
             raise UsageError(
                 f"two plug-ins are called {name}: {before.source} and {text}"
             )
+        _check_unchanged(before)
         return before
     module = _run(name, text, is_file)
     _loaded[name] = Plugin(name, text, _digest(module))
@@ -128,11 +129,26 @@ def record(*origins: str) -> dict[str, str]:
 class Carried:
     """The plug-ins of this process, for another process: unpickling loads them.
 
-    It has to be pickled before objects of the plug-ins' classes.
+    It has to be pickled before objects of the plug-ins' classes. To pickle it raises
+    a ``PluginError`` if a file has changed since it was loaded.
     """
 
     def __reduce__(self) -> tuple[object, ...]:
+        for plugin in _loaded.values():
+            _check_unchanged(plugin)
         return load_all, ([plugin.source for plugin in _loaded.values()],)
+
+
+def _check_unchanged(plugin: Plugin) -> None:
+    """Raise if a plug-in's file no longer has the code that runs in this process."""
+    path = Path(plugin.source)
+    if path.suffix != ".py":
+        return
+    if not path.is_file() or _sha256(path) != plugin.sha256:
+        raise PluginError(
+            f"plug-in {plugin.name}: {path} has changed, or is gone, since it was "
+            "loaded: start Python anew"
+        )
 
 
 def _run(name: str, source: str, is_file: bool) -> ModuleType:
@@ -191,8 +207,13 @@ def _digest(module: ModuleType) -> str:
     if file is None:
         return ""
     path = Path(file)
-    paths = sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]
+    if path.name == "__init__.py":
+        return _sha256(*sorted(path.parent.rglob("*.py")))
+    return _sha256(path)
+
+
+def _sha256(*paths: Path) -> str:
     digest = hashlib.sha256()
-    for source in paths:
-        digest.update(source.read_bytes())
+    for path in paths:
+        digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -223,8 +223,8 @@ def _reward(task: Task) -> str:
         f"{text}\nA failure ends the episode and brings {task.load.failure_reward:g}: "
         f"{'a missed grasp, ' * isinstance(task, Grasp)}a drop, a collision, or a block out of reach. "
         '`info["reason"]` says which. Nothing but friction holds the block; '
-        '`{"load": {"grasp": "weld"}}` fixes it to the hand instead, 1.3 times the '
-        "steps per second. The policy does not see what a block weighs; the controller "
+        '`{"load": {"grasp": "weld"}}` fixes it to the hand instead. '
+        "The policy does not see what a block weighs; the controller "
         "weighs it by the joints' torques "
         '(`{"load": {"knowledge": "given"}}` tells it).\n'
     )

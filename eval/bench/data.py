@@ -13,7 +13,7 @@ from pathlib import Path
 from shutil import rmtree
 from tempfile import TemporaryDirectory
 from time import perf_counter
-from typing import Any, get_args
+from typing import Any
 
 import minari
 import numpy as np
@@ -22,7 +22,6 @@ from minari.data_collector import EpisodeBuffer
 from marl_mm.collectors.collect import collect
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.collectors.registry import everything
-from marl_mm.collectors.scripted import ScriptedPolicy
 from marl_mm.datasets import cache
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of, joined
 from marl_mm.datasets.dataset import load_dataset
@@ -33,23 +32,21 @@ from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.registry import make_task
-from marl_mm.envs.rollout import EpisodePlan, Rollouts, episode_seed, run_episode
-from marl_mm.envs.task import ScriptConfig
+from marl_mm.envs.rollout import Rollouts, episode_seed
 from marl_mm.episode import Episode
 from marl_mm.progress import Advance, Bar, silent
-from marl_mm.sim.scene import Grasp
 
-TASK, HANDLED = "Reach-v0", "GraspReach-v0"
+TASK = "Reach-v0"
 _TURNS = 3
 
 
 def bench_data(
     episodes: int, workers: Sequence[int], load_steps: int, seed: int, bar: Bar
 ) -> dict[str, Any]:
-    """Rates of collection, of grasps by how they are held, and costs of storage.
+    """Rates of collection, and costs of storage.
 
     Args:
-        episodes: Episodes per turn and number of workers, and per kind of grasp.
+        episodes: Episodes per turn and number of workers.
         workers: Numbers of processes to compare.
         load_steps: Steps of the dataset whose loading is timed.
         seed: Seed of the episodes.
@@ -61,8 +58,6 @@ def bench_data(
         result, collected = bench_collection(
             episodes, workers, seed, folder / "journal", advance
         )
-        advance = bar("bench grasps", len(get_args(Grasp)) * (1 + _TURNS * episodes))
-        result["grasps"] = bench_grasps(episodes, seed, advance)
         advance = bar("bench storage", 4)
         with _cache_in(folder):
             result["storage"] = bench_storage(collected, load_steps, folder, advance)
@@ -143,41 +138,6 @@ def bench_collection(
         ratios = np.array(rates[name]) / np.array(rates["bare"])
         result[f"{name}_over_bare"] = float(np.median(ratios))
     return result, collected
-
-
-def bench_grasps(episodes: int, seed: int, advance: Advance = silent) -> dict[str, Any]:
-    """Steps per second of the script taking and carrying a block, by how it is held.
-
-    Args:
-        episodes: Number of episodes per turn and kind of grasp.
-        seed: Seed of the episodes.
-        advance: Called with the number of finished episodes.
-    """
-    script = ScriptedPolicy(ScriptConfig(), make_task(HANDLED))
-    cores = {
-        grasp: EpisodeCore(make_task(HANDLED, {"load": {"grasp": grasp}}))
-        for grasp in get_args(Grasp)
-    }
-    rates: dict[str, list[float]] = {grasp: [] for grasp in cores}
-    try:
-        for turn in range(-1, _TURNS):  # the first one compiles
-            for grasp, core in cores.items():
-                begin, steps = perf_counter(), 0
-                for number in range(episodes if turn >= 0 else 1):
-                    plan = EpisodePlan(number, episode_seed(seed, number, "collect"))
-                    steps += len(run_episode(core, script, plan))
-                    advance(1, grasp)
-                if turn >= 0:
-                    rates[grasp].append(steps / (perf_counter() - begin))
-    finally:
-        for core in cores.values():
-            core.close()
-    ratios = np.array(rates["weld"]) / np.array(rates["friction"])
-    return {
-        "task": HANDLED,
-        "steps_per_second": {name: float(np.median(r)) for name, r in rates.items()},
-        "weld_over_friction": float(np.median(ratios)),
-    }
 
 
 def _bare(core: EpisodeCore, episodes: int, seed: int) -> None:

@@ -148,7 +148,6 @@ def gpu_table(result: Mapping[str, Any]) -> str:
 def data_table(result: Mapping[str, Any]) -> str:
     """Costs of collecting, loading and storing, beside others', as Markdown."""
     rates, storage = result["steps_per_second"], result["storage"]
-    grasps = result["grasps"]
     lines = [
         ("steps per second of the bare environment", f"{rates['bare']:.0f}", ""),
         *(
@@ -159,11 +158,6 @@ def data_table(result: Mapping[str, Any]) -> str:
             )
             for name in rates
             if name != "bare"
-        ),
-        (
-            f"steps per second of the script, {grasps['task']}",
-            f"{grasps['steps_per_second']['friction']:.0f}",
-            f"welded {grasps['weld_over_friction']:.2f} times as many",
         ),
         (
             f"loading {storage['steps']} steps of {storage['episodes']} episodes [s]",

@@ -126,8 +126,6 @@ def _ends(short: ShortTask) -> None:
         demand(ended[-1] and not ended[:-1].any(), "an episode goes on after its end")
         both = (episode.terminated & episode.truncated).any()
         demand(not both, "a step is both terminated and truncated")
-        fine = short.task.fails or not episode.failed.any()
-        demand(fine, "an episode fails, and fails is not set")
         words = isinstance(episode.reason, str) or not short.task.fails
         demand(words, f"failure tells {episode.reason!r}, expected words")
 

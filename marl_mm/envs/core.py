@@ -7,7 +7,7 @@ and rewards.
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -91,6 +91,12 @@ class EpisodeCore:
         self._closed = False
         self._low, self._high = np.array(task.layout.low), np.array(task.layout.high)
 
+    def __reduce__(self) -> NoReturn:
+        raise UsageError(
+            "an environment cannot be copied or pickled: make another, with the same "
+            "seed and actions"
+        )
+
     @property
     def drive(self) -> Drive:
         """The first robot."""
@@ -112,6 +118,7 @@ class EpisodeCore:
         self.check_open()
         given = None if goal is None else self._checked_goal(goal)
         attempt = Attempt(self.task, self.drives)
+        self.attempt = None  # where the task refuses, there is no episode to go on with
         self.task.begin(attempt, rng, given)
         self.attempt = attempt
         return self._state(attempt)

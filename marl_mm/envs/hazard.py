@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, kw_only=True)
 class RiskyTask(CruiseTask, ABC):
     """Parameters of reward: near the goal an episode ends well, and it can fail."""
-
-    fails: ClassVar[bool] = True
 
     success_distance: float = 0.05
     """Distance to the goal at a step's end below which it is reached, which ends the

@@ -27,8 +27,8 @@ def split_state(state: np.ndarray, layout: Layout) -> AgentDict:
 
 
 def split_action(action: np.ndarray, layout: Layout) -> AgentDict:
-    """Each agent's part of the joint action, shape (k,), by agent."""
-    return {agent.name: action[list(agent.action)] for agent in layout.agents}
+    """Each agent's part of the joint action, shape (..., k), by agent."""
+    return {agent.name: action[..., list(agent.action)] for agent in layout.agents}
 
 
 def join_actions(
@@ -37,9 +37,14 @@ def join_actions(
     """The joint actions, float64, shape (*batch, k), of the agents' actions.
 
     Raises:
-        InvalidActionError: If an agent is missing, or its actions have another shape or
-            are no numbers.
+        InvalidActionError: If they are no mapping, an agent is missing, or its actions
+            have another shape or are no numbers.
     """
+    if not isinstance(actions, Mapping):
+        raise InvalidActionError(
+            f"actions are {actions!r:.60}, expected each agent's by its name: "
+            "`marl_mm.envs.split_action` takes joint ones apart"
+        )
     joint = np.zeros((*batch, len(layout.action)))
     for agent in layout.agents:
         if agent.name not in actions:
@@ -130,9 +135,11 @@ class TeamEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         Raises:
             InvalidActionError: If an agent is missing, or an action has another shape
                 or is not finite.
-            UsageError: After ``close()``.
+            UsageError: If there was no ``reset()``, or after ``close()``.
         """
         self.core.check_open()
+        if self._joint is None:
+            raise UsageError("step() was called before reset()")
         if not self.agents:
             return {}, {}, {}, {}, {}
         outcome = self.core.step(join_actions(actions, self.task.layout))

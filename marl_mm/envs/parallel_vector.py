@@ -1,5 +1,6 @@
 """Many environments of a task for its agents: an array for each agent."""
 
+import copy
 from collections.abc import Mapping
 from typing import Any
 
@@ -129,8 +130,8 @@ class TeamVector:
         self.vector.close()
 
     def _info(self, infos: dict[str, Any], agent: str) -> dict[str, Any]:
-        """Infos with an agent's own final observations."""
-        info = dict(infos)
+        """A copy of infos, with an agent's own final observations."""
+        info = copy.deepcopy({k: v for k, v in infos.items() if k != "final_obs"})
         if "final_obs" in infos:
             finals = [final and final[agent] for final in infos["final_obs"]]
             info["final_obs"] = np.empty(self.num_envs, object)

@@ -1,5 +1,6 @@
 """The registry of tasks, and tasks with some fields replaced."""
 
+import re
 import sys
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
@@ -35,8 +36,10 @@ def register_task(name: str, task: Task) -> None:
 
     Raises:
         UsageError: If it is no task, has no layout or a field without a default, or the
-            name is another task's.
+            name is another task's or does not end in a version.
     """
+    if not re.fullmatch(r".+-v(0|[1-9]\d*)", str(name)):
+        raise UsageError(f"task {name!r}: expected a version, such as {name}-v0")
     if isinstance(task, Task):
         defaults(type(task))
         if not isinstance(getattr(task, "layout", None), Layout):

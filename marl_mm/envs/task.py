@@ -118,9 +118,6 @@ class Task(ABC):
     own_info: ClassVar[Mapping[str, str]] = {}
     """Meanings, with units, of the step numbers that ``measure`` adds, by name."""
 
-    fails: ClassVar[bool] = False
-    """Whether an episode can end in failure."""
-
     handles: ClassVar[bool] = False
     """Whether robots have blocks, whose contacts are looked at within a step, too."""
 
@@ -166,6 +163,11 @@ class Task(ABC):
     def info(self) -> dict[str, str]:
         """Meanings, with units, of the step numbers that episodes keep, by name."""
         return {**self.own_info, **GOAL_INFO, **MOTION_INFO}
+
+    @property
+    def fails(self) -> bool:
+        """Whether an episode can end in failure: the class has a ``failure``."""
+        return type(self).failure is not Task.failure
 
     @property
     def highest_return(self) -> float | None:

@@ -115,7 +115,11 @@ class BulletHandling:
         self._put_fingers(travel)
 
     def weld(self) -> None:
-        """Fix the block to the hand where it is now, and the fingers."""
+        """Fix the block to the hand where it is now, and the fingers.
+
+        They stay solid for each other: to exclude them (``setCollisionFilterPair``) in
+        a world that has begun takes the load off the drive wheels, which then slip.
+        """
         hand = pybullet.getLinkState(
             self._robot, self._hand, physicsClientId=self._client
         )
@@ -124,7 +128,6 @@ class BulletHandling:
             self._block, physicsClientId=self._client
         )
         place_h, turn_h = pybullet.multiplyTransforms(*inverse, place, turn)
-        self._touch_block(False)
         self._weld = pybullet.createConstraint(
             self._robot,
             self._hand,
@@ -143,7 +146,6 @@ class BulletHandling:
         """Release the block from the hand."""
         pybullet.removeConstraint(self._weld, physicsClientId=self._client)
         self._weld = None
-        self._touch_block(True)
 
     def pad_forces(self) -> list[float]:
         """Force of each pad on the block in the last step [N]."""
@@ -173,18 +175,6 @@ class BulletHandling:
             elif body == self._robot:
                 collisions.add(f"{own} and {self._names[contact[4]]}")
         return Touches(len(fingers), stand, ground, min(collisions, default=""))
-
-    def _touch_block(self, solid: bool) -> None:
-        """Switch the collision of fingers and block on or off."""
-        for finger in self._fingers:
-            pybullet.setCollisionFilterPair(
-                self._robot,
-                self._block,
-                finger,
-                -1,
-                int(solid),
-                physicsClientId=self._client,
-            )
 
     def _contacts(self, body: int) -> list[tuple[Any, ...]]:
         """PyBullet's contacts of a body with a force above 0."""

@@ -341,13 +341,6 @@ class NeedsNothing(Reach):
     needs = (*Reach.needs, "temper")
 
 
-class FailsQuietly(Reach):
-    """It fails, and does not say that it can."""
-
-    def failure(self, attempt: Attempt) -> str:
-        return "fell" if attempt.steps == 3 else ""
-
-
 class FailsWithoutWords(Carry):
     """A failure is no word but a truth."""
 
@@ -561,7 +554,6 @@ TASKS_MISTAKEN: list[tuple[Reach, Broken]] = [
         dict.fromkeys((*RUN, LAYOUT, ACTIONS, PETTINGZOO, GYMNASIUM), NO_NAME)
         | {NUMBERS: "needs temper, which nothing tells"},
     ),
-    (FailsQuietly(), {ENDS: "an episode fails, and fails is not set"}),
     (FailsWithoutWords(), {ENDS: "failure tells True, expected words"}),
     (Endless(), dict.fromkeys((*RUN, LAYOUT), ENDLESS)),
     (Divides(), {ACTIONS: "ZeroDivisionError"}),

@@ -16,7 +16,7 @@ from marl_mm.algorithms.policy import load_policy
 from marl_mm.cli import main
 from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.datasets.dataset import load_dataset
-from marl_mm.envs import make_task, parallel_env
+from marl_mm.envs import make_task, make_vec, parallel_env
 from marl_mm.envs.registry import TASKS
 from marl_mm.errors import PluginError, UsageError
 from marl_mm.eval.evaluate import evaluate
@@ -302,6 +302,19 @@ def test_from_python_a_plugin_is_loaded_or_registered() -> None:
         "forward",
         "backward",
     }
+
+
+def test_a_file_that_changes_after_it_was_loaded_is_told(tmp_path: Path) -> None:
+    """Workers would run other code than this process."""
+    file = tmp_path / "mine.py"
+    shutil.copy(EXAMPLES / "timed_reach.py", file)
+    plugins.load(file)
+    for change in (lambda: file.write_text("BROKEN = "), file.unlink):
+        change()
+        with pytest.raises((PluginError, UsageError), match=r"mine\.py"):
+            plugins.load(file)
+        with pytest.raises(PluginError, match=r"mine\.py has changed, or is gone"):
+            make_vec("Reach-v0", 2, 2, backend="processes").reset(seed=0)
 
 
 @pytest.mark.slow

@@ -204,6 +204,14 @@ def test_tasks_need_defaults_and_a_layout() -> None:
     assert "Undecided-v0" not in TASKS
 
 
+@pytest.mark.parametrize("name", ["Reach", "Mine", "Mine-v01", "Mine-v", None])
+def test_tasks_are_named_with_a_version(name: Any) -> None:
+    """Gymnasium would refuse some of these, or call them otherwise."""
+    with pytest.raises(UsageError, match=r"expected a version, such as \w+"):
+        register_task(name, Reach())
+    assert name not in TASKS
+
+
 def test_options_of_the_same_name_are_told(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -84,6 +84,16 @@ def test_the_block_goes_where_the_hand_goes(grasp: str, open_world: OpenWorld) -
     assert step.info["is_success"] and step.info["reason"] == ""
 
 
+def test_with_a_welded_block_the_wheels_carry_the_robot(open_world: OpenWorld) -> None:
+    """As without: what changes contacts in the engine could take their load off."""
+    core = open_world("CarryReach-v0", mass=exactly(0.05), grasp="weld")
+    begun(core)
+    for _ in range(2):
+        step = core.step(np.array([1.0, 0.0, 0.0, 0.0]))
+        assert step.info["wheel_slip"] < 0.001
+    assert core.drive.state.q[0] > 0.05 and abs(core.drive.state.yaw) < 0.003
+
+
 def test_a_slippery_block_is_dropped(open_world: OpenWorld) -> None:
     core = open_world("CarryReach-v0", mass=exactly(2.5), friction=exactly(0.1))
     begun(core)

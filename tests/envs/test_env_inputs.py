@@ -1,6 +1,9 @@
 """What environments refuse, and what they show."""
 
+import copy
+import pickle
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -42,6 +45,10 @@ def test_bad_agent_actions_are_refused(task: str) -> None:
         env.step({"end_effector": right})
     with pytest.raises(InvalidActionError, match=r"'balance' has shape \(2,\)"):
         env.step({"end_effector": right, "balance": np.zeros(2)})
+    others: list[Any] = [np.zeros(4), None, [right, np.zeros(1)]]
+    for joint in others:
+        with pytest.raises(InvalidActionError, match="expected each agent's by its"):
+            env.step(joint)
     with pytest.raises(InvalidActionError, match=r"'end_effector' has shape \(2,\)"):
         env.step({"end_effector": np.zeros(2), "balance": np.zeros(1)})
     env.close()
@@ -52,6 +59,32 @@ def test_step_before_reset_and_bad_goals_are_refused(core: EpisodeCore) -> None:
         core.step(np.zeros(4))
     with pytest.raises(UsageError, match="3 finite numbers: goal_x"):
         core.reset(np.random.default_rng(0), np.array([1.0, np.nan, 0.5]))
+
+
+def test_after_a_refused_goal_there_is_no_episode_to_go_on_with() -> None:
+    class Refuses(Reach):
+        def begin(self, attempt: Any, rng: Any, goal: Any) -> None:
+            super().begin(attempt, rng, goal)
+            if goal is not None:
+                raise UsageError("no")
+
+    core = EpisodeCore(Refuses(max_steps=1))
+    core.reset(np.random.default_rng(0))
+    with pytest.raises(UsageError, match="no"):
+        core.reset(np.random.default_rng(0), np.zeros(3))
+    with pytest.raises(UsageError, match="before reset"):
+        core.step(np.zeros(4))
+    core.close()
+
+
+@pytest.mark.parametrize("make", [GoalEnv, parallel_env])
+def test_environments_are_not_copied_or_pickled(make: Any) -> None:
+    """A copy would drive the robot of the first."""
+    env = make("Reach-v0")
+    for twin in (copy.deepcopy, pickle.dumps):
+        with pytest.raises(UsageError, match="cannot be copied or pickled"):
+            twin(env)
+    env.close()
 
 
 class HeightFirst(Reach):
@@ -111,6 +144,7 @@ def test_bad_render_modes_and_early_states_are_refused() -> None:
         with pytest.raises(UsageError, match="expected rgb_array or None"):
             make(render_mode="ascii")
     env = parallel_env("Reach-v0")
-    with pytest.raises(UsageError, match="before reset"):
-        env.state()
+    for early in (env.state, lambda: env.step({})):
+        with pytest.raises(UsageError, match="before reset"):
+            early()
     env.close()

@@ -135,6 +135,8 @@ def test_any_layout_travels_as_json_and_through_every_form(layout: Layout) -> No
     assert goal["achieved_goal"].shape == goal["desired_goal"].shape
     joined = join_actions(split_action(action, layout), layout)
     np.testing.assert_array_equal(joined, action)
+    batch = split_action(np.stack([action] * 3), layout)
+    np.testing.assert_array_equal(join_actions(batch, layout, 3), [action] * 3)
     assert [part.shape for part in split_state(state, layout).values()] == [
         (len(agent.sees),) for agent in layout.team
     ]

@@ -114,7 +114,6 @@ class Pair(Task):
 class Quiet(Reach):
     """Reach that is lost when the base accelerates too much at any tick."""
 
-    fails = True
     own_info = {**Reach.own_info, "peak": "base's largest acceleration [m/s^2]"}  # noqa: RUF012
 
     most: float = 0.3

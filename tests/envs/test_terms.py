@@ -93,6 +93,8 @@ def test_overrides_take_json_lists() -> None:
         ("Reach-v0", {3: 4}, "a field is 3, expected a name"),
         ("Reach-v0", {"cruise": 10**400}, "expected a finite number"),
         ("Reach-v0", {"random_start_steps": -1}, "expected >= 0"),
+        ("GraspReach-v0", {"random_start_steps": 4}, "is 4, expected 0: a hand"),
+        ("Reach-v0", {"goal_z": (0.8, 0.6)}, "goal_z is 0.8 to 0.6, expected the"),
         ("Reach-v0", {"robot": {"base_mass": -5}}, "robot.base_mass is -5.0"),
         ("Reach-v0", {"simulation": {"wheel_force": 0}}, "wheel_force is 0.0"),
         (

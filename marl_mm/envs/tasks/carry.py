@@ -21,7 +21,6 @@ class Carry(Reach):
     """The task, with goals, reward and load as fields."""
 
     about = "Bring a load of unknown mass in the hand to a goal ahead or behind."
-    fails: ClassVar[bool] = True
     handles: ClassVar[bool] = True
 
     load: LoadConfig = field(default_factory=lambda: LoadConfig(failure_reward=-50.0))

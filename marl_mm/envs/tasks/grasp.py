@@ -13,6 +13,7 @@ from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Terms, Values
 from marl_mm.envs.tasks.carry import GOAL_SIZE, Carry
 from marl_mm.envs.tasks.reach import Reach, steer
+from marl_mm.errors import UsageError
 from marl_mm.layout import Agent, Entry, Layout
 from marl_mm.sim.scene import Mark
 
@@ -75,6 +76,11 @@ class Grasp(Carry):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.random_start_steps:
+            raise UsageError(
+                f"random_start_steps is {self.random_start_steps}, expected 0: a hand "
+                "that closes at random misses the block before the episode begins"
+            )
         self.load.check_hold(self.max_steps * self.ticks_per_step)
 
     def begin(
@@ -94,7 +100,6 @@ class Grasp(Carry):
         hand.grip(False)
         if not in_reach(scene.position_w, travel=self.action_scale * self.max_steps):
             hand.lose_reach()
-        self.wander(attempt, rng)
 
     def fixed_goal(
         self, index: int, rng: np.random.Generator

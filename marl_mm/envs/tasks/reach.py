@@ -7,7 +7,7 @@ import numpy as np
 
 from marl_mm.declared import check_positive
 from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, CruiseTask, names
-from marl_mm.envs.intervals import Interval
+from marl_mm.envs.intervals import Interval, check_intervals
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Terms, Values
 from marl_mm.layout import Agent, Layout
@@ -67,6 +67,7 @@ class Reach(CruiseTask):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_positive(self, "success_distance")
+        check_intervals(self, "goal_x_forward", "goal_x_backward", "goal_y", "goal_z")
 
     @property
     def highest_return(self) -> float:
