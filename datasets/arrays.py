@@ -220,11 +220,15 @@ def joined(parts: Sequence[EpisodeArrays]) -> EpisodeArrays:
     """The episodes of several sets of arrays, one after the other.
 
     Raises:
-        DatasetError: If their layouts or infos differ.
+        DatasetError: If their layouts, infos or robots differ.
     """
     layout, keys = parts[0].layout, list(parts[0].info)
     for part in parts:
         _refuse_unlike(layout, keys, part.layout, part.info)
+        if part.starts.shape[1:] != parts[0].starts.shape[1:]:
+            raise DatasetError(
+                "the starts of some episodes are of other robots: import these anew"
+            )
     info = {key: np.concatenate([part.info[key] for part in parts]) for key in keys}
     return EpisodeArrays(
         info=info,

@@ -271,6 +271,8 @@ def _spread(values: np.ndarray) -> dict[str, float]:
 def _histogram(
     values: np.ndarray, ends: tuple[float, float] | None = None
 ) -> dict[str, Any]:
+    if ends is None and np.isclose(values.min(), values.max()):  # but for last bits
+        values = np.full(len(values), values[0])
     counts, edges = np.histogram(values, bins=_BINS, range=ends)
     return {
         "low": float(edges[0]),

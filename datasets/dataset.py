@@ -16,7 +16,7 @@ import numpy as np
 from marl_mm.datasets import shipped
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.datasets.card import card, card_html
-from marl_mm.datasets.location import Location, find, locate
+from marl_mm.datasets.location import Location, find, locate, text_of
 from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import read_arrays
@@ -165,7 +165,8 @@ def load_dataset(name: str | Path | Location) -> Dataset:
     Args:
         name: Id such as ``marl_mm/reach/pd-v0``, or a path, or a location. A plain word
             such as ``pd`` is short for ``marl_mm/reach/pd-v0``, always of ``reach``,
-            but for the name of a named dataset, such as ``gate-noisy``.
+            but for the name of a named dataset, such as ``gate-noisy``. A ``Path`` is
+            never an id.
 
     Raises:
         UnknownDatasetError: If no dataset has this name; the message names similar
@@ -174,7 +175,7 @@ def load_dataset(name: str | Path | Location) -> Dataset:
     """
     if not isinstance(name, str | Path | Location):
         raise UsageError(f"{name!r:.80} is no dataset's name, expected an id or a path")
-    location = name if isinstance(name, Location) else existing(str(name))
+    location = name if isinstance(name, Location) else existing(text_of(name))
     metadata = read_metadata(location)
     return Dataset(location, metadata, read_arrays(location, metadata))
 

@@ -30,8 +30,9 @@ class DatasetForm:
     write: Callable[[Dataset, Path], None]
     """Function that writes a dataset into a new file, or an empty folder."""
 
-    mark: str | None = None
-    """Name of a file in the folder that it writes; None for forms of one file."""
+    mark: tuple[str, str] | None = None
+    """Name of a file in the folder that it writes, and a text in that; None for forms
+    of one file."""
 
     packages: tuple[str, ...] = ()
     """Modules that it needs, of the optional extra of its name."""
@@ -51,7 +52,9 @@ DATASET_FORMS: Registry[DatasetForm] = Registry(
 """All forms of export by name."""
 
 
-def export(dataset: Dataset, form: str, path: Path, overwrite: bool) -> None:
+def export(
+    dataset: Dataset, form: str, path: str | Path, overwrite: bool = False
+) -> None:
     """Write a dataset in a form that another library reads.
 
     Args:
@@ -64,9 +67,12 @@ def export(dataset: Dataset, form: str, path: Path, overwrite: bool) -> None:
     Raises:
         OutputExistsError: If it exists and may not be replaced.
         UsageError: If there is no such form, a package that it needs is missing, or the
-            path is a folder where a file is written, or the other way around.
+            path is a folder where a file is written, or the other way around, or lies
+            within the dataset.
     """
-    chosen = DATASET_FORMS.get(form)
+    chosen, path = DATASET_FORMS.get(form), Path(path).absolute()
+    if path.resolve().is_relative_to(dataset.location.folder.resolve()):
+        raise UsageError(f"{path} lies within the dataset: choose another name")
     if path.exists() and path.is_dir() != (chosen.mark is not None):
         is_, expected = ("folder", "file") if path.is_dir() else ("file", "folder")
         raise UsageError(f"{path} is a {is_}, expected a {expected} to write")

@@ -16,6 +16,7 @@ from marl_mm.datasets.dataset import Dataset
 from marl_mm.datasets.export import DATASET_FORMS, DatasetForm
 from marl_mm.datasets.hdf5 import FILE
 from marl_mm.datasets.named import RECORD, name_of
+from marl_mm.errors import DatasetError
 
 _SUMS = "SHA256SUMS"
 
@@ -54,6 +55,11 @@ def _hub(dataset: Dataset, path: Path) -> None:
     (path / "data").mkdir()
     for name in (FILE, "metadata.json"):
         data = (dataset.location.data / name).read_bytes()
+        if name == FILE and hashlib.sha256(data).hexdigest() != values["data_sha256"]:
+            raise DatasetError(
+                f"{dataset.location.folder} was replaced since it was loaded: load it "
+                "again"
+            )
         (path / "data" / name).write_bytes(data)
     draw_card(dataset.arrays, values, path / "card.png")
     ours = _is_ours(dataset, values)
@@ -168,6 +174,6 @@ DATASET_FORMS.add(
     DatasetForm(
         about="Folder for the Hugging Face Hub: data, card, licence, Croissant, sums.",
         write=_hub,
-        mark=_SUMS,
+        mark=(_SUMS, f"  data/{FILE}\n"),
     ),
 )

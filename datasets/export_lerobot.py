@@ -173,7 +173,7 @@ DATASET_FORMS.add(
     DatasetForm(
         about="LeRobot's version 3, in float32; actions are named AGENT.ENTRY.",
         write=_lerobot,
-        mark=_MARK,
+        mark=(_MARK, '"form": "lerobot"'),
         packages=("pyarrow",),
     ),
 )

@@ -107,7 +107,7 @@ DATASET_FORMS.add(
     DatasetForm(
         about="Vault of flashbax as in OG-MARL: agents stacked, filled with zeros.",
         write=_vault,
-        mark=_MARK,
+        mark=(_MARK, '"form": "flashbax"'),
         packages=("tensorstore",),
     ),
 )

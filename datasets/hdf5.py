@@ -31,7 +31,8 @@ FILE = "main_data.hdf5"
 
 _START = "initial_configuration"
 
-_ACHIEVED = "observations/achieved_goal"
+ACHIEVED = "observations/achieved_goal"
+"""Key of the entries that are compared with the goal."""
 
 ROBOT_NUMBERS = 11
 """Numbers of a robot's configuration: base's place, cosine, sine, seven joints."""
@@ -65,7 +66,7 @@ def episode_fields(layout: Layout) -> tuple[Field, ...]:
     goal = len(layout.desired)
     return (
         Field("observations/observation", "float", len(layout.state) - goal, 1),
-        Field(_ACHIEVED, "float", goal, 1),
+        Field(ACHIEVED, "float", goal, 1),
         Field("observations/desired_goal", "float", goal, 1),
         Field("actions", "float", len(layout.action)),
         Field("rewards", "float"),
@@ -98,7 +99,7 @@ def _contents(episode: Episode) -> dict[str, np.ndarray]:
     layout = episode.layout
     return {
         "observations/observation": episode.states[:, layout.observation],
-        _ACHIEVED: episode.states[:, layout.achieved],
+        ACHIEVED: episode.states[:, layout.achieved],
         "observations/desired_goal": episode.states[:, layout.goal],
         "actions": episode.actions,
         "rewards": episode.rewards,
@@ -158,7 +159,7 @@ def read_hdf5(
             values = checked(path, group, wanted)
             attributes = _Attributes(path, group)
             states = states_of(values, layout)
-            if (states[:, layout.achieved] != values[_ACHIEVED]).any():
+            if (states[:, layout.achieved] != values[ACHIEVED]).any():
                 raise DatasetError(
                     f"{path}, episode_{number}: 'achieved_goal' is not what the "
                     f"observations say of {', '.join(layout.compared)}"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from marl_mm.datasets.hdf5 import (
+    ACHIEVED,
     ROBOT_NUMBERS,
     Field,
     checked,
@@ -85,11 +86,18 @@ def _episode(
 ) -> Episode:
     """An episode of Minari's format with goal-dictionary observations."""
     values = checked(path, group, episode_fields(layout))
-    info = {key: optional(group, f"infos/{key}") for key in names}
+    states = states_of(values, layout)
+    other = np.abs(states[:, layout.achieved] - values[ACHIEVED]) > _SAME
+    if other.any():
+        raise DatasetError(
+            f"{path}, episode {number}: 'achieved_goal' is not what the observations "
+            f"say of {', '.join(layout.compared)}"
+        )
+    info = {key: _of_steps(group, key, len(values["rewards"])) for key in names}
     seed = group.attrs.get("seed", -1)
     return _built(
         number,
-        states_of(values, layout),
+        states,
         values["actions"],
         values["rewards"],
         values["terminations"],
@@ -98,6 +106,12 @@ def _episode(
         int(seed) if _is_seed(seed) else -1,
         layout,
     )
+
+
+def _of_steps(group: Any, name: str, steps: int) -> np.ndarray | None:
+    """Step numbers of this name; Minari may store that of the reset in front."""
+    told = optional(group, f"infos/{name}")
+    return told if told is None or len(told) != steps + 1 else told[1:]
 
 
 def _is_seed(value: Any) -> bool:
@@ -134,12 +148,13 @@ def _flat_episodes(
     for key in ("terminals", "timeouts"):
         if not np.isin(values[key], (0, 1)).all():
             raise DatasetError(f"{path}: {key!r} holds other values than 0 and 1")
-    success = optional(file, "infos/is_success")
-    if success is not None and success.shape != values["terminals"].shape:
-        raise DatasetError(
-            f"{path}: 'infos/is_success' has shape {success.shape}, expected "
-            f"{values['terminals'].shape}"
-        )
+    info = {name: optional(file, f"infos/{name}") for name in names}
+    for name, told in info.items():
+        if told is not None and told.shape != values["terminals"].shape:
+            raise DatasetError(
+                f"{path}: 'infos/{name}' has shape {told.shape}, expected "
+                f"{values['terminals'].shape}"
+            )
     terminated = values["terminals"].astype(bool)
     truncated = values["timeouts"].astype(bool)
     ends = np.flatnonzero(terminated | truncated) + 1
@@ -168,10 +183,7 @@ def _flat_episodes(
                 values["rewards"][part],
                 terminated[part],
                 truncated[part],
-                {
-                    **dict.fromkeys(names),
-                    "is_success": None if success is None else success[part],
-                },
+                {n: None if told is None else told[part] for n, told in info.items()},
                 -1,
                 layout,
             )

@@ -9,12 +9,12 @@ import h5py
 import numpy as np
 
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
-from marl_mm.datasets.hdf5 import FILE
+from marl_mm.datasets.hdf5 import FILE, ROBOT_NUMBERS
 from marl_mm.datasets.hdf5_files import open_hdf5, reading_limits
 from marl_mm.datasets.import_forms import IMPORTS
 from marl_mm.datasets.metadata import METADATA_BYTES
 from marl_mm.datasets.plausible import problems_of
-from marl_mm.envs.registry import DEFAULT, make_task
+from marl_mm.envs.registry import DEFAULT, TASKS, make_task
 from marl_mm.envs.task import Task
 from marl_mm.errors import DatasetError, UsageError, WorkerDiedError
 from marl_mm.layout import Layout
@@ -59,6 +59,8 @@ def read_foreign(path: Path, dataset_id: str, task: str | None = None) -> Foreig
         DatasetError: If the file cannot be read, or holds impossible values. The
             message names the key, what was got and what was expected.
     """
+    if task is not None:
+        TASKS.get(task)
     for name in (f"data/{FILE}", FILE):
         if (path / name).exists():
             refuse_links_out(path, (name, "data/metadata.json"), DatasetError)
@@ -106,7 +108,8 @@ def _read(arguments: tuple[Path, str, str]) -> tuple[EpisodeArrays, Engine | Non
             agents = forms[0].by_agent
             refuse_other_layout("its data", layout, name, task.layout, agents)
         episodes = forms[0].episodes(path, file, task.layout, list(task.info))
-    arrays = arrays_of(episodes, dataset_id)
+    start = np.full(ROBOT_NUMBERS * task.robots, np.nan)  # nobody knows it
+    arrays = arrays_of([replace(one, start=start) for one in episodes], dataset_id)
     return _judged(arrays, task, path), _engine(metadata)
 
 

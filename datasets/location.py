@@ -57,6 +57,11 @@ def datasets_root() -> Path:
     return Path(root).resolve() if root else home() / ".minari" / "datasets"
 
 
+def text_of(name: str | Path) -> str:
+    """What ``locate`` takes for this: a ``Path`` is a path, whatever it is called."""
+    return str(name.absolute()) if isinstance(name, Path) else name
+
+
 def locate(text: str) -> Location:
     """Location of an id, a short name or a path, whether it exists or not.
 

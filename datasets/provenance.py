@@ -195,5 +195,5 @@ def _filled(record: Origin | Provenance) -> dict[str, Any]:
     return {
         name: value
         for name, value in values.items()
-        if name == "overrides" or value not in (None, {}, [])
+        if name == "overrides" or not (value is None or value == {} or value == [])
     }

@@ -13,6 +13,7 @@ from marl_mm.datasets.dataset import Dataset
 from marl_mm.datasets.location import Location
 from marl_mm.datasets.provenance import Origin, Provenance
 from marl_mm.datasets.storage import write_alone
+from marl_mm.declared import plain
 from marl_mm.errors import UsageError
 from marl_mm.sim.config import engine_of, engine_overrides
 
@@ -66,8 +67,8 @@ def mix(parts: Sequence[Part], seed: int) -> Recipe:
         taken = np.searchsorted(np.cumsum(arrays.lengths[order]), part.steps) + 1
         chosen.append(arrays.select(np.sort(order[:taken])))
     _refuse_twins(chosen, parts)
-    asked = {part.dataset.metadata["dataset_id"]: part.steps for part in parts}
-    recipe = {"kind": "mix", "seed": seed, "steps": asked}
+    asked = {part.dataset.metadata["dataset_id"]: plain(part.steps) for part in parts}
+    recipe = {"kind": "mix", "seed": plain(seed), "steps": asked}
     return Recipe(joined(chosen), _described([part.dataset for part in parts], recipe))
 
 
@@ -90,7 +91,7 @@ def split(dataset: Dataset, share: float, seed: int) -> tuple[Recipe, Recipe]:
         raise UsageError("one episode cannot be split, expected at least two")
     first = min(max(round(share * count), 1), count - 1)
     order = np.random.default_rng(seed).permutation(count)
-    recipe = {"kind": "split", "seed": seed, "share": share}
+    recipe = {"kind": "split", "seed": plain(seed), "share": plain(share)}
     return tuple(  # type: ignore[return-value]
         Recipe(
             dataset.arrays.select(np.sort(numbers)),
@@ -147,6 +148,7 @@ def filtered(dataset: Dataset, condition: Condition) -> Recipe:
             f"{', '.join(f'{key} {value}' for key, value in asked.items())}: nothing "
             "to write"
         )
+    asked = {key: plain(value) for key, value in asked.items()}
     recipe = {"kind": "filter", "condition": asked}
     return Recipe(arrays.select(np.flatnonzero(keep)), _described([dataset], recipe))
 

@@ -127,7 +127,7 @@ def refuse_foreign(location: Location) -> None:
     folder = location.folder
     if not folder.exists():
         return
-    inner = [path.relative_to(folder) for path in folder.rglob("*")]
+    inner = (path.relative_to(folder) for path in folder.rglob("*"))
     if not folder.is_dir() or not all(map(_is_part, inner)):
         raise UsageError(
             f"{folder} is no dataset, or holds other files too: it is left alone"

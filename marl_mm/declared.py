@@ -6,10 +6,17 @@ from dataclasses import MISSING, asdict, fields, is_dataclass
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from marl_mm.errors import UsageError
 
 ADDED = MappingProxyType({"added": True})
 """Metadata of a field that older records lack."""
+
+
+def plain(value: Any) -> Any:
+    """A number of NumPy's as one of Python's, which JSON has."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def defaults(kind: type) -> dict[str, object]:

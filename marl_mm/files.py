@@ -37,27 +37,33 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
     folder = next(parent for parent in above if parent.exists())
     if not folder.is_dir() or not os.access(folder, os.W_OK):
         raise UsageError(f"cannot write {path}: {folder} is no folder open to you")
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise UsageError(f"cannot write {path}: it is neither a file nor a folder")
     if path.exists() and not overwrite:
         raise OutputExistsError(
             f"{path} exists already; choose another name or add `overwrite=True`"
         )
 
 
-def refuse_foreign(folder: Path, overwrite: bool, mark: str) -> None:
+def refuse_foreign(folder: Path, overwrite: bool, mark: tuple[str, str]) -> None:
     """``refuse_existing`` of a folder that is replaced only if it is one of ours.
 
     Args:
         folder: Folder to write.
         overwrite: Whether it may be replaced.
-        mark: Name of a file that it then has.
+        mark: Name of a file that it then has, and a text in that.
 
     Raises:
         UsageError: If it may not be written.
     """
     refuse_existing(folder, overwrite)
-    if folder.exists() and not (folder / mark).is_file():
+    name, text = mark
+    if folder.exists() and not (
+        (folder / name).is_file() and text.encode() in (folder / name).read_bytes()
+    ):
         raise UsageError(
-            f"{folder} has no {mark} and is not replaced: choose another name"
+            f"{folder} has no {name} of marl-mm and is not replaced: choose another "
+            "name"
         )
 
 
@@ -92,9 +98,12 @@ def named_errors(path: Path, temporary: Path | None = None) -> Iterator[None]:
 def new_file(path: Path) -> Iterator[Path]:
     """A temporary name beside ``path``, renamed to it when the block succeeds.
 
+    Of a link it is the file that is replaced, not the link.
+
     Raises:
         OSError: If there is no room or no permission; it names ``path``.
     """
+    path = path.resolve() if path.is_symlink() else path
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     for killed in _left_by_killed(path.parent, f".{path.stem}.", path.suffix):

@@ -19,7 +19,7 @@ from marl_mm.episode import IMPORTED
 from marl_mm.errors import UsageError
 from marl_mm.files import refuse_existing
 from marl_mm.runs.settings import check_seed
-from marl_mm.sim.config import engine_overrides
+from marl_mm.sim.config import Engine, engine_overrides
 
 _TASK = task_help(
     'Task of the episodes: {}; default the file\'s attribute "task", or '
@@ -116,6 +116,7 @@ def make_imported(
     *,
     out: str,
     task: Annotated[str | None, _TASK] = None,
+    engine: Engine | None = None,
     overwrite: bool = False,
     json: bool = False,
 ) -> None:
@@ -131,17 +132,16 @@ def make_imported(
         file: HDF5 file, or folder of a Minari dataset.
         out: Id or path of the new dataset.
         task: Registered name of the task.
+        engine: Engine of the episodes; default the file's own, or PyBullet without one.
         overwrite: Replace what exists.
         json: Print the new dataset's card as JSON.
     """
     location = _free(out, overwrite)
-    if task is not None:
-        make_task(task)  # a wrong one is refused before the file is read
     foreign = read_foreign(file, location.id, task)
     longest = max(make_task(foreign.task).max_steps, int(foreign.arrays.lengths.max()))
     provenance = Provenance(
         task=foreign.task,
-        overrides={"max_steps": longest, **engine_overrides(foreign.engine)},
+        overrides={"max_steps": longest, **engine_overrides(engine or foreign.engine)},
         collector=IMPORTED,
         origins={location.id: Origin(file=file.name)},
     )

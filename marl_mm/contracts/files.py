@@ -24,7 +24,7 @@ from marl_mm.datasets.card import card_markdown, card_text
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import FILE as JOURNAL
 from marl_mm.datasets.journal import reading
-from marl_mm.datasets.location import locate
+from marl_mm.datasets.location import locate, text_of
 from marl_mm.datasets.plausible import problems_of
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.verify import verify
@@ -91,7 +91,7 @@ def _update(digest: Any, value: Any) -> None:
 
 
 def _read_dataset(path: Path) -> Any:
-    location = locate(str(path.absolute()))  # a plain word would be an id
+    location = locate(text_of(path))
     if problems := verify(location):
         raise DatasetError("; ".join(problems))
     dataset = load_dataset(location)

@@ -102,7 +102,7 @@ def board(
     if not folders:
         raise UsageError("no submission given, expected folders of marl-mm submit")
     target = Path(out)
-    refuse_foreign(target, overwrite, PAGE)
+    refuse_foreign(target, overwrite, (PAGE, "<title>marl_mm: board<"))
     known: dict[str, Submission] = {}
     for submission in map(read_submission, folders):
         twin = known.setdefault(submission.fingerprint, submission)

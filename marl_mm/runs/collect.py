@@ -7,13 +7,13 @@ from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.datasets.card import keep_card
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.journal import noted
-from marl_mm.datasets.location import locate
+from marl_mm.datasets.location import locate, text_of
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.envs.registry import DEFAULT, TASKS
 from marl_mm.errors import DatasetError, UsageError
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.collecting import Collecting, collect_dataset, recorded
-from marl_mm.runs.settings import check_config, with_settings, with_values
+from marl_mm.runs.settings import check_config, flat, with_settings, with_values
 from marl_mm.runs.sources import task_folder
 from marl_mm.sim.config import engine_of
 
@@ -50,7 +50,7 @@ def collect(
     name = default_dataset(task or DEFAULT, collector) if dataset is None else dataset
     if not isinstance(name, str | Path):
         raise UsageError(f"`dataset` is {name!r:.80}, expected an id or a path")
-    name = str(name)
+    name = text_of(name)
     saved = begun_settings(name, collector) if settings.get("resume") else {}
     record = f"the record of {name}", DatasetError
     config = with_values(own, saved, *record) if config is None else config
@@ -98,7 +98,7 @@ def begun_settings(name: str, collector: str) -> dict[str, Any]:
         return {}
     engine = engine_of(begun.overrides)
     settings = {"task": begun.task, "seed": begun.seed, "engine": engine}
-    return settings | {**begun.overrides, **(begun.collector_config or {})}
+    return settings | {**begun.overrides, **flat(begun.collector_config or {})}
 
 
 def default_dataset(task: str, collector: str) -> str:

@@ -16,7 +16,7 @@ from marl_mm.errors import DatasetError, UsageError
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.received import check_kind, read_json
 from marl_mm.runs.collecting import Collecting, collect_dataset
-from marl_mm.runs.settings import check_positive, check_seed, with_settings
+from marl_mm.runs.settings import check_positive, check_seed, flat, with_settings
 from marl_mm.sim.config import ENGINES, RECORDED_ENGINE
 from marl_mm.versions import versions
 
@@ -79,8 +79,13 @@ def read_card(card: str | Path) -> Card:
     if path.suffix == ".json" or path.is_file():
         values = read_json(path, DatasetError)
     else:
-        values = kept_card(load_dataset(str(card)))
+        values = kept_card(load_dataset(card))
     check_kind(values, dict[str, Any], str(card), DatasetError)
+    if values.get("complete") is False:
+        raise DatasetError(
+            f"{card} is of a collection that was stopped: finish it first, with "
+            "marl-mm collect --resume"
+        )
     made_of, expected = values.get("made_of"), values.get("data_sha256")
     if not (isinstance(made_of, Mapping) and isinstance(expected, str)):
         raise DatasetError(
@@ -175,7 +180,7 @@ def _config(made_of: Mapping[str, Any]) -> Any:
     collector = made_of["collector"]
     settings = {
         name: tuple(value) if isinstance(value, list) else value  # as JSON has them
-        for name, value in made_of["collector_config"].items()
+        for name, value in flat(made_of["collector_config"]).items()
     }
     default = COLLECTORS.get(collector).config()
     return with_settings(f"collector {collector}", default, settings)

@@ -7,6 +7,7 @@ from typing import Any, TypeVar, get_type_hints
 import numpy as np
 
 from marl_mm.algorithms.config_checks import LARGEST
+from marl_mm.declared import plain
 from marl_mm.errors import UsageError, meant
 from marl_mm.received import Refusal, check_kind
 
@@ -46,6 +47,17 @@ def with_settings(owner: str, record: T, settings: Mapping[str, Any]) -> T:
     return with_values(record, settings, owner)
 
 
+def flat(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Recorded settings, nested as their dataclasses are, by their own names."""
+    return {
+        name: value
+        for key, inner in values.items()
+        for name, value in (
+            flat(inner) if isinstance(inner, Mapping) else {key: inner}
+        ).items()
+    }
+
+
 def with_values(
     record: T, values: Mapping[str, Any], owner: str, refusal: Refusal = UsageError
 ) -> T:
@@ -66,8 +78,8 @@ def with_values(
         before = getattr(record, field.name)
         if _is_record(before):
             changes[field.name] = with_values(before, values, owner, refusal)
-        elif field.name in values:
-            value = values[field.name]
+        elif field.name in values or isinstance(before, np.generic):
+            value = plain(values.get(field.name, before))
             if isinstance(before, tuple) and isinstance(value, list):
                 value = tuple(value)
             where = f"{owner}: {field.name} is {value!r:.80}"

@@ -12,7 +12,7 @@ from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import SHIPPED, Location, locate
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.recipe import Part, mix, write_mix
-from marl_mm.declared import as_record
+from marl_mm.declared import as_record, plain
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.errors import DatasetError, UnknownDatasetError, UsageError
 from marl_mm.files import only_here
@@ -76,6 +76,8 @@ class Source:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be collected, and name it."""
+        for name in ("steps", "seed"):
+            object.__setattr__(self, name, plain(getattr(self, name)))
         make_task(self.task, engine_overrides(self.engine))
         check_positive(steps=self.steps)
         _ = self.config
@@ -105,6 +107,12 @@ class Mix:
 
     seed: int = 0
     """Seed of the draw."""
+
+    def __post_init__(self) -> None:
+        """Take numbers of NumPy's."""
+        parts = ((source, plain(steps)) for source, steps in self.parts)
+        object.__setattr__(self, "parts", tuple(parts))
+        object.__setattr__(self, "seed", plain(self.seed))
 
 
 Data = Source | Mix | str

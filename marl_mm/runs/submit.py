@@ -81,7 +81,7 @@ def submit(
     for run in found:
         _ = run.evaluated  # refuses one that is not trained to its end
     target = Path(out)
-    refuse_foreign(target, overwrite, MANIFEST)
+    refuse_foreign(target, overwrite, (MANIFEST, FORMAT))
     first = found[0].config
     engine = cast(Engine, first.engine)
     overrides = task_overrides(first.settings.get("max_steps"), engine)

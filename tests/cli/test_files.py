@@ -14,7 +14,14 @@ from typing import Any
 import pytest
 
 from marl_mm.errors import OutputExistsError, UsageError
-from marl_mm.files import new_file, new_folder, only_here, refuse_existing, write_json
+from marl_mm.files import (
+    new_file,
+    new_folder,
+    only_here,
+    refuse_existing,
+    write_bytes,
+    write_json,
+)
 
 
 def in_a_process(code: str, *arguments: object) -> "subprocess.Popen[str]":
@@ -198,6 +205,18 @@ def test_outputs_that_exist_or_cannot_be_are_refused_before_work(
     monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)
     with pytest.raises(UsageError, match=f"{tmp_path} is no folder open to you"):
         refuse_existing(tmp_path / "not" / "yet", overwrite=True)
+
+
+def test_devices_are_not_replaced_and_links_stay(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="neither a file nor a folder"):
+        refuse_existing(Path("/dev/null"), overwrite=True)
+    link, far = tmp_path / "link", tmp_path / "far"
+    far.mkdir()
+    link.symlink_to(far / "file")
+    for text in ("first", "second"):
+        write_bytes(link, text.encode())
+        assert link.is_symlink() and (far / "file").read_text() == text
+    assert names(far) == ["file"]
 
 
 def test_json_is_whole_or_as_before(tmp_path: Path) -> None:

@@ -3,16 +3,21 @@
 import base64
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 import marl_mm
+from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.card import LATER, card
 from marl_mm.datasets.card_figure import draw_card
 from marl_mm.datasets.dataset import Dataset, load_dataset
-from marl_mm.datasets.location import SHIPPED
+from marl_mm.datasets.location import SHIPPED, locate
+from marl_mm.datasets.provenance import Provenance
+from marl_mm.datasets.storage import write_dataset
 from marl_mm.datasets.verify import verify
+from marl_mm.episode import Episode
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -31,6 +36,19 @@ def test_a_notebook_shows_numbers_and_figure(shipped: Dataset) -> None:
     assert rows["coverage"]
     (picture,) = re.findall('src="data:image/png;base64,([^"]+)"', page)
     assert base64.b64decode(picture, validate=True).startswith(PNG)
+
+
+def test_returns_that_differ_in_their_last_bits_have_a_histogram(
+    datasets_home: Path, make_episode: Callable[..., Episode]
+) -> None:
+    episodes = [make_episode(number, steps=3) for number in range(2)]
+    episodes[0].rewards[:] = 0.1, 0.1, 1.0
+    episodes[1].rewards[:] = 1.0, 0.1, 0.1
+    name = "marl_mm/reach/test-v0"
+    about = Provenance(task="Reach-v0", collector="pd")
+    write_dataset(locate(name), arrays_of(episodes, name), about)
+    histogram = load_dataset(name).card()["return_histogram"]
+    assert sum(histogram["counts"]) == 2 and histogram["low"] < 1.2 < histogram["high"]
 
 
 @pytest.mark.slow

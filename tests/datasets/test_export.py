@@ -16,12 +16,13 @@ from marl_mm.cli import main
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.export import DATASET_FORMS, DatasetForm, export
+from marl_mm.datasets.hdf5 import FILE
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import Episode
-from marl_mm.errors import OutputExistsError, UsageError
+from marl_mm.errors import DatasetError, OutputExistsError, UsageError
 
 ID = "marl_mm/reach/test-v0"
 LENGTHS = (3, 4, 5, 3)
@@ -88,19 +89,26 @@ def test_what_is_of_another_kind_is_not_replaced(
     folder.mkdir()
     for mine in (file, folder / "mine"):
         mine.write_text("mine")
-    of_folders = DATASET_FORMS.get(form).mark is not None
+    mark = DATASET_FORMS.get(form).mark
+    of_folders = mark is not None
+    if mark is not None:  # the same name of somebody else's
+        (folder / mark[0]).parent.mkdir(exist_ok=True)
+        (folder / mark[0]).write_text('{"version": 1}')
     for path, refused in ((file, of_folders), (folder, True)):
         if refused:
             with pytest.raises(UsageError, match=r"expected a|is not replaced"):
                 export(dataset, form, path, overwrite=True)
     assert {*contents(tmp_path)} >= {"file", "folder/mine"}
+    data = dataset.location.data
+    with pytest.raises(UsageError, match="lies within the dataset"):
+        export(dataset, form, data if of_folders else data / FILE, overwrite=True)
 
 
-@pytest.mark.parametrize("mark", [None, "mark"])
+@pytest.mark.parametrize("mark", [None, ("mark", "")])
 def test_a_write_that_fails_leaves_nothing(
     dataset: Dataset,
     tmp_path: Path,
-    mark: str | None,
+    mark: tuple[str, str] | None,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def broken(dataset: Dataset, path: Path) -> None:
@@ -282,6 +290,16 @@ def test_hub_folders_are_datasets_with_card_licence_and_sums(
     assert front["license"] == "other" and front["size_categories"] == ["n<1K"]
     assert "No licence is stated" in files["LICENSE"].decode()
     assert str(tmp_path).encode() not in b"".join(files.values())
+
+
+def test_no_hub_folder_is_made_of_data_that_were_replaced(
+    dataset: Dataset, tmp_path: Path, make_episode: Callable[..., Episode]
+) -> None:
+    arrays = arrays_of([make_episode(9, steps=2)], ID)
+    write_dataset(dataset.location, arrays, dataset.provenance, overwrite=True)
+    with pytest.raises(DatasetError, match="was replaced since it was loaded"):
+        export(dataset, "hub", str(tmp_path / "hub"))
+    assert not [*tmp_path.glob("*hub*")]
 
 
 def test_data_of_the_package_have_its_licence(

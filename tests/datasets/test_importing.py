@@ -14,6 +14,7 @@ import pytest
 from marl_mm.cli import main
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import load_dataset
+from marl_mm.datasets.hdf5 import ROBOT_NUMBERS
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
@@ -238,6 +239,42 @@ def test_steps_that_do_not_join_are_refused(
     assert "1 steps within an episode have" in capsys.readouterr().err
     assert run("datasets", "export", ID, "--out", tmp_path, "--overwrite") == 2
     assert "is a folder, expected a file" in capsys.readouterr().err
+
+
+def test_observations_that_contradict_the_achieved_goal_are_refused(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Such as those of somebody who has the entries in another order."""
+    path = tmp_path / "mine.hdf5"
+    path.write_bytes((dataset / "data/main_data.hdf5").read_bytes())
+    with h5py.File(path, "a") as file:
+        seen = file["episode_1/observations/observation"]
+        seen[:] = seen[:][:, [3, 1, 2, 0, *range(4, seen.shape[1])]]
+    assert run("datasets", "import", path, "--task", "Reach-v0", "--out", "bad") == 1
+    told = capsys.readouterr().err
+    assert "episode 1: 'achieved_goal' is not what" in told and "end_effector_x" in told
+
+
+def test_step_numbers_and_the_robots_come_along(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "flat.h5"
+    assert run("datasets", "export", ID, "--out", path) == 0
+    values = np.arange(24.0)
+    with h5py.File(path, "a") as file:
+        file["infos/d_mm"] = values
+        del file.attrs["engine"]
+    words = ["datasets", "import", path, "--out", "mine", "--engine", "mujoco"]
+    assert run(*words) == 0
+    mine = load_dataset("mine")
+    np.testing.assert_array_equal(mine.arrays.info["d_mm"], values)
+    assert np.isnan(mine.arrays.info["d_mp"]).all()
+    assert mine.provenance.engine == "mujoco"
+    assert mine.arrays.starts.shape == (6, ROBOT_NUMBERS)
+    with h5py.File(path, "a") as file:
+        file["infos/d_mp"] = values[1:]
+    assert run(*words, "--overwrite") == 1
+    assert "'infos/d_mp' has shape (23,), expected (24,)" in capsys.readouterr().err
 
 
 def test_what_is_missing_is_named_at_once(

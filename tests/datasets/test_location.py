@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from marl_mm.datasets.location import Location, find, known_ids, locate
+from marl_mm.datasets.location import Location, find, known_ids, locate, text_of
 from marl_mm.errors import UsageError
 
 
@@ -66,6 +66,15 @@ def test_a_word_is_a_folder_here_only_where_there_is_no_such_id(
     assert find("pd").folder == tmp_path / "pd"
     locate("pd").working.mkdir(parents=True)  # a collection that has just begun
     assert find("pd") == locate("pd")
+
+
+def test_a_path_object_is_never_an_id(
+    datasets_home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("pd", "gate-expert", "marl_mm/reach/pd-v0"):
+        assert locate(text_of(Path(name))).folder == tmp_path / name
+        assert locate(text_of(name)).folder == datasets_home / locate(name).id
 
 
 def test_ids_are_those_of_whole_datasets(datasets_home: Path) -> None:

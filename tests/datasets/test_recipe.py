@@ -26,6 +26,7 @@ from marl_mm.datasets.storage import write_dataset
 from marl_mm.datasets.verify import verify
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
+from marl_mm.runs.sources import Source
 
 MakeEpisode = Callable[..., Episode]
 
@@ -90,6 +91,15 @@ def test_a_mix_has_its_steps_and_says_whose_they_are(
         "marl_mm/reach/one-v0": 10,
         "marl_mm/reach/two-v0": 7,
     }
+
+
+def test_numbers_of_numpy_are_as_good(make: Callable[..., Dataset]) -> None:
+    three: Any = np.int64(3)
+    recipe = mix([Part(make("pd"), three)], three)
+    write_mix(locate("marl_mm/reach/mine-v0"), recipe)
+    told = load_dataset("mine").provenance.recipe
+    assert told is not None and told["seed"] == 3
+    assert Source(steps=three, seed=three) == Source(steps=3, seed=3)
 
 
 def test_a_mix_depends_on_its_seed_alone(make: Callable[..., Dataset]) -> None:

@@ -1,16 +1,21 @@
 """Cards that are rebuilt: what is wrong with one is said in a line, before any step."""
 
 import json
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import marl_mm
 from marl_mm.cli import main
+from marl_mm.collectors.pd import PdConfig
 from marl_mm.datasets.card import kept_card
+from marl_mm.declared import as_record
 from marl_mm.progress import Advance
 from marl_mm.runs import rebuilding
+from marl_mm.runs.settings import flat, with_settings
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +35,31 @@ def refusal(values: Any, folder: Path, capsys: pytest.CaptureFixture[str]) -> st
     assert told.out == "" and told.err.count("\n") == 1
     assert "Traceback" not in told.err and str(path) in told.err
     return told.err
+
+
+@dataclass(frozen=True)
+class Nested:
+    """Settings, with those of another collector among them."""
+
+    lowest: float = 0.1
+
+    pd: PdConfig = field(default_factory=PdConfig)
+
+
+def test_nested_settings_come_back_from_their_record() -> None:
+    mine = Nested(0.2, PdConfig(kp=8.0))
+    assert with_settings("it", Nested(), flat(as_record(mine))) == mine
+    half: Any = np.float32(0.5)
+    numbers = Nested(half, PdConfig(kp=half))
+    taken = with_settings("it", numbers, {})
+    assert [type(value) for value in (taken.lowest, taken.pd.kp)] == [float, float]
+
+
+def test_what_was_stopped_is_not_rebuilt(
+    card: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = refusal(card | {"complete": False}, tmp_path, capsys)
+    assert "a collection that was stopped: finish it first" in told
 
 
 @pytest.mark.parametrize(

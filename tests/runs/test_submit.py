@@ -162,7 +162,7 @@ def test_nothing_is_overwritten_unasked_and_never_another_folder(
 ) -> None:
     with pytest.raises(OutputExistsError):
         marl_mm.submit([runs / "long/0"], out=copy, episodes=2)
-    with pytest.raises(UsageError, match=r"has no manifest\.json and is not replaced"):
+    with pytest.raises(UsageError, match=r"has no manifest\.json of marl-mm and is not"):
         marl_mm.submit([runs / "long/0"], out=runs, episodes=2, overwrite=True)
     made = marl_mm.submit([runs / "long/0"], out=copy, episodes=2, overwrite=True)
     assert sorted(path.name for path in copy.iterdir()) == ["0", MANIFEST]
