@@ -6,7 +6,7 @@ import fcntl
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -65,6 +65,21 @@ def refuse_foreign(folder: Path, overwrite: bool, mark: tuple[str, str]) -> None
             f"{folder} has no {name} of marl-mm and is not replaced: choose another "
             "name"
         )
+
+
+def refuse_input(folder: Path, inputs: Iterable[Path]) -> None:
+    """Raise before a folder is written that holds what it is made of, or lies in it.
+
+    Raises:
+        UsageError: Naming the input.
+    """
+    target = folder.resolve()
+    for path in (path.resolve() for path in inputs):
+        if target.is_relative_to(path) or path.is_relative_to(target):
+            raise UsageError(
+                f"{folder} would be written over or into {path}, which it is made of: "
+                "choose another name"
+            )
 
 
 @contextmanager
@@ -128,6 +143,7 @@ def new_folder(path: Path) -> Iterator[Path]:
         OSError: If there is no room or no permission; it names ``path`` or what is in
             it.
     """
+    path = path.absolute()  # a "." has no name
     path.parent.mkdir(parents=True, exist_ok=True)
     for killed in _left_by_killed(path.parent, f".{path.name}.", ".new"):
         shutil.rmtree(killed, ignore_errors=True)

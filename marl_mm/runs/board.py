@@ -13,12 +13,12 @@ from jinja2 import Environment
 from marl_mm.errors import UsageError
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.ties import tie_groups
-from marl_mm.files import new_folder, refuse_foreign
+from marl_mm.files import new_folder, refuse_foreign, refuse_input
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.play import play
 from marl_mm.runs.submission import OF_A_SEED, Submission
 from marl_mm.runs.submission_checks import read_submission
-from marl_mm.runs.verify import read_verification
+from marl_mm.runs.verify import VERIFIED, read_verification
 from marl_mm.sim.config import Engine
 
 PAGE = "index.html"
@@ -77,7 +77,7 @@ class Board:
 
 
 def board(
-    folders: Sequence[str | Path],
+    folders: Sequence[str | Path | Submission] | str | Path | Submission,
     *,
     out: str | Path = "board",
     films: bool = False,
@@ -89,7 +89,8 @@ def board(
     Nothing is scored: verdicts are those that ``verify`` left beside the folders.
 
     Args:
-        folders: Folders of submissions.
+        folders: Folders of submissions, or what ``submit`` returned. The verdicts that
+            ``verify`` left beside them may be among them, as in ``FOLDER/*``.
         out: Folder of the page.
         films: Film an episode of each submission's first seed.
         overwrite: Replace an older board.
@@ -99,12 +100,20 @@ def board(
         UsageError: If there is nothing to show, or twice the same.
         SubmissionError: If a submission has been changed.
     """
-    if not folders:
+    if isinstance(folders, str | Path | Submission):
+        folders = [folders]
+    found = [
+        each if isinstance(each, Submission) else read_submission(each)
+        for each in folders
+        if not str(each).endswith(VERIFIED)
+    ]
+    if not found:
         raise UsageError("no submission given, expected folders of marl-mm submit")
     target = Path(out)
     refuse_foreign(target, overwrite, (PAGE, "<title>marl_mm: board<"))
+    refuse_input(target, [submission.folder for submission in found])
     known: dict[str, Submission] = {}
-    for submission in map(read_submission, folders):
+    for submission in found:
         twin = known.setdefault(submission.fingerprint, submission)
         if twin is not submission:
             raise UsageError(f"{submission.folder} and {twin.folder} are the same")
@@ -114,7 +123,7 @@ def board(
             write_csv(new / f"rows/{entry.name}.csv", _rows(entry.submission))
             if films:
                 _film(entry.submission, new / f"films/{entry.name}.mp4", progress)
-        (new / PAGE).write_text(_page(sections, films))
+        (new / PAGE).write_text(_page(sections, films), "utf-8")
     return Board(target / PAGE, sections)
 
 
@@ -180,7 +189,7 @@ def _page(sections: Sequence[Sequence[Entry]], films: bool) -> str:
     lines = [[_line(entry, films) for entry in section] for section in sections]
     every = [line for section in lines for line in section]
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    source = _TEMPLATE.read_text()
+    source = _TEMPLATE.read_text("utf-8")
     script = source.partition("<script>")[2].partition("</script>")[0]
     return environment.from_string(source).render(
         sections=lines,
@@ -194,7 +203,9 @@ def _settings(submission: Submission) -> list[tuple[str, str]]:
     """Hyper-parameters and other settings of all seeds, by name."""
     settings = submission.runs[0].config.settings.items()
     return [
-        (k, f"{v!s:.60}") for k, v in settings if k not in (*OF_A_SEED, "max_steps")
+        (f"{k:.60}", f"{v!s:.60}")
+        for k, v in settings
+        if k not in (*OF_A_SEED, "max_steps")
     ]
 
 
@@ -219,7 +230,7 @@ def _line(entry: Entry, films: bool) -> Mapping[str, Any]:
         "return": claims["return"],
         "return_interval": claims["return_interval"],
         "verdict": (words, kind, about),
-        "machine": manifest["machine"].get("processor", ""),
+        "machine": f"{manifest['machine'].get('processor', ''):.60}",
         "settings": _settings(entry.submission),
         "name": entry.name,
         "rows": f"rows/{entry.name}.csv",

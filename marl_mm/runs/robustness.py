@@ -22,7 +22,7 @@ def forget(result: object) -> None:
 def robustness(
     policy: Any,
     *,
-    disturbances: Sequence[str] = tuple(ROBUSTNESS),
+    disturbances: Sequence[str] | str = tuple(ROBUSTNESS),
     episodes: int = 100,
     seed: int = 0,
     task: str | None = None,
@@ -55,11 +55,14 @@ def robustness(
         UsageError: If a setting makes no sense, or there is no such policy.
         CheckpointError: If a run's checkpoint is damaged.
     """
+    names = [disturbances] if isinstance(disturbances, str) else disturbances
+    if not isinstance(names, Sequence):
+        raise UsageError(f"`disturbances` is {names!r:.60}, expected names")
     goals = episodes, seed, task, max_steps, engine, workers
     setup = setup_of([policy], *goals)
     actor = load_policy(policy, setup.made, config, **settings)
     name = called(policy, actor)
-    for result in disturbing.robustness(setup, actor, name, progress, disturbances):
+    for result in disturbing.robustness(setup, actor, name, progress, names):
         keep(result)
     return result
 

@@ -94,6 +94,16 @@ class Source:
         default = COLLECTORS.get(self.collector).config()
         return with_settings(f"collector {self.collector}", default, self.settings)
 
+    def made(self, record: Provenance) -> bool:
+        """Whether a dataset with this record is the source's, with all its steps."""
+        config = as_json(as_record(self.config))
+        engine = self.engine or RECORDED_ENGINE
+        expected = self.task, self.collector, config, engine, self.seed, self.steps
+        config = as_json(dict(record.collector_config or {}))
+        actual = record.task, record.collector, config, engine_of(record.overrides)
+        numbers = record.seed, record.steps_asked
+        return record.complete and (*actual, *numbers) == expected
+
 
 @dataclass(frozen=True)
 class Mix:
@@ -294,13 +304,7 @@ class Datasets:
             return False
         if isinstance(data, Mix):
             return _drawn(record) == self._drawn_by(data)
-        config = as_json(as_record(data.config))
-        engine = data.engine or RECORDED_ENGINE
-        expected = data.task, data.collector, config, self._steps(data.steps), engine
-        config = as_json(dict(record.collector_config or {}))
-        engine = engine_of(record.overrides)
-        actual = record.task, record.collector, config, record.steps_asked, engine
-        return record.complete and actual == expected
+        return replace(data, steps=self._steps(data.steps)).made(record)
 
     def _deed(self, data: Source | Mix) -> str:
         if isinstance(data, Mix):

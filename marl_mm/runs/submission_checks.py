@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.config_diff import as_json, changes
 from marl_mm.envs.registry import TASKS, config_dict
+from marl_mm.envs.task import Task
 from marl_mm.errors import LayoutError, SubmissionError, UsageError
 from marl_mm.plugins import record
-from marl_mm.received import check_kind, damage_named, read_json
+from marl_mm.received import Refusal, check_kind, damage_named, read_json
 from marl_mm.runs.submission import (
     FILES,
     FORMAT,
@@ -69,7 +71,7 @@ def read_submission(folder: str | Path) -> Submission:
         submission = Submission(folder, manifest, runs)
         named = [(str(run.folder), run.config) for run in runs]
         refuse_mixed(named, SubmissionError)
-        _check_names(submission)
+        check_names(str(folder), runs[0].config)
         _check_task(submission)
         _check_rows(submission)
         _check_claims(submission)
@@ -88,11 +90,16 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
     if seal(manifest) != manifest.get("fingerprint"):
         raise SubmissionError(f"{where} has been changed: its fingerprint is another")
     seeds = manifest["seeds"]
-    if not 0 < len(seeds) <= _SEEDS or min(seeds) < 0:
-        raise SubmissionError(
-            f"{where} has seeds {seeds!s:.60}, expected 1 to {_SEEDS} of them, >= 0"
-        )
+    check_number(where, len(seeds))
+    if min(seeds) < 0:
+        raise SubmissionError(f"{where} has the seed {min(seeds)}, expected >= 0")
     return manifest
+
+
+def check_number(where: str, seeds: int, refusal: Refusal = SubmissionError) -> None:
+    """Raise unless there are seeds, and not too many."""
+    if not 0 < seeds <= _SEEDS:
+        raise refusal(f"{where} has {seeds} seeds, expected 1 to {_SEEDS}")
 
 
 def _check_files(folder: Path, manifest: Mapping[str, Any]) -> None:
@@ -115,16 +122,29 @@ def _check_files(folder: Path, manifest: Mapping[str, Any]) -> None:
             )
 
 
-def _check_names(submission: Submission) -> None:
+def check_names(
+    where: str, config: RunConfig, refusal: Refusal = SubmissionError
+) -> None:
     """Raise unless the names that a board shows are short and plain."""
-    config = submission.runs[0].config
     data = (config.dataset or {"id": "own"}).get("id", "")
     for of, name in (("algorithm", config.algorithm), ("id", data)):
         if not _NAME.fullmatch(name):
-            raise SubmissionError(
-                f"{submission.folder}: {of} is {name!a:.80}, expected at most 200 "
+            raise refusal(
+                f"{where}: {of} is {name!a:.80}, expected at most 200 "
                 "letters, digits and spaces on a line, and no formula"
             )
+
+
+def check_steps(
+    where: str, task: Task, name: str, refusal: Refusal = SubmissionError
+) -> None:
+    """Raise for episodes that are much longer than those of the registered task."""
+    most = _MORE_STEPS * TASKS.get(name).max_steps
+    if task.max_steps > most:
+        raise refusal(
+            f"{where} has episodes of {task.max_steps:,} steps, expected at most "
+            f"{most:,}"
+        )
 
 
 def _check_task(submission: Submission) -> None:
@@ -138,16 +158,11 @@ def _check_task(submission: Submission) -> None:
             f"{folder} replaces {', '.join(sorted(replaced))} of its task, expected no "
             "other settings than max_steps and the engine"
         )
-    most = _MORE_STEPS * TASKS.get(evaluation.task).max_steps
     try:
         task = submission.task
     except UsageError as error:
         raise SubmissionError(f"{folder}: {error}") from error
-    if task.max_steps > most:
-        raise SubmissionError(
-            f"{folder} has episodes of {task.max_steps:,} steps, expected at most "
-            f"{most:,}"
-        )
+    check_steps(str(folder), task, evaluation.task)
     here, there = config_dict(task), submission.manifest["task_config"]
     absent = {name: None for name in there.keys() - here.keys()}
     if differing := list(changes(there, absent | as_json(here))):

@@ -16,7 +16,7 @@ from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.eval.goals import goal_set
-from marl_mm.files import new_folder, refuse_foreign, write_json
+from marl_mm.files import new_folder, refuse_foreign, refuse_input, write_json
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.evaluate import task_overrides
 from marl_mm.runs.folder import EVALUATION
@@ -37,13 +37,18 @@ from marl_mm.runs.submission import (
     scored,
     seal,
 )
-from marl_mm.runs.submission_checks import read_submission
+from marl_mm.runs.submission_checks import (
+    check_names,
+    check_number,
+    check_steps,
+    read_submission,
+)
 from marl_mm.sim.config import ENGINES, Engine, to_record
 from marl_mm.versions import machine, versions
 
 
 def submit(
-    runs: Sequence[Run | str | Path],
+    runs: Sequence[Run | str | Path] | Run | str | Path,
     *,
     out: str | Path,
     episodes: int = 200,
@@ -74,7 +79,8 @@ def submit(
     check_seed(seed)
     if episodes > MOST_GOALS:
         raise UsageError(f"`episodes` is {episodes}, expected at most {MOST_GOALS:,}")
-    found = [run if isinstance(run, Run) else load_run(run) for run in runs]
+    listed = [runs] if isinstance(runs, Run | str | Path) else runs
+    found = [run if isinstance(run, Run) else load_run(run) for run in listed]
     if not found:
         raise UsageError("no run given, expected folders of marl-mm train, one a seed")
     refuse_mixed([(str(run.folder), run.config) for run in found], UsageError)
@@ -82,10 +88,15 @@ def submit(
         _ = run.evaluated  # refuses one that is not trained to its end
     target = Path(out)
     refuse_foreign(target, overwrite, (MANIFEST, FORMAT))
+    refuse_input(target, [run.folder for run in found])
     first = found[0].config
     engine = cast(Engine, first.engine)
     overrides = task_overrides(first.settings.get("max_steps"), engine)
     task = make_task(first.task, overrides)
+    where = str(found[0].folder)
+    check_number(where, len(found), UsageError)
+    check_names(where, first, UsageError)
+    check_steps(where, task, first.task, UsageError)
     packages = versions()
     version = packages[ENGINES[engine][0]]
     with new_folder(target) as new:
@@ -152,7 +163,7 @@ def _shared(config: RunConfig) -> RunConfig:
         data = load_dataset(path)
         if data.fingerprint == dataset["fingerprint"]:
             dataset["data_sha256"] = data.metadata["marl_mm"]["data_sha256"]
-    for name, recipe in RECIPES.items():
-        if recipe.source.name == dataset["id"]:
-            dataset |= {"recipe": name, "recipe_sha256": recipe.fingerprint}
+            for name, recipe in RECIPES.items():
+                if recipe.source.made(data.provenance):
+                    dataset |= {"recipe": name, "recipe_sha256": recipe.fingerprint}
     return replace(config, settings=settings, dataset=dataset)

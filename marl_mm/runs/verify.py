@@ -7,13 +7,17 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from scipy.special import stdtrit
+from scipy.stats import binom
 
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import SubmissionError, UsageError
 from marl_mm.eval.intervals import mean_interval
+from marl_mm.eval.metrics import METRICS
 from marl_mm.files import refuse_existing, write_json
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.received import check_kind, read_json
+from marl_mm.registry import BUILT_IN
 from marl_mm.runs.recipes import RECIPES, recorded
 from marl_mm.runs.settings import check_positive, check_seed
 from marl_mm.runs.submission import Scored, Submission, scored
@@ -31,9 +35,9 @@ _CONFIDENCE = 0.99
 _MARGINS = {"success": 0.0005, "return": 0.005}
 """Largest differences of means that no table shows, by name."""
 
-_FLIPPED = 0.05
-"""Share of goals, but no less than 2, whose outcome may be another on another
-processor: two engines differ on 0.1 to 2.3 % of goals, mean over policies."""
+_FLIPPED = 0.023
+"""Probability that a goal has another outcome on another processor: two engines differ
+on 0.1 to 2.3 % of goals, mean over policies."""
 
 _FIRST_ACTION = 1e-4
 """Largest difference of the same weights' first action between processors."""
@@ -98,10 +102,14 @@ class Verification:
         )
 
 
+VERIFIED = ".verified.json"
+"""End of a verification's file, after the name of the submission's folder."""
+
+
 def verification_file(folder: str | Path) -> Path:
     """File of a submission's verification: beside its folder, which stays as it is."""
     path = Path(folder).resolve()
-    return path.with_name(f"{path.name}.verified.json")
+    return path.with_name(f"{path.name}{VERIFIED}")
 
 
 def read_verification(submission: Submission) -> dict[str, Any] | None:
@@ -122,7 +130,7 @@ def read_verification(submission: Submission) -> dict[str, Any] | None:
 
 
 def verify(
-    folder: str | Path,
+    folder: str | Path | Submission,
     *,
     minutes: float = 10.0,
     seed: int | None = None,
@@ -134,7 +142,7 @@ def verify(
     Goals are taken in random order until all are done, or time is up.
 
     Args:
-        folder: Folder of the submission.
+        folder: Folder of the submission, or what ``submit`` returned.
         minutes: Time after which no more goals are begun [min].
         seed: Seed of the order; default drawn, so that nobody knows it before.
         workers: Processes; the result does not depend on their number.
@@ -146,14 +154,15 @@ def verify(
         CheckpointError: If its weights are damaged.
     """
     check_positive(workers=workers)
-    if not minutes > 0:
-        raise UsageError(f"`minutes` is {minutes}, expected > 0")
+    if not isinstance(minutes, int | float) or not minutes > 0:
+        raise UsageError(f"`minutes` is {minutes!r:.40}, expected > 0")
     if seed is None:
         seed = int(np.random.default_rng().integers(2**32))
     check_seed(seed)
     begun = time.monotonic()
-    submission = read_submission(folder)
-    refuse_existing(verification_file(folder), overwrite=True)
+    submission = folder if isinstance(folder, Submission) else read_submission(folder)
+    file = verification_file(submission.folder)
+    refuse_existing(file, overwrite=True)
     pairs = _scored_again(submission, begun + 60 * minutes, seed, workers, progress)
     every = [pair for each in pairs for pair in each]
     claimed, again = (
@@ -167,7 +176,7 @@ def verify(
         submission.fingerprint,
         "not equal" if differences else within,
         differences,
-        tuple(_notes(submission, equal)),
+        tuple(_notes(submission, equal, every)),
         len(equal),
         submission.scores("success").size,
         sum(equal),
@@ -178,7 +187,7 @@ def verify(
         versions(),
         machine(),
     )
-    write_json(verification_file(folder), asdict(result))
+    write_json(file, asdict(result))
     return result
 
 
@@ -194,12 +203,13 @@ def _scored_again(
     order = np.random.default_rng(seed).permutation(len(plans)).tolist()
     advance = progress("score again", len(plans) * len(runs))
     pairs: list[Pairs] = [[] for _ in runs]
-    begun, equal = time.monotonic(), 0
+    of_a_goal, equal = 0.0, 0  # [s]
+    # The second goal tells the time: the first one compiles.
+    starts = [0, 1, *range(2, len(order), _BLOCK)]
     with Rollouts(submission.task, workers) as rollouts:
-        for start in (0, *range(1, len(order), _BLOCK)):  # the first tells the time
-            block = order[start : start + _BLOCK if start else 1]
-            spent = time.monotonic() - begun
-            if start and begun + spent * (start + len(block)) / start > end:
+        for start, stop in zip(starts, [*starts[1:], len(order)], strict=True):
+            block, begun = order[start:stop], time.monotonic()
+            if start and begun + of_a_goal * len(block) > end:
                 break
             for run, own in zip(runs, pairs, strict=True):
                 again = rollouts.run(run.policy, [plans[i] for i in block])
@@ -207,6 +217,7 @@ def _scored_again(
                     own.append((run.episodes[index], scored(episode)))
                     equal += own[-1][0].sha256 == own[-1][1].sha256
                     advance(1, f"{equal}/{sum(map(len, pairs))} equal to the bit")
+            of_a_goal = (time.monotonic() - begun) / max(len(block), 1)
     return pairs
 
 
@@ -247,8 +258,14 @@ def _goals(pairs: Pairs) -> str:
 
 def _forged(claimed: Scored, again: Scored) -> set[str]:
     """Keys by which a row is not that of the same episode; plug-ins add others."""
-    here = dict(again.row)
-    odd = {k for k, v in claimed.row.items() if k in here and here[k] != v}
+    there, here = dict(claimed.row), dict(again.row)
+    both = {k: (there[k], here[k]) for k in there.keys() & here.keys()}
+    odd = {k for k, (c, a) in both.items() if c != a and (c == c or a == a)}  # no NaN
+    odd |= {
+        name
+        for name in here.keys() - there.keys()
+        if name not in METRICS or METRICS.origin(name) == BUILT_IN
+    }
     return odd if claimed.first_action == again.first_action else {*odd, "first action"}
 
 
@@ -267,7 +284,7 @@ def _alike(claimed: Scored, again: Scored) -> bool:
 def _apart(pairs: Pairs) -> Iterator[str]:
     """Outcomes of too many goals, and means that differ beyond chance, in words."""
     flipped = [(c, a) for c, a in pairs if c.row["success"] != a.row["success"]]
-    if len(flipped) > max(2, _FLIPPED * len(pairs)):
+    if len(flipped) > binom.isf(1 - _CONFIDENCE, len(pairs), _FLIPPED):
         yield (
             f"success: {len(flipped)} of {len(pairs)} goals have another outcome than "
             "is claimed, more than another processor explains"
@@ -280,6 +297,10 @@ def _apart(pairs: Pairs) -> Iterator[str]:
         low, high = mean, mean
         if len(raised) > 1:
             low, high = mean_interval(raised, _CONFIDENCE)
+            # No wider than for other goals: one row could widen it to any width.
+            spread = np.sqrt(2 / len(rows)) * np.std(np.array(rows)[:, 1], ddof=1)
+            most = stdtrit(len(rows) - 1, (1 + _CONFIDENCE) / 2) * float(spread)
+            low, high = max(low, mean - most), min(high, mean + most)
         if not low <= 0 <= high:
             claimed, again = np.mean(rows, axis=0)
             yield (
@@ -297,8 +318,12 @@ def _recipe(submission: Submission) -> Iterator[str]:
         yield f"dataset: the recipe {name} is another one here"
 
 
-def _notes(submission: Submission, equal: Sequence[bool]) -> Iterator[str]:
+def _notes(
+    submission: Submission, equal: Sequence[bool], pairs: Pairs
+) -> Iterator[str]:
     manifest, count = submission.manifest, len(equal)
+    if more := sorted({name for c, a in pairs for name in c.row if name not in a.row}):
+        yield f"not checked, as nothing here measures it: {', '.join(more):.200}"
     if count < (every := submission.scores("success").size):
         yield f"time was up after {count} of {every} episodes, of goals in random order"
     there, here = manifest["packages"] | manifest["machine"], versions() | machine()

@@ -156,7 +156,7 @@ def test_results_do_not_depend_on_workers_or_on_what_else_is_run(
 
 @pytest.mark.slow
 def test_differences_are_paired_and_shown(runs: dict[str, Path]) -> None:
-    result = marl_mm.robustness(runs["mabc"], disturbances=("late",), **FEW)
+    result = marl_mm.robustness(runs["mabc"], disturbances="late", **FEW)
     assert len(result.disturbed) == 2 * 3
     head, *lines = result.table_rows()
     assert head[0] == "clean" and lines[4][:3] == ("late", "balance", "2 steps")

@@ -123,6 +123,19 @@ def invented(folder: Path) -> None:
         )
 
 
+def huge(folder: Path) -> None:
+    """One return beyond all bounds, which widens an interval of differences, too."""
+    in_each(EPISODES, lambda v: v.update(sha256=["0" * 64 for _ in v["sha256"]]))(
+        folder
+    )
+    row(0, **{"return": 1e6})(folder)
+
+
+def without_distance(values: Any) -> None:
+    for each in values["episodes"]:
+        del each["final_distance"]
+
+
 def exchanged(folder: Path) -> None:
     """Outcomes of all goals the other way round; hashes of nothing."""
     invented(folder)
@@ -200,6 +213,11 @@ TAMPERING: dict[str, tuple[Change, str]] = {
         "episodes of goals 1 are others",
     ),
     "all rows invented": (invented, "return: claimed"),
+    "a huge return": (huge, "return: claimed"),
+    "a number left out": (
+        in_each(EVALUATION, without_distance),
+        "do not follow.*by final_distance",
+    ),
     "outcomes exchanged": (exchanged, "goals have another outcome than is claimed"),
     "a first action": (
         in_each(EPISODES, lambda v: v["first_action"].__setitem__(1, [9.0])),
@@ -256,7 +274,10 @@ TAMPERING: dict[str, tuple[Change, str]] = {
     ),
     "another recipe": (in_each(CONFIG, other_recipe), "quiet-zone-noisy is another"),
     "no seeds": (manifest(lambda v: v.update(seeds=[])), "expected 1 to 100"),
-    "a seed below 0": (manifest(lambda v: v.update(seeds=[-1])), "expected 1 to 100"),
+    "a seed below 0": (
+        manifest(lambda v: v.update(seeds=[-1])),
+        "has the seed -1, expected >= 0",
+    ),
     "no claims": (manifest(lambda v: v.pop("claims")), "claims"),
 }
 """What an attacker changes, and what is said of it though all hashes are recomputed."""

@@ -17,6 +17,7 @@ from marl_mm.errors import UsageError
 from marl_mm.files import write_json
 from marl_mm.runs.folder import EVALUATION
 from marl_mm.runs.submission import EPISODES, MANIFEST, seal
+from marl_mm.runs.submission_checks import read_submission
 from marl_mm.runs.verify import verification_file
 from tests.runs.tampering import seal_again
 
@@ -134,8 +135,22 @@ def test_the_same_submission_twice_is_refused(
     with pytest.raises(UsageError, match="are the same"):
         marl_mm.board([submissions[0]] * 2, out=tmp_path / "page")
     (tmp_path / "mine").mkdir()
-    with pytest.raises(UsageError, match=r"has no index\.html and is not replaced"):
+    with pytest.raises(UsageError, match=r"has no index\.html of marl-mm and"):
         marl_mm.board(submissions[:1], out=tmp_path / "mine", overwrite=True)
+
+
+def test_verdicts_among_the_folders_are_left_out_and_these_are_kept(
+    submissions: list[Path], tmp_path: Path
+) -> None:
+    here = tmp_path / "here"
+    mine = shutil.copytree(submissions[0], here / "mine")
+    marl_mm.verify(mine)
+    board = marl_mm.board(sorted(here.iterdir()), out=here / "page")
+    assert sum(map(len, board.sections)) == 1
+    shutil.copytree(mine, here / "page/mine")
+    for folder, out in ((mine, mine / "page"), (here / "page/mine", here / "page")):
+        with pytest.raises(UsageError, match="over or into"):
+            marl_mm.board(read_submission(folder), out=out, overwrite=True)
 
 
 # --- In a browser ------------------------------------------------------------

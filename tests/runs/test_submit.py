@@ -11,6 +11,8 @@ import pytest
 import marl_mm
 from marl_mm.cli import main
 from marl_mm.errors import MarlMmError, OutputExistsError, UsageError
+from marl_mm.eval.metrics import METRICS, Metric
+from marl_mm.runs import submission_checks
 from marl_mm.runs.folder import EVALUATION
 from marl_mm.runs.submission import MANIFEST
 from marl_mm.runs.verify import verification_file
@@ -97,6 +99,18 @@ def test_little_time_scores_a_part_that_a_seed_repeats(
     assert results[0].episodes == made.scores("success").size == 12
 
 
+def test_a_metric_of_ones_own_may_be_nan_and_unknown_elsewhere(
+    runs: Path, tmp_path: Path, registries: None
+) -> None:
+    METRICS.add("mine", Metric(about="Nothing.", value=lambda episode: float("nan")))
+    made = marl_mm.submit(runs / "long/0", out=tmp_path / "out", episodes=2)
+    assert marl_mm.verify(made).verdict == "equal to the bit"
+    METRICS._things.pop("mine")
+    result = marl_mm.verify(made)
+    assert result.verdict == "equal to the bit"
+    assert "not checked, as nothing here measures it: mine" in result.notes
+
+
 # --- Tampering ---------------------------------------------------------------
 
 
@@ -162,7 +176,7 @@ def test_nothing_is_overwritten_unasked_and_never_another_folder(
 ) -> None:
     with pytest.raises(OutputExistsError):
         marl_mm.submit([runs / "long/0"], out=copy, episodes=2)
-    with pytest.raises(UsageError, match=r"has no manifest\.json of marl-mm and is not"):
+    with pytest.raises(UsageError, match=r"has no manifest\.json of marl-mm and"):
         marl_mm.submit([runs / "long/0"], out=runs, episodes=2, overwrite=True)
     made = marl_mm.submit([runs / "long/0"], out=copy, episodes=2, overwrite=True)
     assert sorted(path.name for path in copy.iterdir()) == ["0", MANIFEST]
@@ -202,6 +216,19 @@ def test_what_makes_no_sense_is_a_usage_error(
     assert main(words) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_it_is_made_of_is_never_replaced(
+    runs: Path, copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = shutil.copytree(runs / "long/0", copy / "inner/0")
+    for out in (copy, run, run / "deeper"):
+        with pytest.raises((UsageError, OutputExistsError), match="choose another"):
+            marl_mm.submit(run, out=out, episodes=2, overwrite=True)
+    assert (run / EVALUATION).exists()
+    monkeypatch.setattr(submission_checks, "_MORE_STEPS", 0.1)
+    with pytest.raises(UsageError, match=r"long/0 has episodes of 25 steps"):
+        marl_mm.submit(runs / "long/0", out=copy / "no", episodes=2)
 
 
 def test_time_that_makes_no_sense_is_a_usage_error(honest: Path) -> None:
