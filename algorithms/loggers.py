@@ -198,9 +198,11 @@ def check_loggers(names: Sequence[str]) -> None:
     """Raise before any work is done if a logger cannot start.
 
     Raises:
-        UsageError: If there is no such logger, or Weights & Biases is not installed or
-            knows no account.
+        UsageError: If there is no such logger, one is named twice, or Weights & Biases
+            is not installed or knows no account.
     """
+    if len({*names}) < len(names):
+        raise UsageError(f"`logger` is {' '.join(names)}, expected each once")
     for name in names:
         if name not in LOGGERS:
             raise UsageError(

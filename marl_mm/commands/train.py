@@ -168,10 +168,10 @@ def _without_config(
         raise UsageError(
             f"--config takes the algorithm of its run: leave out {arguments[0]!r}"
         )
-    from marl_mm.runs.folder import read_config
+    from marl_mm.runs.folder import CONFIG, read_config
 
     file, first = value_of(arguments, "--config", ""), places[0]
-    if not Path(file).exists():
+    if not Path(file, CONFIG).exists() and not Path(file).is_file():
         raise UsageError(f"there is no {file!r}, expected a run or its config.json")
     config = read_config(Path(file))
     behind = first + (1 if "=" in arguments[first] else 2)

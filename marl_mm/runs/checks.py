@@ -113,6 +113,13 @@ def _check_online(training: Training, demonstrations: Dataset | None) -> None:
         )
     if demonstrations is None:
         return
+    size = getattr(training.config, "batch_size", 0)
+    share = getattr(training.config, "demonstration_share", 1.0)
+    if size and round(share * size) == 0:
+        raise UsageError(
+            f"`demonstration_share` is {share} of {size}: no transition of a batch is "
+            "a demonstration; raise it, or leave out `demonstrations`"
+        )
     name, arrays = demonstrations.location.name, demonstrations.arrays
     if demonstrations.provenance.task != training.task:
         raise UsageError(

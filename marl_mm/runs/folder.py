@@ -96,7 +96,8 @@ def check_run(
         return  # stopped before its first checkpoint, or before its turn
     refuse_other_plugins(run, config, training.allow_changed_plugin)
     _refuse_first_online(run, config)
-    may_differ = ["preset", "device", "eval_episodes", "plugins", "start"]
+    may_differ = ["preset", "device", "eval_episodes", "plugins", "start", "logger"]
+    may_differ += ["require_success", "stop_diverging"]
     may_differ += training.continued if further else ()
     refuse_other(run, config, training.config, may_differ)
 
@@ -190,8 +191,9 @@ def begin_run(run: Path, config: RunConfig, training: Training) -> None:
     further = before.continued(config.plugins, settings)
     if further != before:  # what was made of where it ended before goes
         _remove(run, *_MADE)
-    goals = {"eval_episodes": config.settings["eval_episodes"]}
-    further = further.continued(config.plugins, goals)
+    names = "eval_episodes", "logger", "require_success", "stop_diverging"
+    noted = {n: config.settings[n] for n in names if n in config.settings}
+    further = further.continued(config.plugins, noted)
     if further != before:
         write_json(run / CONFIG, further.to_json())
 

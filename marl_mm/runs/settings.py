@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 
@@ -83,7 +83,11 @@ def with_values(
             if isinstance(before, tuple) and isinstance(value, list):
                 value = tuple(value)
             where = f"{owner}: {field.name} is {value!r:.80}"
-            check_kind(value, hints[field.name], where, refusal)
+            kind = hints[field.name]
+            check_kind(value, kind, where, refusal)
+            kinds = {kind, *get_args(kind)}
+            if isinstance(value, bool) and kinds & {int, float} and bool not in kinds:
+                raise refusal(f"{where}, expected a number")
             changes[field.name] = value
     return replace(record, **changes)  # type: ignore[type-var]
 

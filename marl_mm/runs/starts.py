@@ -121,7 +121,10 @@ def refuse_changed_start(config: RunConfig) -> None:
         return
     start = start_of(config.settings["start"], config.seed)
     if not (start / FILE).exists():
-        raise UsageError(f"there is no {start / FILE} any more: name the run's `start`")
+        raise UsageError(
+            f"there is no checkpoint in {config.settings['start']} any more: name the "
+            "run's `start`"
+        )
     if start_hash(start)["start_sha256"] != recorded:
         raise UsageError(
             f"{start / FILE} is not the checkpoint that the run started from, as it "

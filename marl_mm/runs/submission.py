@@ -50,7 +50,7 @@ _EPISODES: dict[str, Any] = {"sha256": list[str], "first_action": list[list[floa
 OF_A_SEED = (
     *("seed", "preset", "packages", "plugins", "plugins_before", "device", "start"),
     *("eval_episodes", "eval_seed", "curve_episodes", "curve_every", "layout"),
-    "weights_sha256",
+    *("logger", "require_success", "stop_diverging", "weights_sha256"),
 )
 """Values of records in which the seeds of a submission may differ."""
 

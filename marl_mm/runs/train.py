@@ -62,8 +62,8 @@ def train(
         KeyboardInterrupt: After Ctrl-C; ``resume=True`` goes on.
     """
     training = training_of(algorithm, preset or TUNED)
-    if out == "":
-        raise UsageError("`out` is empty, expected a folder")
+    if out == "" or not isinstance(out, str | Path | None):
+        raise UsageError(f"`out` is {out!r:.80}, expected a folder")
     folder = Path(out) if out is not None else default_out(algorithm, settings)
     saved: dict[str, Any] = {}
     if settings.get("resume"):

@@ -95,7 +95,8 @@ class Training:
     @property
     def recorded(self) -> dict[str, Any]:
         """Settings that a run's record holds beside the hyper-parameters."""
-        names = ("curve_episodes", "eval_episodes", "eval_seed")
+        names = ["curve_episodes", "eval_episodes", "eval_seed"]
+        names += ["logger"] if self.logger != DEFAULT_LOGGERS else []
         return {name: getattr(self, name) for name in names}
 
 
@@ -140,9 +141,11 @@ class Offline(Training):
     @property
     def recorded(self) -> dict[str, Any]:
         """Settings that a run's record holds beside the hyper-parameters."""
-        names = ("device", "max_steps", "curve_every")
+        names = ["device", "max_steps", "curve_every"]
+        switches = ("require_success", "stop_diverging")  # recorded where they are off
+        names += [name for name in switches if not getattr(self, name)]
         own = asdict(self.fine_tuning) if self.fine_tuning.online_steps else {}
-        begun = {} if self.start is None else {"start": str(self.start)}
+        begun = {} if self.start is None else {"start": str(Path(self.start).resolve())}
         settings = {name: getattr(self, name) for name in names}
         return settings | super().recorded | own | begun
 

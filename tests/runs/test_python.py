@@ -12,6 +12,7 @@ import pytest
 
 import marl_mm
 from marl_mm.cli import main
+from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.errors import MarlMmError, OutputExistsError, UsageError
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.progress import Advance
@@ -179,11 +180,36 @@ def test_loggers_are_chosen_by_name_and_change_no_byte(
     assert list(plain.folder.glob("events.out.tfevents.*"))
     assert not list(other.folder.glob("events.out.tfevents.*"))
     assert (other.folder / "metrics.csv").read_text().startswith("step,")
-    for name in ("checkpoint.pt", "metrics.jsonl", "config.json"):
+    assert other.config.settings == plain.config.settings | {"logger": ["csv"]}
+    for name in ("checkpoint.pt", "metrics.jsonl"):
         same = [(run.folder / name).read_bytes() for run in (plain, other)]
         assert same[0] == same[1], name
+    more = FEW | {"updates": 300}
+    (other,) = marl_mm.train("mabc", out=tmp_path / "b", resume=True, **more)
+    assert (other.folder / "metrics.csv").read_text().count("\n300,") == 1
+    assert not list(other.folder.glob("events.out.tfevents.*"))
     with pytest.raises(UsageError, match="no logger 'fly', expected one of tensor"):
         marl_mm.train("mabc", "good-5k", out=tmp_path / "c", logger=("fly",), **few)
+
+
+@pytest.mark.slow
+def test_switches_that_are_off_stay_off_where_a_run_goes_on(
+    tmp_path: Path, datasets_home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none(arrays: EpisodeArrays) -> np.ndarray:
+        return np.zeros(len(arrays), bool)
+
+    monkeypatch.setattr(EpisodeArrays, "successes", none)
+    monkeypatch.chdir(tmp_path)
+    off: dict[str, Any] = {"require_success": False, "stop_diverging": False}
+    (run,) = marl_mm.train("td3-bc", "good-5k", out="a", **off, **FEW)
+    assert off.items() <= run.config.settings.items()
+    (more,) = marl_mm.train("td3-bc", out="a", resume=True, **FEW | {"updates": 60})
+    again = repeat(run.config, out="b")
+    (further,) = marl_mm.train("td3-bc", start="a/0", out="c", online_steps=2)
+    for each in (more, again, further):
+        assert off.items() <= each.config.settings.items()
+    assert further.config.settings["start"] == str(tmp_path / "a/0")
 
 
 @pytest.mark.slow
@@ -303,6 +329,24 @@ ONE = Evaluation("pd", {}, "Reach-v0", {}, 0, [ROW])
             "`seeds` is 3, expected several",
         ),
         (lambda: marl_mm.train(cast(Any, None)), "algorithm is None, expected a name"),
+        (
+            lambda: marl_mm.train("mabc", "good-5k", out=cast(Any, 3)),
+            "`out` is 3, expected a fol",
+        ),
+        (
+            lambda: marl_mm.train("mabc", "good-5k", batch_size=True),
+            "batch_size is True, expected a number",
+        ),
+        (
+            lambda: marl_mm.train("mabc", "good-5k", logger=("csv", "csv")),
+            "`logger` is csv csv, expected each once",
+        ),
+        (
+            lambda: marl_mm.train(
+                "ddpg-her", demonstrations="good-5k", demonstration_share=0.001
+            ),
+            "no transition of a batch is a demonstration; raise it",
+        ),
         (lambda: marl_mm.load_run("nowhere"), "nowhere is no run"),
         (lambda: marl_mm.load_run(cast(Any, None)), "None is no folder"),
         (lambda: marl_mm.load_policy(3), "3 is no policy, expected a run"),
