@@ -26,8 +26,13 @@ def home() -> Path:
         raise UsageError(f"{error} Set $HOME") from None
 
 
-def refuse_existing(path: Path, overwrite: bool) -> None:
+def refuse_existing(path: Path, overwrite: bool, *, file: bool = False) -> None:
     """Raise before any work is done if an output would be overwritten.
+
+    Args:
+        path: File or folder to write.
+        overwrite: Whether it may be replaced.
+        file: Whether it is a file, for which no folder gives way.
 
     Raises:
         OutputExistsError: If ``path`` exists and ``overwrite`` is False.
@@ -37,6 +42,8 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
     folder = next(parent for parent in above if parent.exists())
     if not folder.is_dir() or not os.access(folder, os.W_OK):
         raise UsageError(f"cannot write {path}: {folder} is no folder open to you")
+    if file and path.is_dir():
+        raise UsageError(f"{path} is a folder, expected a file to write")
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise UsageError(f"cannot write {path}: it is neither a file nor a folder")
     if path.exists() and not overwrite:

@@ -31,7 +31,7 @@ from marl_mm.runs import learning
 from marl_mm.runs.checks import check_training
 from marl_mm.runs.seeds import train_seeds
 from marl_mm.runs.sources import Data
-from marl_mm.runs.training import Device, Offline, Training
+from marl_mm.runs.training import SWITCHES, Device, Offline, Training
 from marl_mm.runs.training import Online as OnlineTraining
 from marl_mm.runs.training import training_of as default_training
 from marl_mm.sim.config import RECORDED_ENGINE, Engine
@@ -229,4 +229,5 @@ def made_of(setting: Setting, training: Training) -> dict[str, Any]:
     if task is not None:  # else the dataset's
         made["task"] = task
     # Rows are of the device and the precision that were best where they were made.
-    return {key: made[key] for key in made if key not in ("device", "precision")}
+    others = ("device", "precision", *SWITCHES)
+    return {key: made[key] for key in made if key not in others}

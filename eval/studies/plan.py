@@ -6,6 +6,7 @@ from dataclasses import replace
 from itertools import groupby
 
 from marl_mm.datasets.dataset import Dataset
+from marl_mm.datasets.location import find
 from marl_mm.errors import OtherConfigError, UsageError
 from marl_mm.eval.studies.cost import GoalTimes
 from marl_mm.eval.studies.jobs import Job
@@ -22,7 +23,8 @@ from marl_mm.eval.studies.study import (
 )
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar
-from marl_mm.runs.sources import Datasets
+from marl_mm.runs.collecting import recorded
+from marl_mm.runs.sources import Data, Datasets, Mix, Source
 from marl_mm.sim.config import Engine, engine_of
 
 
@@ -46,6 +48,8 @@ def missing_jobs(
         how = options.small, options.precision, engine, options.device
         training = training_of(source, setting, *how)
         record = made_of(setting, training)
+        if (task := _task_of(source)) is not None:
+            record.setdefault("task", task)
         seeds = options.store.missing(cell, asked, probes, record, training.config)
         if not seeds:
             continue
@@ -70,13 +74,21 @@ def missing_jobs(
     return jobs
 
 
+def _task_of(source: Data | Online) -> str | None:
+    """Task of a cell's data; None online, and where the data are not there."""
+    if isinstance(source, str):
+        there = recorded(find(source))
+        return None if there is None else there.task
+    return None if isinstance(source, Online) else source.task
+
+
 def _check_engine(dataset: Dataset, engine: Engine) -> None:
     """Raise a UsageError for a dataset of another engine than its cell."""
     given = engine_of(dataset.provenance.overrides)
     if given != engine:
         raise UsageError(
             f"dataset {dataset.location.name} is of engine {given}, expected {engine}: "
-            f"ask for `engine` {given}, and let a Probe's `overrides` name the other"
+            f"ask for `engine` {given}, and let the overrides of a Probe name the other"
         )
 
 
@@ -91,9 +103,13 @@ def _cells(
     """Every cell once, with probes and seeds of all studies that it stands in."""
     asked: dict[tuple[str, str], tuple[Cell, tuple[Probe, ...], tuple[int, ...]]] = {}
     settings: dict[str, Setting] = {}
+    sources: dict[str, Source | Mix] = {}
     for study in studies:
         for cell in study.cells:
-            _, setting = cell
+            source, setting = cell
+            if isinstance(source, Source | Mix):
+                if sources.setdefault(source.name, source) != source:
+                    raise UsageError(f"two sources are called {source.name!r}")
             if settings.setdefault(setting.name, setting) != setting:
                 raise UsageError(f"two settings are called {setting.name!r}")
             _, before, earlier = asked.get(cell_name(cell), (cell, (), ()))

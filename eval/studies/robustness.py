@@ -7,14 +7,15 @@ goals has few to lose.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 from marl_mm.algorithms.checkpoint import FILE
+from marl_mm.config_diff import as_json
 from marl_mm.envs.registry import fewest_steps
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.disturbances import Mixed
@@ -327,6 +328,12 @@ def _path(options: StudyOptions, dataset: str, setting: str) -> Path:
     return rows_folder(options.results) / f"{dataset}-{setting}".replace("/", "-")
 
 
+def _unweighed(cell: Mapping[str, Any]) -> dict[str, Any]:
+    """A recorded cell with the weights of its runs left open."""
+    others = [{**actor, "weights": ""} for actor in cell.get("partners", ())]
+    return {**cell, "run": {**cell["run"], "weights": ""}, "partners": others}
+
+
 def plan_robustness(options: RobustnessOptions, bar: Bar) -> str:
     """How many runs are to be disturbed, and hours at most, as Markdown.
 
@@ -340,7 +347,9 @@ def plan_robustness(options: RobustnessOptions, bar: Bar) -> str:
     for dataset, setting in names:
         cells = cells_of(options, dataset, setting)
         path = _path(options, dataset, setting).with_suffix(".json")
-        left = [] if path.exists() else cells
+        made = read_json(path, MarlMmError).get("cells", []) if path.exists() else []
+        asked = as_json({"cells": list(map(asdict, cells))})["cells"]
+        left = [] if list(map(_unweighed, made)) == asked else cells
         seconds = 0.0
         if left and not options.small:
             per_goal = goal_times(left[0].task, left[0].overrides)

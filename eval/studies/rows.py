@@ -11,17 +11,18 @@ Older rows, whose names end in ``.csv.gz``, are read too.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import product
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+from marl_mm.algorithms.fine_tuning import FineTuning
 from marl_mm.algorithms.runlog import read_metrics
-from marl_mm.config_diff import as_json, refuse_other_config
+from marl_mm.config_diff import as_json, changes, refuse_other_config
 from marl_mm.declared import with_added
 from marl_mm.envs.registry import merged
-from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.errors import MarlMmError, OtherConfigError, UsageError
 from marl_mm.eval.grouping import grouped
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import as_read, has_rows, read_rows, write_csv
@@ -35,7 +36,8 @@ from marl_mm.eval.studies.study import (
 )
 from marl_mm.files import only_here, write_json
 from marl_mm.received import check_kind, damage_named, read_json
-from marl_mm.runs.sources import Data, engine_named_by
+from marl_mm.runs.sources import Data, Mix, Source, engine_named_by
+from marl_mm.runs.training import SWITCHES
 from marl_mm.sim.config import ENGINES, RECORDED_ENGINE, Engine, default_engine
 from marl_mm.versions import engine_text
 
@@ -110,10 +112,16 @@ class RowStore:
         if not record:
             return list(seeds)
         ways = {probe.name: probe.way for probe in probes}
-        there = {name: ways[name] for name in ways if name in record["probes"]}
-        recorded = made_of if "algorithm" in record else {}  # of some it is not known
+        for name in ways.keys() & record["probes"].keys():
+            _refuse_unlike(path, f"probe {name}", record["probes"][name], ways[name])
+        if "source" in record:  # which older ones lack
+            _refuse_unlike(path, "source", record["source"], _declared(cell))
+        recorded = dict(made_of) if "algorithm" in record else {}  # of some unknown
+        if recorded:  # what is recorded where it is set only
+            usual = {"max_steps": None, **asdict(FineTuning())}
+            recorded = {k: v for k, v in usual.items() if k in record} | recorded
         begun, current = (with_added(of, settings) for of in (record, recorded))
-        refuse_other_config(path, begun, {**current, "probes": there}, _ADVICE)
+        refuse_other_config(path, begun, current, _ADVICE)
         pairs = {(row["seed"], row["probe"]) for row in self._rows(cell)}
         return [seed for seed in seeds if not pairs >= set(product([seed], ways))]
 
@@ -209,7 +217,7 @@ class RowStore:
         ways = self._record(cell).get("probes", {})
         ways |= {probe.name: probe.way for probe in probes}
         config = read_json(next(iter(runs.values())) / "config.json", MarlMmError)
-        for key in ("seed", "preset", "device"):
+        for key in ("seed", "preset", "device", *SWITCHES):
             config.pop(key, None)
         if config["dataset"]:
             if {row["seed"] for row in rows} - set(runs):
@@ -225,6 +233,7 @@ class RowStore:
         record = {
             "probes": dict(sorted(ways.items())),  # in order, whichever run came first
             "diverged": {str(seed): ends[seed] for seed in sorted(ends)},
+            **({"source": declared} if (declared := _declared(cell)) else {}),
             **config,
         }
         write_json(self._path(cell, ".json"), record)
@@ -298,6 +307,22 @@ class RowStore:
     def _path(self, cell: Cell, end: str) -> Path:
         source, setting = cell_name(cell)
         return self.folder / source.replace("/", "-") / f"{setting}{end}"
+
+
+def _declared(cell: Cell) -> dict[str, Any] | None:
+    """What a cell's dataset is declared as; None of one that is only named."""
+    source = cell[0].demonstrations if isinstance(cell[0], Online) else cell[0]
+    return as_json(asdict(source)) if isinstance(source, Source | Mix) else None
+
+
+def _refuse_unlike(path: Path, what: str, before: Any, now: Any) -> None:
+    """Raise an OtherConfigError where a recorded value is not that of now."""
+    now = as_json(now or {})
+    if now != before:
+        absent = {key: None for key in before}
+        words = ", ".join(changes(before, {**absent, **now}))
+        words = words or f"{before} (now {now})"  # what a nested one has no longer
+        raise OtherConfigError(f"{path} was made with {what}: {words}", _ADVICE)
 
 
 def _engine_named(source: Data | Online) -> Engine | None:

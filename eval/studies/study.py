@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from marl_mm.algorithms.fine_tuning import FineTuning
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
@@ -202,6 +202,8 @@ class Probe:
 
     def file(self, run: Path) -> Path:
         """File of the evaluation in a run folder."""
+        if self.name == BEST.name and self != BEST:  # not the training's own
+            return run / f"eval_probe_{self.name}.json"
         return run / ("eval.json" if self == LAST else f"eval_{self.name}.json")
 
 
@@ -210,6 +212,8 @@ BEST = Probe("best", "at the best checkpoint", checkpoint="best")
 
 # --- Studies -----------------------------------------------------------------
 
+
+_Columns = Literal["probes", "episodes"]
 
 Cell = tuple[Data | Online, Setting]
 """A line of a table or a curve of a figure: a source and a setting."""
@@ -242,12 +246,19 @@ class Study:
     seeds: int = 3
     """Number of runs of each cell; they are seeded 0, 1, 2 ..."""
 
-    table: Literal["probes", "episodes"] = "probes"
+    table: _Columns = "probes"
     """Columns: success of every probe, or success at the end and at best, and the
     episodes that it took."""
 
     def __post_init__(self) -> None:
         """Refuse cells that share a name or cannot be run."""
+        for field_ in ("cells", "probes"):  # which may be generators
+            object.__setattr__(self, field_, tuple(getattr(self, field_)))
+        if not self.probes:
+            raise UsageError(f"{self.about!r} has no probes")
+        if self.table not in get_args(_Columns):
+            choices = " or ".join(get_args(_Columns))
+            raise UsageError(f"table is {self.table!r:.40}, expected {choices}")
         if not self.cells:
             raise UsageError(f"{self.about!r} has no cells")
         for cell in self.cells:
@@ -259,6 +270,12 @@ class Study:
             if name not in names:
                 raise UsageError(f"{name!r} is reported, but no cell has these names")
         by_setting = self.table == "episodes"
+        online = all(isinstance(source, Online) for source, _ in self.cells)
+        if by_setting and not (online and LAST in self.probes and BEST in self.probes):
+            raise UsageError(
+                "table is 'episodes', expected cells that learn online, and the probes "
+                "LAST and BEST"
+            )
         _check_once([s if by_setting else f"{d}, {s}" for d, s in names])
         _check_once([probe.name for probe in self.probes])
 

@@ -111,7 +111,7 @@ def _of_probe(cell_rows: CellRows, probe: str) -> Row:
     several = len(means) > 1
     summary["return_interval"] = mean_interval(means) if several else (np.nan, np.nan)
     for key in ("return", "d_mm", "d_mp", "alpha"):
-        summary[key] = mean_of(rows, key)
+        summary[key] = mean_of(rows, key) if key in rows[0] else np.nan
     failures = count_failures(rows)
     failed = {} if failures is None else {"failed": failures_in_words(failures)}
     return summary | failed

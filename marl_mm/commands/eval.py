@@ -76,7 +76,7 @@ def main(
             f"no policy given, expected run folders or {', '.join(policy_names())}"
         )
     if out is not None:
-        refuse_existing(out, overwrite)
+        refuse_existing(out, overwrite, file=True)
     both = *policies, *partners
     task = own_task(both) if task is None else task
     engine = own_engine(both) if engine is None else engine

@@ -79,12 +79,12 @@ def main(
     else:
         video = video or Path("episode.mp4")
         check_format(video)
-        refuse_existing(video, overwrite)
+        refuse_existing(video, overwrite, file=True)
     if strip is not None:
         if gui or policy in DEMOS:
             raise UsageError("--strip is for films of episodes")
         check_strip(strip)
-        refuse_existing(strip, overwrite)
+        refuse_existing(strip, overwrite, file=True)
     files = ", ".join(str(file) for file in (video, strip) if file)
     written = files and f"{files}: "
     if policy in DEMOS:

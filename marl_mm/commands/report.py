@@ -26,7 +26,7 @@ def main(
         videos: Films to show, such as "marl-mm play" and "marl-mm quickstart" make.
         overwrite: Replace a page that exists.
     """
-    refuse_existing(out, overwrite)
+    refuse_existing(out, overwrite, file=True)
     page = report_page(results, videos)
     with new_file(out) as temporary:
         temporary.write_text(page)

@@ -105,7 +105,7 @@ def save_evaluations(
     Raises:
         OutputExistsError: If the file exists, unless ``overwrite``.
     """
-    refuse_existing(Path(path), overwrite)
+    refuse_existing(Path(path), overwrite, file=True)
     write_json(Path(path), evaluations_json(evaluations))
 
 

@@ -27,7 +27,7 @@ from marl_mm.files import refuse_existing, write_json
 from marl_mm.plugins import record
 from marl_mm.received import check_kind, damage_named, read_json
 from marl_mm.runs.settings import check_seeds
-from marl_mm.runs.training import Offline, Online, Training
+from marl_mm.runs.training import SWITCHES, Offline, Online, Training
 from marl_mm.sim.config import default_engine
 from marl_mm.versions import versions
 
@@ -96,8 +96,7 @@ def check_run(
         return  # stopped before its first checkpoint, or before its turn
     refuse_other_plugins(run, config, training.allow_changed_plugin)
     _refuse_first_online(run, config)
-    may_differ = ["preset", "device", "eval_episodes", "plugins", "start", "logger"]
-    may_differ += ["require_success", "stop_diverging"]
+    may_differ = ["preset", "device", "eval_episodes", "plugins", "start", *SWITCHES]
     may_differ += training.continued if further else ()
     refuse_other(run, config, training.config, may_differ)
 
@@ -191,7 +190,7 @@ def begin_run(run: Path, config: RunConfig, training: Training) -> None:
     further = before.continued(config.plugins, settings)
     if further != before:  # what was made of where it ended before goes
         _remove(run, *_MADE)
-    names = "eval_episodes", "logger", "require_success", "stop_diverging"
+    names = ("eval_episodes", *SWITCHES)
     noted = {n: config.settings[n] for n in names if n in config.settings}
     further = further.continued(config.plugins, noted)
     if further != before:

@@ -68,7 +68,7 @@ class Film:
         """
         self._check_drawn()
         check_format(Path(path))
-        refuse_existing(Path(path), overwrite)
+        refuse_existing(Path(path), overwrite, file=True)
         write_video(Path(path), self.frames, self.fps)
 
     def strip(self, path: str | Path, overwrite: bool = False) -> None:
@@ -79,7 +79,7 @@ class Film:
         """
         self._check_drawn()
         check_strip(Path(path))
-        refuse_existing(Path(path), overwrite)
+        refuse_existing(Path(path), overwrite, file=True)
         label = f"{self.task}: {len(self.episode)} steps"
         film_strip(Path(path), [(label, pictures_of(self.frames, self.fps, _STRIP))])
 

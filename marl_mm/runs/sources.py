@@ -119,10 +119,17 @@ class Mix:
     """Seed of the draw."""
 
     def __post_init__(self) -> None:
-        """Take numbers of NumPy's."""
+        """Refuse a mix of nothing, and take numbers of NumPy's."""
+        if not self.parts:
+            raise UsageError(f"mix {self.name!r} has no parts, expected at least one")
         parts = ((source, plain(steps)) for source, steps in self.parts)
         object.__setattr__(self, "parts", tuple(parts))
         object.__setattr__(self, "seed", plain(self.seed))
+
+    @property
+    def task(self) -> str:
+        """Registered name of the task of its sources."""
+        return self.parts[0][0].task
 
 
 Data = Source | Mix | str

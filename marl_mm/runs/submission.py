@@ -29,6 +29,7 @@ from marl_mm.eval.intervals import interval_of_mean, wider_interval
 from marl_mm.eval.metrics import EvaluationRow, episode_row
 from marl_mm.received import Refusal, check_kind, check_regular, file_digest, read_json
 from marl_mm.runs.folder import CONFIG, EVALUATION, read_config, read_evaluation
+from marl_mm.runs.training import SWITCHES
 from marl_mm.sim.config import as_recorded
 
 MANIFEST = "manifest.json"
@@ -50,7 +51,7 @@ _EPISODES: dict[str, Any] = {"sha256": list[str], "first_action": list[list[floa
 OF_A_SEED = (
     *("seed", "preset", "packages", "plugins", "plugins_before", "device", "start"),
     *("eval_episodes", "eval_seed", "curve_episodes", "curve_every", "layout"),
-    *("logger", "require_success", "stop_diverging", "weights_sha256"),
+    *("weights_sha256", *SWITCHES),
 )
 """Values of records in which the seeds of a submission may differ."""
 

@@ -100,6 +100,11 @@ class Training:
         return {name: getattr(self, name) for name in names}
 
 
+SWITCHES = ("logger", "require_success", "stop_diverging")
+"""Settings that change nothing of what a run learns, recorded where they are not the
+default."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Offline(Training):
     """Settings of runs that learn from a dataset."""
@@ -142,7 +147,7 @@ class Offline(Training):
     def recorded(self) -> dict[str, Any]:
         """Settings that a run's record holds beside the hyper-parameters."""
         names = ["device", "max_steps", "curve_every"]
-        switches = ("require_success", "stop_diverging")  # recorded where they are off
+        switches = ("require_success", "stop_diverging")
         names += [name for name in switches if not getattr(self, name)]
         own = asdict(self.fine_tuning) if self.fine_tuning.online_steps else {}
         begun = {} if self.start is None else {"start": str(Path(self.start).resolve())}

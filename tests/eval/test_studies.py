@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
@@ -25,6 +25,7 @@ import pytest
 from marl_mm.algorithms.registry import TUNED, preset
 from marl_mm.algorithms.runlog import METRICS
 from marl_mm.cli import main
+from marl_mm.config_diff import as_json
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import begun
 from marl_mm.declared import as_record
@@ -55,7 +56,7 @@ from marl_mm.eval.studies.targets import GROUPS, STUDIES
 from marl_mm.files import write_json
 from marl_mm.progress import silent_bar
 from marl_mm.runs.paper import GOOD_30K
-from marl_mm.runs.sources import Datasets, Source
+from marl_mm.runs.sources import Datasets, Mix, Source
 from marl_mm.runs.training import Offline
 from marl_mm.runs.training import training_of as default_training
 
@@ -194,6 +195,16 @@ def test_what_is_committed_was_made_as_declared(
         (lambda: Probe("x", "x", alpha=2.0), "alpha is 2.0, expected a number in"),
         (lambda: Probe("x", "x", overrides={"goal_w": 1}), "unknown field 'goal_w'"),
         (lambda: Study("x", []), "has no cells"),
+        (lambda: Study("x", [("good-5k", OURS)], probes=()), "has no probes"),
+        (
+            lambda: Study("x", [("good-5k", OURS)], table="foo"),  # type: ignore[arg-type]
+            "table is 'foo', expected probes or episodes",
+        ),
+        (
+            lambda: Study("x", [("good-5k", OURS)], (LAST, BEST), table="episodes"),
+            "expected cells that learn online",
+        ),
+        (lambda: Mix("x", []), "mix 'x' has no parts"),
         (lambda: Study("x", ["good-5k"]), "expected pairs of a source"),  # type: ignore[list-item]
         (lambda: Study("x", [("a", OURS), ("a", OURS)]), "twice"),
         (lambda: Study("x", [("a", OURS)], (LAST, LAST)), "twice"),
@@ -292,6 +303,65 @@ def test_rows_of_another_setting_are_refused_though_defaults_are_not_recorded(
         OtherConfigError, match=rf"bound_penalty = {before} \(now {now}"
     ):
         store.missing(cell, [0], [LAST], record | as_record(asked), asked)
+
+
+PD = Source("pd", steps=60, name="mine")
+NONE: dict[str, Any] = {}
+
+
+@pytest.mark.parametrize(
+    ("kept", "asked", "told"),
+    [
+        (
+            {"probes": {"last": LAST.way | {"overrides": {"max_steps": 1}}}},
+            (PD, NONE),
+            r"probe last: .*'max_steps': 1",
+        ),
+        (
+            {"probes": {"last": LAST.way | {"task": "PreciseReach-v0"}}},
+            (PD, NONE),
+            r"probe last: task = PreciseReach-v0 \(now None\)",
+        ),
+        (NONE, (replace(PD, steps=90), NONE), r"source: steps = 60 \(now 90\)"),
+        (NONE, (replace(PD, settings={"kp": 8.0}), NONE), "source: settings.kp = "),
+        ({"online_steps": 4}, (PD, NONE), r"online_steps = 4 \(now 0\)"),
+        ({"max_steps": 2}, (PD, NONE), r"max_steps = 2 \(now None\)"),
+    ],
+)
+def test_rows_of_what_has_lost_a_value_are_refused(
+    kept: dict[str, Any], asked: tuple[Source, Any], told: str, tmp_path: Path
+) -> None:
+    store, (source, made_of) = RowStore(tmp_path), asked
+    settings = preset("mabc", TUNED)
+    made_of = {"algorithm": "mabc", "max_steps": None} | as_record(settings) | made_of
+    before = {"probes": {"last": LAST.way}, "source": as_json(asdict(PD))} | made_of
+    path = tmp_path / "mine" / f"{OURS.name}.json"
+    path.parent.mkdir()
+    write_json(path, before)
+    assert store.missing((PD, OURS), [0], [LAST], made_of, settings) == [0]
+    write_json(path, before | kept)
+    if "max_steps" in kept:  # which online is recorded where it is set only
+        del made_of["max_steps"]
+    with pytest.raises(OtherConfigError, match=told):
+        store.missing((source, OURS), [0], [LAST], made_of, settings)
+
+
+def test_a_probe_called_best_leaves_the_trainings_own_evaluation_alone() -> None:
+    run = Path("run")
+    files = [probe.file(run).name for probe in (LAST, BEST, Probe("best", "mine"))]
+    assert files == ["eval.json", "eval_best.json", "eval_probe_best.json"]
+
+
+def test_cells_and_probes_may_come_one_by_one() -> None:
+    study = Study("x", (c for c in [("good-5k", OURS)]), (p for p in [LAST]))  # type: ignore[arg-type]
+    assert study.cells == (("good-5k", OURS),) and study.probes == (LAST,)
+
+
+def test_two_datasets_of_one_name_are_refused(tmp_path: Path) -> None:
+    other = replace(OURS, name="other")
+    study = Study("x", [(PD, OURS), (replace(PD, seed=9), other)])
+    with pytest.raises(UsageError, match="two sources are called 'mine'"):
+        study.run(tmp_path / "out", runs=tmp_path / "runs")
 
 
 def test_older_rows_are_added_to(tmp_path: Path) -> None:

@@ -180,7 +180,7 @@ def test_loggers_are_chosen_by_name_and_change_no_byte(
     assert list(plain.folder.glob("events.out.tfevents.*"))
     assert not list(other.folder.glob("events.out.tfevents.*"))
     assert (other.folder / "metrics.csv").read_text().startswith("step,")
-    assert other.config.settings == plain.config.settings | {"logger": ["csv"]}
+    assert other.config.settings == {**plain.config.settings, "logger": ["csv"]}
     for name in ("checkpoint.pt", "metrics.jsonl"):
         same = [(run.folder / name).read_bytes() for run in (plain, other)]
         assert same[0] == same[1], name
