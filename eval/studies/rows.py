@@ -113,7 +113,7 @@ class RowStore:
             return list(seeds)
         ways = {probe.name: probe.way for probe in probes}
         for name in ways.keys() & record["probes"].keys():
-            _refuse_unlike(path, f"probe {name}", record["probes"][name], ways[name])
+            _refuse_unlike(path, f"probes.{name}", record["probes"][name], ways[name])
         if "source" in record:  # which older ones lack
             _refuse_unlike(path, "source", record["source"], _declared(cell))
         recorded = dict(made_of) if "algorithm" in record else {}  # of some unknown
@@ -320,9 +320,9 @@ def _refuse_unlike(path: Path, what: str, before: Any, now: Any) -> None:
     now = as_json(now or {})
     if now != before:
         absent = {key: None for key in before}
-        words = ", ".join(changes(before, {**absent, **now}))
-        words = words or f"{before} (now {now})"  # what a nested one has no longer
-        raise OtherConfigError(f"{path} was made with {what}: {words}", _ADVICE)
+        words = ", ".join(changes(before, {**absent, **now}, f"{what}."))
+        words = words or f"{what} = {before} (now {now})"  # a nested one is gone
+        raise OtherConfigError(f"{path} was made with {words}", _ADVICE)
 
 
 def _engine_named(source: Data | Online) -> Engine | None:

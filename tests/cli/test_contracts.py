@@ -590,7 +590,7 @@ def called(value: object) -> str:
 @pytest.mark.slow
 @pytest.mark.parametrize(("task", "expected"), TASKS_MISTAKEN, ids=called)
 def test_a_tasks_mistake_breaks_its_claims(task: Reach, expected: Broken) -> None:
-    name = f"planted-{called(task)}"
+    name = f"planted-{called(task)}-v0"
     register_task(name, task)
     expect(of_task(name), expected)
 

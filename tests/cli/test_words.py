@@ -66,7 +66,7 @@ def test_what_names_may_have_in_them_is_not_refused() -> None:
 
 
 def test_python_is_told_the_same(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="`out` is empty"):
+    with pytest.raises(UsageError, match="`out` is ''"):
         marl_mm.train("mabc", "good-5k", out="")
     with pytest.raises(UsageError, match="task ''"):
         marl_mm.evaluate("pd", task="")
