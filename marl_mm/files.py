@@ -36,7 +36,7 @@ def refuse_existing(path: Path, overwrite: bool, *, file: bool = False) -> None:
 
     Raises:
         OutputExistsError: If ``path`` exists and ``overwrite`` is False.
-        UsageError: If its folder cannot be written.
+        UsageError: If its folder cannot be written, or it is of another kind.
     """
     above = path.absolute().parents or (path.absolute(),)  # of the root it is itself
     folder = next(parent for parent in above if parent.exists())
