@@ -9,7 +9,8 @@ from marl_mm.plugins import load_installed
 if TYPE_CHECKING:
     from marl_mm.datasets.dataset import load_dataset
     from marl_mm.envs import make_vec, parallel_vec
-    from marl_mm.eval.studies.study import Online, Probe, Setting, Study
+    from marl_mm.eval.studies.settings import Online, Probe, Setting
+    from marl_mm.eval.studies.study import Study
     from marl_mm.runs.board import board
     from marl_mm.runs.collect import collect
     from marl_mm.runs.evaluate import evaluate

@@ -67,7 +67,7 @@ def baseline_rows(name: str) -> list[Row]:
 def online_rows() -> list[Row]:
     """Rows of online learning by this package's algorithms, with its task."""
     from marl_mm.eval.studies.online import CELLS
-    from marl_mm.eval.studies.study import Online
+    from marl_mm.eval.studies.settings import Online
     from marl_mm.eval.studies.targets import STUDIES
 
     rows = []

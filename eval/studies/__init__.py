@@ -1,7 +1,8 @@
 """Studies: settings that learn from sources, compared in tables and figures."""
 
+from marl_mm.eval.studies.settings import BEST, LAST, Online, Probe, Setting
 from marl_mm.eval.studies.shown import Curves, Reported
-from marl_mm.eval.studies.study import BEST, LAST, Online, Probe, Setting, Study
+from marl_mm.eval.studies.study import Study
 from marl_mm.runs.sources import Mix, Source
 
 __all__ = [

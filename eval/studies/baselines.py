@@ -2,7 +2,8 @@
 
 from itertools import product
 
-from marl_mm.eval.studies.study import LAST, Study, setting_of
+from marl_mm.eval.studies.settings import LAST, setting_of
+from marl_mm.eval.studies.study import Study
 from marl_mm.eval.studies.tuning_ranges import RANGES
 from marl_mm.runs.recipes import RECIPES
 

@@ -24,7 +24,8 @@ from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.rows import RowStore
-from marl_mm.eval.studies.study import LAST, Cell, Setting, Study, cell_name, setting_of
+from marl_mm.eval.studies.settings import LAST, Setting, setting_of
+from marl_mm.eval.studies.study import Cell, Study, cell_name
 from marl_mm.eval.studies.tuned import CHOSEN
 from marl_mm.eval.tables import markdown_table, rate_in_interval
 from marl_mm.eval.ties import tie_groups

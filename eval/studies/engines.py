@@ -19,7 +19,8 @@ from marl_mm.eval.studies.engines_summary import agreement, paired
 from marl_mm.eval.studies.offline import BLOCKS, LEARNERS
 from marl_mm.eval.studies.options import PolicyOptions, StudyOptions
 from marl_mm.eval.studies.policies import Contestant, PolicyCell, run_cell
-from marl_mm.eval.studies.study import Probe, Study, cell_name
+from marl_mm.eval.studies.settings import Probe
+from marl_mm.eval.studies.study import Study, cell_name
 from marl_mm.progress import Bar
 from marl_mm.runs.folder import read_config
 from marl_mm.runs.sources import Source

@@ -14,8 +14,9 @@ from marl_mm.eval.figures import COLORS, save_small
 from marl_mm.eval.grouping import grouped
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.studies.rows import RowStore
+from marl_mm.eval.studies.settings import Online
 from marl_mm.eval.studies.shown import Curves
-from marl_mm.eval.studies.study import Cell, Online, Study, cell_name
+from marl_mm.eval.studies.study import Cell, Study, cell_name
 
 PAPER_COLORS = ("#c8553d", "#2e7d4f", "#1b6ca8", "#8a6fb0", "#8a8a8a", "#c9a227")
 """Colors of lines: red without, green with hindsight, as in the paper; then others."""

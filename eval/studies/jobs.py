@@ -16,8 +16,9 @@ from marl_mm.errors import MarlMmError, WorkerDiedError
 from marl_mm.eval.evaluate import evaluate
 from marl_mm.eval.studies.held import FixedAlpha
 from marl_mm.eval.studies.learners import Learner
-from marl_mm.eval.studies.rows import is_probed
-from marl_mm.eval.studies.study import Cell, Probe, cell_name
+from marl_mm.eval.studies.run_rows import is_probed
+from marl_mm.eval.studies.settings import Probe
+from marl_mm.eval.studies.study import Cell, cell_name
 from marl_mm.files import write_json
 from marl_mm.progress import Advance, Bar, distant_bars, show_distant_bars, silent_bar
 from marl_mm.runs.sources import Notify

@@ -25,7 +25,7 @@ from marl_mm.declared import as_record
 from marl_mm.envs.registry import DEFAULT, fewest_steps
 from marl_mm.errors import DivergedError
 from marl_mm.eval.studies import sb3
-from marl_mm.eval.studies.study import BEST, LAST, Online, Probe, Setting
+from marl_mm.eval.studies.settings import BEST, LAST, Online, Probe, Setting
 from marl_mm.progress import Bar
 from marl_mm.runs import learning
 from marl_mm.runs.checks import check_training

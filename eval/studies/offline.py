@@ -6,7 +6,7 @@ from typing import Any
 
 from marl_mm.algorithms.registry import TUNED
 from marl_mm.eval.studies.paper import GOOD, beside_the_paper, label
-from marl_mm.eval.studies.study import LAST, Probe, Setting
+from marl_mm.eval.studies.settings import LAST, Probe, Setting
 from marl_mm.runs.paper import GOOD_30K, MIXES, PD_30K
 from marl_mm.runs.sources import Source
 

@@ -8,8 +8,9 @@ from typing import Any
 
 from marl_mm.algorithms.registry import TUNED
 from marl_mm.eval.bench import SB3
+from marl_mm.eval.studies.settings import BEST, LAST, Online, Setting
 from marl_mm.eval.studies.shown import Curves, Reported
-from marl_mm.eval.studies.study import BEST, LAST, Online, Setting, Study, cell_name
+from marl_mm.eval.studies.study import Study, cell_name
 from marl_mm.runs.sources import Source
 
 _REACH = Online("Reach-v0")

@@ -5,17 +5,9 @@ from functools import partial
 from itertools import product
 from typing import Any
 
+from marl_mm.eval.studies.settings import BEST, LAST, Online, Probe, Setting
 from marl_mm.eval.studies.shown import Reported
-from marl_mm.eval.studies.study import (
-    BEST,
-    LAST,
-    Cell,
-    Online,
-    Probe,
-    Setting,
-    Study,
-    cell_name,
-)
+from marl_mm.eval.studies.study import Cell, Study, cell_name
 from marl_mm.runs.paper import GOOD_30K, GOOD_60K, MIXES, PD_30K
 
 GOOD = (GOOD_30K, GOOD_60K)

@@ -12,15 +12,8 @@ from marl_mm.eval.studies.cost import GoalTimes
 from marl_mm.eval.studies.jobs import Job
 from marl_mm.eval.studies.learners import Learner, made_of, training_of
 from marl_mm.eval.studies.options import StudyOptions
-from marl_mm.eval.studies.study import (
-    Cell,
-    Online,
-    Probe,
-    Setting,
-    Study,
-    cell_name,
-    name_of,
-)
+from marl_mm.eval.studies.settings import Online, Probe, Setting, name_of
+from marl_mm.eval.studies.study import Cell, Study, cell_name
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar
 from marl_mm.runs.collecting import recorded

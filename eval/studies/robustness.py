@@ -7,15 +7,14 @@ goals has few to lose.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 from marl_mm.algorithms.checkpoint import FILE
-from marl_mm.config_diff import as_json
 from marl_mm.envs.registry import fewest_steps
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.disturbances import Mixed
@@ -24,7 +23,6 @@ from marl_mm.eval.metrics import EvaluationRow, Row
 from marl_mm.eval.robustness import robustness
 from marl_mm.eval.studies.benchmark import UPDATES
 from marl_mm.eval.studies.cells import missing_groups, run_cells
-from marl_mm.eval.studies.cost import GoalTimes, hours_table
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.robustness_summary import (
     CLEAN,
@@ -37,7 +35,8 @@ from marl_mm.eval.studies.robustness_summary import (
     draw_robustness,
     rows_folder,
 )
-from marl_mm.eval.studies.study import Study, cell_name, setting_of
+from marl_mm.eval.studies.settings import setting_of
+from marl_mm.eval.studies.study import Study, cell_name
 from marl_mm.eval.studies.tuned import CHOSEN
 from marl_mm.eval.suite import ROBUSTNESS, conditions
 from marl_mm.progress import Bar, silent_bar
@@ -312,7 +311,7 @@ def make_robustness(options: RobustnessOptions, bar: Bar) -> list[Row]:
     options = replace(options, runs=options.runs_folder.absolute(), out=options.results)
     groups = {}
     for dataset, setting in map(cell_name, options.agents.cells):
-        path = _path(options, dataset, setting)
+        path = rows_path(options, dataset, setting)
         cells = cells_of(options, dataset, setting)
         groups[path] = _with_weights(options, path, cells)
     missing = missing_groups(groups)
@@ -323,38 +322,6 @@ def make_robustness(options: RobustnessOptions, bar: Bar) -> list[Row]:
     return draw_robustness(options.results, options.results)
 
 
-def _path(options: StudyOptions, dataset: str, setting: str) -> Path:
+def rows_path(options: StudyOptions, dataset: str, setting: str) -> Path:
     """Path of a setting's rows, see ``write_cells``."""
     return rows_folder(options.results) / f"{dataset}-{setting}".replace("/", "-")
-
-
-def _unweighed(cell: Mapping[str, Any]) -> dict[str, Any]:
-    """A recorded cell with the weights of its runs left open."""
-    others = [{**actor, "weights": ""} for actor in cell.get("partners", ())]
-    return {**cell, "run": {**cell["run"], "weights": ""}, "partners": others}
-
-
-def plan_robustness(options: RobustnessOptions, bar: Bar) -> str:
-    """How many runs are to be disturbed, and hours at most, as Markdown.
-
-    Raises:
-        UsageError: If an option makes no sense.
-    """
-    options.check_settings()
-    lines, goal_times = [], GoalTimes()
-    names = [cell_name(cell) for cell in options.agents.cells]
-    advance = bar("measuring", len(names))
-    for dataset, setting in names:
-        cells = cells_of(options, dataset, setting)
-        path = _path(options, dataset, setting).with_suffix(".json")
-        made = read_json(path, MarlMmError).get("cells", []) if path.exists() else []
-        asked = as_json({"cells": list(map(asdict, cells))})["cells"]
-        left = [] if list(map(_unweighed, made)) == asked else cells
-        seconds = 0.0
-        if left and not options.small:
-            per_goal = goal_times(left[0].task, left[0].overrides)
-            seconds = per_goal * sum(cell.episodes for cell in left)
-        lines.append(((dataset, setting), len(left), len(cells), seconds))
-        advance(1, setting)
-    heads = "dataset", "setting, disturbed"
-    return hours_table(heads, lines, options.workers, not options.small)

@@ -9,8 +9,7 @@ Three files for each cell::
 Older rows, whose names end in ``.csv.gz``, are read too.
 """
 
-import math
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import asdict, dataclass
 from itertools import product
 from operator import itemgetter
@@ -18,24 +17,17 @@ from pathlib import Path
 from typing import Any
 
 from marl_mm.algorithms.fine_tuning import FineTuning
-from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.config_diff import as_json, changes, refuse_other_config
 from marl_mm.declared import with_added
-from marl_mm.envs.registry import merged
 from marl_mm.errors import MarlMmError, OtherConfigError, UsageError
 from marl_mm.eval.grouping import grouped
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import as_read, has_rows, read_rows, write_csv
-from marl_mm.eval.studies.study import (
-    BEST,
-    LAST,
-    Cell,
-    Online,
-    Probe,
-    cell_name,
-)
+from marl_mm.eval.studies.run_rows import curve_of, diverged_at, goals_of
+from marl_mm.eval.studies.settings import Online, Probe
+from marl_mm.eval.studies.study import Cell, cell_name
 from marl_mm.files import only_here, write_json
-from marl_mm.received import check_kind, damage_named, read_json
+from marl_mm.received import check_kind, read_json
 from marl_mm.runs.sources import Data, Mix, Source, engine_named_by
 from marl_mm.runs.training import SWITCHES
 from marl_mm.sim.config import ENGINES, RECORDED_ENGINE, Engine, default_engine
@@ -46,39 +38,6 @@ _ADVICE = "name another folder with `out`"
 
 _CURVES = ".curve.csv.xz"
 """Suffix of files with a cell's learning curves."""
-
-_MEASURED = {
-    "step": ("steps", "return", "final_distance", "d_mm", "d_mp", "alpha"),
-    "episode": ("steps", "return", "d_mm", "d_mp", "base_jerk_rms", "alpha"),
-}
-"""Columns of evaluated goals, by the clock of the run: updates or episodes."""
-
-_SUCCESS = ("success/all", "success/forward", "success/backward", "return/all")
-_CURVE = {
-    "step": (*_SUCCESS, "q/policy", "q/slope"),
-    "episode": (
-        *("env_steps", "updates", *_SUCCESS, "alpha/forward", "alpha/backward"),
-        *("train/return", "train/success", "q/data", "q/policy", "action/saturation"),
-    ),
-}
-"""Columns of learning curves; nan where a run has none, such as of goals behind."""
-
-
-def is_probed(
-    run: Path, probe: Probe, goals: int, overrides: Mapping[str, Any]
-) -> bool:
-    """Whether a run has been evaluated so, on as many goals of such a task."""
-    path = probe.file(run)
-    if not path.exists():
-        return False
-    evaluation = read_json(path, MarlMmError)
-    usual = BEST if path == BEST.file(run) else LAST  # a training's own evaluations
-    with damage_named(str(path), MarlMmError):
-        return bool(
-            len(evaluation["episodes"]) == goals
-            and evaluation["overrides"] == as_json(merged(overrides, probe.overrides))
-            and evaluation.get("probe", usual.way) == as_json(probe.way)
-        )
 
 
 @dataclass(frozen=True)
@@ -204,11 +163,13 @@ class RowStore:
     ) -> None:
         pairs = product(runs.items(), probes)
         measured = cell[1].measured
-        new = [r for (s, run), probe in pairs for r in _goals(run, s, probe, measured)]
+        new = [
+            r for (s, run), probe in pairs for r in goals_of(run, s, probe, measured)
+        ]
         made = set(product(runs, [probe.name for probe in probes]))
         kept = [r for r in self._rows(cell) if (r["seed"], r["probe"]) not in made]
         rows = sorted(new + kept, key=itemgetter("seed", "probe", "goal"))
-        curve = [row for seed, run in runs.items() for row in _curve(run, seed)]
+        curve = [row for seed, run in runs.items() for row in curve_of(run, seed)]
         curves = self._rows(cell, _CURVES)
         again = {row["seed"] for row in kept} & set(runs)
         self._check_same_training(cell, again, as_read(curve), curves)
@@ -225,10 +186,7 @@ class RowStore:
             config["dataset"] = _bytes_of(config["dataset"])
         ends = {s: u for s, u in self.diverged(cell).items() if s not in runs}
         for seed, run in runs.items():
-            last = read_metrics(run)[-1]
-            step = last.get("step", math.inf)
-            own = last.get("env_steps", 0) if "step" in last else math.inf
-            if step < config.get("updates", 0) or own < config.get("online_steps", 0):
+            if (step := diverged_at(run, config)) is not None:
                 ends[seed] = step
         record = {
             "probes": dict(sorted(ways.items())),  # in order, whichever run came first
@@ -334,34 +292,3 @@ def _engine_named(source: Data | Online) -> Engine | None:
 def _bytes_of(identity: Mapping[str, Any]) -> dict[str, Any]:
     """Identity of a dataset without its path."""
     return {key: value for key, value in identity.items() if key != "path"}
-
-
-def _clock(run: Path) -> str:
-    """Key of a run's progress: ``step``, of updates, or ``episode``."""
-    return "episode" if "episode" in read_metrics(run)[0] else "step"
-
-
-def _goals(
-    run: Path, seed: int, probe: Probe, measured: Sequence[str] | None
-) -> Iterator[Row]:
-    measured = _MEASURED[_clock(run)] if measured is None else measured
-    for row in read_json(probe.file(run), MarlMmError)["episodes"]:
-        yield {
-            "seed": seed,
-            "probe": probe.name,
-            "goal": row["index"],
-            "direction": row.get("direction", ""),
-            "success": int(row["success"]),
-            **{key: row.get(key, math.nan) for key in measured},
-            **{key: row[key] for key in ("reason",) if key in row},
-        }
-
-
-def _curve(run: Path, seed: int) -> Iterator[Row]:
-    clock, rows = _clock(run), read_metrics(run)
-    own = ("env_steps",) * (clock == "step" and "env_steps" in rows[-1])
-    for row in rows:
-        if "success/all" in row:
-            names = (*_CURVE[clock], *own)
-            values = {k.replace("/", "_"): row.get(k, math.nan) for k in names}
-            yield {"seed": seed, clock: row[clock], **values}

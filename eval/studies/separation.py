@@ -2,7 +2,8 @@
 
 from itertools import product
 
-from marl_mm.eval.studies.study import Study, setting_of
+from marl_mm.eval.studies.settings import setting_of
+from marl_mm.eval.studies.study import Study
 from marl_mm.runs.recipes import RECIPES
 
 UPDATES = 5_000

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from marl_mm.eval.grouping import grouped
 from marl_mm.eval.metrics import Row
+from marl_mm.eval.studies.settings import Online, Probe
 from marl_mm.eval.studies.shown import Reported
-from marl_mm.eval.studies.study import Cell, Online, Probe, Study, cell_name
+from marl_mm.eval.studies.study import Cell, Study, cell_name
 from marl_mm.eval.studies.summary import LEVELS
 from marl_mm.eval.tables import (
     markdown_html,

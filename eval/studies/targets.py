@@ -27,6 +27,7 @@ from marl_mm.eval.studies import (
 )
 from marl_mm.eval.studies.engines_plan import plan_engines
 from marl_mm.eval.studies.engines_summary import engines_table
+from marl_mm.eval.studies.robustness_plan import plan_robustness
 from marl_mm.eval.studies.study import Study
 from marl_mm.progress import Bar
 
@@ -107,7 +108,7 @@ COMPARISONS: Comparisons = {
         robustness_summary.robustness_table,
         robustness.AGENTS,
         in_parts=("datasets",),
-        plan=robustness.plan_robustness,
+        plan=plan_robustness,
     ),
     "benchmark": Comparison(
         benchmark.ABOUT,

@@ -9,8 +9,8 @@ from marl_mm.cli import main
 from marl_mm.errors import DivergedError
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies.learners import Learner, training_of
-from marl_mm.eval.studies.study import BEST, LAST, Setting
-from marl_mm.eval.studies.study import Online as StudyOnline
+from marl_mm.eval.studies.settings import BEST, LAST, Setting
+from marl_mm.eval.studies.settings import Online as StudyOnline
 from marl_mm.eval.studies.targets import GROUPS, STUDIES
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs import learning

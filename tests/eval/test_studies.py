@@ -42,16 +42,9 @@ from marl_mm.eval.studies.jobs import Job, _begin, _by_process, _do, do_jobs
 from marl_mm.eval.studies.learners import Learner, training_of
 from marl_mm.eval.studies.paper import PAPER, reported
 from marl_mm.eval.studies.rows import RowStore
+from marl_mm.eval.studies.settings import BEST, LAST, Online, Probe, Setting
 from marl_mm.eval.studies.shown import Reported
-from marl_mm.eval.studies.study import (
-    BEST,
-    LAST,
-    Online,
-    Probe,
-    Setting,
-    Study,
-    cell_name,
-)
+from marl_mm.eval.studies.study import Study, cell_name
 from marl_mm.eval.studies.targets import GROUPS, STUDIES
 from marl_mm.files import write_json
 from marl_mm.progress import silent_bar
