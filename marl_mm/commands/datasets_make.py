@@ -74,6 +74,8 @@ def make_split(
     check_seed(seed)
     source = existing(dataset)
     stem = (out or source.name).rstrip("/").removesuffix("-v0")
+    if not Path(stem).name:
+        raise UsageError(f"--out is {out!r}, expected the beginning of a name")
     locations = [_free(f"{stem}-{part}-v0", overwrite) for part in ("first", "rest")]
     recipes = split(read_dataset(source), share, seed)
     for location, recipe in zip(locations, recipes, strict=True):

@@ -13,10 +13,12 @@ from marl_mm.commands.wording import as_options
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import UsageError
 from marl_mm.eval.cross_play import CrossPlay
+from marl_mm.eval.evaluate import Evaluation
 from marl_mm.eval.robustness import Robustness
 from marl_mm.files import refuse_existing
 from marl_mm.progress import progress_bars
 from marl_mm.runs.evaluate import (
+    Evaluated,
     evaluate,
     evaluations_json,
     save_evaluations,
@@ -66,7 +68,7 @@ def main(
         engine: Engine of the simulation; default the runs' own, or bullet, or
             mujoco without PyBullet.
         workers: Processes; the result does not depend on their number.
-        out: JSON file to write everything to, with a row per episode.
+        out: JSON file to write everything to, a row per episode, after each policy.
         overwrite: Replace OUT if it exists.
         json: Print everything, with one row per episode, as JSON.
         settings: Settings of collectors' policies.
@@ -89,24 +91,22 @@ def main(
         goals |= {"max_steps": max_steps, "engine": engine, "workers": workers}
         goals["progress"] = bar
         own = [*zip(policies, configs, strict=False)]
-        compared: dict[int, Robustness | CrossPlay] = {}
-        keep = partial(_keep, compared, out)
-        for number, (name, config) in enumerate(own if suite else ()):
-            robustness(name, config=config, keep=partial(keep, number), **goals)
+        results: dict[int, Evaluated] = {}
+        keep = partial(_keep, results, out)
+        for number, (name, config) in enumerate(own):
+            if suite:
+                robustness(name, config=config, keep=partial(keep, number), **goals)
+            elif not partners:
+                keep(number, evaluate(name, config=config, **goals))
         if partners:
             cross_play(both, configs=configs, keep=partial(keep, len(own)), **goals)
-        evaluations = [
-            evaluate(name, config=config, **goals)
-            for name, config in ([] if compared else own)
-        ]
-    if out is not None and evaluations:
-        save_evaluations(evaluations, out, overwrite)
     if json:
-        show(evaluations_json([*evaluations, *compared.values()]))
-    elif evaluations:
-        print_evaluations(evaluations)
-    else:
-        for result in compared.values():
+        show(evaluations_json([*results.values()]))
+        return
+    if alone := [one for one in results.values() if isinstance(one, Evaluation)]:
+        print_evaluations(alone)
+    for result in results.values():
+        if isinstance(result, Robustness | CrossPlay):
             rows = [
                 dict(zip(result.header, r, strict=True)) for r in result.table_rows()
             ]
@@ -115,12 +115,9 @@ def main(
 
 
 def _keep(
-    compared: dict[int, Robustness | CrossPlay],
-    out: Path | None,
-    number: int,
-    result: Robustness | CrossPlay,
+    results: dict[int, Evaluated], out: Path | None, number: int, result: Evaluated
 ) -> None:
     """Take what is finished, into OUT, too: Ctrl-C leaves a whole file."""
-    compared[number] = result
+    results[number] = result
     if out is not None:
-        save_evaluations([*compared.values()], out, overwrite=True)
+        save_evaluations([*results.values()], out, overwrite=True)

@@ -105,6 +105,7 @@ class Drive:
         visual: bool = False,
         gui: bool = False,
     ) -> None:
+        self.limits = robot_limits(robot)
         self.world = open_world(robot, simulation, visual, gui)
         # Pinocchio's last bits are those of version 1.
         self.model = (
@@ -112,7 +113,6 @@ class Drive:
             if self.world.native
             else RobotModel(robot, balance=controller.limits.zmp)
         )
-        self.limits = robot_limits(robot)
         self.controller = WholeBodyController(self.limits, controller, RATE)
         self._posture = robot.initial_joints
         self.hand: Hand | None = None

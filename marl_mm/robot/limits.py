@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from marl_mm.errors import UsageError
 from marl_mm.robot.description import RobotConfig, urdf_xml
 from marl_mm.robot.names import ARM_JOINTS, WHEEL_JOINTS
 
@@ -48,18 +49,30 @@ class RobotLimits(NamedTuple):
 
 
 def robot_limits(config: RobotConfig) -> RobotLimits:
-    """Limits from the URDF, completed by the data sheets' accelerations."""
+    """Limits from the URDF, completed by the data sheets' accelerations.
+
+    Raises:
+        UsageError: If the start posture is beyond them.
+    """
     model = pin.buildModelFromXML(urdf_xml(config))
     arm = [model.joints[model.getJointId(name)] for name in ARM_JOINTS]
     wheel = model.joints[model.getJointId(WHEEL_JOINTS[0])]
     q, v = [joint.idx_q for joint in arm], [joint.idx_v for joint in arm]
+    lower, upper = model.lowerPositionLimit[q], model.upperPositionLimit[q]
+    posture = zip(ARM_JOINTS, config.initial_joints, lower, upper, strict=True)
+    for name, angle, low, high in posture:
+        if not low <= angle <= high:
+            raise UsageError(
+                f"robot.initial_joints has {name} at {angle:g} rad, expected {low:g} "
+                f"to {high:g}"
+            )
     return RobotLimits(
         speed=np.array([BASE_SPEED, BASE_YAW_RATE, *model.velocityLimit[v]]),
         acceleration=np.array(
             [BASE_ACCELERATION, BASE_YAW_ACCELERATION, *ARM_ACCELERATION]
         ),
-        lower=model.lowerPositionLimit[q].copy(),
-        upper=model.upperPositionLimit[q].copy(),
+        lower=lower.copy(),
+        upper=upper.copy(),
         torque=model.effortLimit[v].copy(),
         wheel_speed=float(model.velocityLimit[wheel.idx_v]),
     )

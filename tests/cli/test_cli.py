@@ -171,6 +171,7 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         (["sweep-alpha", "--tasks", "Fly-v0"], "--tasks is Fly-v0, expected some of"),
         (["quickstart", "--workers", "-1"], "--workers is -1"),
         (["datasets", "show", "marl_mm/reach/no-v0"], "no dataset"),
+        (["datasets", "split", "good-5k", "--out", "/"], "--out is '/', expected the"),
         (["train", "mabc", "--dataset", "marl_mm/reach/no-v0"], "no dataset"),
     ],
 )

@@ -4,11 +4,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from marl_mm.control.config import ControllerConfig
+from marl_mm.envs.drive import Drive
+from marl_mm.errors import UsageError
 from marl_mm.robot.description import RobotConfig, urdf_xml
 from marl_mm.robot.limits import robot_limits
 from marl_mm.robot.model import ACTUATED, RobotModel, RobotState
 from marl_mm.robot.names import ARM_JOINTS, FINGER_JOINTS, GRASP_JOINT, WHEEL_JOINTS
 from marl_mm.robot.support import SUPPORT_B, support_margin
+from marl_mm.sim.config import Engine, SimulationConfig
 from marl_mm.sim.engine import pybullet, pybullet_data
 
 JOINTS = WHEEL_JOINTS + ARM_JOINTS + FINGER_JOINTS
@@ -149,6 +153,14 @@ def test_initial_posture_puts_the_hand_where_the_design_says() -> None:
     q = np.array([0, 0, 1, 0, *robot.initial_joints], dtype=float)
     terms = RobotModel(robot).evaluate(RobotState(q, np.zeros(10)))
     np.testing.assert_allclose(terms.position_w, (0.647, 0.100, 0.585), atol=2e-3)
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "bullet"])
+def test_a_posture_beyond_the_limits_is_refused(engine: Engine) -> None:
+    bent = RobotConfig(initial_joints=(0.0, -0.215, 0.0, 0.1, 0.0, 2.356, 2.356))
+    complaint = "panda_joint4 at 0.1 rad, expected -3.0718 to -0.0698"
+    with pytest.raises(UsageError, match=complaint):
+        Drive(bent, SimulationConfig(engine=engine), ControllerConfig())
 
 
 def test_base_inertia_follows_the_config() -> None:

@@ -251,11 +251,11 @@ def test_the_command_writes_what_python_returns(
 def test_ctrl_c_leaves_what_is_finished(
     runs: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    left: Iterator[int] = iter(())
+
     @contextmanager
     def bars() -> Iterator[Bar]:
         def bar(label: str, total: int) -> Advance:
-            left = iter(range(5))
-
             def advance(done: int, note: str) -> None:
                 if next(left, None) is None:
                     raise KeyboardInterrupt
@@ -266,10 +266,15 @@ def test_ctrl_c_leaves_what_is_finished(
 
     monkeypatch.setattr(command, "progress_bars", bars)
     out = tmp_path / "out.json"
+    left = iter(range(5))
     words = ["eval", str(runs["mabc"]), "--suite", "robustness", *SHORT]
     assert main([*words, "--out", str(out)]) == 130
     (record,) = json.loads(out.read_text())
     assert [len(each["episodes"]) for each in record["disturbed"]] == [2]
+    left = iter(range(5))
+    words = ["eval", "pd", "random", "pd", *SHORT, "--overwrite"]
+    assert main([*words, "--out", str(out)]) == 130
+    assert [each["policy"] for each in json.loads(out.read_text())] == ["pd", "random"]
     assert [path.name for path in tmp_path.iterdir()] == ["out.json"]
 
 
