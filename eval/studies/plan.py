@@ -46,19 +46,20 @@ def missing_jobs(
         seeds = options.store.missing(cell, asked, probes, record, training.config)
         if not seeds:
             continue
-        location = None
+        location, there = None, True
         data = source.demonstrations if isinstance(source, Online) else source
         if data is not None:
             name = name_of(data)
             loaded[name] = loaded.get(name) or datasets.get(data)
             location = loaded[name].location
-            if not datasets.plan:
+            there = not datasets.stands_in(loaded[name], data)
+            if there:
                 _check_engine(loaded[name], engine)
                 options.store.check_dataset(cell, loaded[name].identity())
         learner = Learner(training, location, setting.library == "sb3")
         runs = {seed: options.run_folder(cell, seed) for seed in seeds}
         try:
-            if not datasets.plan:
+            if there:
                 learner.check(runs)
         except OtherConfigError as error:
             advice = "name another folder with `runs`, or delete this one"

@@ -221,6 +221,11 @@ class Datasets:
             self.notify(f"counted as if learnt from good-5k: {error}")
             return load_dataset(SHIPPED)
 
+    def stands_in(self, dataset: Dataset, data: Data) -> bool:
+        """Whether what ``get`` returned counts for what a plan could not find."""
+        named = isinstance(self._declared(data), str)
+        return self.plan and not named and dataset.location == locate(SHIPPED)
+
     def find(self, data: Data) -> Dataset:
         """A dataset that is there and whole; an UnknownDatasetError if it is not."""
         data = self._declared(data)
