@@ -48,8 +48,9 @@ class OfflineAlgorithm(Protocol):
     step: int
     """Number of updates made."""
 
-    bounds: dict[str, float]
-    """Divergence bounds: a logged metric beyond its value here stops the run."""
+    @property
+    def bounds(self) -> Mapping[str, float]:
+        """Divergence bounds: a logged metric beyond its value here stops the run."""
 
     @property
     def config(self) -> Any:

@@ -32,9 +32,11 @@ ALGORITHMS.add(
         "where critics begin, nothing is held down until values have risen, and the "
         "actor goes to its bounds and may stay there: `bound_penalty` keeps it "
         "away, as it did on Hopper.",
-        departs="As CQL. What the data's policy is worth is taken from the returns of "
-        "its own episodes, as in the source, but of none that was cut off: those bound "
-        "nothing, 38 % of the steps of `quiet-zone-noisy`.",
+        departs="As CQL: the target takes one action of the target actors with noise, "
+        "and actors follow the first critic, where the source's code takes the best of "
+        "ten actions and the lower critic. What the data's policy is worth is taken "
+        "from the returns of its own episodes, as in the source, but of none that was "
+        "cut off: those bound nothing, 38 % of the steps of `quiet-zone-noisy`.",
         learner=Imported("marl_mm.algorithms.cal_ql:CalQl"),
         presets={TUNED: CalQlConfig()},
     ),

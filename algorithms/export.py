@@ -28,7 +28,8 @@ from marl_mm.received import check_regular, parse_json
 from marl_mm.versions import refuse_missing
 
 TOLERANCE = 1e-5
-"""Largest difference between a file's actions and the policy's."""
+"""Largest difference between a file's actions and the policy's, in halves of the
+actions' range."""
 
 _CHECKS = 1_000
 """Observations at which they are compared."""
@@ -47,7 +48,7 @@ def export_policy(
             action at the joint state.
 
     Returns:
-        The file's metadata, and the largest difference found.
+        The file's metadata, and the largest difference found, as ``TOLERANCE``.
 
     Raises:
         UsageError: If there is no such agent, or a library is missing.
@@ -63,14 +64,28 @@ def export_policy(
         with _quiet():
             few = tuple(values[:2] for values in inputs)
             run = chosen.write(module, few, temporary, metadata)
-        difference = np.abs(run(inputs) - module.expected(*inputs))
-        if not difference.max() <= TOLERANCE:
+        difference = largest_difference(run(inputs), module.expected(*inputs), metadata)
+        if not difference <= TOLERANCE:
             raise ExportError(
                 f"the exported policy's actions differ from the run's by "
-                f"{difference.max():.2g}, expected at most {TOLERANCE:g}: no file was "
-                "written"
+                f"{difference:.2g} of half their range, expected at most "
+                f"{TOLERANCE:g}: no file was written"
             )
-    return metadata | {"largest_difference": float(difference.max())}
+    return metadata | {"largest_difference": difference}
+
+
+def largest_difference(
+    actions: np.ndarray, others: np.ndarray, metadata: Mapping[str, Any]
+) -> float:
+    """Largest difference of actions, shape (..., k), in halves of their range.
+
+    Args:
+        actions: Actions.
+        others: Actions that they are compared with.
+        metadata: Metadata of the file, with the actions' bounds.
+    """
+    low, high = (np.array(metadata[f"action_{end}"]) for end in ("low", "high"))
+    return float((np.abs(actions - others) / ((high - low) / 2)).max())
 
 
 def signature(metadata: Mapping[str, Any]) -> str:

@@ -13,7 +13,6 @@ from marl_mm.algorithms.mabc_config import MabcConfig
 from marl_mm.algorithms.offline_learner import OfflineLearner
 from marl_mm.algorithms.replay import Judge
 from marl_mm.datasets.arrays import EpisodeArrays
-from marl_mm.layout import columns
 
 
 class Mabc(OfflineLearner):
@@ -28,14 +27,8 @@ class Mabc(OfflineLearner):
         batch = self._batches.next()
         self.step += 1
         state = self.normalizer(batch.observation)
-        losses = {}
-        for agent in self.layouts:
-            action = self.actors.action(agent.name, state)
-            error = (action - batch.action[..., columns(agent.action)]).square()
-            loss = error.mean(dim=(1, 2))
-            self.actors.descend(agent.name, loss)
-            losses[f"loss/{agent.name}"] = loss.detach()
-        return losses
+        losses = self._imitate(state, batch.action, batch.imitated)
+        return {f"loss/{name}": loss.detach() for name, loss in losses.items()}
 
     def __init__(
         self,

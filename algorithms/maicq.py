@@ -15,8 +15,9 @@ state has one action, and where it has several it takes their weighted mean, whi
 what the source sets out to do. Q is of the joint state and action instead of mixed from
 agents' own. A_i follows the order of agents (Kuba 2022); in the source all others act
 as in the data. Actors are deterministic: their log-likelihood is the negative square
-error. The last step of an episode that did not terminate has no next action; its own
-stands in.
+error. Critics learn from one step's reward, in the source from TD(lambda) returns, and
+their targets follow them, in the source they are copied. The last step of an episode
+that did not terminate has no next action; its own stands in.
 """
 
 from typing import ClassVar

@@ -33,7 +33,9 @@ ALGORITHMS.add(
         source="Yang 2021",
         advice="Made for data of mixed quality, and for teams with conventions: later "
         "agents suit what earlier ones have learnt. It stays near the data's actions.",
-        departs="The weight is the critics' loss's, in the source the target's. "
+        departs="Critics learn from one step's reward, in the source from returns of "
+        "several (TD(lambda), 0.8), and their targets follow, in the source they are "
+        "copied. The weight is the critics' loss's, in the source the target's. "
         "Critics are of the joint state and action, in the source mixed from the "
         "agents' own; agents learn one after the other, in the source beside each "
         "other. With the preset's temperatures few of a batch's 256 samples count, on "

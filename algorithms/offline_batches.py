@@ -138,6 +138,11 @@ class OfflineBatches:
         ends = self._steps["end"][self._given :]
         return len(np.unique(ends)), len(ends)
 
+    @property
+    def largest_reward(self) -> float:
+        """Largest absolute reward, own steps included."""
+        return float(np.abs(self._steps["reward"]).max())
+
     def add(self, episodes: EpisodeArrays, kept: float) -> None:
         """Add episodes of the learner's own, which the next batches draw from.
 

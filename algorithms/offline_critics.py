@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import torch
 
 from marl_mm.algorithms.diagnostics import DIAGNOSED, value_slope
@@ -57,9 +56,14 @@ class CriticLearner(OfflineLearner):
         self._target_critics = self.critics.copy()
         self._parts |= {"critics": self.critics, "target_critics": self._target_critics}
         self._highest_target = highest_target(judge, config.clip_targets)
-        largest = float(np.abs(arrays.rewards).max()) / max(1 - config.discount, 1e-3)
-        watched = "q/data", "q/policy", "q/largest"
-        self.bounds = dict.fromkeys(watched, 100 * largest)
+
+    @property
+    def bounds(self) -> dict[str, float]:
+        """Divergence bounds: a hundred times what any return can be."""
+        if not (largest := self._batches.largest_reward):  # which says nothing
+            return {}
+        largest /= max(1 - self.config.discount, 1e-3)
+        return dict.fromkeys(("q/data", "q/policy", "q/largest"), 100 * largest)
 
     def _pairs(self) -> int:
         """Pairs of critics that each seed has."""
@@ -97,7 +101,7 @@ class CriticLearner(OfflineLearner):
         """Values and actions on some of the data, shape (S,).
 
         Q is the first critic's, which an actor follows; ``q/largest`` the farthest from
-        0 of any; ``q/slope`` see ``value_slope``.
+        0 of any, at the actors' actions; ``q/slope`` see ``value_slope``.
         """
         state, action = self._batches.some(DIAGNOSED)
         inputs = self.normalizer(state).expand(len(self.seeds), -1, -1)

@@ -1,6 +1,7 @@
 """Base of offline algorithms: batches, input statistics, actors and their state."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,6 +13,7 @@ from marl_mm.algorithms.networks import PLAIN, Form, Normalizer
 from marl_mm.algorithms.offline_batches import OfflineBatches
 from marl_mm.algorithms.replay import Judge
 from marl_mm.algorithms.seeded import Part, SeededActors, load_parts, parts_state
+from marl_mm.algorithms.speed import resolved
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.layout import AgentLayout, columns
 
@@ -48,12 +50,12 @@ class OfflineLearner:
         extra: int = 0,
         discount: float = 1.0,
     ) -> None:
-        self.config, self.seeds, self.step = config, tuple(seeds), 0
+        self.config = replace(config, precision=resolved(config.precision, device))
+        self.seeds, self.step = tuple(seeds), 0
         self.layout = arrays.layout
         self.layouts = self._layouts()
         """Layouts of the actors."""
 
-        self.bounds: dict[str, float] = {}
         several = extra, form.chunk, discount
         self._batches = OfflineBatches(
             arrays, config.batch_size, shares, judge, seeds, device, *several
@@ -117,6 +119,11 @@ class OfflineLearner:
     def observe(self, episodes: EpisodeArrays, kept: float) -> None:
         """Add own episodes; see ``FineTunable``."""
         self._batches.add(episodes, kept)
+
+    @property
+    def bounds(self) -> dict[str, float]:
+        """Divergence bounds: none."""
+        return {}
 
     def agents(self, number: int) -> dict[str, AgentActor]:
         """Current actors of one seed, by name."""

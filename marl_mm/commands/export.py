@@ -54,5 +54,5 @@ def main(
     refuse_existing(out, overwrite)
     about = export_policy(policy, out, format, agent)
     difference = f"{about['largest_difference']:.1g}"
-    text = f"{out}: {signature(about)}; actions differ from the run's by {difference}"
+    text = f"{out}: {signature(about)}; at most {difference} of half a range off"
     show({"file": str(out), **about}, text, json)

@@ -16,7 +16,11 @@ import torch
 
 from marl_mm.algorithms.algorithm import OfflineAlgorithm
 from marl_mm.algorithms.checkpoint import read_checkpoint
-from marl_mm.algorithms.export import TOLERANCE, export_policy
+from marl_mm.algorithms.export import (
+    TOLERANCE,
+    export_policy,
+    largest_difference,
+)
 from marl_mm.algorithms.online import OnlineAlgorithm
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.contracts.claims import Claim, demand, demand_refused, demand_same
@@ -213,14 +217,14 @@ def _exports(candidate: Candidate) -> None:
         with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # torch would have another format
             path = Path(folder, "policy.ts")
-            export_policy(policy, path, "torchscript")
+            metadata = export_policy(policy, path, "torchscript")
             exported = torch.jit.load(path)  # type: ignore[no-untyped-call]
         width = sum(agent.actor.noise for agent in policy.agents.values())
         drawn = np.random.default_rng(0).standard_normal(width, np.float32)
         inputs = [states, np.tile(drawn, (len(states), 1))][: 1 + (width > 0)]
         there = exported(*map(torch.from_numpy, inputs)).numpy()
         here = np.array([_plan(policy, state) for state in states])
-        differ = np.abs(there.reshape(here.shape) - here).max()
+        differ = largest_difference(there.reshape(here.shape), here, metadata)
         demand(differ <= TOLERANCE, f"the export acts otherwise, by {differ:.2g}")
 
 

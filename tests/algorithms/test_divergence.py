@@ -113,6 +113,19 @@ def test_a_value_beyond_all_returns_ends_the_run(
     assert np.isfinite(load_policy(tmp_path).act(np.zeros(10))).all()
 
 
+def test_no_value_is_too_large_where_no_reward_is_known(arrays: EpisodeArrays) -> None:
+    """And own episodes count, after a restart too."""
+    nothing = replace(arrays, rewards=np.zeros_like(arrays.rewards))
+    config = Td3BcConfig(updates=300, **SMALL)
+    algorithm, again = (Td3Bc(config, nothing, JUDGE, [0]) for _ in range(2))
+    assert algorithm.bounds == {}
+    algorithm.observe(arrays, 0.5)
+    bounds = Td3Bc(config, arrays, JUDGE, [0]).bounds
+    assert algorithm.bounds == bounds and bounds["q/data"] > 0
+    again.load_states([algorithm.state(0)])
+    assert again.bounds == bounds
+
+
 def test_unless_it_is_to_go_on_to_its_end(
     arrays: EpisodeArrays, tmp_path: Path
 ) -> None:

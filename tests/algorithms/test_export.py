@@ -12,7 +12,7 @@ import onnxruntime
 import pytest
 import torch
 
-from marl_mm.algorithms.export import TOLERANCE, export_policy
+from marl_mm.algorithms.export import TOLERANCE, export_policy, largest_difference
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.pretrained import load_pretrained
 from marl_mm.cli import main
@@ -134,6 +134,15 @@ def test_policies_that_draw_and_plan(name: str, form: str, tmp_path: Path) -> No
         policy.begin(np.random.default_rng(row), policy.layout)
         expected[row] = [policy.act(state) for _ in range(chunk)]
     np.testing.assert_allclose(found.reshape(20, chunk, -1), expected, atol=TOLERANCE)
+
+
+def test_large_actions_may_differ_by_more() -> None:
+    low, high = [-1000.0, 0.0], [1000.0, 1.0]
+    metadata = {"action_low": low, "action_high": high}
+    actions = np.array([[0.0, 0.5]])
+    far, near = np.array([[0.005, 0.5]]), np.array([[0.0, 0.50001]])
+    assert largest_difference(far, actions, metadata) == pytest.approx(5e-6)
+    assert largest_difference(near, actions, metadata) == pytest.approx(2e-5)
 
 
 def test_a_file_that_acts_otherwise_is_not_written(

@@ -726,9 +726,9 @@ class MeasuresMean(Mabc):
 class BoundsNothing(Mabc):
     """Training is to stop by a number that is not measured."""
 
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self.bounds = {"q/largest": 1.0}
+    @property
+    def bounds(self) -> dict[str, float]:
+        return {"q/largest": 1.0}
 
 
 class NeverLearns(Mabc):

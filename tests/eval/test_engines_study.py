@@ -259,8 +259,8 @@ def test_studies_name_their_engine_and_do_not_mix_it(
     for words in (("--engine", "bullet", "--check"), ("--engine", "bullet")):
         code, text = ablate("ONE", "--overwrite", *words)
         assert code == 2 and "is of engine mujoco, expected bullet" in text
-    for words in ((), ("--plan",)):
-        code, text = ablate("SHIPPED", "--engine", "mujoco", *words)
+    for plan in ([], ["--plan"]):
+        code, text = ablate("SHIPPED", "--engine", "mujoco", *plan)
         assert code == 2 and "good-5k-v0 is of engine bullet, expected mujoco" in text
     code, text = ablate("BOTH")
     assert code == 0
