@@ -235,7 +235,7 @@ def save_small(figure: Figure, path: Path) -> None:
     figure.savefig(drawn, dpi=130)
     with new_file(path) as temporary, Image.open(drawn) as picture:
         octree, dither = Image.Quantize.FASTOCTREE, Image.Dither.NONE
-        few = picture.convert("RGB").quantize(64, octree, dither=dither)
+        few = picture.convert("RGB").quantize(256, octree, dither=dither)
         few.save(temporary, "png", optimize=True)
 
 

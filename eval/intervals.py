@@ -30,7 +30,7 @@ def success_interval(successes: int, episodes: int) -> tuple[float, float]:
 
 
 def paired_interval(
-    successes: Sequence[bool], others: Sequence[bool]
+    successes: Sequence[bool] | np.ndarray, others: Sequence[bool] | np.ndarray
 ) -> tuple[float, float]:
     """95 % interval of the difference of two success rates on the same goals.
 
@@ -86,7 +86,12 @@ def mean_interval(
 def difference_interval(
     values: Sequence[float], others: Sequence[float]
 ) -> tuple[float, float]:
-    """Welch's 95 % interval of the difference of two means of few values."""
+    """Welch's 95 % interval of the difference of two means of few values.
+
+    Values that do not vary on either side say nothing of it: nan.
+    """
+    if np.ptp(values) == np.ptp(others) == 0:
+        return np.nan, np.nan
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of one that does not vary
         test = scipy.stats.ttest_ind(values, others, equal_var=False)
@@ -129,6 +134,19 @@ def _widened(
         over_seeds = mean_interval(of_seeds)
         low, high = min(low, over_seeds[0]), max(high, over_seeds[1])
     return low, high
+
+
+def interval_of_gain(gain: np.ndarray) -> tuple[float, float]:
+    """95 % interval of a mean difference of successes: likewise.
+
+    For the bootstrap a goal is added to each way in which two can differ, as in
+    ``paired_interval``, so that it has a width where they agree on every goal.
+
+    Args:
+        gain: Differences in [-1, 1] by seed and goal, shape (seeds, goals).
+    """
+    of_goals = np.append(gain.mean(axis=0), (1.0, -1.0))
+    return _widened(bootstrap_interval(of_goals), gain.mean(axis=1))
 
 
 def seed_rates(rows: Sequence[Mapping[str, Any]]) -> list[float]:

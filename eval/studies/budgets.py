@@ -174,6 +174,7 @@ def _selection(rows: Sequence[Row], score: str) -> Row:
         "groups": len(within),
         "correlation_within": mean_of(ranked, "correlation") if ranked else np.nan,
         "regret_within": mean_of(within, "regret"),
+        "regret_random_within": mean_of(within, "regret_random"),
     }
 
 
@@ -186,7 +187,10 @@ def _scale(row: Row, score: str) -> float:
 
 
 def _chosen(rows: Sequence[Row], score: str) -> Row:
-    """Spearman's correlation of a score with success, nan of equals; regret at 1."""
+    """Spearman's correlation of a score with success, nan of equals; regret at 1.
+
+    Beside it stands the regret of one that is chosen at random.
+    """
     scores, rates = (
         np.array([row[name] for row in rows], dtype=float)
         for name in (score, "success")
@@ -196,6 +200,7 @@ def _chosen(rows: Sequence[Row], score: str) -> Row:
     return {
         "correlation": float(correlation),
         "regret": float(rates.max() - rates[scores.argmax()]),
+        "regret_random": float(rates.max() - rates.mean()),
     }
 
 
@@ -234,11 +239,14 @@ def selection_table(rows: Sequence[Row]) -> str:
             str(row["policies"]),
             _number(row["correlation"], 1, 2),
             _number(row["regret"], 100, 1),
+            _number(row["regret_random"], 100, 1),
             f"{row['correlation_within']:.2f}",
             f"{100 * row['regret_within']:.1f}",
+            f"{100 * row['regret_random_within']:.1f}",
         ]
         for row in rows
     ]
     header = ["dataset", "score", "policies", "correlation", "regret [points]"]
     within = ["correlation within an algorithm", "regret within one [points]"]
-    return markdown_table([*header, *within], lines)
+    random = "at random [points]"
+    return markdown_table([*header, random, *within, random], lines)

@@ -15,7 +15,7 @@ import numpy as np
 from marl_mm.envs.registry import fewest_steps, make_task
 from marl_mm.eval.evaluate import check_task
 from marl_mm.eval.grouping import by_goal, grouped, mean_of
-from marl_mm.eval.intervals import bootstrap_interval, success_interval
+from marl_mm.eval.intervals import paired_interval, success_interval
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.cells import read_cells, run_cells
@@ -185,7 +185,7 @@ def _worth(task: str, rows: Sequence[Row]) -> Row:
         "best_constant": best,
         "constant": rates[best],
         "difference": float((expert - other).mean()),
-        "difference_interval": bootstrap_interval(expert - other),
+        "difference_interval": paired_interval(expert, other),
         "random_partner": partner,
     }
 

@@ -1,13 +1,13 @@
 """How many updates are enough: the benchmark's runs beside others with fewer.
 
-Runs of both lengths have the same seeds, goals and beginnings: they are compared in
-pairs.
+Runs of both lengths have the same seeds and goals, and are compared in pairs. Where
+their precision is the same, too, the shorter one is the longer one's beginning.
 """
 
 from pathlib import Path
 
 from marl_mm.errors import UsageError
-from marl_mm.eval.intervals import interval_of_mean
+from marl_mm.eval.intervals import interval_of_gain
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies import benchmark
@@ -62,7 +62,7 @@ def draw_early(results: Path, folder: Path) -> list[Row]:
         after, reached_after = of_cell(store, late, seeds)
         gain = reached_after - reached_before
         of_both = {"early": before["success"], "gain": gain.mean()}
-        rows.append({**after, **of_both, "gain_interval": interval_of_mean(gain)})
+        rows.append({**after, **of_both, "gain_interval": interval_of_gain(gain)})
     if not rows:
         raise UsageError(
             f"{store.folder} has no rows of both lengths: run marl-mm ablate early"

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from marl_mm.eval.grouping import by_goal, grouped
-from marl_mm.eval.intervals import bootstrap_interval
+from marl_mm.eval.intervals import bootstrap_interval, paired_interval
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.tables import markdown_table
 
@@ -41,7 +41,11 @@ def paired(task: str, rows: Sequence[Row]) -> list[Row]:
             row[key] = float(before.mean())
             row[f"{key}_beside"] = float(after.mean())
             row[f"{key}_difference"] = float((after - before).mean())
-            row[f"{key}_difference_interval"] = bootstrap_interval(after - before)
+            row[f"{key}_difference_interval"] = (
+                paired_interval(after, before)
+                if key == "success"
+                else bootstrap_interval(after - before)
+            )
         summary.append(row)
     return summary
 

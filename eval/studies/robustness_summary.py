@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from marl_mm.eval.grouping import by_goal, grouped, mean_of
-from marl_mm.eval.intervals import interval_of_mean
+from marl_mm.eval.intervals import interval_of_gain
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.cells import read_cells
@@ -99,7 +99,7 @@ def _crossed(dataset: str, name: str, rows: Sequence[Row]) -> list[Row]:
                 "goals": change.shape[1],
                 "success": mean_of(some, "success"),
                 "difference": float(change.mean()),
-                "difference_interval": interval_of_mean(change),
+                "difference_interval": interval_of_gain(change),
             }
         )
     return crossed
@@ -127,9 +127,9 @@ def _compared(head: Row, joint: Sequence[Row], team: Sequence[Row]) -> list[Row]
                 "team_clean": float(_successes(team).mean()),
                 "team_change": float(of_team[name].mean()),
                 "keeps_more": float(more.mean()),
-                "keeps_more_interval": interval_of_mean(more),
+                "keeps_more_interval": interval_of_gain(more),
                 "ahead": float(ahead.mean()),
-                "ahead_interval": interval_of_mean(ahead),
+                "ahead_interval": interval_of_gain(ahead),
             }
         )
     return rows

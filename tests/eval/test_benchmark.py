@@ -128,7 +128,7 @@ def test_tables_have_whole_tasks_side_by_side(tmp_path: Path) -> None:
 def test_fewer_updates_are_compared_where_there_are_runs_of_both(
     tmp_path: Path,
 ) -> None:
-    """By the seeds that both have; equal runs gain nothing, and certainly."""
+    """By the seeds that both have; equal runs gain nothing, give or take."""
     for name, few, many in (("bc", 0.2, 0.9), ("mabc", 0.5, 0.5)):
         write(tmp_path, FIRST_EARLY, name, few, seeds=3, cells=FEW)
         write(tmp_path, FIRST_EARLY, name, many)
@@ -143,7 +143,8 @@ def test_fewer_updates_are_compared_where_there_are_runs_of_both(
     assert (
         0.4 < gained["gain_interval"][0] < gained["gain"] < gained["gain_interval"][1]
     )
-    assert same["gain"] == 0 and same["gain_interval"] == (0, 0)
+    low, high = same["gain_interval"]
+    assert same["gain"] == 0 and low < 0 < high
     _, _, first, second, *_ = early_table(rows).splitlines()
     assert first.startswith("| `bc` | **") and "**" not in second
 

@@ -88,6 +88,9 @@ def test_a_score_like_success_chooses_the_best_and_its_opposite_the_worst(
     assert fqe["correlation"] == fqe["correlation_within"] == -1.0
     assert fqe["regret"] == pytest.approx(0.85)
     assert fqe["regret_within"] == pytest.approx((0.8 + 0.4) / 2)
+    chance = RATES.max() - RATES.mean()
+    assert fqe["regret_random_within"] == pytest.approx(chance * 1.5 / 2)
+    assert fqe["regret_random"] == pytest.approx(RATES.max() - 0.75 * RATES.mean())
     assert np.isnan(agents["correlation"]) and agents["policies"] == 8
     budgets = read_rows(tmp_path / BUDGETS_TABLE)
     assert [row["episodes"] for row in budgets] == [*BUDGETS, *BUDGETS]

@@ -9,6 +9,7 @@ from marl_mm.eval.intervals import (
     difference_interval,
     interquartile_interval,
     interquartile_mean,
+    interval_of_gain,
     interval_of_mean,
     mean_interval,
     paired_interval,
@@ -73,6 +74,18 @@ def test_seeds_that_agree_on_every_goal_tell_nothing_more_of_goals() -> None:
     assert (low, high) == pytest.approx((-2.484, 2.484), abs=1e-3)
 
 
+def test_a_gain_of_nothing_has_the_width_of_a_goal_each_way() -> None:
+    """Without a difference it is the paired interval's; with one it holds it, too."""
+    same = np.zeros((3, 200))
+    low, high = interval_of_gain(same)
+    expected = paired_interval([True] * 200, [True] * 200)
+    assert (low, high) == pytest.approx(expected, abs=2e-3) and low < 0 < high
+    gain = np.random.default_rng(0).integers(-1, 2, (1, 200))
+    low, high = interval_of_gain(gain)
+    inner = bootstrap_interval(gain[0])
+    assert high - low > inner[1] - inner[0] and low < gain.mean() < high
+
+
 def test_intervals_are_those_of_scipy_to_the_bit() -> None:
     """Its ``stats`` take a second to import, which every evaluation would wait for."""
     for episodes in (1, 7, 50, 200):
@@ -125,3 +138,4 @@ def test_the_interval_of_a_difference_by_hand() -> None:
     """Two threes of the same spread: t(4, 0.975) = 2.776; its error is sqrt(2 / 3)."""
     low, high = difference_interval([3, 4, 5], [1, 2, 3])
     assert (low, high) == pytest.approx((2 - 2.267, 2 + 2.267), abs=1e-3)
+    assert np.isnan(difference_interval([1, 1, 1], [0.9, 0.9, 0.9])).all()
