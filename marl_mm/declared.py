@@ -83,6 +83,17 @@ def check_positive(config: Any, *fields: str, of: str = "") -> None:
             raise UsageError(f"{of}{name} is {value}, expected > 0")
 
 
+def check_not_negative(config: Any, *fields: str, of: str = "") -> None:
+    """Raise for a number below 0, or one that is not finite; likewise.
+
+    Raises:
+        UsageError: Naming the first such field.
+    """
+    for name in fields:
+        if not 0 <= (value := getattr(config, name)) < math.inf:
+            raise UsageError(f"{of}{name} is {value}, expected >= 0")
+
+
 def check_settings(
     settings: object, needed: Iterable[str] = (), taken: Iterable[str] = ()
 ) -> None:

@@ -8,7 +8,7 @@ why. ``marl-mm bench abuse`` and ``sweep-alpha`` measure them.
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, get_args
 
-from marl_mm.declared import check_positive
+from marl_mm.declared import check_not_negative, check_positive
 from marl_mm.errors import UsageError
 
 Knowledge = Literal["estimated", "given", "none"]
@@ -24,6 +24,10 @@ Solver = Literal["active-set", "proxqp", "daqp"]
 """Compiled controller, or the readable reference with ProxQP or DAQP for its QPs."""
 
 SOLVERS: tuple[Solver, ...] = get_args(Solver)
+
+HEAVIEST = 10.0
+"""Largest load that is estimated [kg]: far beyond what the arm carries (3 kg, Franka
+data sheet)."""
 
 BRAKING_RATE = 10.0
 """Speed to deceleration of the safe command [1/s]."""
@@ -165,7 +169,14 @@ class ControllerConfig:
             raise UsageError(
                 f"controller.response is {self.response}, expected 1 to 10"
             )
-        names: tuple[str, ...] = ("damping", "projector_damping", "iterations")
-        check_positive(self.hierarchy, *names, of="controller.hierarchy.")
-        names = ("horizon", "speed_share", "keep_out_rate", "traction")
-        check_positive(self.limits, *names, of="controller.limits.")
+        check_not_negative(self.gains, *Gains._fields, of="controller.gains.")
+        of, names = "controller.hierarchy.", ["damping", "projector_damping"]
+        check_positive(self.hierarchy, *names, "iterations", of=of)
+        names = ["rho", "protection", "margin", "tolerance"]
+        check_not_negative(self.hierarchy, *names, of=of)
+        of, names = "controller.limits.", ["horizon", "keep_out_rate", "traction"]
+        check_positive(self.limits, *names, "speed_share", of=of)
+        names = ["joint_margin", "keep_out", "keep_out_acceleration", "zmp_margin"]
+        check_not_negative(self.limits, *names, of=of)
+        if (share := self.limits.speed_share) > 1:
+            raise UsageError(f"{of}speed_share is {share}, expected <= 1")

@@ -11,16 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from marl_mm.control.config import Knowledge
+from marl_mm.control.config import HEAVIEST, Knowledge
 from marl_mm.jit import jit, on_stack
 from marl_mm.robot.model import GRAVITY, ModelTerms, RobotModel, RobotState
 from marl_mm.robot.planar import PlanarModel
 
 SETTLING = 0.25
 """Time constant of the estimate [s]."""
-
-MOST = 10.0
-"""Largest estimate [kg]: far beyond what the arm carries (3 kg, Franka data sheet)."""
 
 _velocity, _position = on_stack(10), on_stack(3)
 _UP = np.array([0.0, 0.0, GRAVITY])
@@ -111,7 +108,7 @@ class Payload:
         per_kilogram = jacobian[:, 3:].T @ acceleration
         missing = per_kilogram @ unexplained / max(per_kilogram @ per_kilogram, 1e-6)
         mass = self._mass + missing / (SETTLING * self._rate)
-        self.count(float(np.clip(mass, 0.0, MOST)))
+        self.count(float(np.clip(mass, 0.0, HEAVIEST)))
 
     def count(self, mass: float) -> None:
         """Have this mass in the model from now on [kg]."""
@@ -159,4 +156,4 @@ def learned(
         along += per_kilogram * unexplained
         square += per_kilogram * per_kilogram
     mass += along / max(square, 1e-6) / (SETTLING * rate)
-    return min(max(mass, 0.0), MOST)
+    return min(max(mass, 0.0), HEAVIEST)

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from marl_mm.control.records import Track
-from marl_mm.declared import check_positive
+from marl_mm.declared import check_not_negative, check_positive
 from marl_mm.envs.intervals import Interval
 from marl_mm.envs.order import Order
 from marl_mm.envs.task import Attempt, Task, Values
@@ -126,6 +126,7 @@ class CruiseTask(Task, ABC):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_positive(self, "action_scale", "cruise")
+        check_not_negative(self, "standing", "heading_limit")
         if not 0.0 <= self.initial_alpha <= 1.0:
             raise UsageError(f"initial_alpha is {self.initial_alpha}, expected [0, 1]")
         if self.random_start_steps < 0:

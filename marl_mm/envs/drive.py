@@ -16,6 +16,7 @@ from marl_mm.control.records import Command, Priorities, ReferenceAt
 from marl_mm.control.wbc import WholeBodyController
 from marl_mm.envs.hand import Hand
 from marl_mm.envs.order import Order
+from marl_mm.errors import UsageError
 from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig
 from marl_mm.robot.limits import robot_limits
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
@@ -115,6 +116,7 @@ class Drive:
         )
         self.controller = WholeBodyController(self.limits, controller, RATE)
         self._posture = robot.initial_joints
+        self._check_balance(controller)
         self.hand: Hand | None = None
         """The hand that holds a block; None if there is no block."""
 
@@ -134,8 +136,24 @@ class Drive:
 
     def start_w(self) -> np.ndarray:
         """Position of the end-effector in the start posture, shape (3,) [m]."""
-        rest = RobotState(np.array([0, 0, 1, 0, *self._posture]), np.zeros(10))
-        return self.model.evaluate(rest).position_w.copy()
+        return self.model.evaluate(self._rest()).position_w.copy()
+
+    def _rest(self) -> RobotState:
+        return RobotState(np.array([0, 0, 1, 0, *self._posture]), np.zeros(10))
+
+    def _check_balance(self, controller: ControllerConfig) -> None:
+        """Refuse a robot that cannot stand in its start posture."""
+        rest = self._rest()
+        self.model.evaluate(rest)
+        margin = support_margin(self.model.zmp_b(rest, np.zeros(9)))
+        least = controller.limits.zmp_margin if controller.limits.zmp else 0.0
+        if margin <= least:
+            self.world.close()
+            raise UsageError(
+                f"in its start posture the robot's weight is {margin:.3f} m inside the "
+                f"edge of its wheels' support, expected > {least:g}: see "
+                "robot.base_com_b, robot.initial_joints, controller.limits.zmp_margin"
+            )
 
     def handle(self, scene: Scene, knowledge: Knowledge) -> Hand:
         """Give the robot a hand for the block in the scene.

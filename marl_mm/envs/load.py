@@ -6,7 +6,7 @@ from typing import get_args
 
 import numpy as np
 
-from marl_mm.control.config import Knowledge
+from marl_mm.control.config import HEAVIEST, Knowledge
 from marl_mm.declared import check_positive
 from marl_mm.envs.intervals import Interval, check_within
 from marl_mm.errors import UsageError
@@ -52,6 +52,11 @@ class LoadConfig:
         check_positive(self, "mass", "edge", "friction", of="load.")
         if self.edge[1] > WIDEST:
             raise UsageError(f"load.edge is up to {self.edge[1]}, expected <= {WIDEST}")
+        if self.knowledge == "estimated" and self.mass[1] > HEAVIEST:
+            raise UsageError(
+                f"load.mass is up to {self.mass[1]}, expected <= {HEAVIEST:g} where it "
+                'is estimated: load.knowledge can be "given"'
+            )
         if not self.failure_reward < 0:
             raise UsageError(
                 f"load.failure_reward is {self.failure_reward}, expected below 0"

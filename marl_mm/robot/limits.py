@@ -7,7 +7,7 @@ import pinocchio as pin
 
 from marl_mm.errors import UsageError
 from marl_mm.robot.description import RobotConfig, urdf_xml
-from marl_mm.robot.names import ARM_JOINTS, WHEEL_JOINTS
+from marl_mm.robot.names import ARM_JOINTS, FINGER_JOINTS, WHEEL_JOINTS
 
 ARM_ACCELERATION = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
 """Acceleration limits of the arm joints [rad/s^2] (Franka Emika control parameters; a
@@ -59,6 +59,13 @@ def robot_limits(config: RobotConfig) -> RobotLimits:
     wheel = model.joints[model.getJointId(WHEEL_JOINTS[0])]
     q, v = [joint.idx_q for joint in arm], [joint.idx_v for joint in arm]
     lower, upper = model.lowerPositionLimit[q], model.upperPositionLimit[q]
+    travel = model.upperPositionLimit[
+        model.joints[model.getJointId(FINGER_JOINTS[0])].idx_q
+    ]
+    if not 0 <= config.initial_finger <= travel:
+        raise UsageError(
+            f"robot.initial_finger is {config.initial_finger}, expected 0 to {travel:g}"
+        )
     posture = zip(ARM_JOINTS, config.initial_joints, lower, upper, strict=True)
     for name, angle, low, high in posture:
         if not low <= angle <= high:

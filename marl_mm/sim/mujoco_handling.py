@@ -53,7 +53,7 @@ class MujocoHandling:
         """See ``Native``; so are the next two."""
 
         self.fingers = np.array([self._places, self._fingers])
-        self.grip = np.array([0.0, robot.initial_finger])
+        self.grip = model.joint(FINGER_JOINTS[0]).range.copy()
         self._build(scene)
 
     def _build(self, scene: Scene) -> None:

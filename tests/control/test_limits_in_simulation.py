@@ -14,6 +14,7 @@ from marl_mm.control.priorities import LEFT_OUT, REACHING_LEVELS, cumulative
 from marl_mm.control.records import Priorities, Reference
 from marl_mm.envs.drive import Drive, Motion, Tick, wheel_slip
 from marl_mm.envs.registry import make_task
+from marl_mm.errors import UsageError
 from marl_mm.eval.bench.abuse import abuse
 from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig
 from marl_mm.robot.model import ACTUATED, RobotState
@@ -292,13 +293,19 @@ def test_zero_moment_point(on: bool, engine: Engine) -> None:
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("forward", [1, -1])
-def test_a_base_on_its_nose_or_back_is_seen(forward: int, engine: Engine) -> None:
+def test_a_base_on_its_nose_or_back_is_seen(
+    forward: int, engine: Engine, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """With its mass beyond the casters it falls; forward its pitch is positive.
 
-    (Braking cannot do that: it takes the load, and so the grip, off the wheels.)
+    (Braking cannot do that: it takes the load, and so the grip, off the wheels.) Such a
+    robot is refused, but where a test asks for it.
     """
     heavy = RobotConfig(base_mass=60.0, base_com_b=(0.6 * forward, 0.0, 0.3))
     simulation = SimulationConfig(engine=engine)
+    with pytest.raises(UsageError, match="m inside the edge of its wheels' support"):
+        Drive(heavy, simulation, ControllerConfig())
+    monkeypatch.setattr(Drive, "_check_balance", lambda drive, controller: None)
     record = run(
         lambda k, rest: rest,
         BASE_AND_POSTURE,

@@ -161,6 +161,9 @@ def test_a_posture_beyond_the_limits_is_refused(engine: Engine) -> None:
     complaint = "panda_joint4 at 0.1 rad, expected -3.0718 to -0.0698"
     with pytest.raises(UsageError, match=complaint):
         Drive(bent, SimulationConfig(engine=engine), ControllerConfig())
+    wide = RobotConfig(initial_finger=0.1)
+    with pytest.raises(UsageError, match=r"initial_finger is 0.1, expected 0 to 0.04"):
+        Drive(wide, SimulationConfig(engine=engine), ControllerConfig())
 
 
 def test_base_inertia_follows_the_config() -> None:

@@ -103,6 +103,26 @@ def test_overrides_take_json_lists() -> None:
             "hierarchy.iterations is 0, expected > 0",
         ),
         ("Reach-v0", {"controller": {"form": "mix"}}, "'blend', 'rhp'"),
+        ("Reach-v0", {"goal_reward": -10}, "goal_reward is -10.0, expected > 0"),
+        ("Reach-v0", {"jerk_weight": -1}, "jerk_weight is -1.0, expected >= 0"),
+        ("Reach-v0", {"goal_z": (-5, -4)}, "goal_z.*what a hand reaches"),
+        ("Reach-v0", {"standing": -1}, "standing is -1.0, expected >= 0"),
+        ("Reach-v0", {"simulation": {"spinning_friction": -1}}, "expected >= 0"),
+        (
+            "Reach-v0",
+            {"controller": {"gains": {"ee_rate": -5}}},
+            "controller.gains.ee_rate is -5.0, expected >= 0",
+        ),
+        (
+            "Reach-v0",
+            {"controller": {"limits": {"speed_share": 3}}},
+            "speed_share is 3.0, expected <= 1",
+        ),
+        (
+            "CarryReach-v0",
+            {"load": {"mass": (1.0, 12.0)}},
+            "load.mass is up to 12.0, expected <= 10 where it is estimated",
+        ),
     ],
 )
 def test_unknown_names_and_bad_values_are_refused(

@@ -5,9 +5,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from marl_mm.declared import check_positive
+from marl_mm.declared import check_not_negative, check_positive
 from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, CruiseTask, names
 from marl_mm.envs.intervals import Interval, check_intervals
+from marl_mm.envs.load import check_reach
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.task import Attempt, ScriptConfig, Terms, Values
 from marl_mm.layout import Agent, Layout
@@ -66,8 +67,11 @@ class Reach(CruiseTask):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_positive(self, "success_distance")
+        check_positive(self, "success_distance", "goal_reward")
+        weights = "ee_error_weight", "base_error_weight", "jerk_weight"
+        check_not_negative(self, *weights)
         check_intervals(self, "goal_x_forward", "goal_x_backward", "goal_y", "goal_z")
+        check_reach("goal_", self.goal_y, self.goal_z)
 
     @property
     def highest_return(self) -> float:

@@ -2,8 +2,9 @@
 
 The hand's agent sees the goal, the balance agent the cup: its level, which falls by
 ``leak`` a step, and how far the liquid swings. The hand's acceleration drives the
-liquid at every tick. An episode fails if it passes the rim, which is near in a full
-cup, or if the cup is dry.
+liquid at every tick but an episode's first, which makes its first peak some 3 % lower.
+An episode fails if it passes the rim, which is near in a full cup, or if the cup is
+dry.
 
 So a full cup needs short steps and a low one long steps, and the agent that makes them
 does not see which it is: it sees alpha of the last step, by which the balance agent can
