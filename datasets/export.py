@@ -1,6 +1,7 @@
 """Export of datasets to files that other libraries read: a registry of their forms."""
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +34,9 @@ class DatasetForm:
     mark: tuple[str, str] | None = None
     """Name of a file in the folder that it writes, and a text in that; None for forms
     of one file."""
+
+    holds: tuple[str, ...] = ()
+    """Names of all that lies in that folder."""
 
     packages: tuple[str, ...] = ()
     """Modules that it needs, of the optional extra of its name."""
@@ -71,7 +75,8 @@ def export(
             within the dataset.
     """
     chosen, path = DATASET_FORMS.get(form), Path(path).absolute()
-    if path.resolve().is_relative_to(dataset.location.folder.resolve()):
+    real = Path(os.path.realpath(path))  # which goes round no circle of links
+    if real.is_relative_to(dataset.location.folder.resolve()):
         raise UsageError(f"{path} lies within the dataset: choose another name")
     if path.exists() and path.is_dir() != (chosen.mark is not None):
         is_, expected = ("folder", "file") if path.is_dir() else ("file", "folder")
@@ -79,10 +84,11 @@ def export(
     if chosen.mark is None:
         refuse_existing(path, overwrite)
     else:
-        refuse_foreign(path, overwrite, chosen.mark)
+        refuse_foreign(path, overwrite, chosen.mark, chosen.holds)
     refuse_missing(form, chosen.packages)
     with (new_file if chosen.mark is None else new_folder)(path) as temporary:
         chosen.write(dataset, temporary)
+        refuse_existing(path, overwrite)  # another process may have been faster
 
 
 def description(dataset: Dataset, form: str) -> dict[str, Any]:

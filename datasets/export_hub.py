@@ -175,5 +175,6 @@ DATASET_FORMS.add(
         about="Folder for the Hugging Face Hub: data, card, licence, Croissant, sums.",
         write=_hub,
         mark=(_SUMS, f"  data/{FILE}\n"),
+        holds=("data", "*.md", "*.json", "card.png", "LICENSE", _SUMS),
     ),
 )

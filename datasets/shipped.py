@@ -15,7 +15,7 @@ from marl_mm.datasets.location import SHIPPED, Location
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.envs.registry import make_task
-from marl_mm.files import only_here
+from marl_mm.files import only_here, refuse_existing
 from marl_mm.sim.config import RECORDED_ENGINE
 
 _FOLDER = Path(__file__).parent / "shipped"
@@ -49,6 +49,7 @@ def install(location: Location) -> None:
     Args:
         location: Location of one of ``IDS``.
     """
+    refuse_existing(location.folder, overwrite=True)  # whether its folder is writable
     with only_here(location.working, wait=True):
         if not location.folder.exists():
             arrays = shipped_arrays(location.id)

@@ -1,5 +1,6 @@
 """Evaluate a policy on a fixed goal set."""
 
+import json
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -163,6 +164,7 @@ def evaluate_with(
         raise UsageError(f"episodes is {episodes}, expected >= 1")
     if seed < 0:
         raise UsageError(f"seed is {seed}, expected >= 0")
+    described = _described(policy)
     rows: list[EvaluationRow] = []
     plans = goal_set(make_task(task, overrides), episodes, seed)
     for episode in rollouts.run(policy, plans):
@@ -174,9 +176,27 @@ def evaluate_with(
     replaced = to_record(overrides or {})
     package, _ = ENGINES[engine_of(replaced)]
     version = versions()[package]
-    return Evaluation(
-        policy.name, policy.describe(), task, replaced, seed, rows, version
-    )
+    return Evaluation(policy.name, described, task, replaced, seed, rows, version)
+
+
+def _described(policy: Policy) -> dict[str, Any]:
+    """Settings of a policy, as JSON has them."""
+    try:
+        text = json.dumps(policy.describe(), default=_plain, allow_nan=False)
+        values: dict[str, Any] = json.loads(text)
+    except (TypeError, ValueError) as error:
+        raise UsageError(
+            f"policy {policy.name} describes itself by {policy.describe()!r:.80}, "
+            f"expected finite numbers, text and lists of them ({error})"
+        ) from None
+    return values
+
+
+def _plain(value: Any) -> Any:
+    """NumPy's numbers and arrays as Python's."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is none of them")
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 from marl_mm.commands.wording import as_options
 from marl_mm.errors import MarlMmError, UsageError
@@ -65,6 +66,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``marl-mm`` and return its exit code: 0, 1 failure, 2 usage, 130 Ctrl-C."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     end_on_signals()
+    for name in ("stdout", "stderr"):  # which may be closed, as for a daemon's child
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))
     try:
         code = _run(words)
         sys.stdout.flush()
@@ -179,7 +183,9 @@ def _in_words(error: OSError) -> str:
 
 
 def _complain(text: str) -> None:
-    sys.stderr.write(f"marl-mm: {printable(as_options(text))}\n")
+    with suppress(OSError):  # the exit code tells, too
+        sys.stderr.write(f"marl-mm: {printable(as_options(text))}\n")
+        sys.stderr.flush()
 
 
 if __name__ == "__main__":

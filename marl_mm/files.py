@@ -6,8 +6,9 @@ import fcntl
 import json
 import os
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,7 @@ def refuse_existing(path: Path, overwrite: bool, *, file: bool = False) -> None:
         OutputExistsError: If ``path`` exists and ``overwrite`` is False.
         UsageError: If its folder cannot be written, or it is of another kind.
     """
+    _refuse_lost_links(path, path.parent if file else path)
     above = path.absolute().parents or (path.absolute(),)  # of the root it is itself
     folder = next(parent for parent in above if parent.exists())
     if not folder.is_dir() or not os.access(folder, os.W_OK):
@@ -52,13 +54,35 @@ def refuse_existing(path: Path, overwrite: bool, *, file: bool = False) -> None:
         )
 
 
-def refuse_foreign(folder: Path, overwrite: bool, mark: tuple[str, str]) -> None:
+def _refuse_lost_links(path: Path, there: Path) -> None:
+    """Raise a UsageError where a link on the way leads nowhere, or to itself.
+
+    Args:
+        path: File or folder to write.
+        there: The part of it that no such link may be in.
+    """
+    try:
+        path.resolve()
+    except (RuntimeError, OSError) as error:
+        raise UsageError(f"cannot write {path}: {error}") from None
+    for place in (there, *there.parents):
+        if place.is_symlink() and not place.exists():
+            raise UsageError(
+                f"cannot write {path}: {place} is a link to {os.readlink(place)}, "
+                "which is not there"
+            )
+
+
+def refuse_foreign(
+    folder: Path, overwrite: bool, mark: tuple[str, str], holds: Sequence[str] = ()
+) -> None:
     """``refuse_existing`` of a folder that is replaced only if it is one of ours.
 
     Args:
         folder: Folder to write.
         overwrite: Whether it may be replaced.
         mark: Name of a file that it then has, and a text in that.
+        holds: Patterns of all names that it then has; empty for any.
 
     Raises:
         UsageError: If it may not be written.
@@ -72,6 +96,12 @@ def refuse_foreign(folder: Path, overwrite: bool, mark: tuple[str, str]) -> None
             f"{folder} has no {name} of marl-mm and is not replaced: choose another "
             "name"
         )
+    for inner in sorted(os.listdir(folder)) if holds and folder.exists() else ():
+        if not any(fnmatch(inner, pattern) for pattern in holds):
+            raise UsageError(
+                f"{folder} holds {inner}, which is not of marl-mm, and is not "
+                "replaced: move that, or choose another name"
+            )
 
 
 def refuse_input(folder: Path, inputs: Iterable[Path]) -> None:
@@ -235,6 +265,7 @@ def only_here(folder: Path, *, wait: bool = False) -> Iterator[None]:
 def _opened(folder: Path) -> int:
     """A descriptor of a folder, which is created if it is missing."""
     while True:  # another process may remove it after each line
+        _refuse_lost_links(folder, folder)
         with suppress(FileExistsError):
             folder.mkdir(parents=True, exist_ok=True)
         with suppress(FileNotFoundError):

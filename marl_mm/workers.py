@@ -34,6 +34,9 @@ R = TypeVar("R")
 
 Executor = Literal["local", "ray"]
 
+_MOST = 64
+"""Largest number of processes where four for each core are fewer."""
+
 
 def available_cores() -> int:
     """Number of cores that this process may use; ``PYTHON_CPU_COUNT`` overrides it.
@@ -96,7 +99,7 @@ class Workers:
         threads: Have threads of this process, for functions that leave others be.
 
     Raises:
-        UsageError: If ``workers`` is not positive.
+        UsageError: If ``workers`` is not positive, or many times the number of cores.
     """
 
     def __init__(
@@ -106,8 +109,11 @@ class Workers:
         arguments: tuple[Any, ...] = (),
         threads: bool = False,
     ) -> None:
-        if workers < 1:
-            raise UsageError(f"workers is {workers}, expected >= 1")
+        cores = available_cores()
+        if not 1 <= workers <= (most := max(_MOST, 4 * cores)):
+            raise UsageError(
+                f"workers is {workers}, expected 1 to {most}: there are {cores} cores"
+            )
         self._workers = workers
         self._pool: futures.Executor | None = None
         if workers > 1:

@@ -17,7 +17,7 @@ from marl_mm.datasets.storage import refuse_foreign, write_alone
 from marl_mm.envs.registry import make_task
 from marl_mm.episode import IMPORTED
 from marl_mm.errors import UsageError
-from marl_mm.files import refuse_existing
+from marl_mm.files import refuse_existing, refuse_input
 from marl_mm.runs.settings import check_seed
 from marl_mm.sim.config import Engine, engine_overrides
 
@@ -45,10 +45,11 @@ def make_mix(
         json: Print the new dataset's card as JSON.
     """
     check_seed(seed)
-    location = _free(out, overwrite)
     if not parts:
         raise UsageError("name at least one DATASET:STEPS")
-    write_mix(location, mix([_part(text) for text in parts], seed), overwrite)
+    read = [_part(text) for text in parts]
+    location = _free(out, overwrite, *(p.dataset.location.folder for p in read))
+    write_mix(location, mix(read, seed), overwrite)
     _tell([location], json)
 
 
@@ -73,10 +74,11 @@ def make_split(
     """
     check_seed(seed)
     source = existing(dataset)
-    stem = (out or source.name).rstrip("/").removesuffix("-v0")
-    if not Path(stem).name:
+    stem = (out or source.name).removesuffix("-v0")
+    if stem.split("/")[-1] in ("", ".", ".."):
         raise UsageError(f"--out is {out!r}, expected the beginning of a name")
-    locations = [_free(f"{stem}-{part}-v0", overwrite) for part in ("first", "rest")]
+    names = [f"{stem}-{part}-v0" for part in ("first", "rest")]
+    locations = [_free(name, overwrite, source.folder) for name in names]
     recipes = split(read_dataset(source), share, seed)
     for location, recipe in zip(locations, recipes, strict=True):
         write_mix(location, recipe, overwrite)
@@ -106,10 +108,11 @@ def make_filtered(
         overwrite: Replace what exists.
         json: Print the new dataset's card as JSON.
     """
-    location = _free(out, overwrite)
+    source = existing(dataset)
+    location = _free(out, overwrite, source.folder)
     success = None if outcome is None else outcome == "reached"
     condition = Condition(success, direction, min_return, max_return)
-    write_mix(location, filtered(read_dataset(dataset), condition), overwrite)
+    write_mix(location, filtered(read_dataset(source), condition), overwrite)
     _tell([location], json)
 
 
@@ -138,7 +141,7 @@ def make_imported(
         overwrite: Replace what exists.
         json: Print the new dataset's card as JSON.
     """
-    location = _free(out, overwrite)
+    location = _free(out, overwrite, file)
     foreign = read_foreign(file, location.id, task)
     longest = max(make_task(foreign.task).max_steps, int(foreign.arrays.lengths.max()))
     provenance = Provenance(
@@ -151,10 +154,11 @@ def make_imported(
     _tell([location], json)
 
 
-def _free(name: str, overwrite: bool) -> Location:
+def _free(name: str, overwrite: bool, *made_of: Path) -> Location:
     location = locate(name)
     refuse_foreign(location)
     refuse_existing(location.folder, overwrite)
+    refuse_input(location.folder, made_of)
     return location
 
 

@@ -92,7 +92,13 @@ def main(
         goals["progress"] = bar
         own = [*zip(policies, configs, strict=False)]
         results: dict[int, Evaluated] = {}
-        keep = partial(_keep, results, out)
+
+        def keep(number: int, result: Evaluated) -> None:
+            if out is not None:  # Ctrl-C leaves a whole file
+                kept = [*(results | {number: result}).values()]
+                save_evaluations(kept, out, overwrite or bool(results))
+            results[number] = result
+
         for number, (name, config) in enumerate(own):
             if suite:
                 robustness(name, config=config, keep=partial(keep, number), **goals)
@@ -112,12 +118,3 @@ def main(
             ]
             print_rows(rows, as_json=False, title=result.title)
             print(as_options(result.note))
-
-
-def _keep(
-    results: dict[int, Evaluated], out: Path | None, number: int, result: Evaluated
-) -> None:
-    """Take what is finished, into OUT, too: Ctrl-C leaves a whole file."""
-    results[number] = result
-    if out is not None:
-        save_evaluations([*results.values()], out, overwrite=True)

@@ -13,7 +13,7 @@ from jinja2 import Environment
 from marl_mm.errors import UsageError
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.ties import tie_groups
-from marl_mm.files import new_folder, refuse_foreign, refuse_input
+from marl_mm.files import new_folder, refuse_existing, refuse_foreign, refuse_input
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.play import play
 from marl_mm.runs.submission import OF_A_SEED, Submission
@@ -110,7 +110,8 @@ def board(
     if not found:
         raise UsageError("no submission given, expected folders of marl-mm submit")
     target = Path(out)
-    refuse_foreign(target, overwrite, (PAGE, "<title>marl_mm: board<"))
+    mark = PAGE, "<title>marl_mm: board<"
+    refuse_foreign(target, overwrite, mark, (PAGE, "rows", "films"))
     refuse_input(target, [submission.folder for submission in found])
     known: dict[str, Submission] = {}
     for submission in found:
@@ -124,6 +125,7 @@ def board(
             if films:
                 _film(entry.submission, new / f"films/{entry.name}.mp4", progress)
         (new / PAGE).write_text(_page(sections, films), "utf-8")
+        refuse_existing(target, overwrite)  # another process may have been faster
     return Board(target / PAGE, sections)
 
 

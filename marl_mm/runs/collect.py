@@ -13,7 +13,14 @@ from marl_mm.envs.registry import DEFAULT, TASKS
 from marl_mm.errors import DatasetError, UsageError
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.collecting import Collecting, collect_dataset, recorded
-from marl_mm.runs.settings import check_config, flat, with_settings, with_values
+from marl_mm.runs.settings import (
+    check_config,
+    flat,
+    refuse_unknown,
+    setting_names,
+    with_settings,
+    with_values,
+)
 from marl_mm.runs.sources import task_folder
 from marl_mm.sim.config import engine_of
 
@@ -56,8 +63,11 @@ def collect(
     config = with_values(own, saved, *record) if config is None else config
     check_config(config, own)
     asked = {} if task is None else {"task": task}
-    collecting = with_values(Collecting(), saved | asked, *record)
+    collecting = with_values(Collecting(), saved, *record)
+    collecting = with_settings("collect", collecting, asked)
     collector_values = {k: v for k, v in settings.items() if not hasattr(collecting, k)}
+    known = [*setting_names(collecting), *setting_names(own)]
+    refuse_unknown(f"collect with {collector}", collector_values, known)
     rest = {k: v for k, v in settings.items() if k not in collector_values}
     data, complete = collect_into(
         name,

@@ -151,7 +151,7 @@ def play(
         UsageError: If a setting makes no sense, or there is no such policy.
         CheckpointError: If a run's checkpoint is damaged.
     """
-    check_positive(fps=fps)
+    _check_fps(fps)
     check_seed(seed)
     if direction not in (None, "forward", "backward"):
         raise UsageError(
@@ -226,7 +226,7 @@ def play_demo(
     Raises:
         UsageError: If a setting makes no sense.
     """
-    check_positive(fps=fps)
+    _check_fps(fps)
     drive = demo_drive(visual=True, gui=gui)
     film = Recorder(drive.world, camera or Camera(), 0 if gui else fps)
     advance = progress(f"play {name}", round(motion.seconds * RATE))
@@ -250,3 +250,9 @@ def check_strip(path: Path) -> None:
     """Raise a UsageError if a film strip's name has another ending than .png."""
     if path.suffix != ".png":
         raise UsageError(f"film strip {path} ends in {path.suffix!r}, expected .png")
+
+
+def _check_fps(fps: int) -> None:
+    check_positive(fps=fps)
+    if fps > RATE:
+        raise UsageError(f"`fps` is {fps}, expected at most {RATE}, a picture a tick")

@@ -1,6 +1,6 @@
 """Settings by name: checked, replaced, and taken from what was done before."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar, get_args, get_type_hints
 
@@ -37,14 +37,19 @@ def with_settings(owner: str, record: T, settings: Mapping[str, Any]) -> T:
     Raises:
         UsageError: If no field has a name, or a value is of another type.
     """
-    names = sorted(_names(record))
-    for name in settings:
-        if name not in names:
-            raise UsageError(
-                f"{owner} has no setting {name!r}{meant(name, names)}, expected some "
-                f"of {', '.join(names)}"
-            )
+    refuse_unknown(owner, settings, setting_names(record))
     return with_values(record, settings, owner)
+
+
+def refuse_unknown(owner: str, names: Iterable[str], known: Iterable[str]) -> None:
+    """Raise a UsageError for the first name of a setting that is not known."""
+    known = sorted(known)
+    for name in names:
+        if name not in known:
+            raise UsageError(
+                f"{owner} has no setting {name!r}{meant(name, known)}, expected some "
+                f"of {', '.join(known)}"
+            )
 
 
 def flat(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -92,12 +97,12 @@ def with_values(
     return replace(record, **changes)  # type: ignore[type-var]
 
 
-def _names(record: Any) -> Iterator[str]:
+def setting_names(record: Any) -> Iterator[str]:
     """Names of the settings of a dataclass, and of those in its fields."""
     for field in fields(record):
         value = getattr(record, field.name)
         if _is_record(value):
-            yield from _names(value)
+            yield from setting_names(value)
         else:
             yield field.name
 

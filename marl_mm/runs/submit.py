@@ -16,7 +16,13 @@ from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.eval.goals import goal_set
-from marl_mm.files import new_folder, refuse_foreign, refuse_input, write_json
+from marl_mm.files import (
+    new_folder,
+    refuse_existing,
+    refuse_foreign,
+    refuse_input,
+    write_json,
+)
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.evaluate import task_overrides
 from marl_mm.runs.folder import EVALUATION
@@ -87,8 +93,10 @@ def submit(
     for run in found:
         _ = run.evaluated  # refuses one that is not trained to its end
     target = Path(out)
-    refuse_foreign(target, overwrite, (MANIFEST, FORMAT))
+    refuse_foreign(target, overwrite, (MANIFEST, FORMAT), (MANIFEST, "[0-9]*"))
     refuse_input(target, [run.folder for run in found])
+    if (target.absolute().parent / MANIFEST).exists():
+        raise UsageError(f"{target} lies in another submission: choose another place")
     first = found[0].config
     engine = cast(Engine, first.engine)
     overrides = task_overrides(first.settings.get("max_steps"), engine)
@@ -134,6 +142,7 @@ def submit(
         }
         write_json(new / MANIFEST, {**manifest, "fingerprint": seal(manifest)})
         read_submission(new)  # what a stranger would refuse is not written
+        refuse_existing(target, overwrite)  # another process may have been faster
     return read_submission(target)
 
 

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -154,6 +155,8 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         ),
         (["eval", "pd", "--episodes", "0"], "--episodes is 0"),
         (["play", "pd", "--video", "x.avi"], ".mp4 or .gif"),
+        (["play", "pd", "--fps", "2000"], "--fps is 2000, expected at most 240"),
+        (["collect", "pd", "--workers", "9999"], "is 9999, expected 1 to"),
         (
             ["play", "scripted", "--task", "Grasp-v0", "--direction", "backward"],
             "--direction is not for Grasp-v0: its seed draws the goal",
@@ -204,6 +207,16 @@ def test_nothing_is_overwritten_unasked(
     ):
         assert run(*arguments) == 2
         assert "exists already" in one_line(capsys)
+    shutil.copytree(dataset, dataset.with_name("test-first-v0"))
+    for words in (
+        ["filter", ID, "--out", ID, "--min-return", "-99"],
+        ["split", "marl_mm/reach/test-first-v0", "--out", ID],
+        ["mix", f"{ID}:3", "--out", ID],
+        ["import", str(dataset), "--out", str(dataset)],
+    ):
+        assert run("datasets", *words, "--overwrite") == 2
+        assert "which it is made of" in one_line(capsys)
+    assert (dataset / "data" / "main_data.hdf5").read_bytes() == content
     film = tmp_path / "film.mp4"
     film.write_text("mine")
     assert run("play", "pd", "--video", str(film)) == 2
@@ -502,6 +515,12 @@ def test_stdout_of_json_is_nothing_but_json(datasets_home: Path) -> None:
 
 
 @pytest.mark.slow
+def test_closed_streams_change_no_exit_code(datasets_home: Path) -> None:
+    marl_mm = f"{sys.executable} -m marl_mm datasets"
+    for words, code in (("list >&-", 0), ("show nosuch 2>&-", 2)):
+        assert subprocess.run(["sh", "-c", f"{marl_mm} {words}"]).returncode == code
+
+
 def test_sigterm_ends_a_job_that_ignores_ctrl_c() -> None:
     """As jobs do that a script has started in the background."""
     code = (

@@ -219,6 +219,20 @@ def test_devices_are_not_replaced_and_links_stay(tmp_path: Path) -> None:
     assert names(far) == ["file"]
 
 
+def test_links_that_lead_nowhere_are_named(tmp_path: Path) -> None:
+    lost, circle = tmp_path / "lost", tmp_path / "circle"
+    lost.symlink_to("/nowhere/at/all")
+    circle.symlink_to(circle)
+    for folder in (lost, lost / "0"):
+        with pytest.raises(UsageError, match="link to /nowhere/at/all, which is not"):
+            refuse_existing(folder, overwrite=True)
+        with pytest.raises(UsageError, match="which is not"), only_here(folder):
+            pass
+    for path in (circle, circle / "file"):
+        with pytest.raises(UsageError, match=f"cannot write {path}"):
+            refuse_existing(path, overwrite=True, file=True)
+
+
 def test_json_is_whole_or_as_before(tmp_path: Path) -> None:
     path = tmp_path / "values.json"
     write_json(path, {"a": [1, 2]})

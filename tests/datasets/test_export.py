@@ -79,6 +79,11 @@ def test_what_exists_is_kept_and_nothing_else_is_written(
     assert [*folder.iterdir()] == [path]
     if form != "flashbax":  # its database names files at random
         assert contents(path) == before
+    if path.is_dir():
+        (path / ".git").mkdir()
+        with pytest.raises(UsageError, match=r"holds \.git, which is not of marl-mm"):
+            export(dataset, form, path, overwrite=True)
+        assert (path / ".git").exists()
 
 
 @pytest.mark.parametrize("form", FORMS)

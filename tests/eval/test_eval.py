@@ -125,6 +125,28 @@ def test_pd_reaches_goals_that_random_misses() -> None:
     assert evaluate(RandomPolicy(RandomConfig()), 4).success_rate == 0.0
 
 
+class Describing(PdPolicy):
+    """It says something of itself."""
+
+    about: Any = None
+
+    def describe(self) -> dict[str, Any]:
+        return {"about": self.about}
+
+
+def test_a_policy_may_describe_itself_by_what_json_has() -> None:
+    policy = Describing(PdConfig())
+    policy.about = [np.float32(0.5), np.arange(2)]
+    evaluation = evaluate(policy, 1, overrides=QUICK)
+    assert evaluation.policy_config == {"about": [0.5, [0, 1]]}
+    for odd in (np.nan, {1, 2}):
+        policy.about = odd
+        with pytest.raises(
+            UsageError, match=r"describes itself by .*, expected finite"
+        ):
+            evaluate(policy, 1, overrides=QUICK)
+
+
 @pytest.mark.parametrize(("episodes", "seed"), [(0, 0), (-1, 0), (1, -1)])
 def test_bad_numbers_are_refused(episodes: int, seed: int) -> None:
     with pytest.raises(UsageError, match="expected >= "):

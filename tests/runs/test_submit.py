@@ -178,6 +178,12 @@ def test_nothing_is_overwritten_unasked_and_never_another_folder(
         marl_mm.submit([runs / "long/0"], out=copy, episodes=2)
     with pytest.raises(UsageError, match=r"has no manifest\.json of marl-mm and"):
         marl_mm.submit([runs / "long/0"], out=runs, episodes=2, overwrite=True)
+    with pytest.raises(UsageError, match="lies in another submission"):
+        marl_mm.submit([runs / "long/0"], out=copy / "inner", episodes=2)
+    (copy / ".git").mkdir()
+    with pytest.raises(UsageError, match=r"holds \.git, which is not of marl-mm"):
+        marl_mm.submit([runs / "long/0"], out=copy, episodes=2, overwrite=True)
+    (copy / ".git").rmdir()
     made = marl_mm.submit([runs / "long/0"], out=copy, episodes=2, overwrite=True)
     assert sorted(path.name for path in copy.iterdir()) == ["0", MANIFEST]
     assert "1 seed:" in repr(made)
@@ -228,7 +234,7 @@ def test_what_it_is_made_of_is_never_replaced(
     assert (run / EVALUATION).exists()
     monkeypatch.setattr(submission_checks, "_MORE_STEPS", 0.1)
     with pytest.raises(UsageError, match=r"long/0 has episodes of 25 steps"):
-        marl_mm.submit(runs / "long/0", out=copy / "no", episodes=2)
+        marl_mm.submit(runs / "long/0", out=copy.parent / "no", episodes=2)
 
 
 def test_time_that_makes_no_sense_is_a_usage_error(honest: Path) -> None:
