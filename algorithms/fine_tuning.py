@@ -10,8 +10,8 @@ class FineTuning:
     """How a run from a dataset goes on with episodes of its own."""
 
     online_steps: int = 0
-    """Env steps of own episodes after the updates from the dataset alone; 0: none. What
-    is begun of a cycle is finished."""
+    """Env steps of own episodes after the updates from the dataset alone; 0: none. A
+    cycle that has begun is completed."""
 
     kept: float = 0.5
     """Share of the transitions that still comes from the dataset (Ball 2023: half)."""

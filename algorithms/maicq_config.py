@@ -35,7 +35,8 @@ ALGORITHMS.add(
         "agents suit what earlier ones have learnt. It stays near the data's actions.",
         departs="Critics learn from one step's reward, in the source from returns of "
         "several (TD(lambda), 0.8), and their targets follow, in the source they are "
-        "copied. The weight is the critics' loss's, in the source the target's. "
+        "copied. The softmax weight multiplies the critics' loss, in the source the "
+        "target. "
         "Critics are of the joint state and action, in the source mixed from the "
         "agents' own; agents learn one after the other, in the source beside each "
         "other. With the preset's temperatures few of a batch's 256 samples count, on "

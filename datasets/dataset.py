@@ -165,8 +165,8 @@ def load_dataset(name: str | Path | Location) -> Dataset:
     Args:
         name: Id such as ``marl_mm/reach/pd-v0``, or a path, or a location. A plain word
             such as ``pd`` is short for ``marl_mm/reach/pd-v0``, always of ``reach``,
-            but for the name of a named dataset, such as ``gate-noisy``. A ``Path`` is
-            never an id.
+            but for the name of a named dataset, such as ``gate-noisy``. Where there is
+            none, it may be a folder's name. A ``Path`` is never an id.
 
     Raises:
         UnknownDatasetError: If no dataset has this name; the message names similar

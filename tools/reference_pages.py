@@ -25,6 +25,7 @@ from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies.baselines import DATASETS, LEARNERS
 from marl_mm.eval.tables import markdown_table, rate_with_interval
 from marl_mm.runs.recipes import RECIPES
+from marl_mm.runs.sources import Source
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "eval/results"
@@ -62,6 +63,29 @@ def baseline_rows(name: str) -> list[Row]:
     """Rows of an algorithm on the datasets of ``ablate baselines``."""
     rows = read_rows(RESULTS / "studies/baselines.csv")
     return [row for row in rows if row["setting"] == f"{name}-baseline"]
+
+
+def benchmark_rows(name: str) -> list[Row]:
+    """Rows of an algorithm in the benchmark."""
+    rows = read_rows(RESULTS / "studies/benchmark.csv")
+    return [row for row in rows if row["algorithm"] == name]
+
+
+def fine_tuning_rows(name: str) -> list[Row]:
+    """Rows of an algorithm that goes on online from data, with their tasks."""
+    from marl_mm.eval.studies.fine_tuning import FINE_TUNING
+    from marl_mm.eval.studies.study import cell_name
+
+    tasks = {
+        cell_name(cell): cell[0].task
+        for cell in FINE_TUNING.cells
+        if isinstance(cell[0], Source) and cell[1].algorithm == name
+    }
+    return [
+        {**row, "task": tasks[row["dataset"], row["setting"]]}
+        for row in read_rows(RESULTS / "studies/fine-tuning.csv")
+        if (row["dataset"], row["setting"]) in tasks
+    ]
 
 
 def online_rows() -> list[Row]:
@@ -167,12 +191,17 @@ def _headline(name: str) -> str:
             f"end, and 70 % of them after {row['to_70']:.0f} episodes."
         )
     rows = [row for row in offline_rows() if row["setting"] == name]
-    if not rows and (rows := baseline_rows(name)):
-        reached = " and ".join(
-            f"{100 * row['success']:.0f} % of goals from {row['dataset']}"
-            for row in rows
-        )
-        return f"It reaches {reached}."
+    for how, found in (
+        ("Tuned, after 20,000 updates,", benchmark_rows(name)),
+        ("After own episodes beside the data", fine_tuning_rows(name)),
+        ("With its preset, 5,000 updates and one seed", baseline_rows(name)),
+    ):
+        if found and not rows:
+            *most, last = (
+                f"{100 * row['success']:.0f} % from `{row['dataset']}`" for row in found
+            )
+            reached = f"{', '.join(most)} and {last}" if most else last
+            return f"{how} it reaches {reached.replace('%', '% of goals', 1)}."
     if not rows:
         return "No results of it are committed."
     good = next(row for row in rows if row["dataset"] == "good-30k")
@@ -261,26 +290,32 @@ def _algorithm_results(name: str) -> str:
             markdown_table((*header, "engine"), rows)
             + "\n[Online learning](../../results/online.md).\n"
         )
-    committed = [row for row in offline_rows() if row["setting"] == name]
-    committed += baseline_rows(name)
-    if not committed:
-        return "None are committed yet.\n"
+    preset = [row for row in offline_rows() if row["setting"] == name]
+    sources = {
+        "preset, [offline learning](../../results/offline.md)": preset,
+        "preset, [baselines](../../results/baselines.md)": baseline_rows(name),
+        "tuned, [benchmark](../../results/benchmark.md)": benchmark_rows(name),
+        "own episodes, too, [fine-tuning](../../results/fine-tuning.md)": (
+            fine_tuning_rows(name)
+        ),
+    }
     lines = [
         (
             row["dataset"],
-            task_of(row),
+            row.get("task") or task_of(row),
+            how,
+            str(row["seeds"]),
             rate_with_interval(row),
-            f"{row['return']:.2f}",
+            f"{row['return']:.2f}" if "return" in row else "-",
             engine_named(row),
         )
-        for row in committed
+        for how, rows in sources.items()
+        for row in rows
     ]
-    columns = "dataset", "task", "goals reached [%]", "return", "engine"
-    table = markdown_table(columns, lines)
-    return (
-        f"{table}\n[Offline learning](../../results/offline.md), "
-        "[baselines](../../results/baselines.md).\n"
-    )
+    if not lines:
+        return "None are committed yet.\n"
+    columns = "dataset", "task", "how", "seeds", "goals reached [%]", "return", "engine"
+    return markdown_table(columns, lines)
 
 
 def _algorithms_index() -> str:

@@ -176,7 +176,7 @@ def _best(name: str) -> Iterator[str]:
         return
     best = max(offline, key=lambda row: float(row["success"]))
     online = [row for row in online_rows() if row["task"] == name]
-    learnt = max((float(row["success_last"]) for row in online), default=None)
+    learnt = max(online, key=lambda row: float(row["success_last"]), default=None)
     text = (
         f"Learnt from data, {NAMES[best['setting']]} reaches {100 * best['success']:.1f} "
         "% of its goals"
@@ -184,7 +184,8 @@ def _best(name: str) -> Iterator[str]:
     if learnt is None:
         yield f"{text}; it was not tried online."
     else:
-        yield f"{text}; learnt online, {100 * learnt:.1f} %."
+        reached = f"{100 * learnt['success_last']:.1f} %"
+        yield f"{text}; learnt online, {learnt['about']} reaches {reached}."
 
 
 def _entries(layout: Layout, entries: Sequence[Entry], verb: str) -> str:
@@ -297,9 +298,8 @@ def _task_results(name: str) -> str:
                 )
             )
     for row in online_rows():
-        departures = (
-            row["setting"].count("-") > 1 and "demonstrations" not in (row["setting"])
-        )
+        shown = any(what in row["setting"] for what in ("demonstrations", "imitation"))
+        departures = row["setting"].count("-") > 1 and not shown
         if row["task"] == name and not departures:
             reached = rate_with_interval(row, "success_last")
             who = f"online, {row['episodes']} episodes"

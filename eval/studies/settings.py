@@ -93,7 +93,7 @@ class Setting:
     """Columns of evaluated goals that rows keep beside the success; default all."""
 
     fine_tuning: FineTuning = field(default_factory=FineTuning)
-    """How offline runs go on with own episodes; none by default."""
+    """Settings of own episodes after the offline updates; default none."""
 
     library: Literal["marl_mm", "sb3"] = "marl_mm"
     """Implementation: ours, or Stable-Baselines3's DDPG + HER."""

@@ -43,7 +43,7 @@ def join_actions(
     if not isinstance(actions, Mapping):
         raise InvalidActionError(
             f"actions are {actions!r:.60}, expected each agent's by its name: "
-            "`marl_mm.envs.split_action` takes joint ones apart"
+            "`marl_mm.envs.parallel.split_action` takes joint ones apart"
         )
     joint = np.zeros((*batch, len(layout.action)))
     for agent in layout.agents:

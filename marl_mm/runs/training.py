@@ -140,7 +140,7 @@ class Offline(Training):
 
     @property
     def side_by_side(self) -> bool:
-        """Likewise: on a GPU, unless own episodes follow."""
+        """Whether several seeds learn in one process: on a GPU, offline alone."""
         return self.device == "cuda" and not self.fine_tuning.online_steps
 
     @property
@@ -169,7 +169,12 @@ class Online(Training):
     demonstrations: str | Path | None = None
     """Dataset, id or path, whose episodes are replayed, too."""
 
+    engine: Engine | None = None
+    """Engine of the simulation; default that of the demonstrations, or bullet, or
+    mujoco without PyBullet."""
+
     curve_episodes: int = 50
+    """Number of goals of each point of the learning curve."""
 
     schedule: Schedule = field(default_factory=Schedule)
     """Times of checkpoints and evaluations."""
