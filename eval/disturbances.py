@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from marl_mm.errors import UsageError
 from marl_mm.layout import JOINT_NAME, AgentLayout, Layout
 from marl_mm.policy import Policy
 
@@ -118,7 +119,14 @@ class Mixed:
 
     def __init__(self, policy: Policy, others: Mapping[str, Policy]) -> None:
         self._policy = policy
-        self._others = {name: deepcopy(other) for name, other in others.items()}
+        try:
+            self._others = {name: deepcopy(other) for name, other in others.items()}
+        except TypeError as error:
+            named = ", ".join(other.name for other in others.values())
+            raise UsageError(
+                f"{named} cannot be copied ({error}), as a policy is that takes an "
+                "agent's place: give it __deepcopy__"
+            ) from None
         named = ", ".join(f"{name} of {o.name}" for name, o in self._others.items())
         self.name = f"{policy.name} with {named}"
 

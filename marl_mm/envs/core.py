@@ -216,12 +216,15 @@ class EpisodeCore:
                 f"{', '.join(sorted(missing))}, which own_info has"
             )
         info = {name: info[name] for name in task.info} | info
-        reward = float(task.reward(*achieved, terms))
-        if not math.isfinite(reward):
-            raise MarlMmError(f"{type(task).__name__}.reward is {reward}, not finite")
+        reward = task.reward(*achieved, terms)
+        if not _is_number(reward) or not math.isfinite(reward):
+            raise MarlMmError(
+                f"{type(task).__name__}.reward is {reward!r:.60}, expected a finite "
+                "number"
+            )
         ended = success or bool(reason)
         truncated = attempt.steps >= task.max_steps and not ended
-        return Step(state, reward, ended, truncated, info)
+        return Step(state, float(reward), ended, truncated, info)
 
     def _state(self, attempt: Attempt) -> np.ndarray:
         layout = self.task.layout
@@ -234,6 +237,11 @@ class EpisodeCore:
             raise LayoutError(
                 f"{whose} returns no {error.args[0]!r}, which the task's layout has"
             ) from None
+        except (TypeError, ValueError):
+            state = np.empty(0)
+        if state.shape != (len(layout.state),):
+            odd = next(n for n in layout.state_names if not _is_number(seen[n]))
+            raise LayoutError(f"{whose}: {odd} is {seen[odd]!r:.60}, expected a number")
         if not np.isfinite(state).all():
             odd = np.flatnonzero(~np.isfinite(state))[0]
             raise MarlMmError(f"{whose}: {layout.state[odd]} is {state[odd]}")
@@ -291,3 +299,12 @@ def motion_info(motions: Sequence[Motion]) -> dict[str, Any]:
 
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values * values))) if len(values) else 0.0
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a task's own value is one number, an array without axes among them."""
+    try:
+        float(value)
+    except (TypeError, ValueError):
+        return False
+    return np.ndim(value) == 0

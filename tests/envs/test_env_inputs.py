@@ -2,7 +2,7 @@
 
 import copy
 import pickle
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,9 @@ from marl_mm.envs import parallel_env
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.goal_env import GoalEnv
 from marl_mm.envs.registry import TASKS, register_task
-from marl_mm.envs.task import Terms
+from marl_mm.envs.task import Attempt, Terms, Values
 from marl_mm.envs.tasks.reach import Reach
-from marl_mm.errors import InvalidActionError, MarlMmError, UsageError
+from marl_mm.errors import InvalidActionError, LayoutError, MarlMmError, UsageError
 
 REACHING = [name for name, task in TASKS.items() if isinstance(task, Reach)]
 
@@ -122,20 +122,43 @@ def test_rewards_of_a_state_entry_are_computed_again(registries: None) -> None:
     env.close()
 
 
-class PaysNothing(Reach):
-    """Its reward is no number."""
+@dataclass(frozen=True, kw_only=True)
+class Pays(Reach):
+    """Its reward is what it is told."""
+
+    paid: Any = None
 
     def reward(
         self, achieved: np.ndarray, desired: np.ndarray, terms: Terms
     ) -> np.ndarray:
-        return np.full(np.shape(terms["d_mm"]), np.nan)
+        reward: np.ndarray = self.paid
+        return reward
 
 
-def test_a_reward_that_is_no_number_ends_the_episode_at_once() -> None:
-    core = EpisodeCore(PaysNothing(max_steps=2))
+@pytest.mark.parametrize("paid", [np.array(np.nan), np.zeros(3), "much", None])
+def test_a_reward_that_is_no_number_ends_the_episode_at_once(paid: Any) -> None:
+    core = EpisodeCore(Pays(max_steps=2, paid=paid))
     core.reset(np.random.default_rng(0))
-    with pytest.raises(MarlMmError, match=r"PaysNothing\.reward is nan"):
+    with pytest.raises(MarlMmError, match=r"Pays\.reward is .*, expected a finite"):
         core.step(np.zeros(4))
+    core.close()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sees(Reach):
+    """One entry of its state is what it is told."""
+
+    seen: Any = None
+
+    def observe(self, attempt: Attempt) -> Values:
+        return {**super().observe(attempt), "base_yaw": self.seen}
+
+
+@pytest.mark.parametrize("seen", [np.zeros(3), np.zeros(1), "far"])
+def test_an_entry_that_is_no_number_is_named(seen: Any) -> None:
+    core = EpisodeCore(Sees(seen=seen))
+    with pytest.raises(LayoutError, match=r"Sees\.observe: base_yaw is .*, expected"):
+        core.reset(np.random.default_rng(0))
     core.close()
 
 

@@ -1,11 +1,13 @@
 """Policies with a disturbed agent: only what it sees or does is changed, and how."""
 
+from threading import Lock
 from typing import Any
 
 import numpy as np
 import pytest
 
 from marl_mm.envs.registry import make_task
+from marl_mm.errors import UsageError
 from marl_mm.eval.disturbances import (
     Disturbed,
     Dropped,
@@ -152,3 +154,10 @@ def test_agents_of_another_run_are_its_own(states: np.ndarray) -> None:
     own = list(agent.action)
     assert (mixed[:, own] == acted(other, states)[:, own]).all()
     assert_others_equal(mixed, acted(one, states), agent)
+
+
+def test_a_policy_that_cannot_be_copied_takes_no_agents_place() -> None:
+    policy: Any = Means(BAR, True)
+    policy.lock = Lock()
+    with pytest.raises(UsageError, match=r"means cannot be copied .*lock"):
+        Mixed(Means(BAR, False), {BAR.agents[3].name: policy})
