@@ -225,7 +225,10 @@ def _exports(candidate: Candidate) -> None:
         there = exported(*map(torch.from_numpy, inputs)).numpy()
         here = np.array([_plan(policy, state) for state in states])
         differ = largest_difference(there.reshape(here.shape), here, metadata)
-        demand(differ <= TOLERANCE, f"the export acts otherwise, by {differ:.2g}")
+        demand(
+            differ <= TOLERANCE,
+            f"the export acts otherwise, by {differ:.2g} of half a range",
+        )
 
 
 def _acts_alone(candidate: Candidate) -> None:
