@@ -203,6 +203,7 @@ def cross_play_table(crossed: Sequence[Row]) -> str:
         lines = [
             [f"`{own}`", *(cells.get((own, other), "") for other in names)]
             for own in names
+            if any(own == team for team, _ in cells)
         ]
         heads = [f"`{SOURCES[dataset]}`, team of", *(f"from `{n}`" for n in names)]
         engine = f"Agent `{agent}` of another run, engine {rows[0]['engine']}."
