@@ -135,8 +135,9 @@ def refuse_odd_values(
     Raises:
         DivergedError: Naming the metric.
     """
+    limits = algorithm.bounds if stop_diverging else {}
     for key, value in measured.items():
-        limit = algorithm.bounds.get(key, math.inf) if stop_diverging else math.inf
+        limit = limits.get(key, math.inf)
         for seed, number in zip(algorithm.seeds, value.tolist(), strict=True):
             if not (abs(number) <= limit and math.isfinite(number)):
                 excess = f", more than {limit:.3g}" if math.isfinite(number) else ""

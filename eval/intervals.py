@@ -125,6 +125,19 @@ def interval_of_mean(values: np.ndarray) -> tuple[float, float]:
     return _widened(bootstrap_interval(values.mean(axis=0)), values.mean(axis=1))
 
 
+def interval_of_gain(gain: np.ndarray) -> tuple[float, float]:
+    """95 % interval of a mean difference of successes: likewise.
+
+    For the bootstrap a goal is added to each way in which two can differ, as in
+    ``paired_interval``, so that it has a width where they agree on every goal.
+
+    Args:
+        gain: Differences by seed and goal, shape (seeds, goals).
+    """
+    of_goals = np.append(gain.mean(axis=0), (1.0, -1.0))
+    return _widened(bootstrap_interval(of_goals), gain.mean(axis=1))
+
+
 def _widened(
     interval: tuple[float, float], of_seeds: Sequence[float] | np.ndarray
 ) -> tuple[float, float]:
@@ -134,19 +147,6 @@ def _widened(
         over_seeds = mean_interval(of_seeds)
         low, high = min(low, over_seeds[0]), max(high, over_seeds[1])
     return low, high
-
-
-def interval_of_gain(gain: np.ndarray) -> tuple[float, float]:
-    """95 % interval of a mean difference of successes: likewise.
-
-    For the bootstrap a goal is added to each way in which two can differ, as in
-    ``paired_interval``, so that it has a width where they agree on every goal.
-
-    Args:
-        gain: Differences in [-1, 1] by seed and goal, shape (seeds, goals).
-    """
-    of_goals = np.append(gain.mean(axis=0), (1.0, -1.0))
-    return _widened(bootstrap_interval(of_goals), gain.mean(axis=1))
 
 
 def seed_rates(rows: Sequence[Mapping[str, Any]]) -> list[float]:

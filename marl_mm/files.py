@@ -96,7 +96,8 @@ def refuse_foreign(
             f"{folder} has no {name} of marl-mm and is not replaced: choose another "
             "name"
         )
-    for inner in sorted(os.listdir(folder)) if holds and folder.exists() else ():
+    listed = sorted(os.listdir(folder)) if holds and folder.exists() else []
+    for inner in listed:
         if not any(fnmatch(inner, pattern) for pattern in holds):
             raise UsageError(
                 f"{folder} holds {inner}, which is not of marl-mm, and is not "

@@ -5,11 +5,19 @@ import inspect
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from functools import partial
-from pathlib import Path
-from typing import Any
 
+from committed_rows import (
+    NAMES,
+    ROOT,
+    baseline_rows,
+    benchmark_rows,
+    engine_named,
+    fine_tuning_rows,
+    offline_rows,
+    online_rows,
+    task_of,
+)
 from drawings import CURVES
-from result_tables import recorded_engines
 from who_sees import kind
 
 from marl_mm.algorithms.registry import (
@@ -21,106 +29,8 @@ from marl_mm.algorithms.registry import (
 )
 from marl_mm.datasets.card import card_markdown
 from marl_mm.datasets.dataset import load_dataset
-from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies.baselines import DATASETS, LEARNERS
 from marl_mm.eval.tables import markdown_table, rate_with_interval
-from marl_mm.runs.recipes import RECIPES
-from marl_mm.runs.sources import Source
-
-ROOT = Path(__file__).resolve().parents[1]
-RESULTS = ROOT / "eval/results"
-Row = dict[str, Any]
-
-# --- Committed results -------------------------------------------------------
-
-DATA = {
-    "smooth-30k": "SmoothReach-v0",
-    "precise-30k": "PreciseReach-v0",
-    "marl_mm/carry-reach/scripted-v0": "CarryReach-v0",
-    "marl_mm/grasp/scripted-v0": "Grasp-v0",
-    "marl_mm/grasp-reach/scripted-v0": "GraspReach-v0",
-    **{
-        source.name: source.task for source in (RECIPES.get(n).source for n in DATASETS)
-    },
-}
-"""Tasks of the datasets of committed offline results; of the others, Reach-v0."""
-
-NAMES = {name: found.title for name, found in ALGORITHMS.items()}
-"""Names of algorithms as papers write them."""
-
-
-def offline_rows() -> list[Row]:
-    """Rows of the last checkpoints of tuned runs, on every dataset."""
-    rows = [
-        row
-        for table in ("offline", "tasks", "blocks")
-        for row in read_rows(RESULTS / f"studies/{table}.csv")
-    ]
-    return [row for row in rows if row["probe"] == "last"]
-
-
-def baseline_rows(name: str) -> list[Row]:
-    """Rows of an algorithm on the datasets of ``ablate baselines``."""
-    rows = read_rows(RESULTS / "studies/baselines.csv")
-    return [row for row in rows if row["setting"] == f"{name}-baseline"]
-
-
-def benchmark_rows(name: str) -> list[Row]:
-    """Rows of an algorithm in the benchmark."""
-    rows = read_rows(RESULTS / "studies/benchmark.csv")
-    return [row for row in rows if row["algorithm"] == name]
-
-
-def fine_tuning_rows(name: str) -> list[Row]:
-    """Rows of an algorithm that goes on online from data, with their tasks."""
-    from marl_mm.eval.studies.fine_tuning import FINE_TUNING
-    from marl_mm.eval.studies.study import cell_name
-
-    tasks = {
-        cell_name(cell): cell[0].task
-        for cell in FINE_TUNING.cells
-        if isinstance(cell[0], Source) and cell[1].algorithm == name
-    }
-    return [
-        {**row, "task": tasks[row["dataset"], row["setting"]]}
-        for row in read_rows(RESULTS / "studies/fine-tuning.csv")
-        if (row["dataset"], row["setting"]) in tasks
-    ]
-
-
-def online_rows() -> list[Row]:
-    """Rows of online learning by this package's algorithms, with its task."""
-    from marl_mm.eval.studies.online import CELLS
-    from marl_mm.eval.studies.settings import Online
-    from marl_mm.eval.studies.targets import STUDIES
-
-    rows = []
-    cells = {**CELLS}
-    for source, setting in STUDIES["grasp"].cells:
-        assert isinstance(source, Online)
-        cells[setting.name] = source, setting
-    every = [
-        row
-        for name in ("online", "grasp")
-        for row in read_rows(RESULTS / f"studies/{name}.csv")
-    ]
-    for row in every:
-        source, setting = cells[row["setting"]]
-        if setting.library == "marl_mm":
-            columns = {"algorithm": setting.algorithm, "about": setting.about}
-            rows.append({**row, **columns, "task": source.task})
-    return rows
-
-
-def engine_named(row: Row) -> str:
-    """Engine of a committed row and its version."""
-    return row.get("engine") or recorded_engines()
-
-
-def task_of(row: Row) -> str:
-    """Name of the task whose dataset a row of offline learning is about."""
-    return DATA.get(row["dataset"], "Reach-v0")
-
 
 # --- Algorithms --------------------------------------------------------------
 
@@ -191,19 +101,8 @@ def _headline(name: str) -> str:
             f"end, and 70 % of them after {row['to_70']:.0f} episodes."
         )
     rows = [row for row in offline_rows() if row["setting"] == name]
-    for how, found in (
-        ("Tuned, after 20,000 updates,", benchmark_rows(name)),
-        ("After own episodes beside the data", fine_tuning_rows(name)),
-        ("With its preset, 5,000 updates and one seed", baseline_rows(name)),
-    ):
-        if found and not rows:
-            *most, last = (
-                f"{100 * row['success']:.0f} % from `{row['dataset']}`" for row in found
-            )
-            reached = f"{', '.join(most)} and {last}" if most else last
-            return f"{how} it reaches {reached.replace('%', '% of goals', 1)}."
     if not rows:
-        return "No results of it are committed."
+        return _headline_elsewhere(name)
     good = next(row for row in rows if row["dataset"] == "good-30k")
     worst = min(rows, key=lambda row: float(row["success"]))
     return (
@@ -211,6 +110,22 @@ def _headline(name: str) -> str:
         f"its committed results is {100 * worst['success']:.1f} %, from "
         f"{worst['dataset']}."
     )
+
+
+def _headline_elsewhere(name: str) -> str:
+    """What an algorithm reaches that has no results on the paper's data."""
+    for how, rows in (
+        ("Tuned, after 20,000 updates,", benchmark_rows(name)),
+        ("After own episodes beside the data", fine_tuning_rows(name)),
+        ("With its preset, 5,000 updates and one seed", baseline_rows(name)),
+    ):
+        if rows:
+            *most, last = (
+                f"{100 * row['success']:.0f} % from `{row['dataset']}`" for row in rows
+            )
+            reached = f"{', '.join(most)} and {last}" if most else last
+            return f"{how} it reaches {reached.replace('%', '% of goals', 1)}."
+    return "No results of it are committed."
 
 
 WORTH = {

@@ -11,16 +11,16 @@ from functools import partial
 from operator import attrgetter
 from typing import Any
 
-from reference_pages import (
+from committed_rows import (
     NAMES,
     RESULTS,
     ROOT,
     engine_named,
-    field_texts,
     offline_rows,
     online_rows,
     task_of,
 )
+from reference_pages import field_texts
 
 from marl_mm.envs.registry import TASKS, kind_of
 from marl_mm.envs.task import Task
