@@ -62,8 +62,10 @@ def _refuse_lost_links(path: Path, there: Path) -> None:
         there: The part of it that no such link may be in.
     """
     try:
-        path.resolve()
-    except (RuntimeError, OSError) as error:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except OSError as error:
         raise UsageError(f"cannot write {path}: {error}") from None
     for place in (there, *there.parents):
         if place.is_symlink() and not place.exists():

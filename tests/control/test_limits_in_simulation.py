@@ -22,6 +22,7 @@ from marl_mm.robot.support import support_margin
 from marl_mm.sim.bullet import BulletWorld
 from marl_mm.sim.config import ENGINES, RATE, Engine, SimulationConfig
 from marl_mm.sim.mujoco import MujocoWorld
+from marl_mm.sim.world import check_engine
 
 BASE_AND_POSTURE = (1, 1, LEFT_OUT, LEFT_OUT, 2)
 """Levels without the hand's tasks."""
@@ -303,6 +304,7 @@ def test_a_base_on_its_nose_or_back_is_seen(
     """
     heavy = RobotConfig(base_mass=60.0, base_com_b=(0.6 * forward, 0.0, 0.3))
     simulation = SimulationConfig(engine=engine)
+    check_engine(engine)  # the test is skipped without it
     with pytest.raises(UsageError, match="m inside the edge of its wheels' support"):
         Drive(heavy, simulation, ControllerConfig())
     monkeypatch.setattr(Drive, "_check_balance", lambda drive, controller: None)
