@@ -1,8 +1,8 @@
 """IQL, implicit Q-learning (Kostrikov 2022): never asks a critic for unseen actions.
 
 V and the twin critics learn in-sample, see ``in_sample``. Loss of each actor:
-exp(beta (min_j Q_j'(s, a) - V(s))) MSE(a_i, pi_i(o_i)). A team shares V and Q, which
-are of the joint state and action; each agent has its own actor.
+min(exp(beta (min_j Q_j'(s, a) - V(s))), 100) MSE(a_i, pi_i(o_i)). A team shares V and
+Q, which are of the joint state and action; each agent has its own actor.
 """
 
 from typing import ClassVar

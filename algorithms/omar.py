@@ -1,12 +1,13 @@
 """OMAR, offline multi-agent RL with actor rectification (Pan 2022).
 
 Loss of the twin critics: (Q_j(s, a) - r - gamma (1 - terminated) min_j Q_j'(s', a'))^2
-+ alpha (mean_i log E exp Q_j(s, (u_i, a_-i)) - Q_j(s, a)), as in ``cfcql`` with equal
-shares. Loss of each actor, every second update: -(1 - c) Q_1(s, (pi_i(o_i), a_-i))
-+ c |pi_i(o_i) - best_i|^2. The action best_i is the best of a few rounds of samples:
-the first from a wide Gaussian, each other one from the mean and deviation of the best
-so far, the actor's own action among them. So an actor leaves a hill of Q that is not
-the highest, which conservative critics have at each way that the data show.
++ alpha (mean_i log E[exp Q_j(s, (u_i, a_-i)) / q(u_i)] - Q_j(s, a)), as in ``cfcql``
+with equal shares. Loss of each actor, every second update: -(1 - c) Q_1(s, (pi_i(o_i),
+a_-i)) + c |pi_i(o_i) - best_i|^2, and CFCQL's terms of c and b, here `action_penalty`
+and `bound_penalty`. The action best_i is the best of a few rounds of samples: the first
+from a wide Gaussian, each other one from the mean and deviation of the best so far, the
+actor's own action among them. So an actor leaves a hill of Q that is not the highest,
+which conservative critics have at each way that the data show.
 
 What departs: in the source each agent has critics of its own observation and action.
 Our agents share one reward, which the others' actions set as much: to critics that do

@@ -69,6 +69,9 @@ class LearnedPolicy:
     def act(self, observation: np.ndarray | Mapping[str, np.ndarray]) -> np.ndarray:
         """Joint action, shape (k,), float32.
 
+        Call ``begin`` before the first step of every episode: a policy that plans or
+        draws noise goes on with its plan, and needs a stream of random numbers.
+
         Args:
             observation: Joint state, shape (n,), or the goal environment's dictionary.
 

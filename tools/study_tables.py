@@ -7,7 +7,6 @@ from operator import itemgetter
 from typing import Any
 
 import numpy as np
-import scipy.stats
 
 from marl_mm.algorithms.fine_tune import fared
 from marl_mm.eval.bench import SB3
@@ -33,7 +32,6 @@ from marl_mm.eval.tables import (
     rate_in_interval,
     rate_with_interval,
 )
-from marl_mm.eval.ties import holm
 
 _AT_EQUAL_STEPS = ("ddpg-her", "maddpg-her", SB3, "ddpg-her-no-layer-norm")
 """Settings compared at equal steps of the environment; without layer norm ours has the
@@ -125,12 +123,8 @@ _OTHERS = {"d3rlpy": "d3rlpy", "qc": "Q-chunking's authors"}
 
 
 def known_table(rows: Sequence[Row]) -> str:
-    """Returns of ours and somebody else's on the same file, as Markdown.
-
-    P-values are of Welch's test, corrected together.
-    """
+    """Returns of ours and somebody else's on the same file, as Markdown."""
     lines: list[list[str]] = []
-    p_values: list[float] = []
     for algorithm, some in grouped(rows, "algorithm").items():
         returns = {
             maker: [float(row["return"]) for row in made]
@@ -145,14 +139,11 @@ def known_table(rows: Sequence[Row]) -> str:
                 for maker in ("ours", other)
             )
             overlap = "yes" if low <= their_high and their_low <= high else "no"
-            lines.append([f"`{algorithm}`", *cells, _OTHERS[other], overlap])
-            test = scipy.stats.ttest_ind(
-                returns["ours"], returns[other], equal_var=False
-            )
-            p_values.append(float(test.pvalue))
-    for line, p in zip(lines, holm(p_values), strict=True):
-        line.append(f"{p:.2f}")
-    heads = "algorithm", "ours", "theirs", "whose", "overlap", "p"
+            more = float(np.mean(returns["ours"]) - np.mean(returns[other]))
+            least, most = difference_interval(returns["ours"], returns[other])
+            ahead = f"{more:+.0f} [{least:+.0f}, {most:+.0f}]"
+            lines.append([f"`{algorithm}`", *cells, _OTHERS[other], overlap, ahead])
+    heads = "algorithm", "ours", "theirs", "whose", "overlap", "ours ahead by"
     return markdown_table(heads, lines)
 
 
@@ -210,7 +201,7 @@ def fine_tuning_table(store: RowStore, summary: Sequence[Row]) -> str:
         )
     header = ["dataset", "way", "updates", "start [%]", "after [%]"]
     header += ["seeds worse after", "dip [points]", "regret [%]"]
-    times = ["steps to 95 %, median", "seeds that came there"]
+    times = ["steps to 95 %, median", "seeds that stayed there"]
     return markdown_table([*header, *times, "at the end [%]"], lines)
 
 

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from marl_mm.errors import UsageError
 from marl_mm.eval import cross_play as crossing
 from marl_mm.eval import robustness as disturbing
@@ -30,6 +32,7 @@ def robustness(
     engine: Engine | None = None,
     workers: int = 1,
     config: Any = None,
+    spread: Sequence[float] | None = None,
     progress: Bar = silent_bar,
     keep: Callable[[Robustness], None] = forget,
     **settings: Any,
@@ -47,6 +50,9 @@ def robustness(
         engine: Engine of the simulation, bullet or mujoco; default the run's own.
         workers: Processes; the result does not depend on their number.
         config: Settings of a collector's policy; default the collector's.
+        spread: Numbers that noise of strength 1 has as standard deviations, shape (n,),
+            in the units of the joint state; default those of the policy's clean run. To
+            compare policies give all the same, say of a dataset's states.
         progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
         keep: Callback after each condition, with what is finished.
         **settings: Settings of a collector's policy, by name.
@@ -62,9 +68,23 @@ def robustness(
     setup = setup_of([policy], *goals)
     actor = load_policy(policy, setup.made, config, **settings)
     name = called(policy, actor)
-    for result in disturbing.robustness(setup, actor, name, progress, names):
+    units = None if spread is None else _spread(spread, len(setup.made.layout.state))
+    for result in disturbing.robustness(setup, actor, name, progress, names, units):
         keep(result)
     return result
+
+
+def _spread(values: Sequence[float], entries: int) -> np.ndarray:
+    try:
+        spread = np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        spread = np.empty(0)
+    if spread.shape != (entries,) or not (np.isfinite(spread) & (spread >= 0)).all():
+        raise UsageError(
+            f"`spread` is {values!r:.60}, expected {entries} numbers >= 0, one for "
+            "each entry of the joint state"
+        )
+    return spread
 
 
 def cross_play(

@@ -139,6 +139,20 @@ def test_the_world_does_otherwise_with_another_payload_friction_or_engine() -> N
         assert strongest[-1].engine.startswith("bullet")
 
 
+def test_noise_has_the_spread_that_is_asked_for() -> None:
+    few: dict[str, Any] = {**FEW, "disturbances": "noisy"}
+    entries = len(make_task("Reach-v0").layout.state)
+    still = marl_mm.robustness("pd", spread=[0.0] * entries, **few)
+    assert len(still.disturbed) == 6
+    for result in still.disturbed.values():
+        assert result.rows == still.clean.rows
+    shaken = marl_mm.robustness("pd", spread=[1.0] * entries, **few)
+    assert all(one.rows != shaken.clean.rows for one in shaken.disturbed.values())
+    for odd in ([1.0], [math.nan] * entries, [-1.0] * entries, "much"):
+        with pytest.raises(UsageError, match=f"expected {entries} numbers >= 0"):
+            marl_mm.robustness("pd", spread=odd, **few)
+
+
 @pytest.mark.slow
 def test_results_do_not_depend_on_workers_or_on_what_else_is_run(
     runs: dict[str, Path],
