@@ -167,7 +167,7 @@ class WandbLogger:
                 name=f"{run.parent.name}/{run.name}",
                 id=run_id,
                 resume="allow" if before else None,
-                config=json.loads(config.read_text()) if config.exists() else None,
+                config=json.loads(config.read_bytes()) if config.exists() else None,
                 reinit="create_new",  # several seeds of a process side by side
                 settings=settings,
             )

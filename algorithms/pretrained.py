@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 
 from marl_mm.algorithms.actors import actors_from
 from marl_mm.algorithms.checkpoint import BEST, DAMAGE, read_checkpoint
@@ -51,15 +51,15 @@ def ship(run: Path, folder: Path) -> None:
         run: A finished run.
         folder: Folder to write; replaced if it exists.
     """
-    config = json.loads((run / "config.json").read_text())
+    config = json.loads((run / "config.json").read_text("utf-8"))
     if config.get("dataset"):
         del config["dataset"]["path"]  # of the machine it was trained on
     with new_folder(folder) as new:
         write_actors(new, read_checkpoint(run / BEST), config)
         shutil.copy(run / METRICS, new / METRICS)
-        evaluation = json.loads((run / "eval_best.json").read_text())
+        evaluation = json.loads((run / "eval_best.json").read_text("utf-8"))
         evaluation["policy_config"] = {}
-        (new / "eval.json").write_text(json.dumps(evaluation, indent=1) + "\n")
+        (new / "eval.json").write_text(json.dumps(evaluation, indent=1) + "\n", "utf-8")
 
 
 def write_actors(
@@ -77,8 +77,7 @@ def write_actors(
         for agent, state in checkpoint["state"]["actors"].items()
         for key, value in state.items()
     }
-    save_file(tensors, folder / WEIGHTS)
-    (folder / WEIGHTS).chmod(0o644)  # it is written for the owner alone
+    (folder / WEIGHTS).write_bytes(save(tensors))
     made = {
         **config,
         "layout": checkpoint["layout"].to_json(),

@@ -90,7 +90,7 @@ class RunLog:
                 f"{since}: one was cut off; start anew with `overwrite=True`"
             )
         with new_file(run / METRICS) as temporary:
-            temporary.write_text("".join(map(_line, self.rows)))
+            temporary.write_text("".join(map(_line, self.rows)), "utf-8")
 
     def __enter__(self) -> "RunLog":
         return self

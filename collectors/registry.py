@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from marl_mm.declared import defaults
+from marl_mm.declared import defaults, refuse_taken
 from marl_mm.envs.task import Task
 from marl_mm.episode import Episode
 from marl_mm.policy import Policy
@@ -19,6 +19,14 @@ def successes(episode: Episode) -> bool:
 def everything(episode: Episode) -> bool:
     """Keep all episodes."""
     return True
+
+
+COLLECTING = (
+    *("collector", "task", "dataset", "config", "progress"),
+    *("steps", "seed", "workers", "executor", "max_steps", "engine"),
+    *("resume", "overwrite"),
+)
+"""Names of what a collection is asked for beside a collector's settings."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +57,7 @@ class Collector:
     """Default name of the datasets; None for the collector's name."""
 
     def __post_init__(self) -> None:
-        defaults(self.config)
+        refuse_taken(self.config, defaults(self.config), COLLECTING)
 
 
 COLLECTORS: Registry[Collector] = Registry(

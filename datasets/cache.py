@@ -74,7 +74,7 @@ def most_bytes() -> int:
 def entries() -> list[Entry]:
     """All entries, those that were used last first."""
     listed = []
-    for path in cache_folder().glob("*.npz"):
+    for path in cache_folder().glob("[!.]*.npz"):
         with suppress(OSError):  # deleted by another process
             status = path.lstat()
             listed.append(Entry(path, status.st_size, status.st_mtime))

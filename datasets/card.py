@@ -145,7 +145,7 @@ def write_card(dataset: "Dataset", values: dict[str, Any], stem: Path) -> None:
     kept = _without_path(values)
     page, figure = (stem.with_name(stem.name + end) for end in (".md", ".png"))
     with new_file(page) as temporary:
-        temporary.write_text(card_markdown(kept, figure.name))
+        temporary.write_text(card_markdown(kept, figure.name), "utf-8")
     with new_file(figure) as temporary:
         draw_card(dataset.arrays, kept, temporary)
 

@@ -17,6 +17,7 @@ from marl_mm.datasets.export import DATASET_FORMS, DatasetForm
 from marl_mm.datasets.hdf5 import FILE
 from marl_mm.datasets.named import RECORD, name_of
 from marl_mm.errors import DatasetError
+from marl_mm.files import write_json
 
 _SUMS = "SHA256SUMS"
 
@@ -63,14 +64,14 @@ def _hub(dataset: Dataset, path: Path) -> None:
         (path / "data" / name).write_bytes(data)
     draw_card(dataset.arrays, values, path / "card.png")
     ours = _is_ours(dataset, values)
-    (path / "LICENSE").write_text(_licence() if ours else _NOT_OURS)
+    (path / "LICENSE").write_text(_licence() if ours else _NOT_OURS, "utf-8")
     front = "\n".join(f"{key}: {json.dumps(v)}" for key, v in _front(values, ours))
     page = f"---\n{front}\n---\n\n{card_markdown(values)}{_READ}"
-    (path / "README.md").write_text(page)
+    (path / "README.md").write_text(page, "utf-8")
     croissant = _croissant(dataset, values, ours, _sums(path))
-    (path / "croissant.json").write_text(json.dumps(croissant, indent=2) + "\n")
+    write_json(path / "croissant.json", croissant)
     lines = [f"{digest}  {name}\n" for name, digest in _sums(path).items()]
-    (path / _SUMS).write_text("".join(lines))
+    (path / _SUMS).write_text("".join(lines), "utf-8")
 
 
 def _is_ours(dataset: Dataset, values: Mapping[str, Any]) -> bool:
@@ -79,7 +80,7 @@ def _is_ours(dataset: Dataset, values: Mapping[str, Any]) -> bool:
         own, theirs = dataset.arrays, shipped.shipped_arrays(values["id"])
         pairs = (own.states, theirs.states), (own.actions, theirs.actions)
         return all(np.array_equal(*pair) for pair in pairs)
-    record = json.loads(RECORD.read_text()).get(name_of(values["id"]), {})
+    record = json.loads(RECORD.read_text("utf-8")).get(name_of(values["id"]), {})
     digest = values["data_sha256"]
     return digest is not None and bool(record.get("data_sha256") == digest)
 
@@ -88,7 +89,7 @@ def _licence() -> str:
     """The package's licence, of a clone or an installation."""
     beside = Path(__file__).resolve().parents[1] / "LICENSE"
     if beside.exists():
-        return beside.read_text()
+        return beside.read_text("utf-8")
     return metadata.distribution("marl-mm").read_text("licenses/LICENSE") or "MIT\n"
 
 

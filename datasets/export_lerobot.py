@@ -60,7 +60,7 @@ def _lerobot(dataset: Dataset, path: Path) -> None:
     }
     stats = {key: _statistics(values) for key, values in frames.items()}
     for name, value in ((_MARK, info), ("meta/stats.json", stats)):
-        (path / name).write_text(json.dumps(value, indent=2) + "\n")
+        (path / name).write_text(json.dumps(value, indent=2) + "\n", "utf-8")
 
 
 def _frames(dataset: Dataset, rate: float) -> Tables:

@@ -48,7 +48,7 @@ def _vault(dataset: Dataset, path: Path) -> None:
         "sizes": {name: _sizes(view) for name, view in agents.items()},
     }
     about |= description(dataset, "flashbax")
-    (path / _MARK).write_text(json.dumps(about, indent=2) + "\n")
+    (path / _MARK).write_text(json.dumps(about, indent=2) + "\n", "utf-8")
     for key, values in leaves.items():
         _write(path, f"{key}.", values, [1, _LONGEST, *values.shape[2:]])
     _write(path, "vault_index", np.array([len(joint)], np.int32), [1])

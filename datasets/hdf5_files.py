@@ -15,8 +15,8 @@ import h5py
 import numpy as np
 
 from marl_mm.errors import DatasetError, MarlMmError
-from marl_mm.files import named_errors
 from marl_mm.received import check_regular, most_unpacked, printable_name
+from marl_mm.temporary import named_errors
 
 _DAMAGE = (
     *(OSError, KeyError, ValueError, RuntimeError, TypeError, MemoryError),

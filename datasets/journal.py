@@ -10,7 +10,7 @@ import io
 import json
 import sqlite3
 from collections.abc import Generator, Iterator, Mapping
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -138,12 +138,14 @@ class Journal:
             return
         folder.mkdir(parents=True, exist_ok=True)
         check_files(self._path)
-        with self._errors():
+        with self._errors(), ExitStack() as failing:
             self._file = sqlite3.connect(self._path)
+            failing.callback(self._file.close)
             check_tables(self._file, self._path, _TABLES)
             there = {n for (n,) in self._file.execute("select name from sqlite_master")}
             for statement in (_TABLES[name] for name in _TABLES if name not in there):
                 self._file.execute(statement)
+            failing.pop_all()
 
     def __enter__(self) -> "Journal":
         return self

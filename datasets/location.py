@@ -85,6 +85,8 @@ def locate(text: str) -> Location:
         folder = _absolute(Path(text).expanduser())
     except RuntimeError as error:  # such as of ~nobody
         raise UsageError(f"dataset {text!r}: {error}") from None
+    if not folder.name:
+        raise UsageError(f"dataset {text!r} is no name, expected an id or a path")
     if folder.name == "data" and (folder / "metadata.json").exists():
         folder = folder.parent
     name = re.sub(r"[^a-zA-Z0-9_-]", "-", folder.name)

@@ -170,9 +170,9 @@ def new_metadata(
 
 def sign_metadata(path: Path) -> None:
     """Store the metadata's checksum inside the metadata."""
-    metadata = json.loads(path.read_text())
+    metadata = json.loads(path.read_text("utf-8"))
     metadata["marl_mm"]["metadata_sha256"] = _metadata_digest(metadata)
-    path.write_text(json.dumps(metadata))
+    path.write_text(json.dumps(metadata), "utf-8")
 
 
 def _metadata_digest(metadata: dict[str, Any]) -> str:

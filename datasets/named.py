@@ -31,7 +31,7 @@ AXES: Mapping[str, str] = MappingProxyType(
 def named_ids() -> Mapping[str, str]:
     """Ids of the named datasets on record, by name."""
     return MappingProxyType(
-        {name: _id(name) for name in json.loads(RECORD.read_text())}
+        {name: _id(name) for name in json.loads(RECORD.read_text("utf-8"))}
     )
 
 

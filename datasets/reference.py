@@ -14,7 +14,7 @@ FILE = "reference_scores.json"
 
 def reference_scores(task: str | None) -> dict[str, Any]:
     """Minari's metadata of a task's reference scores; empty for unknown tasks."""
-    text = resources.files("marl_mm.datasets").joinpath(FILE).read_text()
+    text = resources.files("marl_mm.datasets").joinpath(FILE).read_text("utf-8")
     scores = json.loads(text)["tasks"].get(task)
     if scores is None:
         return {}

@@ -72,4 +72,4 @@ def shipped_row(name: str) -> dict[str, Any]:
 
 
 def _provenance(name: str) -> Provenance:
-    return Provenance.from_json(json.loads(description_file(name).read_text()))
+    return Provenance.from_json(json.loads(description_file(name).read_text("utf-8")))

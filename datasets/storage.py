@@ -52,8 +52,10 @@ def write_dataset(
         OutputExistsError: If the dataset exists and may not be replaced.
         UsageError: If the folder holds other files, or ``$MARL_MM_CACHE_GB`` is no
             number.
+        DatasetError: If the arrays contradict their layout or one another.
     """
     cache.most_bytes()  # raises before anything is written
+    _refuse_problems(problems_of(arrays), location.folder)
     refuse_existing(location.folder, overwrite)
     refuse_foreign(location)
     if location.name == location.id:

@@ -166,12 +166,13 @@ def evaluate_with(
         raise UsageError(f"seed is {seed}, expected >= 0")
     described = _described(policy)
     rows: list[EvaluationRow] = []
+    reached = 0
     plans = goal_set(make_task(task, overrides), episodes, seed)
     for episode in rollouts.run(policy, plans):
         if states is not None:
             states.append(episode.states)
         rows.append(episode_row(episode))
-        reached = sum(row["success"] for row in rows)
+        reached += rows[-1]["success"]
         advance(1, f"{reached}/{len(rows)} reached")
     replaced = to_record(overrides or {})
     package, _ = ENGINES[engine_of(replaced)]

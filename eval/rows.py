@@ -176,10 +176,13 @@ def _unpacked(path: Path, most: int) -> bytes:
 def _typed(columns: Mapping[str, Sequence[str]]) -> list[Row]:
     """Rows with numbers and pairs, of texts by column."""
     values = {name: [*map(_number, texts)] for name, texts in columns.items()}
-    for name in [name for name in values if name.endswith("_low")]:
-        stem = name.removesuffix("_low")
+    stems = [n.removesuffix("_low") for n in values if n.endswith("_low")]
+    for stem in [stem for stem in stems if f"{stem}_high" in values]:
         values[stem] = list(
-            map(list, zip(values.pop(name), values.pop(f"{stem}_high"), strict=True))
+            map(
+                list,
+                zip(values.pop(f"{stem}_low"), values.pop(f"{stem}_high"), strict=True),
+            )
         )
     return [
         dict(zip(values, row, strict=True))

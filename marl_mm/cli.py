@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     end_on_signals()
     for name in ("stdout", "stderr"):  # which may be closed, as for a daemon's child
         if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, "w"))
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
     try:
         code = _run(words)
         sys.stdout.flush()

@@ -1,11 +1,9 @@
 """Files and folders that appear whole or not at all."""
 
 import ctypes
-import errno
 import fcntl
 import json
 import os
-import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from fnmatch import fnmatch
@@ -13,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from marl_mm.errors import OutputExistsError, UsageError
+from marl_mm.temporary import claimed, named_errors, remove
 
 
 def home() -> Path:
@@ -25,6 +24,20 @@ def home() -> Path:
         return Path.home()
     except RuntimeError as error:
         raise UsageError(f"{error} Set $HOME") from None
+
+
+def is_there(path: Path) -> bool:
+    """Whether there is something at a path.
+
+    Raises:
+        OSError: If that cannot be told, where ``Path.exists`` may say that there is
+            nothing.
+    """
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    return True
 
 
 def refuse_existing(path: Path, overwrite: bool, *, file: bool = False) -> None:
@@ -123,53 +136,25 @@ def refuse_input(folder: Path, inputs: Iterable[Path]) -> None:
 
 
 @contextmanager
-def named_errors(path: Path, temporary: Path | None = None) -> Iterator[None]:
-    """Let errors of the operating system in the block name the file that is written.
-
-    A write to an open file fails without a name, as on a full disk.
-
-    Args:
-        path: Name for errors that have none.
-        temporary: Other name of ``path`` in the block, which nobody knows.
-
-    Raises:
-        OSError: Those of the block.
-    """
-    try:
-        yield
-    except OSError as error:
-        name = error.filename
-        if error.errno is None:  # a library's own, in words
-            raise OSError(errno.EIO, str(error), str(path)) from error
-        if name is None:
-            error.filename = str(path)
-        elif temporary is not None and isinstance(name, str | Path):
-            if Path(name).is_relative_to(temporary):
-                error.filename = str(path / Path(name).relative_to(temporary))
-        raise
-
-
-@contextmanager
 def new_file(path: Path) -> Iterator[Path]:
     """A temporary name beside ``path``, renamed to it when the block succeeds.
 
-    Of a link it is the file that is replaced, not the link.
+    Of a link it is the file that is replaced, not the link. The temporary file exists
+    and is empty.
 
     Raises:
         OSError: If there is no room or no permission; it names ``path``.
     """
     path = path.resolve() if path.is_symlink() else path
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    for killed in _left_by_killed(path.parent, f".{path.stem}.", path.suffix):
-        killed.unlink(missing_ok=True)
-    try:
-        with named_errors(path, temporary):
-            yield temporary
-            _to_disk(temporary)
-            temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with claimed(path, path.stem, f".part{path.suffix}", Path.touch) as temporary:
+        try:
+            with named_errors(path, temporary):
+                yield temporary
+                _to_disk(temporary)
+                temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -185,33 +170,19 @@ def new_folder(path: Path) -> Iterator[Path]:
     """
     path = path.absolute()  # a "." has no name
     path.parent.mkdir(parents=True, exist_ok=True)
-    for killed in _left_by_killed(path.parent, f".{path.name}.", ".new"):
-        shutil.rmtree(killed, ignore_errors=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.new")
-    try:
-        with named_errors(path, temporary):
-            temporary.mkdir()
-            yield temporary
-            for inner in (*temporary.rglob("*"), temporary):
-                _to_disk(inner)
-            if path.exists() or path.is_symlink():
-                _exchange(temporary, path)
-            else:
-                temporary.rename(path)
-            _to_disk(path.parent)
-    finally:
-        if temporary.is_symlink():  # it has taken the place of a link
-            temporary.unlink()
-        shutil.rmtree(temporary, ignore_errors=True)
-
-
-def _left_by_killed(folder: Path, before: str, after: str) -> Iterator[Path]:
-    """Temporary files in a folder of processes that are dead, or had this one's id."""
-    for name in os.listdir(folder):
-        writer = name.removeprefix(before).removesuffix(after)
-        if name == f"{before}{writer}{after}" and writer.isdecimal():
-            if int(writer) == os.getpid() or not Path("/proc", writer).exists():
-                yield folder / name
+    with claimed(path, path.name, ".new", Path.mkdir) as temporary:
+        try:
+            with named_errors(path, temporary):
+                yield temporary
+                for inner in (*temporary.rglob("*"), temporary):
+                    _to_disk(inner)
+                if path.exists() or path.is_symlink():
+                    _exchange(temporary, path)
+                else:
+                    temporary.rename(path)
+                _to_disk(path.parent)
+        finally:
+            remove(temporary)
 
 
 def _to_disk(path: Path) -> None:
@@ -227,7 +198,8 @@ def _exchange(new: Path, old: Path) -> None:
     """Exchange the names of two paths, in one step where the file system can."""
     libc = ctypes.CDLL(None)
     here, exchange = -100, 2  # AT_FDCWD, RENAME_EXCHANGE
-    if libc.renameat2(here, bytes(new), here, bytes(old), exchange):
+    renameat2 = getattr(libc, "renameat2", None)  # which musl may lack
+    if not renameat2 or renameat2(here, bytes(new), here, bytes(old), exchange):
         between = new.with_suffix(".old")  # network file systems cannot
         old.rename(between)
         new.rename(old)
@@ -288,13 +260,14 @@ def append(path: Path, data: bytes) -> None:
     Raises:
         OSError: If there is no room or no permission; it names the file.
     """
-    new = not path.exists()
+    new = not is_there(path)
     with named_errors(path), path.open("ab", buffering=0) as file:
         before = file.tell()
         try:
             written = file.write(data)
             while written < len(data):  # a write that comes to a limit is cut there
                 written += file.write(data[written:])
+            os.fsync(file.fileno())
         except OSError:
             file.truncate(before)
             if new:

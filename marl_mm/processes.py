@@ -144,7 +144,7 @@ def limit_memory(more: int) -> None:
 
     Beyond it, Python raises a ``MemoryError``, and libraries fail or end the process.
     """
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    pages = int(Path("/proc/self/statm").read_text("utf-8").split()[0])
     most = pages * resource.getpagesize() + more
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     if hard == resource.RLIM_INFINITY or most < hard:

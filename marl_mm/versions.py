@@ -58,7 +58,7 @@ def _installed(name: str) -> str:
 def machine() -> dict[str, str]:
     """Processor and system of this machine, which decide the last bits of numbers."""
     name, info = platform.machine(), Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.exists() else []
+    lines = info.read_text("utf-8").splitlines() if info.exists() else []
     models = [line.partition(":")[2].strip() for line in lines if "model name" in line]
     return {"processor": (models or [name])[0], "system": f"{platform.system()} {name}"}
 

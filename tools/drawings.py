@@ -93,7 +93,7 @@ def agents() -> str:
 
 def _tick() -> float:
     """Median time of a whole tick [us]."""
-    measured = json.loads((RESULTS / "controller/bench.json").read_text())
+    measured = json.loads((RESULTS / "controller/bench.json").read_text("utf-8"))
     return float(measured["us"]["tick"]["median"])
 
 

@@ -39,7 +39,7 @@ def matched_agent(repository: Path) -> ModuleType:
     """Their agent, with the two lines replaced."""
     paths = "utils/networks.py", "agents/acfql.py"
     for path, (name, (line, other)) in zip(paths, REPLACED.items(), strict=True):
-        source = (repository / path).read_text()
+        source = (repository / path).read_text("utf-8")
         assert source.count(line) == 1, path
         module = sys.modules[name] = ModuleType(name)
         exec(compile(source.replace(line, other), path, "exec"), module.__dict__)

@@ -103,7 +103,7 @@ def main() -> None:
         check = "--check" in sys.argv
         text = nbformat.writes(lean(execute(path, small=check))) + "\n"
         if not check:
-            path.write_text(text)
+            path.write_text(text, "utf-8")
         kilobytes = len(text) // 1000
         print(f"{name}: {time.monotonic() - begin:.0f} s, {kilobytes} kB")
 

@@ -39,7 +39,7 @@ def pages() -> dict[Path, str]:
         ).items()
     }
     written = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-    made |= {p: p.read_text() for p in written if p not in made}
+    made |= {p: p.read_text("utf-8") for p in written if p not in made}
     return {path: filled(text) for path, text in made.items()}
 
 
@@ -48,14 +48,14 @@ def main() -> int:
     stale = [
         (path, text)
         for path, text in pages().items()
-        if not path.exists() or path.read_text() != text
+        if not path.exists() or path.read_text("utf-8") != text
     ]
     for path, text in stale:
         print(path.relative_to(ROOT))
         if "--check" not in sys.argv:
             path.parent.mkdir(parents=True, exist_ok=True)
             with new_file(path) as temporary:
-                temporary.write_text(text)
+                temporary.write_text(text, "utf-8")
     return int("--check" in sys.argv and bool(stale))
 
 

@@ -23,7 +23,7 @@ def main() -> None:
             order = [other for other in RECIPES.names() if other in rows]
             with new_file(RECORD) as temporary:
                 text = json.dumps({n: rows[n] for n in order}, indent=1)
-                temporary.write_text(f"{text}\n")
+                temporary.write_text(f"{text}\n", "utf-8")
             print(name, row)
 
 

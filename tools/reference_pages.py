@@ -39,7 +39,7 @@ def _algorithm_page(name: str) -> str:
     algorithm = ALGORITHMS.get(name)
     assert isinstance(algorithm.learner, Imported)
     file = f"algorithms/{algorithm.learner.file}"
-    text = ast.get_docstring(ast.parse((ROOT / file).read_text()))
+    text = ast.get_docstring(ast.parse((ROOT / file).read_text("utf-8")))
     assert text is not None
     first, _, rest = text.partition("\n\n")
     data = "" if algorithm.online else " --dataset good-5k"

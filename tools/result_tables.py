@@ -112,22 +112,26 @@ def _loads() -> str:
 
 def _env() -> str:
     paths = sorted((RESULTS / "env").glob("*.json"), reverse=True)  # Reach first
-    results = {path.stem: json.loads(path.read_text()) for path in paths}
+    results = {path.stem: json.loads(path.read_text("utf-8")) for path in paths}
     return "\n".join(table(results) for table in (env_table, vector_table, tick_table))
 
 
 def _bench() -> str:
-    return bench_table(json.loads((RESULTS / "controller/bench.json").read_text()))
+    return bench_table(
+        json.loads((RESULTS / "controller/bench.json").read_text("utf-8"))
+    )
 
 
 def _abuse() -> str:
     forms = ("blend", "rhp")
     paths = {form: RESULTS / f"controller/abuse-{form}.json" for form in forms}
-    return abuse_table({f: json.loads(path.read_text()) for f, path in paths.items()})
+    return abuse_table(
+        {f: json.loads(path.read_text("utf-8")) for f, path in paths.items()}
+    )
 
 
 def _data() -> str:
-    return data_table(json.loads((RESULTS / "data/bench.json").read_text()))
+    return data_table(json.loads((RESULTS / "data/bench.json").read_text("utf-8")))
 
 
 _ONLINE = (
@@ -163,7 +167,7 @@ def _steps() -> str:
 
 
 def _updates() -> str:
-    return updates_table(json.loads((RESULTS / "online/bench.json").read_text()))
+    return updates_table(json.loads((RESULTS / "online/bench.json").read_text("utf-8")))
 
 
 def _ablation(name: str, *leave_out: str, dataset: str = "") -> str:
@@ -203,7 +207,9 @@ def _grasp(rows: list[Row]) -> str:
 @cache
 def recorded_engines() -> str:
     """The engines of the committed rows of studies that name none in their tables."""
-    records = (json.loads(p.read_text()) for p in RESULTS.glob("studies/rows/*/*.json"))
+    records = (
+        json.loads(p.read_text("utf-8")) for p in RESULTS.glob("studies/rows/*/*.json")
+    )
     # Cells name the engine among their settings; their pages say which.
     old = [record for record in records if not {"engine", "cells"} & record.keys()]
     packages = [record["packages"] for record in old if "packages" in record]
@@ -239,11 +245,13 @@ def _script() -> str:
 
 
 def _offline_updates() -> str:
-    return offline_speed_table(json.loads((RESULTS / "offline/bench.json").read_text()))
+    return offline_speed_table(
+        json.loads((RESULTS / "offline/bench.json").read_text("utf-8"))
+    )
 
 
 def _gpu_updates() -> str:
-    return gpu_table(json.loads((RESULTS / "offline/gpu.json").read_text()))
+    return gpu_table(json.loads((RESULTS / "offline/gpu.json").read_text("utf-8")))
 
 
 def _entries() -> str:

@@ -45,7 +45,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
 
 def notebook_page(path: Path) -> str:
     """A notebook as Markdown, with its outputs."""
-    cells = json.loads(path.read_text())["cells"]
+    cells = json.loads(path.read_text("utf-8"))["cells"]
     parts = [part for cell in cells for part in _cell(cell)]
     download = f'<a href="{path.name}" download>Download this notebook</a>'
     return "\n\n".join((parts[0], download, *parts[1:])) + "\n"

@@ -25,7 +25,10 @@ def named(name: str) -> str:
 @contextmanager
 def learners_of(python: Path) -> Iterator[dict[str, Rate]]:
     """d3rlpy's learners, in a process of its Python."""
-    with TemporaryDirectory() as folder, TemporaryFile("w+") as errors:
+    with (
+        TemporaryDirectory() as folder,
+        TemporaryFile("w+", encoding="utf-8") as errors,
+    ):
         file = Path(folder) / "data.npz"
         _export(file)
         command = [str(python), d3rlpy_reference.__file__, str(file)]

@@ -149,7 +149,7 @@ def _train(updates: int, seeds: int, folder: str) -> tuple[float, float]:
     begin, most = perf_counter(), 0.0
     quiet = subprocess.DEVNULL
     with (
-        TemporaryFile("w+") as errors,
+        TemporaryFile("w+", encoding="utf-8") as errors,
         subprocess.Popen(command, stdout=quiet, stderr=errors) as job,
     ):
         while job.poll() is None:

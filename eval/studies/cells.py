@@ -115,8 +115,14 @@ def write_cells(path: Path, cells: Sequence[C], rows: dict[C, list[Row]]) -> Non
         rows: Rows by cell.
     """
     about = [asdict(cast(Any, cell)) for cell in cells]
-    write_csv(path.with_suffix(".csv.xz"), [row for c in cells for row in rows[c]])
-    write_json(path.with_suffix(".json"), {"cells": about, "packages": versions()})
+    ours = [row for cell in cells for row in rows[cell]]
+    write_csv(path.with_name(f"{path.name}.csv.xz"), ours)
+    write_json(record_of(path), {"cells": about, "packages": versions()})
+
+
+def record_of(path: Path) -> Path:
+    """File that says what rows are made of, by their path without its ending."""
+    return path.with_name(f"{path.name}.json")
 
 
 def missing_groups(groups: Mapping[Path, Sequence[C]]) -> dict[Path, Sequence[C]]:
@@ -125,7 +131,7 @@ def missing_groups(groups: Mapping[Path, Sequence[C]]) -> dict[Path, Sequence[C]
 
 
 def _is_made(path: Path, cells: Sequence[C]) -> bool:
-    record = path.with_suffix(".json")
+    record = record_of(path)
     if not record.exists():
         return False
     made = read_json(record, MarlMmError).get("cells")
@@ -177,6 +183,6 @@ def _sources() -> str:
 def _read(file: Path) -> list[Row] | None:
     """A finished cell's rows, if they are there."""
     try:
-        return as_read(json.loads(file.read_text()))
+        return as_read(json.loads(file.read_text("utf-8")))
     except (OSError, ValueError):
         return None

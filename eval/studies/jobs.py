@@ -247,7 +247,8 @@ def _named(job: Job) -> Bar:
     def bar(label: str, total: int) -> Advance:
         what, *rest = label.split()
         seeds = [word for word in rest if word.isdigit()]
-        ending = "" if what in ALGORITHMS else f" {what}"
-        return _bar(f"{job.label_of(seeds)}{ending}", total)
+        ending = [] if what in ALGORITHMS else [what]
+        ending += [word for word in rest if not word.isdigit()]
+        return _bar(" ".join([job.label_of(seeds), *ending]), total)
 
     return bar

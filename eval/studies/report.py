@@ -106,7 +106,7 @@ def report_page(results: Path, videos: Sequence[Path] = ()) -> str:
     text = _html(markdown_table(("package", "version"), packages))
     made = Section("versions", "Versions that drew this page", text=text)
     environment = Environment(autoescape=True, trim_blocks=True)
-    page = environment.from_string(_TEMPLATE.read_text())
+    page = environment.from_string(_TEMPLATE.read_text("utf-8"))
     return page.render(
         title="marl_mm: results",
         about="Tables and figures, what they were made of, and the commands that make "

@@ -22,7 +22,7 @@ from marl_mm.eval.evaluate import Setup
 from marl_mm.eval.metrics import EvaluationRow, Row
 from marl_mm.eval.robustness import robustness
 from marl_mm.eval.studies.benchmark import UPDATES
-from marl_mm.eval.studies.cells import missing_groups, run_cells
+from marl_mm.eval.studies.cells import missing_groups, record_of, run_cells
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.robustness_summary import (
     CLEAN,
@@ -212,7 +212,7 @@ def _with_weights(
     Raises:
         UsageError: If there is neither run nor row.
     """
-    record = path.with_suffix(".json")
+    record = record_of(path)
     made = read_json(record, MarlMmError).get("cells", []) if record.exists() else []
     made = [cell for cell in made if "partners" in cell]  # which older ones lack
     actors = [actor for cell in made for actor in (cell["run"], *cell["partners"])]

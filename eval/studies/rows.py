@@ -204,7 +204,7 @@ class RowStore:
         """Raise if rows that stay are of a training with another learning curve."""
         of_new, of_kept = grouped(new, "seed"), grouped(kept, "seed")
         for seed in seeds & of_kept.keys():
-            if repr(of_new.get(seed)) != repr(of_kept[seed]):  # nan is not nan
+            if _filled(of_new.get(seed, [])) != _filled(of_kept[seed]):
                 raise MarlMmError(
                     f"{self._path(cell, '.csv.xz')} has other evaluations of seed "
                     f"{seed}, of a training with another learning curve: name another "
@@ -287,6 +287,11 @@ def _engine_named(source: Data | Online) -> Engine | None:
     """Engine that a source names; None where it leaves that open."""
     data = source.demonstrations if isinstance(source, Online) else source
     return None if data is None else engine_named_by(data)
+
+
+def _filled(rows: Sequence[Row]) -> str:
+    """Rows in words, without cells that are empty once they are read; nan is nan."""
+    return repr([{n: v for n, v in row.items() if v != ""} for row in rows])
 
 
 def _bytes_of(identity: Mapping[str, Any]) -> dict[str, Any]:

@@ -29,5 +29,5 @@ def main(
     refuse_existing(out, overwrite, file=True)
     page = report_page(results, videos)
     with new_file(out) as temporary:
-        temporary.write_text(page)
+        temporary.write_text(page, "utf-8")
     print(f"{out}: {len(page) / 1e6:.1f} MB, open it in a browser")

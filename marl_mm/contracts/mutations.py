@@ -95,10 +95,10 @@ def _sign(path: Path) -> None:
     if not metadata.exists():
         return
     try:
-        values = json.loads(metadata.read_text())
+        values = json.loads(metadata.read_text("utf-8"))
         if data.is_file() and "data_sha256" in values["marl_mm"]:
             values["marl_mm"]["data_sha256"] = file_digest(data, DatasetError)
-            metadata.write_text(json.dumps(values))
+            metadata.write_text(json.dumps(values), "utf-8")
         sign_metadata(metadata)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         pass  # it is too damaged to be signed
@@ -234,18 +234,18 @@ def _places(value: Any, where: str = "", depth: int = 0) -> list[tuple[Any, Any,
 
 def _json(path: Path, rng: Rng) -> str:
     if rng.random() < 0.1:
-        path.write_text("[" * 200_000 + "]" * 200_000)
+        path.write_text("[" * 200_000 + "]" * 200_000, "utf-8")
         return "200,000 brackets"
-    value = json.loads(path.read_text())
+    value = json.loads(path.read_text("utf-8"))
     about = _changed_record(value, rng)
-    path.write_text(json.dumps(value))
+    path.write_text(json.dumps(value), "utf-8")
     return about
 
 
 def _jsonl(path: Path, rng: Rng) -> str:
-    rows = [json.loads(line) for line in path.read_text().splitlines()]
+    rows = [json.loads(line) for line in path.read_text("utf-8").splitlines()]
     about = _changed_record(rows, rng)
-    path.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    path.write_text("".join(json.dumps(row) + "\n" for row in rows), "utf-8")
     return about
 
 

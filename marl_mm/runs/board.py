@@ -137,7 +137,8 @@ def _sections(submissions: Sequence[Submission]) -> tuple[tuple[Entry, ...], ...
         dataset = manifest["dataset"] or {}
         data = dataset.get("recipe_sha256", dataset.get("fingerprint"))
         names = ("task", "engine", "goals", "overrides")
-        key = json.dumps([dataset.get("id", ""), data, *map(manifest.get, names)])
+        parts = [dataset.get("id", ""), data, *map(manifest.get, names)]
+        key = json.dumps(parts, sort_keys=True)
         sections.setdefault(key, []).append(submission)
     entries = []
     for section in sections.values():

@@ -177,6 +177,7 @@ class _Collector:
                 for source in (first, location if stored else None):
                     attempts |= self._attempts(source)
                 if stored and stored.complete and stored.steps_asked == steps:
+                    cleaning.pop_all()
                     cleaning.callback(clear, location)
                     kept = [e for e in attempts.values() if e is not None]
                     return Collection(kept, len(attempts), complete=True)
@@ -190,6 +191,7 @@ class _Collector:
             self._refuse_loss(collection, replaces)
             self._write(collection, steps)
             if collection.complete:
+                cleaning.pop_all()  # the next collection's journal may be there
                 clear(location)
         return collection
 

@@ -1,6 +1,5 @@
 """A run's folder: its config, its evaluations, and whether a run may go on there."""
 
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -23,12 +22,13 @@ from marl_mm.errors import (
 )
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.eval.metrics import EvaluationRow
-from marl_mm.files import refuse_existing, write_json
+from marl_mm.files import is_there, refuse_existing, write_json
 from marl_mm.plugins import record
 from marl_mm.received import check_kind, damage_named, read_json
 from marl_mm.runs.settings import check_seeds
 from marl_mm.runs.training import SWITCHES, Offline, Online, Training
 from marl_mm.sim.config import default_engine
+from marl_mm.temporary import remove
 from marl_mm.versions import versions
 
 CONFIG = "config.json"
@@ -176,7 +176,7 @@ def run_config(training: Training, dataset: Dataset | None, seed: int) -> RunCon
 
 def goes_on(run: Path, training: Training) -> bool:
     """Whether a run goes on from a checkpoint."""
-    return training.resume and (run / FILE).exists()
+    return training.resume and is_there(run / FILE)
 
 
 def begin_run(run: Path, config: RunConfig, training: Training) -> None:
@@ -207,7 +207,7 @@ def start_run(run: Path, config: RunConfig) -> None:
 def _remove(run: Path, *patterns: str) -> None:
     for pattern in patterns:
         for path in run.glob(pattern):
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
+            remove(path)
 
 
 def saved_settings(out: Path) -> dict[str, Any]:

@@ -132,7 +132,7 @@ def run_quickstart(
     }
     write_json(out / "quickstart.json", values)
     with new_file(out / "report.md") as temporary:
-        temporary.write_text(_report(options, values, evaluations))
+        temporary.write_text(_report(options, values, evaluations), "utf-8")
     return values, evaluations
 
 

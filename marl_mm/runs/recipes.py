@@ -193,7 +193,7 @@ def _versions_text(packages: Mapping[str, str]) -> str:
 
 def recorded() -> dict[str, dict[str, Any]]:
     """What the recipes gave, by name."""
-    rows: dict[str, dict[str, Any]] = json.loads(RECORD.read_text())
+    rows: dict[str, dict[str, Any]] = json.loads(RECORD.read_text("utf-8"))
     return rows
 
 

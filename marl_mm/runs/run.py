@@ -13,7 +13,7 @@ from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.notebook import html_picture
-from marl_mm.received import check_regular, refuse_links_out
+from marl_mm.received import check_regular, read_json, refuse_links_out
 from marl_mm.runs.evaluate import task_overrides
 from marl_mm.runs.folder import (
     BEST_EVALUATION,
@@ -146,7 +146,17 @@ def find_runs(folder: str | Path) -> list[Run]:
     root = Path(folder)
     if not root.is_dir():
         raise UsageError(f"{root} is no folder, expected one with runs in it")
-    return [Run(config.parent) for config in sorted(root.rglob(CONFIG))]
+    found = sorted(root.rglob(CONFIG))
+    return [Run(config.parent) for config in found if _is_of_a_run(config, root)]
+
+
+def _is_of_a_run(config: Path, root: Path) -> bool:
+    """Whether a file may be a run's record: not a sweep's, nor half of a folder."""
+    hidden = any(part.startswith(".") for part in config.relative_to(root).parts)
+    try:
+        return not hidden and "algorithm" in read_json(config, CheckpointError)
+    except CheckpointError:
+        return True
 
 
 def _success(evaluation: Evaluation) -> str:

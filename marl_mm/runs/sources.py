@@ -18,7 +18,7 @@ from marl_mm.errors import DatasetError, UnknownDatasetError, UsageError
 from marl_mm.files import only_here
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.collecting import Collecting, collect_dataset, recorded
-from marl_mm.runs.settings import check_positive, with_settings
+from marl_mm.runs.settings import check_positive, check_seed, with_settings
 from marl_mm.sim.config import (
     RECORDED_ENGINE,
     Engine,
@@ -80,10 +80,12 @@ class Source:
             object.__setattr__(self, name, plain(getattr(self, name)))
         make_task(self.task, engine_overrides(self.engine))
         check_positive(steps=self.steps)
+        check_seed(self.seed)
         _ = self.config
         if not self.name:
             words = self.collector, self.task.removesuffix("-v0"), self.steps, self.seed
-            parts = [*words, *(f"{k}-{v}" for k, v in self.settings.items())]
+            settings = (f"{name}-{value}" for name, value in self.settings.items())
+            parts = [*words, *(text.replace("--", "-minus-") for text in settings)]
             parts += [self.engine] if self.engine else []
             slug = re.sub(r"[^A-Za-z0-9]+", "-", "-".join(map(str, parts)))
             object.__setattr__(self, "name", slug.strip("-").lower())
@@ -102,7 +104,13 @@ class Source:
         config = as_json(dict(record.collector_config or {}))
         actual = record.task, record.collector, config, engine_of(record.overrides)
         numbers = record.seed, record.steps_asked
-        return record.complete and (*actual, *numbers) == expected
+        longest = COLLECTORS.get(self.collector).max_steps
+        longest = longest or make_task(self.task).max_steps
+        return (
+            record.complete
+            and (*actual, *numbers) == expected
+            and record.overrides.get("max_steps", longest) == longest
+        )
 
 
 @dataclass(frozen=True)
@@ -125,6 +133,7 @@ class Mix:
         parts = ((source, plain(steps)) for source, steps in self.parts)
         object.__setattr__(self, "parts", tuple(parts))
         object.__setattr__(self, "seed", plain(self.seed))
+        check_seed(self.seed)
 
     @property
     def task(self) -> str:
@@ -295,7 +304,7 @@ class Datasets:
         record = None if self.overwrite else recorded(location)
         if record is None:
             return True
-        fewer = 0 < sum(_drawn(record)) <= sum(self._drawn_by(data))
+        fewer = 0 < sum(_drawn(record).values()) <= sum(self._drawn_by(data))
         return record.seed == data.seed and fewer
 
     def _made_of(self, data: Source | Mix) -> list[Source]:
@@ -315,7 +324,8 @@ class Datasets:
         if record is None or record.seed != data.seed:
             return False
         if isinstance(data, Mix):
-            return _drawn(record) == self._drawn_by(data)
+            drawn = [self._location(source).id for source, _ in data.parts]
+            return _drawn(record) == dict(zip(drawn, self._drawn_by(data), strict=True))
         return replace(data, steps=self._steps(data.steps)).made(record)
 
     def _deed(self, data: Source | Mix) -> str:
@@ -343,6 +353,6 @@ class Datasets:
         return data if isinstance(data, str) else on_engine(data, self.engine)
 
 
-def _drawn(record: Provenance) -> list[int]:
-    """Steps that were drawn from each source of a dataset."""
-    return [*(record.recipe or {}).get("steps", {}).values()]
+def _drawn(record: Provenance) -> dict[str, int]:
+    """Steps that were drawn from each source of a dataset, by the source's id."""
+    return dict((record.recipe or {}).get("steps", {}))

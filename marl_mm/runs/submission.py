@@ -50,6 +50,7 @@ _EPISODES: dict[str, Any] = {"sha256": list[str], "first_action": list[list[floa
 
 OF_A_SEED = (
     *("seed", "preset", "packages", "plugins", "plugins_before", "device", "start"),
+    "start_sha256",
     *("eval_episodes", "eval_seed", "curve_episodes", "curve_every", "layout"),
     *("weights_sha256", *SWITCHES),
 )

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from marl_mm.errors import MarlMmError, UsageError
-from marl_mm.files import named_errors
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.description import urdf_xml as robot_urdf
 from marl_mm.robot.model import GRAVITY, RobotState, named
@@ -27,6 +26,7 @@ from marl_mm.sim.engine import pybullet, pybullet_data
 from marl_mm.sim.handling import BulletHandling
 from marl_mm.sim.planar import attitude, diverged, planar_state, rim_rates
 from marl_mm.sim.scene import Mark, Scene
+from marl_mm.temporary import named_errors
 
 # PyBullet's values of what a mode of control does not use: positions or rates, gains.
 _WHEEL_DEFAULTS = [0.0] * 2, [0.1] * 2, [1.0] * 2

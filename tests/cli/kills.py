@@ -23,7 +23,7 @@ import numpy as np
 import torch
 
 import marl_mm
-import marl_mm.runs.train
+import marl_mm.runs.train  # noqa: F401
 from marl_mm.datasets import cache
 from marl_mm.datasets.convert import read_apart  # noqa: F401
 from marl_mm.datasets.dataset import load_dataset

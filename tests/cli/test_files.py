@@ -1,5 +1,6 @@
 """Files appear whole or not at all, whoever is killed and whatever fails."""
 
+import errno
 import json
 import os
 import shutil
@@ -8,6 +9,7 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,8 @@ import pytest
 
 from marl_mm.errors import OutputExistsError, UsageError
 from marl_mm.files import (
+    append,
+    is_there,
     new_file,
     new_folder,
     only_here,
@@ -114,7 +118,7 @@ def test_an_old_folder_goes_when_the_new_one_is_there(
     for content in ("first", "second"):
         with new_folder(path) as temporary:
             (temporary / content).write_text(content)
-    assert found == [["first"], ["second"]]
+    assert found == [["second"]]
 
 
 KILLED = """
@@ -148,6 +152,42 @@ def test_a_killed_writer_is_as_if_it_had_not_begun(
     assert names(tmp_path) == ["out"] and (path / part).read_text() == "whole"
 
 
+def test_what_others_are_at_or_own_stays(tmp_path: Path) -> None:
+    """Of writers that are dead only, of other machines once they are a day old."""
+    with new_file(tmp_path / "table.csv") as theirs:
+        theirs.write_text("theirs")
+        machine = theirs.name.split(".")[2][:8]
+        dead, elsewhere = f"{machine}{0:08x}", f"{0:016x}"
+        kept = [".table.2024.csv", f".table.{elsewhere}.part.csv", f".other.{dead}.new"]
+        late = f".table.{1:016x}.part.csv"
+        for name in (*kept, late, f".table.{dead}.part.csv"):
+            (tmp_path / name).write_text("half")
+        os.utime(tmp_path / late, (0, 0))
+        with new_file(tmp_path / "table.csv") as ours:
+            ours.write_text("ours")
+        assert names(tmp_path) == sorted([*kept, theirs.name, "table.csv"])
+        assert (tmp_path / "table.csv").read_text() == "ours"
+    assert (tmp_path / "table.csv").read_text() == "theirs"
+
+
+@pytest.mark.parametrize("writer", [new_file, new_folder])
+def test_threads_that_write_the_same_do_not_mix(
+    tmp_path: Path, writer: Callable[..., Any]
+) -> None:
+    path, part = tmp_path / "out", Path("part" if writer is new_folder else "")
+
+    def write(letter: str) -> None:
+        for _ in range(20):
+            with writer(path) as temporary:
+                for end in (1, 100):
+                    (temporary / part).write_text(letter * end)
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(write, "abcd"))
+    assert names(tmp_path) == ["out"]
+    assert (path / part).read_text() in [letter * 100 for letter in "abcd"]
+
+
 HOLDER = """
     import sys, time
     from pathlib import Path
@@ -156,6 +196,32 @@ HOLDER = """
         print("inside", flush=True)
         time.sleep(60)
 """
+
+
+def test_what_is_appended_is_safe_from_a_power_cut(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sizes, path = [], tmp_path / "rows"
+    monkeypatch.setattr(os, "fsync", lambda file: sizes.append(os.fstat(file).st_size))
+    append(path, b"one\n")
+    append(path, b"two\n")
+    assert sizes == [4, 8]
+
+
+def test_what_cannot_be_told_is_not_taken_for_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of a file server that does not answer: on Python 3.14 ``exists`` says no."""
+    assert is_there(tmp_path) and not is_there(tmp_path / "no" / "way")
+    (tmp_path / "file").touch()
+    assert not is_there(tmp_path / "file" / "below")
+
+    def silent(path: Path, **options: Any) -> os.stat_result:
+        raise OSError(errno.EIO, "no answer")
+
+    monkeypatch.setattr(Path, "stat", silent)
+    with pytest.raises(OSError, match="no answer"):
+        is_there(tmp_path)
 
 
 def test_one_process_at_a_time_is_in_a_folder(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Collections depend on their seed alone: not on workers, not on interruptions."""
 
+import inspect
 import os
 import pty
 import signal
@@ -7,15 +8,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable, Iterator
+from dataclasses import fields, make_dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import marl_mm
 from marl_mm.collectors.collect import RunEpisodes, collect
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
-from marl_mm.collectors.registry import everything, successes
+from marl_mm.collectors.registry import COLLECTING, Collector, everything, successes
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.envs.goal_env import GoalEnv
 from marl_mm.envs.registry import make_task
@@ -25,6 +28,7 @@ from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import Episode
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.policy import Policy
+from marl_mm.runs.collecting import Collecting
 
 
 def runs(task: Task, workers: int = 1) -> RunEpisodes:
@@ -141,6 +145,18 @@ def test_bad_numbers_are_refused(short_task: Task, steps: int, seed: int) -> Non
 def test_bad_settings_of_pd_are_refused(setting: dict[str, float]) -> None:
     with pytest.raises(UsageError, match=r"expected"):
         PdConfig(**setting)  # type: ignore[arg-type]
+
+
+def test_settings_do_not_have_names_of_what_a_collection_is_asked_for() -> None:
+    asked = {field.name for field in fields(Collecting)}
+    asked |= inspect.signature(marl_mm.collect).parameters.keys() - {"settings"}
+    assert {*COLLECTING} == asked
+    for name in COLLECTING:
+        config = make_dataclass("Config", [(name, int, 0)], frozen=True)
+        with pytest.raises(
+            UsageError, match=f"Config.{name} has the name of something"
+        ):
+            Collector(about="Mine.", config=config, policy=lambda *_: RandomPolicy(0))
 
 
 def test_pd_steers_towards_the_goal_and_stays_in_range() -> None:

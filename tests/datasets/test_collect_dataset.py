@@ -21,7 +21,7 @@ from marl_mm.collectors.pretrained import PretrainedConfig, PretrainedPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.collectors.registry import everything
 from marl_mm.datasets.dataset import load_dataset
-from marl_mm.datasets.journal import Journal
+from marl_mm.datasets.journal import FILE, Journal
 from marl_mm.datasets.location import Location, locate
 from marl_mm.envs.rollout import EpisodePlan
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
@@ -29,6 +29,7 @@ from marl_mm.episode import Episode
 from marl_mm.errors import OtherConfigError, UsageError
 from marl_mm.files import only_here
 from marl_mm.policy import Policy
+from marl_mm.runs import collecting
 from marl_mm.runs.collecting import Collecting, _Collector, collect_dataset
 
 WorkersOf = Callable[[int], list[psutil.Process]]
@@ -206,6 +207,20 @@ def test_killed_while_the_dataset_is_written(
     assert not location.working.exists()
     left = {path.name for path in location.folder.parent.iterdir()}
     assert left == {"namespace_metadata.json", location.folder.name}
+
+
+def test_a_collection_that_begins_as_another_ends_keeps_its_journal(
+    datasets_home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clear = collecting.clear
+
+    def clear_and_begin(location: Location) -> None:
+        clear(location)
+        Journal(location.working).__exit__()
+
+    monkeypatch.setattr(collecting, "clear", clear_and_begin)
+    marl_mm.collect("random", dataset="marl_mm/reach/test-v0", steps=1, max_steps=1)
+    assert (locate("marl_mm/reach/test-v0").working / FILE).exists()
 
 
 @pytest.mark.slow

@@ -37,7 +37,7 @@ def test_everything_else_is_a_path(
     assert locate(str(data)).folder == data.parent  # unless it is Minari's folder
 
 
-@pytest.mark.parametrize("text", ["", "marl_mm/reach/pd", "marl_mm/"])
+@pytest.mark.parametrize("text", ["", "/", "marl_mm/reach/pd", "marl_mm/"])
 def test_no_name_and_half_an_id_are_refused(text: str) -> None:
     with pytest.raises(UsageError, match=r"expected an id or a path|without its ver"):
         locate(text)

@@ -31,7 +31,7 @@ from marl_mm.errors import (
     UnknownDatasetError,
     UsageError,
 )
-from marl_mm.files import new_file, new_folder
+from marl_mm.files import new_folder
 from marl_mm.layout import Layout
 
 ID = "marl_mm/reach/test-v0"
@@ -220,36 +220,6 @@ def test_a_folder_is_replaced_where_names_cannot_be_exchanged(
             (temporary / "file").write_text(text)
         assert (tmp_path / "folder/file").read_text() == text
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
-
-
-def test_what_a_killed_writer_left_goes(tmp_path: Path) -> None:
-    gone = tmp_path / ".folder.999999999.new"
-    gone.mkdir()
-    alive = tmp_path / ".folder.1.new"
-    alive.mkdir()
-    with new_folder(tmp_path / "folder"):
-        pass
-    assert not gone.exists() and alive.exists()
-
-
-def test_half_a_file_that_a_killed_writer_left_goes(tmp_path: Path) -> None:
-    for number in (999999999, os.getpid(), 1):
-        (tmp_path / f".table.{number}.csv").write_text("half")
-    with new_file(tmp_path / "table.csv") as temporary:
-        temporary.write_text("whole")
-    left = sorted(path.name for path in tmp_path.iterdir())
-    assert left == [".table.1.csv", "table.csv"]  # process 1 may be at it
-
-
-def test_what_a_killed_writer_of_the_same_number_left_goes(tmp_path: Path) -> None:
-    """In a container, the next process often has the number of the killed one."""
-    left = tmp_path / f".folder.{os.getpid()}.new"
-    left.mkdir()
-    (left / "half").write_text("x")
-    with new_folder(tmp_path / "folder") as folder:
-        (folder / "whole").write_text("y")
-    assert [path.name for path in (tmp_path / "folder").iterdir()] == ["whole"]
-    assert not left.exists()
 
 
 def test_waiting_writers_take_turns_though_each_removes_the_folder(

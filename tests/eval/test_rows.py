@@ -68,6 +68,12 @@ def test_rows_that_unpack_to_far_more_are_refused(
         read_rows(path)
 
 
+def test_a_column_may_end_like_half_of_an_interval(tmp_path: Path) -> None:
+    rows = [{"battery_low": 0.2, "return": [1.0, 2.0]}]
+    write_csv(tmp_path / "rows.csv.xz", rows)
+    assert read_rows(tmp_path / "rows.csv.xz") == rows
+
+
 def test_numbers_are_read_as_such_and_texts_as_texts(tmp_path: Path) -> None:
     path = tmp_path / "rows.csv"
     texts = ("1", "-2", "0.5", "1e3", "nan", "-inf", "Infinity", "east", "i", "", "1.x")

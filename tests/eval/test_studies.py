@@ -22,12 +22,15 @@ import numpy as np
 import psutil
 import pytest
 
+import marl_mm
 from marl_mm.algorithms.registry import TUNED, preset
 from marl_mm.algorithms.runlog import METRICS
 from marl_mm.cli import main
 from marl_mm.config_diff import as_json
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import begun
+from marl_mm.datasets.location import locate
+from marl_mm.datasets.recipe import Part, mix, write_mix
 from marl_mm.declared import as_record
 from marl_mm.errors import (
     MarlMmError,
@@ -38,6 +41,7 @@ from marl_mm.errors import (
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies import jobs as studies_jobs
 from marl_mm.eval.studies import rows as study_rows
+from marl_mm.eval.studies.cells import write_cells
 from marl_mm.eval.studies.jobs import Job, _begin, _by_process, _do, do_jobs
 from marl_mm.eval.studies.learners import Learner, training_of
 from marl_mm.eval.studies.paper import PAPER, reported
@@ -207,6 +211,8 @@ def test_what_is_committed_was_made_as_declared(
         (lambda: Source("pdd"), "pdd"),
         (lambda: Source(task="Fly-v0"), "Fly-v0"),
         (lambda: Source(steps=0), "`steps` is 0"),
+        (lambda: Source(seed=-1), "the seed is -1"),
+        (lambda: Mix("x", [(Source(), 10)], seed=-1), "the seed is -1"),
     ],
 )
 def test_a_declaration_that_makes_no_sense_is_refused(
@@ -216,10 +222,30 @@ def test_a_declaration_that_makes_no_sense_is_refused(
         make()
 
 
+def test_declarations_that_differ_have_names_that_differ() -> None:
+    names = {Source(settings={"kd": kd}).name for kd in (1.0, -1.0)}
+    assert names == {"pd-reach-10000-0-kd-1-0", "pd-reach-10000-0-kd-minus-1-0"}
+
+
+def test_a_dataset_of_other_steps_or_parts_is_another(datasets_home: Path) -> None:
+    few: dict[str, Any] = {"steps": 20, "max_steps": 3}
+    for name, seed in (("one", 0), ("two", 1)):
+        marl_mm.collect("random", dataset=f"marl_mm/reach/{name}-v0", seed=seed, **few)
+    short = Source("random", steps=20, name="one")
+    with pytest.raises(UnknownDatasetError):
+        Datasets().find(short)  # which has the task's 25 steps an episode
+    recipe = mix([Part(load_dataset("one"), 10)], seed=0)
+    write_mix(locate("both"), recipe)
+    made = Datasets()
+    for name, whole in (("one", True), ("two", False)):
+        data = Mix("both", [(replace(short, name=name), 10)])
+        assert made._whole(data, locate("both")) == whole
+
+
 # --- Rows --------------------------------------------------------------------
 
 
-def finished(folder: Path, seed: int, q_policy: float = 1.0) -> Path:
+def finished(folder: Path, seed: int, q_policy: float = 1.0, **more: float) -> Path:
     """A run's folder with what rows are taken from: two goals, one point of a curve."""
     run = folder / f"{seed}-{q_policy}"
     run.mkdir()
@@ -227,6 +253,7 @@ def finished(folder: Path, seed: int, q_policy: float = 1.0) -> Path:
     made_of["dataset"] = {"path": "elsewhere", "data_sha256": "0"}
     (run / "config.json").write_text(json.dumps(made_of))
     point = {"step": 10, "success/all": 0.5, "return/all": 1.0, "q/policy": q_policy}
+    point |= more
     (run / METRICS).write_text(json.dumps(point) + "\n")
     measured = ("steps", "return", "final_distance", "d_mm", "d_mp", "alpha")
     episodes = [
@@ -382,6 +409,22 @@ def test_evaluations_of_two_trainings_are_not_mixed(tmp_path: Path) -> None:
         store.keep(cell, {0: other}, [LAST])
     store.keep(cell, {0: one}, [LAST])
     store.keep(cell, {0: other}, [LAST, BEST])  # nothing of the former one stays
+
+
+def test_a_probe_is_added_where_curves_of_some_seeds_lack_a_measure(
+    tmp_path: Path,
+) -> None:
+    store, cell = RowStore(tmp_path / "rows"), ("good-5k", OURS)
+    runs = {0: finished(tmp_path, 0, env_steps=0.0), 1: finished(tmp_path, 1)}
+    store.keep(cell, runs, [LAST])
+    store.keep(cell, runs, [BEST])
+    assert len(store.evaluations(cell, [0, 1], [LAST, BEST])) == 8
+
+
+def test_tasks_with_dots_have_files_of_their_own(tmp_path: Path) -> None:
+    for name in ("My.A-v0", "My.B-v0"):
+        write_cells(tmp_path / name, [], {})
+    assert len(list(tmp_path.iterdir())) == 4
 
 
 # --- The runner --------------------------------------------------------------

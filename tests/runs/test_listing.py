@@ -9,7 +9,7 @@ import pytest
 from marl_mm.cli import main
 from marl_mm.errors import CheckpointError
 from marl_mm.runs.folder import CURVE, EVALUATION, read_evaluation
-from marl_mm.runs.run import Run
+from marl_mm.runs.run import Run, find_runs
 
 Output = pytest.CaptureFixture[str]
 
@@ -109,6 +109,15 @@ def test_damaged_runs_stand_beside_the_others(tmp_path: Path, capsys: Output) ->
         assert rows[name]["note"] and rows[name]["algorithm"] is None
     for name, (_, reason) in RESULTS.items():
         assert reason in rows[name]["note"]
+
+
+def test_what_is_no_run_is_not_listed(tmp_path: Path) -> None:
+    """A sweep has a config of its own; a folder is hidden until it is whole."""
+    make_run(tmp_path / "good")
+    make_run(tmp_path / ".good.0123456789abcdef.new")
+    (tmp_path / "alpha").mkdir()
+    (tmp_path / "alpha" / "config.json").write_text('{"alphas": [0, 1]}')
+    assert [run.folder for run in find_runs(tmp_path)] == [tmp_path / "good"]
 
 
 @pytest.mark.parametrize("name", ["a\x1b]0;title\x07", "a\u202eb", "a\n  b", "[red]a"])

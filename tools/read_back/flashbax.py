@@ -20,7 +20,7 @@ vault = Vault(
 )
 state = vault.read()
 experience = {key: values for key, values in state.experience.items() if key != "infos"}
-sizes = json.loads((exported / "metadata.json").read_text())["sizes"]
+sizes = json.loads((exported / "metadata.json").read_text("utf-8"))["sizes"]
 names = known["agents"].tolist()
 read: dict[str, object] = {"state": state.experience["infos"]["state"][0]}
 expected = {"state": known["observations"]}
