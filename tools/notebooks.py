@@ -37,6 +37,10 @@ def small_code(code: str) -> str:
     """A cell with small numbers: arguments, entries, and steps of a mix."""
     for name, value in SMALL.items():
         code = re.sub(rf"\b({name}\"?[=:] ?)[\d_]+", rf"\g<1>{value}", code)
+    inside = r"(?:[^()]|\([^()]*\))*?"
+    for name, steps in (("train", 4), ("play", 2)):
+        call = rf"(marl_mm\.{name}\({inside}),?\s*\)"
+        code = re.sub(call, rf"\g<1>, max_steps={steps})", code)
     return re.sub(r"(\b[a-z]+-[a-z]+:)\d+", rf"\g<1>{SMALL['steps']}", code)
 
 

@@ -2,9 +2,11 @@
 
 import json
 import tempfile
+from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -46,13 +48,10 @@ class Candidate:
     """Registered name of the task that it is tested in."""
 
     task: Task
-    """That task, shortened."""
+    """That task, shortened, on MuJoCo."""
 
-    @property
-    def overrides(self) -> dict[str, int]:
-        """Fields of the task that were replaced."""
-        task = self.task
-        return {"ticks_per_step": task.ticks_per_step, "max_steps": task.max_steps}
+    overrides: Mapping[str, Any]
+    """Fields of the task that were replaced."""
 
     def policy(self) -> Policy:
         """The policy of the default settings."""
@@ -62,12 +61,10 @@ class Candidate:
 
 def candidate(name: str, task: str = DEFAULT) -> Candidate:
     """A registered collector, to be tested in a registered task."""
-    few = short(task).task
-    steps = max(LONG, few.max_steps)
-    variant = make_task(
-        task, {"ticks_per_step": few.ticks_per_step, "max_steps": steps}
-    )
-    return Candidate(name, COLLECTORS.get(name), task, variant)
+    few = short(task)
+    overrides = {**few.overrides, "max_steps": max(LONG, few.task.max_steps)}
+    variant = make_task(task, overrides)
+    return Candidate(name, COLLECTORS.get(name), task, variant, overrides)
 
 
 def _plans(numbers: range = range(EPISODES)) -> list[EpisodePlan]:
@@ -126,8 +123,11 @@ def _remembers_nothing(candidate: Candidate) -> None:
 
 
 def _workers(candidate: Candidate) -> None:
-    here = _episodes(candidate, _plans())
-    with Rollouts(candidate.task, workers=2) as rollouts:
+    """On the default engine: MuJoCo's workers may be threads."""
+    own = {n: v for n, v in candidate.overrides.items() if n != "simulation"}
+    variant = make_task(candidate.task_name, own)
+    here = _episodes(replace(candidate, task=variant), _plans())
+    with Rollouts(variant, workers=2) as rollouts:
         there = list(rollouts.run(candidate.policy(), _plans()))
     for a, b in zip(here, there, strict=True):
         _same(a, b, "in two processes")

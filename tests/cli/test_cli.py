@@ -54,6 +54,7 @@ def dataset(datasets_home: Path, episodes: list[Episode]) -> Path:
 def run_folder(dataset: Path, tmp_path: Path) -> Path:
     out = tmp_path / "runs"
     arguments = ["--updates", "100", "--curve-every", "100", "--curve-episodes", "1"]
+    arguments += ["--max-steps", "4"]
     assert run("train", "mabc", "--dataset", ID, "--out", str(out), *arguments,
                "--eval-episodes", "2", "--workers", "1") == 0  # fmt: skip
     return out / "0"

@@ -323,6 +323,7 @@ def test_training_ends_with_one_line_and_goes_on_later(
     words = ["train", "mabc", "--dataset", ID, "--out", str(tmp_path / "runs")]
     words += ["--updates", "2", "--hidden", "16", "--eval-episodes", "2"]
     words += ["--curve-every", "2", "--curve-episodes", "1", "--workers", "1"]
+    words += ["--max-steps", "4"]
     with room_for(12_000):
         assert main(words) == 1
     lines = capsys.readouterr().err.splitlines()

@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import fields, make_dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -151,12 +152,13 @@ def test_settings_do_not_have_names_of_what_a_collection_is_asked_for() -> None:
     asked = {field.name for field in fields(Collecting)}
     asked |= inspect.signature(marl_mm.collect).parameters.keys() - {"settings"}
     assert {*COLLECTING} == asked
+    made: Any = None
     for name in COLLECTING:
         config = make_dataclass("Config", [(name, int, 0)], frozen=True)
         with pytest.raises(
             UsageError, match=f"Config.{name} has the name of something"
         ):
-            Collector(about="Mine.", config=config, policy=lambda *_: RandomPolicy(0))
+            Collector(about="Mine.", config=config, policy=made)
 
 
 def test_pd_steers_towards_the_goal_and_stays_in_range() -> None:

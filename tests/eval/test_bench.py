@@ -16,6 +16,7 @@ from marl_mm.datasets import cache
 from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.eval.bench import data as storing
 from marl_mm.eval.bench import learning, online, side_by_side, train
 from marl_mm.eval.bench.abuse import abuse
 from marl_mm.eval.bench.acting import bench_acting
@@ -57,7 +58,7 @@ def test_parts_of_a_tick_belong_together() -> None:
 @pytest.mark.slow
 def test_engines_are_timed_in_turns() -> None:
     engines: tuple[Engine, ...] = ("bullet", "mujoco")
-    result = bench_env("Reach-v0", engines, 3, 3, 0, 2, 2, silent_bar)
+    result = bench_env("Reach-v0", engines, 1, 3, 0, 2, 2, silent_bar)
     loop = "mujoco, loop in Python"
     for label in ("random alpha", "alpha 1"):
         speeds = result[f"{label}: steps/s"]
@@ -76,6 +77,7 @@ def test_learning_is_timed_to_the_episodes_of_training(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(learning, "RATE", 0.0)  # the first evaluation ends it
+    monkeypatch.setattr(learning, "GOALS", (4, 1))
     result = bench_learning("Reach-v0", ["ddpg-her"], ["mujoco"], [3], 2, silent_bar)
     assert result["ddpg-her: episodes to 0%"] == {"mujoco": [40]}
     assert result["ddpg-her: seconds"]["mujoco"][0] > 0
@@ -198,7 +200,10 @@ def test_a_python_without_d3rlpy_is_refused() -> None:
 
 
 @pytest.mark.slow
-def test_storage_is_timed_with_a_cache_of_its_own(datasets_home: Path) -> None:
+def test_storage_is_timed_with_a_cache_of_its_own(
+    datasets_home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(storing, "_TURNS", 1)
     before = cache.entries()
     result = bench_data(1, (1,), 300, 0, silent_bar)
     storage = result["storage"]

@@ -15,6 +15,7 @@ import marl_mm
 from marl_mm.cli import main
 from marl_mm.errors import UsageError
 from marl_mm.files import write_json
+from marl_mm.runs import board as boards
 from marl_mm.runs.folder import EVALUATION
 from marl_mm.runs.submission import EPISODES, MANIFEST, seal
 from marl_mm.runs.submission_checks import read_submission
@@ -229,8 +230,12 @@ def test_a_browser_runs_nothing_of_a_strangers_texts(
 @pytest.mark.bullet
 @needs_browser
 def test_films_stand_beside_the_page(
-    submissions: list[Path], browser: Any, tmp_path: Path
+    submissions: list[Path],
+    browser: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(boards, "_FILM_FPS", 1)
     out = tmp_path / "page"
     words = ["board", str(submissions[2]), "--out", str(out), "--films"]
     assert main(words) == 0
