@@ -1,10 +1,10 @@
 """Work that is killed at a random moment, and goes on: the same bytes as without.
 
-    python tests/cli/kills.py KIND POINTS FOLDER [SEED]
+    python tests/cli/kills.py FOLDER POINTS [SEED]
 
-Prints a line of JSON for each point whose files differ, and a last one with the counts.
-Each attempt is a fork of this process, which has imported everything: no attempt is
-killed while it merely starts.
+Reads kinds of work, a line each. Of each it prints a line of JSON for each point whose
+files differ, and a last one with the counts. Each attempt is a fork of this process,
+which has imported everything: no attempt is killed while it merely starts.
 """
 
 import gc
@@ -156,9 +156,9 @@ def run(kind: str, points: int, folder: Path, seed: int) -> dict[str, int]:
                 )
                 os._exit(0)
             assert os.waitpid(status, 0)[1] == 0
-    quick: dict[str, Any] = {"max_steps": 1, "workers": 1, "engine": ENGINE}
-    marl_mm.evaluate("random", episodes=2, **quick)  # loads compiled code
-    gc.freeze()
+        quick: dict[str, Any] = {"max_steps": 1, "workers": 1, "engine": ENGINE}
+        marl_mm.evaluate("random", episodes=2, **quick)  # loads compiled code
+        gc.freeze()
     place = folder / "work"  # always the same: records hold absolute paths
     status, seconds = attempt(kind, place)
     assert status == 0, "the work fails where nobody disturbs it"
@@ -185,7 +185,8 @@ def run(kind: str, points: int, folder: Path, seed: int) -> dict[str, int]:
 
 
 if __name__ == "__main__":
-    kind, points, folder = sys.argv[1], int(sys.argv[2]), Path(sys.argv[3]).absolute()
+    folder, points = Path(sys.argv[1]).absolute(), int(sys.argv[2])
     folder.mkdir(parents=True, exist_ok=True)
-    seed = int(sys.argv[4]) if len(sys.argv) > 4 else 0
-    tell({"kind": kind, **run(kind, points, folder, seed)})
+    seed = int(sys.argv[3]) if len(sys.argv) > 3 else 0
+    for kind in map(str.strip, sys.stdin):
+        tell({"kind": kind, **run(kind, points, folder, seed)})

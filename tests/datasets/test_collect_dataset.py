@@ -94,7 +94,10 @@ def collected(tmp_path_factory: pytest.TempPathFactory, *options: str) -> bytes:
 
 @pytest.mark.slow
 def test_killed_parents_and_workers_cost_nothing_finished(
-    datasets_home: Path, whole: bytes, workers_of: WorkersOf
+    datasets_home: Path,
+    whole: bytes,
+    workers_of: WorkersOf,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """kill -9 of the command, then of a worker; then --resume, to the same bytes."""
     name = "marl_mm/reach/test-v0"
@@ -112,9 +115,9 @@ def test_killed_parents_and_workers_cost_nothing_finished(
         finished = len(journal.episodes(REACH))
     assert finished >= 1
 
-    again = start(name)  # not overwritten, not resumed unasked
-    assert again.wait() == 2 and again.stderr is not None
-    assert "was begun already; go on with --resume" in again.stderr.read()
+    words = ["collect", "random", "--steps", str(STEPS), "--dataset", name]
+    assert main(words) == 2  # not overwritten, not resumed unasked
+    assert "was begun already; go on with --resume" in capsys.readouterr().err
 
     second = start(name, "--resume")
     journal_holds(location, min(finished + 1, 4))
@@ -132,15 +135,17 @@ def test_killed_parents_and_workers_cost_nothing_finished(
 
 
 @pytest.mark.slow
-def test_a_second_writer_is_refused_and_changes_nothing(datasets_home: Path) -> None:
+def test_a_second_writer_is_refused_and_changes_nothing(
+    datasets_home: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     name = "marl_mm/reach/test-v0"
     location = locate(name)
     assert main(["collect", "random", "--steps", "10", "--dataset", name]) == 0
     before = data(name)
     with only_here(location.working):
-        other = start(name, "--overwrite")
-        assert other.wait() == 2 and other.stderr is not None
-        assert "another process is writing" in other.stderr.read()
+        words = ["collect", "random", "--dataset", name, "--overwrite"]
+        assert main(words) == 2
+        assert "another process is writing" in capsys.readouterr().err
     assert data(name) == before
 
 

@@ -227,7 +227,7 @@ def test_an_episode_does_not_depend_on_the_one_before(
     steps = fewest_steps(task, 8)  # the script takes a block in 7
     fresh, used = open_world(task, steps), open_world(task, steps)
     script, plan = ScriptedPolicy(ScriptConfig(), make_task(task)), EpisodePlan(0, 1)
-    run_episode(used, script, EpisodePlan(1, 5))  # ends with the block in the hand
+    run_episode(used, script, EpisodePlan(1, 5))  # of a block it ends with it in hand
     np.testing.assert_array_equal(
         run_episode(used, script, plan).states, run_episode(fresh, script, plan).states
     )
