@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 
+from marl_mm.algorithms.chosen import presets_of
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.offline_config import CriticConfig
-from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
+from marl_mm.algorithms.registry import ALGORITHMS, Algorithm, Imported
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +43,7 @@ ALGORITHMS.add(
         "the critics' errors: clone. An update takes several times as long as IQL's; "
         "acting is as fast as MABC.",
         learner=Imported("marl_mm.algorithms.best_of_n:BestOfN"),
-        presets={TUNED: BestOfNConfig()},
+        presets=presets_of("best-of-n", BestOfNConfig()),
     ),
 )
 ALGORITHMS.add(
@@ -54,6 +55,6 @@ ALGORITHMS.add(
         source="ours",
         advice="Use it to see what decentralised acting costs best-of-n students.",
         learner=Imported("marl_mm.algorithms.best_of_n:BestOfNJoint"),
-        presets={TUNED: BestOfNConfig()},
+        presets=presets_of("best-of-n-joint", BestOfNConfig()),
     ),
 )

@@ -3,9 +3,10 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from marl_mm.algorithms.chosen import presets_of
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.offline_config import BOUNDED, Td3Config
-from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
+from marl_mm.algorithms.registry import ALGORITHMS, Algorithm, Imported
 from marl_mm.declared import ADDED
 
 
@@ -69,7 +70,7 @@ ALGORITHMS.add(
         "part of the batch, without samples near the policy at the next state. "
         f"{BOUNDED}",
         learner=Imported("marl_mm.algorithms.cfcql:Cql"),
-        presets={TUNED: CfcqlConfig()},
+        presets=presets_of("cql", CfcqlConfig()),
     ),
 )
 ALGORITHMS.add(
@@ -90,6 +91,6 @@ ALGORITHMS.add(
         "gradients and makes five of their updates to one of the actors, here it is "
         f"two. {BOUNDED}",
         learner=Imported("marl_mm.algorithms.cfcql:Cfcql"),
-        presets={TUNED: CfcqlConfig()},
+        presets=presets_of("cfcql", CfcqlConfig()),
     ),
 )

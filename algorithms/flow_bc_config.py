@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 
+from marl_mm.algorithms.chosen import presets_of
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.offline_config import CloningConfig
-from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
+from marl_mm.algorithms.registry import ALGORITHMS, Algorithm, Imported
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +34,7 @@ ALGORITHMS.add(
         departs="The source makes images; cloning by it, with ten Euler steps, is as "
         "in Park 2025. Actions end at their bounds.",
         learner=Imported("marl_mm.algorithms.flow_bc:FlowBc"),
-        presets={TUNED: FlowBcConfig()},
+        presets=presets_of("flow-bc", FlowBcConfig()),
     ),
 )
 ALGORITHMS.add(
@@ -48,6 +49,6 @@ ALGORITHMS.add(
         "independently, and half of the pairs of two conventions mix them.",
         departs="The source knows no agents; otherwise as flow BC.",
         learner=Imported("marl_mm.algorithms.flow_bc:MaFlowBc"),
-        presets={TUNED: FlowBcConfig()},
+        presets=presets_of("ma-flow-bc", FlowBcConfig()),
     ),
 )

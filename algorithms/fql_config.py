@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 
+from marl_mm.algorithms.chosen import presets_of
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.offline_config import BOUNDED, CriticConfig
-from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
+from marl_mm.algorithms.registry import ALGORITHMS, Algorithm, Imported
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +41,6 @@ ALGORITHMS.add(
         "the weight of the value is always divided by its mean size, an option of the "
         f"source. {BOUNDED}",
         learner=Imported("marl_mm.algorithms.fql:Fql"),
-        presets={TUNED: FqlConfig()},
+        presets=presets_of("fql", FqlConfig()),
     ),
 )

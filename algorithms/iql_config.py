@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 
+from marl_mm.algorithms.chosen import presets_of
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.offline_config import CriticConfig
-from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
+from marl_mm.algorithms.registry import ALGORITHMS, Algorithm, Imported
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +39,7 @@ ALGORITHMS.add(
         "step, the source's that after it. Normalised critics and clipped "
         "targets are ours, as for TD3+BC.",
         learner=Imported("marl_mm.algorithms.iql:Iql"),
-        presets={TUNED: IqlConfig()},
+        presets=presets_of("iql", IqlConfig()),
     ),
 )
 ALGORITHMS.add(
@@ -54,6 +55,6 @@ ALGORITHMS.add(
         departs="The source knows no agents: V and Q are the team's, and each agent's "
         "cloning has the same weights. Otherwise as IQL.",
         learner=Imported("marl_mm.algorithms.iql:MaIql"),
-        presets={TUNED: IqlConfig()},
+        presets=presets_of("ma-iql", IqlConfig()),
     ),
 )

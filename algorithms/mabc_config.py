@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
+from marl_mm.algorithms.chosen import presets_of
 from marl_mm.algorithms.offline_config import CloningConfig
-from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, Imported
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER, Algorithm, Imported
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +28,7 @@ ALGORITHMS.add(
         "observations; both aim at the mean where the data show several ways.",
         departs="The paper clones with an actor for each agent only.",
         learner=Imported("marl_mm.algorithms.mabc:Bc"),
-        presets={TUNED: MabcConfig()},
+        presets=presets_of("bc", MabcConfig()),
     ),
 )
 ALGORITHMS.add(
@@ -42,9 +43,7 @@ ALGORITHMS.add(
         "random steps too, does as its data do whatever the task pays, and acts "
         "between two ways where they show both.",
         learner=Imported("marl_mm.algorithms.mabc:Mabc"),
-        presets={
-            TUNED: MabcConfig(),
-            PAPER: MabcConfig(updates=100_000, batch_size=256, learning_rate=5e-4),
-        },
+        presets=presets_of("mabc", MabcConfig())
+        | {PAPER: MabcConfig(updates=100_000, batch_size=256, learning_rate=5e-4)},
     ),
 )

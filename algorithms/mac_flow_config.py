@@ -1,8 +1,9 @@
 """Hyper-parameters of MAC-Flow; importing them takes no torch."""
 
+from marl_mm.algorithms.chosen import presets_of
 from marl_mm.algorithms.fql_config import FqlConfig
 from marl_mm.algorithms.offline_config import BOUNDED
-from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
+from marl_mm.algorithms.registry import ALGORITHMS, Algorithm, Imported
 
 ALGORITHMS.add(
     "mac-flow",
@@ -20,6 +21,6 @@ ALGORITHMS.add(
         "those of each agent's own. The rest is as in FQL: actions end in a tanh, the "
         f"weight of the value is divided by its mean size. {BOUNDED}",
         learner=Imported("marl_mm.algorithms.mac_flow:MacFlow"),
-        presets={TUNED: FqlConfig()},
+        presets=presets_of("mac-flow", FqlConfig()),
     ),
 )

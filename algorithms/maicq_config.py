@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 
+from marl_mm.algorithms.chosen import presets_of
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.offline_config import BOUNDED, CriticConfig
-from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
+from marl_mm.algorithms.registry import ALGORITHMS, Algorithm, Imported
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +44,6 @@ ALGORITHMS.add(
         "`quiet-zone-noisy` 35 for the critics and 24 and 1 for the actors: tune both. "
         f"{BOUNDED}",
         learner=Imported("marl_mm.algorithms.maicq:Maicq"),
-        presets={TUNED: MaicqConfig()},
+        presets=presets_of("maicq", MaicqConfig()),
     ),
 )

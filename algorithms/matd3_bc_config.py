@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, Imported
+from marl_mm.algorithms.chosen import presets_of
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER, Algorithm, Imported
 from marl_mm.algorithms.td3_bc_config import TABLE_3, Td3BcConfig
 
 
@@ -33,9 +34,7 @@ ALGORITHMS.add(
         departs="As TD3+BC; and as the agents share one reward, they share one pair "
         "of critics.",
         learner=Imported("marl_mm.algorithms.matd3_bc:Matd3Bc"),
-        presets={
-            TUNED: Matd3BcConfig(),
-            PAPER: Matd3BcConfig(**TABLE_3, critics="own", others="data"),  # Pan 2022
-        },
+        presets=presets_of("matd3-bc", Matd3BcConfig())
+        | {PAPER: Matd3BcConfig(**TABLE_3, critics="own", others="data")},  # Pan 2022
     ),
 )

@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 
 from marl_mm.algorithms.cfcql_config import CfcqlConfig
+from marl_mm.algorithms.chosen import presets_of
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.offline_config import BOUNDED
-from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
+from marl_mm.algorithms.registry import ALGORITHMS, Algorithm, Imported
 from marl_mm.errors import UsageError
 
 
@@ -67,6 +68,6 @@ ALGORITHMS.add(
         "first round, in the source it is compared at the end. The source clips the "
         f"critics' gradients. {BOUNDED}",
         learner=Imported("marl_mm.algorithms.omar:Omar"),
-        presets={TUNED: OmarConfig()},
+        presets=presets_of("omar", OmarConfig()),
     ),
 )

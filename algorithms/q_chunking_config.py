@@ -2,10 +2,11 @@
 
 from dataclasses import dataclass
 
+from marl_mm.algorithms.chosen import presets_of
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.fql_config import FqlConfig
 from marl_mm.algorithms.offline_config import BOUNDED
-from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
+from marl_mm.algorithms.registry import ALGORITHMS, Algorithm, Imported
 from marl_mm.errors import UsageError
 
 LONGEST_CHUNK = 100
@@ -49,6 +50,6 @@ ALGORITHMS.add(
         "chunks out of their loss. The rest is as in FQL: actions end in a tanh, the "
         f"weight of the value is divided by its mean size. {BOUNDED}",
         learner=Imported("marl_mm.algorithms.q_chunking:QChunking"),
-        presets={TUNED: QChunkingConfig()},
+        presets=presets_of("q-chunking", QChunkingConfig()),
     ),
 )

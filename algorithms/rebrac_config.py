@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 
+from marl_mm.algorithms.chosen import presets_of
 from marl_mm.algorithms.config_checks import check_ranges
 from marl_mm.algorithms.offline_config import BOUNDED, Td3Config
-from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm, Imported
+from marl_mm.algorithms.registry import ALGORITHMS, Algorithm, Imported
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +41,7 @@ ALGORITHMS.add(
         "joint actor.",
         source="Tarasov 2023",
         learner=Imported("marl_mm.algorithms.rebrac:Rebrac"),
-        presets={TUNED: RebracConfig()},
+        presets=presets_of("rebrac", RebracConfig()),
         advice="Where rewards tell more than the data's actions. Both weights must "
         "suit the data; where that cannot be tried out, cloning is safer.",
         departs=_DEPARTS,
@@ -56,7 +57,7 @@ ALGORITHMS.add(
         "agent.",
         source="Tarasov 2023",
         learner=Imported("marl_mm.algorithms.rebrac:MaRebrac"),
-        presets={TUNED: RebracConfig()},
+        presets=presets_of("ma-rebrac", RebracConfig()),
         advice="As ReBRAC, for agents that see their own part. Where the data hold "
         "several conventions of equal worth, agents end between them.",
         departs=f"The source knows no agents. {_DEPARTS}",

@@ -16,6 +16,9 @@ TUNED = "tuned"
 PAPER = "paper"
 """Preset of the source paper's tables."""
 
+BENCHMARK = "benchmark"
+"""Preset that the tuning chose on data of coordination tasks, as in the benchmark."""
+
 
 _NEEDED = {
     False: ("updates", "precision"),

@@ -4,8 +4,9 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from marl_mm.algorithms.chosen import presets_of
 from marl_mm.algorithms.config_checks import Precision, check_ranges
-from marl_mm.algorithms.registry import ALGORITHMS, PAPER, TUNED, Algorithm, Imported
+from marl_mm.algorithms.registry import ALGORITHMS, PAPER, Algorithm, Imported
 from marl_mm.errors import UsageError
 
 WEIGHTED = ("delta_x", "delta_y", "delta_z", "alpha")
@@ -158,6 +159,6 @@ ALGORITHMS.add(
         "bounds what critics may say: with the paper's settings they run away on good "
         "data.",
         learner=Imported("marl_mm.algorithms.td3_bc:Td3Bc"),
-        presets={TUNED: Td3BcConfig(), PAPER: Td3BcConfig(**TABLE_3)},
+        presets=presets_of("td3-bc", Td3BcConfig()) | {PAPER: Td3BcConfig(**TABLE_3)},
     ),
 )

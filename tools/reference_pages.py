@@ -22,6 +22,7 @@ from who_sees import kind
 
 from marl_mm.algorithms.registry import (
     ALGORITHMS,
+    BENCHMARK,
     PAPER,
     TUNED,
     Algorithm,
@@ -164,11 +165,15 @@ def _departures(name: str) -> str:
 def _hyper_parameters(algorithm: Algorithm) -> str:
     config = algorithm.presets[TUNED]
     documented = field_texts(type(config))
-    rows = [
-        (f"`{item.name}`", str(getattr(config, item.name)), documented[item.name])
-        for item in fields(config)
-    ]
-    return markdown_table(("field", "default", "meaning"), rows)
+    columns = {"default": config}
+    if BENCHMARK in algorithm.presets:
+        columns["`benchmark`"] = algorithm.presets[BENCHMARK]
+    rows = []
+    for item in fields(config):
+        default, *others = (str(getattr(each, item.name)) for each in columns.values())
+        others = ["" if other == default else other for other in others]
+        rows.append((f"`{item.name}`", default, *others, documented[item.name]))
+    return markdown_table(("field", *columns, "meaning"), rows)
 
 
 def field_texts(kind: type) -> dict[str, str]:

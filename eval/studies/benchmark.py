@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from marl_mm.algorithms.chosen import CHOSEN, UPDATES
 from marl_mm.errors import UsageError
 from marl_mm.eval.aggregates import (
     Estimate,
@@ -26,7 +27,6 @@ from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.settings import LAST, Setting, setting_of
 from marl_mm.eval.studies.study import Cell, Study, cell_name
-from marl_mm.eval.studies.tuned import CHOSEN
 from marl_mm.eval.tables import markdown_table, rate_in_interval
 from marl_mm.eval.ties import tie_groups
 from marl_mm.progress import Bar
@@ -64,9 +64,6 @@ TESTED = {
     "gate-stitch": "Gate-v0",
 }
 """Tasks of the evaluations that are not the data's, by the name of the recipe."""
-
-UPDATES = 20_000
-"""Updates of all algorithms; see ``early`` for what fewer do."""
 
 
 def cells_of(names: Sequence[str], updates: int, prefix: str = "") -> tuple[Cell, ...]:

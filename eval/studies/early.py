@@ -6,11 +6,11 @@ their precision is the same, too, the shorter one is the longer one's beginning.
 
 from pathlib import Path
 
+from marl_mm.algorithms import chosen
 from marl_mm.errors import UsageError
 from marl_mm.eval.intervals import interval_of_gain
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
-from marl_mm.eval.studies import benchmark
 from marl_mm.eval.studies.benchmark import WHOLE, algorithms_table, cells_of, of_cell
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.rows import RowStore
@@ -33,7 +33,7 @@ DATASETS = (
 """Names of their recipes."""
 
 _EARLY = cells_of(DATASETS, UPDATES, "early-")
-_LATE = cells_of(DATASETS, benchmark.UPDATES)
+_LATE = cells_of(DATASETS, chosen.UPDATES)
 
 AGENTS = Study("Table: the runs of both lengths.", (*_EARLY, *_LATE), seeds=WHOLE[0])
 """Study whose runs are compared."""

@@ -3,11 +3,11 @@
 from itertools import product
 from typing import Any
 
+from marl_mm.algorithms.chosen import CHOSEN
 from marl_mm.algorithms.fine_tuning import FineTuning
 from marl_mm.eval.studies.settings import Setting, setting_of
 from marl_mm.eval.studies.shown import Curves
 from marl_mm.eval.studies.study import Study
-from marl_mm.eval.studies.tuned import CHOSEN
 from marl_mm.runs.recipes import RECIPES
 from marl_mm.runs.sources import Source
 

@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from marl_mm.algorithms.checkpoint import FILE
+from marl_mm.algorithms.chosen import CHOSEN, UPDATES
 from marl_mm.envs.registry import fewest_steps
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.disturbances import Mixed
 from marl_mm.eval.evaluate import Setup
 from marl_mm.eval.metrics import EvaluationRow, Row
 from marl_mm.eval.robustness import robustness
-from marl_mm.eval.studies.benchmark import UPDATES
 from marl_mm.eval.studies.cells import missing_groups, record_of, run_cells
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.robustness_summary import (
@@ -37,7 +37,6 @@ from marl_mm.eval.studies.robustness_summary import (
 )
 from marl_mm.eval.studies.settings import setting_of
 from marl_mm.eval.studies.study import Study, cell_name
-from marl_mm.eval.studies.tuned import CHOSEN
 from marl_mm.eval.suite import ROBUSTNESS, conditions
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.received import read_json

@@ -48,7 +48,7 @@ def train(
             with "-online" if it starts from another.
         seeds: Seeds of the runs; default 0, or when resuming those that exist, or
             those of the runs that it starts from.
-        preset: Preset of hyper-parameters; default tuned.
+        preset: Preset of hyper-parameters, tuned, benchmark or paper; default tuned.
         config: Hyper-parameters in place of the preset's.
         progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
         **settings: Fields of ``Offline`` or ``Online`` (``eval_episodes``, ``workers``,

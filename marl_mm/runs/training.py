@@ -36,8 +36,9 @@ class Training:
     """Hyper-parameters."""
 
     preset: str = TUNED
-    """Preset that the hyper-parameters start from: tuned (ours) or paper (the source
-    paper's Tables 2 and 3, where the algorithm has them)."""
+    """Preset that the hyper-parameters start from: tuned (ours), benchmark (what the
+    tuning chose on data of coordination tasks) or paper (the source paper's Tables 2
+    and 3); an algorithm may lack the last two."""
 
     eval_episodes: int = 100
     """Number of goals of the evaluation after training, kept in eval.json."""

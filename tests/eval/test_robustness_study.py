@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from marl_mm.algorithms.chosen import CHOSEN
 from marl_mm.algorithms.registry import ALGORITHMS, preset
 from marl_mm.cli import main
 from marl_mm.eval.metrics import Row
@@ -27,7 +28,6 @@ from marl_mm.eval.studies.robustness_summary import (
 )
 from marl_mm.eval.studies.study import cell_name
 from marl_mm.eval.studies.targets import COMPARISONS, STUDIES
-from marl_mm.eval.studies.tuned import CHOSEN
 
 
 def test_both_forms_learn_with_the_same_settings() -> None:

@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from marl_mm.algorithms.registry import ALGORITHMS, preset
+from marl_mm.algorithms.chosen import CHOSEN
+from marl_mm.algorithms.registry import ALGORITHMS, BENCHMARK, preset
 from marl_mm.cli import main
 from marl_mm.config_diff import as_json
 from marl_mm.errors import DivergedError, UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows, write_csv
 from marl_mm.eval.studies import tuning, tuning_cells
-from marl_mm.eval.studies.tuned import CHOSEN
+from marl_mm.eval.studies.benchmark import AGENTS
 from marl_mm.eval.studies.tuning import (
     DATASETS,
     TABLE,
@@ -110,7 +111,10 @@ def test_what_is_chosen_is_what_the_committed_table_says() -> None:
     }
     assert as_json(dict(CHOSEN)) == chosen
     for name, changes in CHOSEN.items():
-        with_settings(name, ALGORITHMS.get(name).presets["tuned"], changes)
+        made = with_settings(name, preset(name), {**changes, "updates": 20_000})
+        assert preset(name, BENCHMARK) == made
+    for _, setting in AGENTS.cells:
+        assert setting.config == preset(setting.algorithm, BENCHMARK)
 
 
 def test_rows_are_of_the_presets_values_too(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,15 @@
 """Hyper-parameters that the tuning chose, by algorithm, as its table says."""
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
+from typing import Any, TypeVar
+
+from marl_mm.algorithms.registry import BENCHMARK, TUNED
+
+Config = TypeVar("Config", bound=Any)
+
+UPDATES = 20_000
+"""Updates of the benchmark; see its page for what fewer do."""
 
 CHOSEN: Mapping[str, Mapping[str, Any]] = {
     "bc": {"learning_rate": 0.0005, "batch_size": 128, "hidden": (128, 128)},
@@ -95,3 +103,13 @@ CHOSEN: Mapping[str, Mapping[str, Any]] = {
     },
 }
 """Values that replace the presets', by registered name; none where none is tuned."""
+
+
+def presets_of(name: str, tuned: Config) -> dict[str, Config]:
+    """The default preset of an algorithm, and the benchmark's.
+
+    Args:
+        name: Registered name of the algorithm.
+        tuned: Its default hyper-parameters.
+    """
+    return {TUNED: tuned, BENCHMARK: replace(tuned, **CHOSEN[name], updates=UPDATES)}
