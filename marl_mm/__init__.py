@@ -13,9 +13,17 @@ if TYPE_CHECKING:
     from marl_mm.eval.studies.study import Study
     from marl_mm.runs.board import board
     from marl_mm.runs.collect import collect
+    from marl_mm.runs.deriving import (
+        filter_dataset,
+        import_dataset,
+        mix_datasets,
+        split_dataset,
+    )
     from marl_mm.runs.evaluate import evaluate
+    from marl_mm.runs.export import export
     from marl_mm.runs.play import play
     from marl_mm.runs.policies import load_policy
+    from marl_mm.runs.recipes import build_dataset
     from marl_mm.runs.robustness import cross_play, robustness
     from marl_mm.runs.run import find_runs, load_run
     from marl_mm.runs.sources import Mix, Source
@@ -33,18 +41,24 @@ __all__ = [
     "Source",
     "Study",
     "board",
+    "build_dataset",
     "collect",
     "cross_play",
     "evaluate",
+    "export",
+    "filter_dataset",
     "find_runs",
+    "import_dataset",
     "load_dataset",
     "load_policy",
     "load_run",
     "make_vec",
+    "mix_datasets",
     "parallel_vec",
     "play",
     "repeat",
     "robustness",
+    "split_dataset",
     "submit",
     "train",
     "verify",
@@ -57,9 +71,15 @@ _MODULES = {
     **dict.fromkeys(("Mix", "Source"), "marl_mm.runs.sources"),
     **dict.fromkeys(("cross_play", "robustness"), "marl_mm.runs.robustness"),
     **dict.fromkeys(("make_vec", "parallel_vec"), "marl_mm.envs"),
+    **dict.fromkeys(
+        ("filter_dataset", "import_dataset", "mix_datasets", "split_dataset"),
+        "marl_mm.runs.deriving",
+    ),
     "board": "marl_mm.runs.board",
+    "build_dataset": "marl_mm.runs.recipes",
     "collect": "marl_mm.runs.collect",
     "evaluate": "marl_mm.runs.evaluate",
+    "export": "marl_mm.runs.export",
     "find_runs": "marl_mm.runs.run",
     "load_dataset": "marl_mm.datasets.dataset",
     "load_policy": "marl_mm.runs.policies",

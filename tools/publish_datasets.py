@@ -10,7 +10,7 @@ import sys
 from marl_mm.datasets.named import RECORD
 from marl_mm.files import new_file
 from marl_mm.progress import progress_bars
-from marl_mm.runs.recipes import RECIPES, build, recorded
+from marl_mm.runs.recipes import RECIPES, build_dataset, recorded
 
 
 def main() -> None:
@@ -18,7 +18,7 @@ def main() -> None:
     missing = [name for name in RECIPES.names() if name not in recorded()]
     with progress_bars() as bar:
         for name in sys.argv[1:] or missing:
-            row = build(name, workers=2, progress=bar).row
+            row = build_dataset(name, workers=2, progress=bar).row
             rows = recorded() | {name: row}
             order = [other for other in RECIPES.names() if other in rows]
             with new_file(RECORD) as temporary:

@@ -36,7 +36,7 @@ from marl_mm.eval.studies.tuning_ranges import RANGES
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar
 from marl_mm.received import read_json
-from marl_mm.runs.recipes import RECIPES, build, named_card, refuse_unknown
+from marl_mm.runs.recipes import RECIPES, build_dataset, named_card, refuse_unknown
 from marl_mm.runs.settings import check_positive
 from marl_mm.sim.config import RECORDED_ENGINE
 from marl_mm.versions import engine_text
@@ -126,7 +126,7 @@ def make_tuning(options: TuningOptions, bar: Bar) -> list[Row]:
         cell.dataset for listed in cells.values() for cell in listed
     ):
         if not named_card(name)["ships"]:
-            build(name, workers=options.workers, progress=bar)
+            build_dataset(name, workers=options.workers, progress=bar)
     rows_folder, runs = _rows_folder(options.results), options.runs_folder / "tuning"
     groups = missing_groups(
         {rows_folder / name: listed for name, listed in cells.items()}

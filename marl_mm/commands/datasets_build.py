@@ -11,7 +11,12 @@ from marl_mm.commands.wording import as_options
 from marl_mm.errors import DatasetError
 from marl_mm.progress import progress_bars
 from marl_mm.runs.rebuilding import read_card, rebuild
-from marl_mm.runs.recipes import build, catalogue_rows, named_card, refuse_unknown
+from marl_mm.runs.recipes import (
+    build_dataset,
+    catalogue_rows,
+    named_card,
+    refuse_unknown,
+)
 from marl_mm.runs.settings import check_positive
 
 
@@ -36,7 +41,7 @@ def build_named(
     rows, others = {}, []
     with progress_bars(vanish=True) as bar:
         for name in names:
-            built = build(name, workers=workers, progress=bar, notify=_notify)
+            built = build_dataset(name, workers=workers, progress=bar, notify=_notify)
             rows[name] = built.row | {"verdict": built.verdict}
             if built.differs:
                 others.append(name)

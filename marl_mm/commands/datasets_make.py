@@ -7,19 +7,16 @@ import tyro
 
 from marl_mm.commands.options import task_help
 from marl_mm.commands.output import read_dataset, show
-from marl_mm.datasets.card import card_text, keep_card
-from marl_mm.datasets.dataset import existing, load_dataset
-from marl_mm.datasets.importing import read_foreign
-from marl_mm.datasets.location import Location, locate
-from marl_mm.datasets.provenance import Origin, Provenance
-from marl_mm.datasets.recipe import Condition, Part, filtered, mix, split, write_mix
-from marl_mm.datasets.storage import refuse_foreign, write_alone
-from marl_mm.envs.registry import make_task
-from marl_mm.episode import IMPORTED
+from marl_mm.datasets.card import card_text
+from marl_mm.datasets.dataset import Dataset
 from marl_mm.errors import UsageError
-from marl_mm.files import refuse_existing, refuse_input
-from marl_mm.runs.settings import check_seed
-from marl_mm.sim.config import Engine, engine_overrides
+from marl_mm.runs.deriving import (
+    filter_dataset,
+    import_dataset,
+    mix_datasets,
+    split_dataset,
+)
+from marl_mm.sim.config import Engine
 
 _TASK = task_help(
     'Task of the episodes: {}; default the file\'s attribute "task", or '
@@ -44,13 +41,10 @@ def make_mix(
         overwrite: Replace what exists.
         json: Print the new dataset's card as JSON.
     """
-    check_seed(seed)
     if not parts:
         raise UsageError("name at least one DATASET:STEPS")
-    read = [_part(text) for text in parts]
-    location = _free(out, overwrite, *(p.dataset.location.folder for p in read))
-    write_mix(location, mix(read, seed), overwrite)
-    _tell([location], json)
+    drawn = [_part(text) for text in parts]
+    _tell([mix_datasets(drawn, out, seed=seed, overwrite=overwrite)], json)
 
 
 def make_split(
@@ -72,17 +66,9 @@ def make_split(
         overwrite: Replace what exists.
         json: Print the new datasets' cards as JSON.
     """
-    check_seed(seed)
-    source = existing(dataset)
-    stem = (out or source.name).removesuffix("-v0")
-    if stem.split("/")[-1] in ("", ".", ".."):
-        raise UsageError(f"--out is {out!r}, expected the beginning of a name")
-    names = [f"{stem}-{part}-v0" for part in ("first", "rest")]
-    locations = [_free(name, overwrite, source.folder) for name in names]
-    recipes = split(read_dataset(source), share, seed)
-    for location, recipe in zip(locations, recipes, strict=True):
-        write_mix(location, recipe, overwrite)
-    _tell(locations, json)
+    source = read_dataset(dataset)
+    made = split_dataset(source, out=out, share=share, seed=seed, overwrite=overwrite)
+    _tell([*made], json)
 
 
 def make_filtered(
@@ -108,12 +94,16 @@ def make_filtered(
         overwrite: Replace what exists.
         json: Print the new dataset's card as JSON.
     """
-    source = existing(dataset)
-    location = _free(out, overwrite, source.folder)
-    success = None if outcome is None else outcome == "reached"
-    condition = Condition(success, direction, min_return, max_return)
-    write_mix(location, filtered(read_dataset(source), condition), overwrite)
-    _tell([location], json)
+    made = filter_dataset(
+        read_dataset(dataset),
+        out,
+        outcome=outcome,
+        direction=direction,
+        min_return=min_return,
+        max_return=max_return,
+        overwrite=overwrite,
+    )
+    _tell([made], json)
 
 
 def make_imported(
@@ -141,35 +131,18 @@ def make_imported(
         overwrite: Replace what exists.
         json: Print the new dataset's card as JSON.
     """
-    location = _free(out, overwrite, file)
-    foreign = read_foreign(file, location.id, task)
-    longest = max(make_task(foreign.task).max_steps, int(foreign.arrays.lengths.max()))
-    provenance = Provenance(
-        task=foreign.task,
-        overrides={"max_steps": longest, **engine_overrides(engine or foreign.engine)},
-        collector=IMPORTED,
-        origins={location.id: Origin(file=file.name)},
-    )
-    write_alone(location, foreign.arrays, provenance, overwrite)
-    _tell([location], json)
+    made = import_dataset(file, out, task=task, engine=engine, overwrite=overwrite)
+    _tell([made], json)
 
 
-def _free(name: str, overwrite: bool, *made_of: Path) -> Location:
-    location = locate(name)
-    refuse_foreign(location)
-    refuse_existing(location.folder, overwrite)
-    refuse_input(location.folder, made_of)
-    return location
-
-
-def _part(text: str) -> Part:
+def _part(text: str) -> tuple[Dataset, int]:
     name, _, steps = text.rpartition(":")
     if not name or not steps.isdecimal():
         raise UsageError(f"{text!r} is no DATASET:STEPS, such as good:20000")
-    return Part(read_dataset(name), int(steps))
+    return read_dataset(name), int(steps)
 
 
-def _tell(locations: list[Location], as_json: bool) -> None:
-    cards = [keep_card(load_dataset(location)) for location in locations]
+def _tell(made: list[Dataset], as_json: bool) -> None:
+    cards = [dataset.card() for dataset in made]
     values = cards if len(cards) > 1 else cards[0]
     show(values, "\n\n".join(map(card_text, cards)), as_json)

@@ -5,14 +5,11 @@ from typing import Annotated
 
 import tyro
 
-from marl_mm.algorithms.checkpoint import BEST
-from marl_mm.algorithms.export import export_policy, signature
+from marl_mm.algorithms.export import signature
 from marl_mm.algorithms.export_formats import POLICY_FORMATS
-from marl_mm.algorithms.policy import load_policy
 from marl_mm.commands.output import show
 from marl_mm.commands.parser import command
-from marl_mm.errors import UsageError
-from marl_mm.files import refuse_existing
+from marl_mm.runs.export import export
 
 _FORMATS = f'{" or ".join(POLICY_FORMATS.names())}; onnx needs the extra "onnx".'
 
@@ -45,14 +42,9 @@ def main(
         overwrite: Replace OUT if it exists.
         json: Print the file's metadata and the largest difference as JSON.
     """
-    policy, path = load_policy(run), Path(run)
-    best = "best-" if path.is_file() and path.name == BEST else ""
-    name = f"{best}{agent or 'policy'}{POLICY_FORMATS.get(format).suffix}"
-    out = out or (path if path.is_dir() else path.parent) / name
-    if out.is_dir():
-        raise UsageError(f"--out {out} is a folder, expected a file: {out}/{name}")
-    refuse_existing(out, overwrite)
-    about = export_policy(policy, out, format, agent)
+    about = export(run, out, format=format, agent=agent, overwrite=overwrite)
     difference = f"{about['largest_difference']:.1g}"
-    text = f"{out}: {signature(about)}; at most {difference} of half a range off"
-    show({"file": str(out), **about}, text, json)
+    text = (
+        f"{about['file']}: {signature(about)}; at most {difference} of half a range off"
+    )
+    show(about, text, json)

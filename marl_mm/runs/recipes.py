@@ -157,7 +157,7 @@ class Built:
         )
 
 
-def build(
+def build_dataset(
     name: str,
     *,
     workers: int = 1,

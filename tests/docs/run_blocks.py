@@ -62,6 +62,7 @@ def small_code(code: str) -> str:
     """Python with small numbers."""
     for name, value in SMALL.items():
         code = re.sub(rf"\b{name}=[\d_]+", f"{name}={value}", code)
+    code = re.sub(r'("[a-z]+": \d+)00\b', r"\1", code)  # steps of a mix
     code = re.sub(r"  #.*", "", code)
     code = re.sub(r"\.learn\(200\)", ".learn(110)", code)  # it waits for 100
     code = re.sub(r"(marl_mm\.train\((?:[^()]|\([^()]*\))*)\)", _with_few, code)

@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+import torch
 
 import marl_mm
 from marl_mm.cli import main
@@ -82,6 +83,53 @@ def test_collect_gives_the_bytes_of_the_command(
     assert without_path(contents(python), python) == without_path(
         contents(command), command
     )
+
+
+@pytest.mark.slow
+def test_datasets_of_others_have_the_bytes_that_the_commands_give(
+    datasets_home: Path, tmp_path: Path, quiet: Callable[[], None], capfd: Capture
+) -> None:
+    few: dict[str, Any] = {"steps": 30, "engine": "mujoco", "max_steps": 5}
+    for name, seed in (("one", 0), ("two", 1)):
+        marl_mm.collect("random", dataset=name, seed=seed, workers=1, **few)
+    python = marl_mm.mix_datasets({"one": 20, "two": 10}, "python", seed=3)
+    first, rest = marl_mm.split_dataset(python, share=0.6, seed=1)
+    far = marl_mm.filter_dataset("python", "python-far", max_return=-0.1)
+    file = tmp_path / "far.h5"
+    assert main(["datasets", "export", "python-far", "--out", str(file)]) == 0
+    capfd.readouterr()
+    again = marl_mm.import_dataset(file, "python-again")
+    quiet()
+    for command in (
+        "mix one:20 two:10 --out command --seed 3",
+        "split command --share 0.6 --seed 1",
+        "filter command --out command-far --max-return -0.1",
+        f"import {file} --out command-again",
+    ):
+        assert main(["datasets", *command.split()]) == 0
+    names = ("", "-first", "-rest", "-far", "-again")
+    for name, ours in zip(names, (python, first, rest, far, again), strict=True):
+        theirs = marl_mm.load_dataset(f"command{name}")
+        here, there = (data.metadata["marl_mm"] for data in (ours, theirs))
+        assert theirs.fingerprint == ours.fingerprint
+        if name != "-again":  # whose episodes bear its name
+            assert here["data_sha256"] == there["data_sha256"]
+        assert theirs.card().keys() == ours.card().keys()
+        assert (ours.location.folder / "card.json").exists()
+
+
+@pytest.mark.slow
+def test_export_gives_the_bytes_of_the_command(
+    tmp_path: Path, quiet: Callable[[], None]
+) -> None:
+    python, command = tmp_path / "python.ts", tmp_path / "command.ts"
+    about = marl_mm.export("pretrained", python)
+    quiet()
+    assert about["file"] == str(python) and about["largest_difference"] < 1e-4
+    assert main(["export", "pretrained", "--out", str(command)]) == 0
+    load: Any = torch.jit.load
+    state = torch.zeros(1, len(about["observation"]))
+    assert (load(python)(state) == load(command)(state)).all()
 
 
 @pytest.mark.slow
@@ -369,6 +417,32 @@ ONE = Evaluation("pd", {}, "Reach-v0", {}, 0, [ROW])
             lambda: marl_mm.cross_play(["pd", "random"], configs=[None]),
             "`configs` are 1, expected 2",
         ),
+        (lambda: marl_mm.mix_datasets({}, "x"), "`parts` is {}, expected datasets"),
+        (lambda: marl_mm.mix_datasets(cast(Any, 3), "x"), "`parts` is 3, expected"),
+        (
+            lambda: marl_mm.mix_datasets({"good-5k": cast(Any, "9")}, "x"),
+            "`steps` is '9', expected a whole number",
+        ),
+        (
+            lambda: marl_mm.mix_datasets({"good-5k": 10**6}, "x"),
+            "steps, asked for 1000000: expected 1 to",
+        ),
+        (
+            lambda: marl_mm.mix_datasets({"good-5k": 9}, cast(Any, None)),
+            "`out` is None, expected an id or a path",
+        ),
+        (
+            lambda: marl_mm.filter_dataset("good-5k", "x", outcome=cast(Any, "won")),
+            "`outcome` is 'won', expected reached or missed",
+        ),
+        (
+            lambda: marl_mm.filter_dataset("good-5k", "x", direction=cast(Any, "up")),
+            "filter: direction is 'up'",
+        ),
+        (lambda: marl_mm.filter_dataset("good-5k", "x"), "no condition: expected an"),
+        (lambda: marl_mm.split_dataset("good-5k", share=2), "the share is 2, expected"),
+        (lambda: marl_mm.import_dataset(cast(Any, 3), "x"), "`file` is 3, expected a"),
+        (lambda: marl_mm.export("nowhere"), "nowhere"),
         (lambda: ONE.less(replace(ONE, task="Grasp-v0")), "not on the same goals"),
         (lambda: ONE.less(replace(ONE, rows=[])), "not on the same goals"),
     ],

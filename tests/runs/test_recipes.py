@@ -15,7 +15,7 @@ from marl_mm.datasets.named import AXES, name_of, named_ids
 from marl_mm.errors import DatasetError, UsageError
 from marl_mm.runs import recipes
 from marl_mm.runs.rebuilding import rebuild
-from marl_mm.runs.recipes import RECIPES, Recipe, build, recorded
+from marl_mm.runs.recipes import RECIPES, Recipe, build_dataset, recorded
 from marl_mm.runs.sources import Source
 
 SMALL = "small-noisy"
@@ -40,7 +40,7 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def put(record: Path, **changes: Any) -> None:
-    row = build(SMALL).row | changes
+    row = build_dataset(SMALL).row | changes
     record.write_text(json.dumps({SMALL: row}))
 
 
@@ -77,7 +77,7 @@ def test_a_fingerprint_counts_every_setting() -> None:
 def test_a_build_is_what_is_on_record_or_says_what_differs(
     small: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert build(SMALL).verdict == "not on record yet"
+    assert build_dataset(SMALL).verdict == "not on record yet"
     put(small)
     assert main(["datasets", "build", SMALL, "--workers", "1"]) == 0
     assert "the dataset on record, to the bit" in capsys.readouterr().out
@@ -92,7 +92,7 @@ def test_a_build_is_what_is_on_record_or_says_what_differs(
 def test_cards_are_rebuilt_to_the_bit_by_any_number_of_workers(
     small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    data = build(SMALL).dataset
+    data = build_dataset(SMALL).dataset
     card = data.location.folder / "card.json"  # which build has kept
     assert main(["datasets", "rebuild", str(card), "--workers", "1"]) == 0
     assert "the same data, SHA-256" in capsys.readouterr().out

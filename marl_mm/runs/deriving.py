@@ -1,0 +1,191 @@
+"""Datasets of other datasets' episodes, and of files that others wrote."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Literal
+
+from marl_mm.datasets.card import keep_card
+from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.datasets.importing import read_foreign
+from marl_mm.datasets.location import Location, locate, text_of
+from marl_mm.datasets.provenance import Origin, Provenance
+from marl_mm.datasets.recipe import Condition, Part, filtered, mix, split, write_mix
+from marl_mm.datasets.storage import refuse_foreign, write_alone
+from marl_mm.envs.registry import make_task
+from marl_mm.episode import IMPORTED
+from marl_mm.errors import UsageError
+from marl_mm.files import refuse_existing, refuse_input
+from marl_mm.runs.settings import check_positive, check_seed, with_settings
+from marl_mm.sim.config import Engine, engine_overrides
+
+Named = Dataset | str | Path
+"""A dataset, its id or its path."""
+
+
+def mix_datasets(
+    parts: Mapping[str, int] | Iterable[tuple[Named, int]],
+    out: str | Path,
+    *,
+    seed: int = 0,
+    overwrite: bool = False,
+) -> Dataset:
+    """Draw steps from each of several datasets at random, as whole episodes.
+
+    Args:
+        parts: Datasets and how many steps are drawn from each, at least, such as
+            ``{"good": 20_000, "random": 5_000}``, or pairs of the two.
+        out: Id or path of the mix.
+        seed: Seed of the draw.
+        overwrite: Whether what exists may be replaced.
+
+    Raises:
+        UsageError: If a setting makes no sense, or the datasets do not go together.
+        OutputExistsError: If there is a dataset, and it may not be replaced.
+    """
+    check_seed(seed)
+    try:
+        pairs = dict(parts).items() if isinstance(parts, Mapping) else [*parts]
+        drawn = [(dataset, steps) for dataset, steps in pairs]
+    except (TypeError, ValueError):
+        drawn = []
+    if not drawn:
+        raise UsageError(f"`parts` is {parts!r:.80}, expected datasets and their steps")
+    for _, steps in drawn:
+        check_positive(steps=steps)
+    read = [Part(_read(dataset), steps) for dataset, steps in drawn]
+    location = _free(out, overwrite, *(part.dataset.location.folder for part in read))
+    write_mix(location, mix(read, seed), overwrite)
+    return _kept(location)
+
+
+def split_dataset(
+    dataset: Named,
+    *,
+    out: str | Path | None = None,
+    share: float = 0.8,
+    seed: int = 0,
+    overwrite: bool = False,
+) -> tuple[Dataset, Dataset]:
+    """Divide a dataset's episodes at random into OUT-first-v0 and OUT-rest-v0.
+
+    Args:
+        dataset: Dataset, id or path.
+        out: Beginning of the new ids; default the dataset's own.
+        share: Share of the episodes that go into the first dataset.
+        seed: Seed of the draw.
+        overwrite: Whether what exists may be replaced.
+
+    Raises:
+        UsageError: If a setting makes no sense, or there is only one episode.
+        OutputExistsError: If there is one of the two, and it may not be replaced.
+    """
+    check_seed(seed)
+    source = _read(dataset)
+    stem = text_of(out or source.location.name).removesuffix("-v0")
+    if stem.split("/")[-1] in ("", ".", ".."):
+        raise UsageError(f"`out` is {out!r}, expected the beginning of a name")
+    names = [f"{stem}-{part}-v0" for part in ("first", "rest")]
+    first, rest = (_free(name, overwrite, source.location.folder) for name in names)
+    for location, recipe in zip((first, rest), split(source, share, seed), strict=True):
+        write_mix(location, recipe, overwrite)
+    return _kept(first), _kept(rest)
+
+
+def filter_dataset(
+    dataset: Named,
+    out: str | Path,
+    *,
+    outcome: Literal["reached", "missed"] | None = None,
+    direction: Literal["forward", "backward"] | None = None,
+    min_return: float | None = None,
+    max_return: float | None = None,
+    overwrite: bool = False,
+) -> Dataset:
+    """Keep the episodes that meet all conditions.
+
+    Args:
+        dataset: Dataset, id or path.
+        out: Id or path of the new dataset.
+        outcome: Only episodes that reached their goal, or only those that did not.
+        direction: Only episodes whose goal is ahead, or behind.
+        min_return: Least sum of rewards.
+        max_return: Largest sum of rewards.
+        overwrite: Whether what exists may be replaced.
+
+    Raises:
+        UsageError: If there is no condition, or no episode meets them.
+        OutputExistsError: If there is a dataset, and it may not be replaced.
+    """
+    if outcome not in (None, "reached", "missed"):
+        raise UsageError(f"`outcome` is {outcome!r:.40}, expected reached or missed")
+    asked = {
+        "success": None if outcome is None else outcome == "reached",
+        "direction": direction,
+        "min_return": min_return,
+        "max_return": max_return,
+    }
+    condition = with_settings("filter", Condition(), asked)
+    source = _read(dataset)
+    location = _free(out, overwrite, source.location.folder)
+    write_mix(location, filtered(source, condition), overwrite)
+    return _kept(location)
+
+
+def import_dataset(
+    file: str | Path,
+    out: str | Path,
+    *,
+    task: str | None = None,
+    engine: Engine | None = None,
+    overwrite: bool = False,
+) -> Dataset:
+    """Take a Minari dataset or an HDF5 file of one's own.
+
+    The place where its episodes were collected is not kept: nothing can replay them.
+
+    Args:
+        file: HDF5 file, or folder of a Minari dataset.
+        out: Id or path of the new dataset.
+        task: Registered name of the task; default the file's, or Reach-v0 without one.
+        engine: Engine of the episodes; default the file's own, or PyBullet without one.
+        overwrite: Whether what exists may be replaced.
+
+    Raises:
+        UsageError: If there is no such file, or its layout is not the task's.
+        DatasetError: If it cannot be read, or holds impossible values.
+        OutputExistsError: If there is a dataset, and it may not be replaced.
+    """
+    if not isinstance(file, str | Path):
+        raise UsageError(f"`file` is {file!r:.80}, expected a file or a folder")
+    location = _free(out, overwrite, Path(file))
+    foreign = read_foreign(Path(file), location.id, task)
+    longest = max(make_task(foreign.task).max_steps, int(foreign.arrays.lengths.max()))
+    provenance = Provenance(
+        task=foreign.task,
+        overrides={"max_steps": longest, **engine_overrides(engine or foreign.engine)},
+        collector=IMPORTED,
+        origins={location.id: Origin(file=Path(file).name)},
+    )
+    write_alone(location, foreign.arrays, provenance, overwrite)
+    return _kept(location)
+
+
+def _read(dataset: Named) -> Dataset:
+    return dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
+
+
+def _free(out: str | Path, overwrite: bool, *made_of: Path) -> Location:
+    if not isinstance(out, str | Path):
+        raise UsageError(f"`out` is {out!r:.80}, expected an id or a path")
+    location = locate(text_of(out))
+    refuse_foreign(location)
+    refuse_existing(location.folder, overwrite)
+    refuse_input(location.folder, made_of)
+    return location
+
+
+def _kept(location: Location) -> Dataset:
+    """The dataset that was written, with its card beside it."""
+    dataset = load_dataset(location)
+    keep_card(dataset)
+    return dataset
