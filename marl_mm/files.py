@@ -1,6 +1,7 @@
 """Files and folders that appear whole or not at all."""
 
 import ctypes
+import errno
 import fcntl
 import json
 import os
@@ -12,6 +13,7 @@ from typing import Any
 
 from marl_mm.errors import OutputExistsError, UsageError
 from marl_mm.temporary import claimed, named_errors, remove
+from marl_mm.words import refuse_control_characters
 
 
 def home() -> Path:
@@ -50,8 +52,10 @@ def refuse_existing(path: Path, overwrite: bool, *, file: bool = False) -> None:
 
     Raises:
         OutputExistsError: If ``path`` exists and ``overwrite`` is False.
-        UsageError: If its folder cannot be written, or it is of another kind.
+        UsageError: If its folder cannot be written, it is of another kind, or its name
+            has a control character.
     """
+    refuse_control_characters("the path", str(path))
     _refuse_lost_links(path, path.parent if file else path)
     above = path.absolute().parents or (path.absolute(),)  # of the root it is itself
     folder = next(parent for parent in above if parent.exists())
@@ -176,13 +180,19 @@ def new_folder(path: Path) -> Iterator[Path]:
                 yield temporary
                 for inner in (*temporary.rglob("*"), temporary):
                     _to_disk(inner)
-                if path.exists() or path.is_symlink():
-                    _exchange(temporary, path)
-                else:
+                try:
                     temporary.rename(path)
+                except OSError as error:
+                    if error.errno not in _THERE:
+                        raise
+                    _exchange(temporary, path)
                 _to_disk(path.parent)
         finally:
             remove(temporary)
+
+
+_THERE = errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR
+"""Errors of renaming a folder where something has its new name."""
 
 
 def _to_disk(path: Path) -> None:

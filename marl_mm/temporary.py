@@ -58,8 +58,7 @@ def claimed(
     for other in os.listdir(path.parent):
         writer = other.removeprefix(f".{name}.").removesuffix(ending)
         if other == f".{name}.{writer}{ending}" and _WRITER.fullmatch(writer):
-            if _is_dead(path.with_name(other), writer[:8]):
-                remove(path.with_name(other))
+            _remove_if_left(path.with_name(other), writer[:8])
     descriptor = -1
     try:
         while descriptor < 0:
@@ -90,15 +89,18 @@ def _machine() -> str:
     return hashlib.sha256(started).hexdigest()[:8]
 
 
-def _is_dead(temporary: Path, machine: str) -> bool:
-    """Whether the process that made a temporary file has ended."""
-    try:
+def _remove_if_left(temporary: Path, machine: str) -> None:
+    """Delete a temporary file of a process that has ended."""
+    with suppress(OSError):  # it is locked, or gone
         if machine != _machine():
-            return time.time() - temporary.stat().st_mtime > _DAY
-        os.close(_locked(temporary))
-    except OSError:  # it is locked, or gone
-        return False
-    return True
+            if time.time() - temporary.stat().st_mtime > _DAY:
+                remove(temporary)
+            return
+        descriptor = _locked(temporary)
+        try:
+            remove(temporary)  # before another may lock it
+        finally:
+            os.close(descriptor)
 
 
 def _locked(path: Path) -> int:

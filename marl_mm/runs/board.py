@@ -2,7 +2,7 @@
 
 import json
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -102,6 +102,8 @@ def board(
     """
     if isinstance(folders, str | Path | Submission):
         folders = [folders]
+    if not isinstance(folders, Iterable):
+        raise UsageError(f"{folders!r:.80} is no submission, expected folders")
     found = [
         each if isinstance(each, Submission) else read_submission(each)
         for each in folders

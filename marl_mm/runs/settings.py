@@ -13,8 +13,9 @@ from marl_mm.received import Refusal, check_kind
 
 T = TypeVar("T")
 
-MOST_GOALS = 1_000_000
-"""Largest number of goals of an evaluation, which are drawn before it begins."""
+MOST_GOALS = 25_000
+"""Largest number of goals of an evaluation. They are drawn before it begins, and their
+rows of about 550 bytes are a record of at most ``RECORD_BYTES``."""
 
 _GOALS = ("episodes", "eval_episodes", "curve_episodes", "goals")
 

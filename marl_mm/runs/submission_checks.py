@@ -59,6 +59,8 @@ def read_submission(folder: str | Path) -> Submission:
         SubmissionError: If something has been changed.
         CheckpointError: If a file of a seed is damaged.
     """
+    if not isinstance(folder, str | Path):
+        raise UsageError(f"{folder!r:.80} is no folder, expected a submission's")
     folder = Path(folder)
     if not (folder / MANIFEST).exists():
         raise UsageError(

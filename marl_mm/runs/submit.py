@@ -1,6 +1,6 @@
 """Write a submission: evaluate runs once more, and keep all that scores them again."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -86,6 +86,8 @@ def submit(
     if episodes > MOST_GOALS:
         raise UsageError(f"`episodes` is {episodes}, expected at most {MOST_GOALS:,}")
     listed = [runs] if isinstance(runs, Run | str | Path) else runs
+    if not isinstance(listed, Iterable):
+        raise UsageError(f"{runs!r:.80} is no run, expected folders of marl-mm train")
     found = [run if isinstance(run, Run) else load_run(run) for run in listed]
     if not found:
         raise UsageError("no run given, expected folders of marl-mm train, one a seed")

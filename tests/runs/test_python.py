@@ -443,6 +443,13 @@ ONE = Evaluation("pd", {}, "Reach-v0", {}, 0, [ROW])
         (lambda: marl_mm.split_dataset("good-5k", share=2), "the share is 2, expected"),
         (lambda: marl_mm.import_dataset(cast(Any, 3), "x"), "`file` is 3, expected a"),
         (lambda: marl_mm.export("nowhere"), "nowhere"),
+        (lambda: marl_mm.board(cast(Any, 3)), "3 is no submission, expected folders"),
+        (lambda: marl_mm.board([cast(Any, 3)]), "3 is no folder, expected a subm"),
+        (lambda: marl_mm.submit(cast(Any, None), out="x"), "None is no run, expected"),
+        (
+            lambda: marl_mm.train("mabc", "good-5k", out="a\0b", updates=1),
+            "the path has a control character",
+        ),
         (lambda: ONE.less(replace(ONE, task="Grasp-v0")), "not on the same goals"),
         (lambda: ONE.less(replace(ONE, rows=[])), "not on the same goals"),
     ],
