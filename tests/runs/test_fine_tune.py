@@ -24,7 +24,11 @@ from marl_mm.contracts.learners import some_episodes
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import DivergedError, OtherConfigError, UsageError
 from marl_mm.eval.rows import read_rows
+from marl_mm.files import only_here
+from marl_mm.runs import learning
 from marl_mm.runs.run import Run
+from marl_mm.runs.starts import copy_start, start_hash
+from marl_mm.runs.submission import OF_A_SEED
 from marl_mm.runs.train import repeat
 from marl_mm.sim.world import check_engine
 from tests.algorithms.games import NoJudge
@@ -172,6 +176,28 @@ def test_what_cannot_go_on_is_refused_before_any_work(
     refused("is of Reach-v0, expected PreciseReach-v0", task="PreciseReach-v0")
     refused("online_every is 0, expected > 0", online_every=0)
     refused("`updates` is 0 and `online_steps` too", "rlpd", updates=0, online_steps=0)
+
+
+def test_a_start_is_locked_while_it_is_copied(
+    offline: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who trains it meanwhile would leave rows of one time and weights of another."""
+    copied: list[Path] = []
+
+    def copy(start: Path, run: Path) -> None:
+        with pytest.raises(UsageError, match="another process"), only_here(start):
+            pass
+        copied.append(start)
+        copy_start(start, run)
+
+    monkeypatch.setattr(learning, "copy_start", copy)
+    more: dict[str, Any] = {"start": offline.folder, "online_steps": 20, **online()}
+    marl_mm.train("matd3-bc", out=tmp_path, **more)
+    assert copied == [offline.folder]
+    recorded = start_hash(offline.folder).keys()
+    assert {"start", *recorded} <= {*OF_A_SEED}  # other seeds have other starts
+    with only_here(offline.folder):
+        pass
 
 
 @pytest.fixture(scope="module")
