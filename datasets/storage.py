@@ -136,12 +136,16 @@ def refuse_foreign(location: Location) -> None:
         )
 
 
+_CARD_IN_WORK = r"\.card\.(\d+|[0-9a-f]{16}\.part)\.(json|md|png)"
+"""Temporary file of a card, of older versions too."""
+
+
 def _is_part(path: Path) -> bool:
     """Whether a dataset's folder may hold this path, also after a writer was killed."""
     return (
         str(path) in OWN_FILES
         or (path.parts[0] == "cache" and path.suffix == ".npz")
-        or re.fullmatch(r"\.card\.\d+\.(json|md|png)", str(path)) is not None
+        or re.fullmatch(_CARD_IN_WORK, str(path)) is not None
     )
 
 

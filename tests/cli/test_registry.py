@@ -152,6 +152,13 @@ class Steps:
     steps: int = 9
 
 
+@dataclass(frozen=True)
+class Json:
+    """One of its settings has the name of an option of the command."""
+
+    json: int = 9
+
+
 def collector(config: type) -> Collector:
     return Collector(
         about="x", config=config, policy=lambda config, task: RandomPolicy(config)
@@ -168,6 +175,7 @@ def algorithm(config: Any, online: bool = False) -> Algorithm:
     ("declare", "complaint"),
     [
         (lambda: collector(Demanding), r"Demanding\.period has no default"),
+        (lambda: collector(Steps), r"Steps\.steps has the name of something"),
         (lambda: collector(dict), "no dataclass, expected a frozen one"),
         (lambda: algorithm({"updates": 1}), "no dataclass, expected a frozen one"),
         (lambda: algorithm(Steps()), "Steps has no updates, precision"),
@@ -216,10 +224,10 @@ def test_options_of_the_same_name_are_told(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert "clash" not in COLLECTORS
-    monkeypatch.setitem(COLLECTORS._things, "clash", collector(Steps))
+    monkeypatch.setitem(COLLECTORS._things, "clash", collector(Json))
     assert main(["collect", "clash"]) == 2
     complaint = capsys.readouterr().err
-    assert complaint.startswith("marl-mm: Steps.steps has the name of something else")
+    assert complaint.startswith("marl-mm: Json.json has the name of something else")
 
 
 def test_a_collector_may_be_called_as_an_option_is(
