@@ -158,7 +158,12 @@ def test_what_killed_writers_left_is_replaced(
 ) -> None:
     """But nothing that somebody else put there."""
     (written / "cache").mkdir()  # version 1 kept arrays there
-    for name in (".card.123.png", ".card.4.json", "cache/.a.5.npz"):
+    for name in (
+        ".card.123.png",
+        ".card.4.json",
+        f".card.{0:016x}.part.md",
+        "cache/.a.5.npz",
+    ):
         (written / name).write_text("half")
     write(ID, episodes[:2], overwrite=True)
     assert not (written / ".card.123.png").exists()
