@@ -3,7 +3,7 @@
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -102,13 +102,13 @@ def begin_runs(
         config, start = run_config(training, dataset, seed), None
         if isinstance(training, Offline) and not goes_on(run, training):
             start = training.start and start_of(training.start, seed)
-        with only_here(start, wait=True) if start else nullcontext():
-            if start:
-                settings = {**config.settings, **start_hash(start)}
-                config = replace(config, settings=settings)
+        if not start:
             begin_run(run, config, training)
-            if start:
-                copy_start(start, run)
+            continue
+        with only_here(start, wait=True):  # or it may be trained meanwhile
+            settings = {**config.settings, **start_hash(start)}
+            begin_run(run, replace(config, settings=settings), training)
+            copy_start(start, run)
 
 
 def train_run(

@@ -152,11 +152,13 @@ def find_runs(folder: str | Path) -> list[Run]:
 
 def _is_of_a_run(config: Path, root: Path) -> bool:
     """Whether a file may be a run's record: not a sweep's, nor half of a folder."""
-    hidden = any(part.startswith(".") for part in config.relative_to(root).parts)
+    if any(part.startswith(".") for part in config.relative_to(root).parts):
+        return False
     try:
-        return not hidden and "algorithm" in read_json(config, CheckpointError)
-    except CheckpointError:
+        values = read_json(config, CheckpointError)
+    except CheckpointError:  # a damaged run's, which is listed as such
         return True
+    return not isinstance(values, dict) or "algorithm" in values
 
 
 def _success(evaluation: Evaluation) -> str:

@@ -117,7 +117,10 @@ def test_what_is_no_run_is_not_listed(tmp_path: Path) -> None:
     make_run(tmp_path / ".good.0123456789abcdef.new")
     (tmp_path / "alpha").mkdir()
     (tmp_path / "alpha" / "config.json").write_text('{"alphas": [0, 1]}')
-    assert [run.folder for run in find_runs(tmp_path)] == [tmp_path / "good"]
+    (tmp_path / "number").mkdir()
+    (tmp_path / "number" / "config.json").write_text("3")  # damaged, and told so
+    found = [run.folder.name for run in find_runs(tmp_path)]
+    assert found == ["good", "number"]
 
 
 @pytest.mark.parametrize("name", ["a\x1b]0;title\x07", "a\u202eb", "a\n  b", "[red]a"])
