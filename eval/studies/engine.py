@@ -24,8 +24,8 @@ from marl_mm.eval.studies.table import Table
 from marl_mm.files import refuse_existing
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.received import damage_named
+from marl_mm.runs.making import Datasets, Notify, silence
 from marl_mm.runs.paper import PAPER
-from marl_mm.runs.sources import Datasets, Notify, silence
 
 Studies = Mapping[str, Study]
 """Studies by the name of their files."""

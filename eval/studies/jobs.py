@@ -21,7 +21,7 @@ from marl_mm.eval.studies.settings import Probe
 from marl_mm.eval.studies.study import Cell, cell_name
 from marl_mm.files import write_json
 from marl_mm.progress import Advance, Bar, distant_bars, show_distant_bars, silent_bar
-from marl_mm.runs.sources import Notify
+from marl_mm.runs.making import Notify
 from marl_mm.workers import Executor, open_pool
 
 _DEATHS = 3

@@ -17,7 +17,8 @@ from marl_mm.eval.studies.study import Cell, Study, cell_name
 from marl_mm.eval.tables import markdown_table
 from marl_mm.progress import Bar
 from marl_mm.runs.collecting import recorded
-from marl_mm.runs.sources import Data, Datasets, Mix, Source
+from marl_mm.runs.making import Datasets
+from marl_mm.runs.sources import Data, Mix, Source
 from marl_mm.sim.config import Engine, engine_of
 
 

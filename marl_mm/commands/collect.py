@@ -16,9 +16,10 @@ from marl_mm.errors import DatasetError, UsageError
 from marl_mm.progress import progress_bars
 from marl_mm.runs.collect import begun_settings, collect_into, default_dataset
 from marl_mm.runs.collecting import Collecting
+from marl_mm.runs.making import Datasets
 from marl_mm.runs.paper import PAPER
 from marl_mm.runs.settings import check_positive, check_seed, with_values
-from marl_mm.runs.sources import Datasets, seeded
+from marl_mm.runs.sources import seeded
 from marl_mm.workers import Executor, available_cores
 
 

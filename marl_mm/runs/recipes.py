@@ -19,7 +19,8 @@ from marl_mm.envs.registry import config_dict, make_task
 from marl_mm.errors import UsageError
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.registry import Registry
-from marl_mm.runs.sources import Datasets, Notify, Source, silence, task_folder
+from marl_mm.runs.making import Datasets, Notify, silence
+from marl_mm.runs.sources import Source, task_folder
 from marl_mm.sim.config import engine_overrides
 from marl_mm.versions import engine_text
 

@@ -52,8 +52,9 @@ from marl_mm.eval.studies.study import Study, cell_name
 from marl_mm.eval.studies.targets import GROUPS, STUDIES
 from marl_mm.files import write_json
 from marl_mm.progress import silent_bar
+from marl_mm.runs.making import Datasets
 from marl_mm.runs.paper import GOOD_30K
-from marl_mm.runs.sources import Datasets, Mix, Source
+from marl_mm.runs.sources import Mix, Source
 from marl_mm.runs.training import Offline
 from marl_mm.runs.training import training_of as default_training
 
