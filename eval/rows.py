@@ -175,7 +175,10 @@ def _unpacked(path: Path, most: int) -> bytes:
 
 def _typed(columns: Mapping[str, Sequence[str]]) -> list[Row]:
     """Rows with numbers and pairs, of texts by column."""
-    values = {name: [*map(_number, texts)] for name, texts in columns.items()}
+    values: dict[str, list[Any]] = {}
+    for name, texts in columns.items():
+        known = {text: _number(text) for text in set(texts)}  # most come many times
+        values[name] = [known[text] for text in texts]
     stems = [n.removesuffix("_low") for n in values if n.endswith("_low")]
     for stem in [stem for stem in stems if f"{stem}_high" in values]:
         values[stem] = list(

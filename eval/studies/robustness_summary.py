@@ -75,7 +75,8 @@ def draw_robustness(results: Path, folder: Path) -> list[Row]:
     crossed = [
         row
         for dataset, name in product(SOURCES, chain(*zip(*FORMS, strict=True)))
-        for row in _crossed(dataset, name, cells.get((dataset, f"{PREFIX}{name}"), []))
+        if (rows := cells.get((dataset, f"{PREFIX}{name}")))
+        for row in _crossed(dataset, name, rows)
     ]
     write_csv(folder / CROSS_PLAY, crossed)
     return summary
@@ -86,8 +87,9 @@ def _crossed(dataset: str, name: str, rows: Sequence[Row]) -> list[Row]:
     own = [row | {"strength": name} for row in rows if row["disturbance"] == OTHER_SEED]
     others = [row for row in rows if row["disturbance"] == OTHER_ALGORITHM]
     crossed = []
+    clean = _successes(rows)
     for (agent, partner), some in grouped([*own, *others], "agent", "strength").items():
-        change = _mean_change(some, rows)
+        change = _mean_change(some, clean)
         crossed.append(
             {
                 "dataset": dataset,
@@ -110,11 +112,11 @@ def _compared(head: Row, joint: Sequence[Row], team: Sequence[Row]) -> list[Row]
     met = [dict.fromkeys(row["disturbance"] for row in form) for form in (joint, team)]
     names = [name for name in met[0] if name in met[1] and name != CLEAN]
     of_joint, of_team = _changes(joint, names), _changes(team, names)
-    clean = _successes(team) - _successes(joint)
+    joint_clean, team_clean = _successes(joint), _successes(team)
     rows = []
     for name in of_joint:
         more = of_team[name] - of_joint[name]
-        ahead = more + clean
+        ahead = more + (team_clean - joint_clean)
         rows.append(
             {
                 **head,
@@ -122,9 +124,9 @@ def _compared(head: Row, joint: Sequence[Row], team: Sequence[Row]) -> list[Row]
                 "disturbance": name,
                 "seeds": len(more),
                 "goals": more.shape[1],
-                "joint_clean": float(_successes(joint).mean()),
+                "joint_clean": float(joint_clean.mean()),
                 "joint_change": float(of_joint[name].mean()),
-                "team_clean": float(_successes(team).mean()),
+                "team_clean": float(team_clean.mean()),
                 "team_change": float(of_team[name].mean()),
                 "keeps_more": float(more.mean()),
                 "keeps_more_interval": interval_of_gain(more),
@@ -147,15 +149,14 @@ def _changes(rows: Sequence[Row], names: Sequence[str]) -> dict[str, np.ndarray]
 
     It is the mean over agents and strengths; ``ALL`` is the mean over disturbances.
     """
-    of = grouped(rows, "disturbance")
-    changes = {name: _mean_change(of[name], rows) for name in names}
+    of, clean = grouped(rows, "disturbance"), _successes(rows)
+    changes = {name: _mean_change(of[name], clean) for name in names}
     same = [changes[n] for n in names if n not in (OTHER_SEED, OTHER_ALGORITHM)]
     return {**changes, ALL: np.mean(same, axis=0)}
 
 
-def _mean_change(some: Sequence[Row], rows: Sequence[Row]) -> np.ndarray:
-    """Mean success of some of a run's rows less the clean ones, by seed and goal."""
-    clean = _successes(rows)
+def _mean_change(some: Sequence[Row], clean: np.ndarray) -> np.ndarray:
+    """Mean success of some rows less the clean one, by seed and goal."""
     means = [
         mean_of(of_goal, "success")
         for _, of_goal in sorted(grouped(some, "seed", "goal").items())

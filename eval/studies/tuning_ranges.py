@@ -29,8 +29,8 @@ _CQL = {
     **_CRITIC,
     "conservatism": (0.1, 0.5, 2.0, 5.0),
     "sample_noise": (0.1, 0.2, 0.4),
+    "bound_penalty": (0.0, 0.03, 0.3),
 }
-_BOUNDED = _CQL | {"bound_penalty": (0.0, 0.03, 0.3)}
 _FLOW_Q = {**_CRITIC, "distillation": (1.0, 3.0, 10.0, 30.0, 100.0)}
 _BEST_OF_N = {**_CRITIC, "samples": (4, 16, 32), "expectile": (0.5, 0.7, 0.9)}
 
@@ -45,9 +45,8 @@ RANGES: Mapping[str, Mapping[str, Sequence[Any]]] = {
     "ma-iql": _IQL,
     "rebrac": _REBRAC,
     "ma-rebrac": _REBRAC,
-    "cql": _BOUNDED,
-    "cfcql": _BOUNDED | {"focus": (0.0, 1.0)},
-    # Tuned before there was a bound_penalty.
+    "cql": _CQL,
+    "cfcql": _CQL | {"focus": (0.0, 1.0)},
     "omar": _CQL | {"mix": (0.5, 0.7, 0.9)},
     "maicq": {
         **_CRITIC,
