@@ -346,6 +346,17 @@ def test_no_clock_is_read() -> None:
     assert timer.number.any() and not timer.duration.any()
 
 
+@pytest.mark.parametrize("task", ["Reach-v0", "CarryReach-v0", "Bar-v0", "Course-v0"])
+def test_its_memory_is_never_nearly_full(task: str) -> None:
+    """Full, MuJoCo would end the process."""
+    core = opened(task)
+    episode(core, 0, 4, scripted=5)  # none of them the script's
+    for drive in core.drives:
+        assert isinstance(drive.world, MujocoWorld)
+        data = drive.world.data
+        assert 1_000 < data.maxuse_arena < data.narena / 100
+
+
 # --- What it cannot ----------------------------------------------------------
 
 
