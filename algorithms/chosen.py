@@ -86,7 +86,14 @@ CHOSEN: Mapping[str, Mapping[str, Any]] = {
         "future": 0.2,
         "elsewhere": 0.0,
     },
-    "omar": {},
+    "omar": {
+        "learning_rate": 0.0002,
+        "discount": 0.9,
+        "conservatism": 5.0,
+        "sample_noise": 0.4,
+        "bound_penalty": 0.0,
+        "mix": 0.7,
+    },
     "q-chunking": {},
     "rebrac": {
         "learning_rate": 0.0005,

@@ -70,9 +70,14 @@ class Evaluation:
         The interval is of 95 %, see ``paired_interval``.
 
         Raises:
-            UsageError: If the other is of other goals.
+            UsageError: If the other is no evaluation, or of other goals.
         """
-        goals = [(e.task, [row["seed"] for row in e.rows]) for e in (self, other)]
+        if not isinstance(other, Evaluation):
+            raise UsageError(f"{other!r:.60} is no Evaluation, expected another one")
+        goals = [
+            (e.task, [(row["seed"], row["goal"]) for row in e.rows])
+            for e in (self, other)
+        ]
         if goals[0] != goals[1]:
             raise UsageError(
                 f"{self!r} and {other!r} are not on the same goals: evaluate both on "

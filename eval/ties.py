@@ -25,9 +25,10 @@ def p_of_difference(scores: np.ndarray, others: np.ndarray) -> float:
     """P-value of the difference of two results, over seeds and goals.
 
     Seeds are each result's own; goals are the same for both. The difference's variance
-    is that over seeds and that over goals, less what is counted twice, and not below
-    either (two-way clusters, Cameron, Gelbach and Miller 2011). Its degrees of freedom
-    are Welch's. A single seed or goal can be told apart from nothing: 1.
+    is that over seeds and that over goals, less what is counted twice, or the larger of
+    the two where that is more (two-way clusters, Cameron, Gelbach and Miller 2011). Its
+    degrees of freedom are Welch's. A single seed or goal can be told apart from
+    nothing: 1.
 
     Args:
         scores: Scores by seed and goal, shape (seeds, goals).
@@ -61,12 +62,13 @@ def tie_groups(results: Sequence[np.ndarray]) -> list[tuple[int, ...]]:
     """Numbers of each result's tie groups, 1 for the group of the best.
 
     Results that share a group cannot be told apart; those that share none can, with
-    all pairs corrected together.
+    all pairs corrected together. Those of a single seed or goal are in all groups.
 
     Args:
         results: Scores by seed and goal of each result, on the same goals.
     """
-    pairs = list(combinations(range(len(results)), 2))
+    told = [i for i, scores in enumerate(results) if min(scores.shape) > 1]
+    pairs = list(combinations(told, 2))  # the others' tests would only weaken these
     p_values = holm([p_of_difference(results[a], results[b]) for a, b in pairs])
     groups = [set(range(len(results)))]
     for (first, second), p in zip(pairs, p_values, strict=True):

@@ -101,8 +101,8 @@ class Layout:
 
     Raises:
         LayoutError: If names are missing, unknown or not unique, if an action entry has
-            no bounds, no agent or several, or if goal and compared entries differ in
-            number.
+            no bounds, no agent or several, or if goal and compared entries share one
+            or differ in number.
     """
 
     state: tuple[Entry, ...]
@@ -133,6 +133,7 @@ class Layout:
                 )
             if not agent.sees or not agent.sets:
                 raise LayoutError(f"agent {agent.name!r} sees or sets no entry")
+            _check_names(f"what {agent.name!r} sees", agent.sees)
             _check_among("state", agent.sees, self.state_names, f"{agent.name!r} sees")
         if len(self.team) > MAX_AGENTS:
             raise LayoutError(f"{len(self.team)} agents, expected at most {MAX_AGENTS}")
@@ -157,6 +158,11 @@ class Layout:
         for part, names in (("compared", self.compared), ("desired", self.desired)):
             _check_names(part, names)
             _check_among("state", names, self.state_names, f"{part} has")
+        if both := set(self.compared) & set(self.desired):
+            raise LayoutError(
+                f"{', '.join(sorted(both))} would be compared with itself: expected "
+                "other entries in compared than in desired"
+            )
         if len(self.compared) != len(self.desired):
             raise LayoutError(
                 f"{', '.join(self.compared)} cannot be compared with "
@@ -223,7 +229,7 @@ class Layout:
         Raises:
             LayoutError: Naming the entries that the state lacks.
         """
-        _check_among("state", names, self.state_names, "it is asked for")
+        _check_among("state", names, self.state_names, "columns are asked for of")
         return columns(places(self.state_names, names))
 
     def settings(self, *names: str) -> Columns:
@@ -232,7 +238,7 @@ class Layout:
         Raises:
             LayoutError: Naming the entries that the action lacks.
         """
-        _check_among("action", names, self.action_names, "it is asked for")
+        _check_among("action", names, self.action_names, "columns are asked for of")
         return columns(places(self.action_names, names))
 
     def state_of(self, observation: np.ndarray, goal: np.ndarray) -> np.ndarray:
@@ -286,7 +292,9 @@ class Layout:
                 _names(values["compared"]),
                 _names(values["desired"]),
             )
-        except (LookupError, TypeError, ValueError) as error:
+        except LayoutError:
+            raise
+        except (LookupError, TypeError, ValueError, OverflowError) as error:
             raise LayoutError(f"no layout of marl_mm ({error!r:.80})") from error
 
     def _placed(
@@ -327,7 +335,7 @@ def _check_names(part: str, names: Sequence[str]) -> None:
     if not names:
         raise LayoutError(f"{part} has no entries, expected at least one")
     for name in names:
-        if not name.isidentifier():
+        if not isinstance(name, str) or not name.isidentifier():
             raise LayoutError(
                 f"{part} has the name {name!r}, expected letters, digits and '_'"
             )

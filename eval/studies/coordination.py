@@ -90,7 +90,8 @@ def cells_of(options: CoordinationOptions) -> dict[str, list[PolicyCell]]:
         cells[task] = [*(listed[::4] if options.small else listed), *noisy]
         kind = task.removesuffix("-v0")
         if kind in KINDS:
-            cells |= {f"{kind}{level}-v0": noisy for level in LEVELS if level}
+            levels = (f"{kind}{level}-v0" for level in LEVELS if level)
+            cells |= {name: noisy for name in levels if name not in options.tasks}
     return {
         task: [
             PolicyCell(

@@ -54,6 +54,7 @@ def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
     Raises:
         NonFiniteStateError: If the controller finds no finite command, or the
             simulation diverges.
+        MarlMmError: If MuJoCo warns of anything else.
     """
     model, controller, (track, priorities) = drive.model, drive.controller, order
     native = drive.world.native

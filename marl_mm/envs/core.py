@@ -6,7 +6,8 @@ and rewards.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from operator import index
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -50,6 +51,34 @@ def check_render_mode(mode: str | None) -> None:
         )
 
 
+def checked_seed(seed: Any) -> int | None:
+    """A seed of an episode as an integer of Python's; None is none.
+
+    Raises:
+        UsageError: If it is no integer >= 0.
+    """
+    try:
+        number = None if seed is None else index(seed)
+    except TypeError:
+        number = -1
+    if number is not None and number < 0:
+        raise UsageError(f"seed is {seed!r:.60}, expected an integer >= 0, or None")
+    return number
+
+
+def checked_options(options: Any) -> Mapping[str, Any]:
+    """Options of a reset; none where they are None.
+
+    Raises:
+        UsageError: If they are no mapping.
+    """
+    if options is not None and not isinstance(options, Mapping):
+        raise UsageError(
+            f"options are {options!r:.60}, expected a mapping, such as {{'goal': ...}}"
+        )
+    return options or {}
+
+
 class Step(NamedTuple):
     """Result of a step."""
 
@@ -86,9 +115,9 @@ class EpisodeCore:
             for i in range(task.robots)
         )
         self.attempt: Attempt | None = None
-        """The current episode; None before the first."""
+        """The current episode; None before the first, and after an error in a step."""
 
-        self._closed = False
+        self._visual, self._closed = visual or gui, False
         self._low, self._high = np.array(task.layout.low), np.array(task.layout.high)
 
     def __reduce__(self) -> NoReturn:
@@ -109,11 +138,13 @@ class EpisodeCore:
 
         Args:
             rng: Only source of randomness in the episode.
-            goal: Goal to use instead of a drawn one, shape (g,).
+            goal: Goal to use instead of a drawn one, shape (g,), in the units of the
+                layout's entries.
 
         Raises:
-            UsageError: If the goal has another shape or is not finite, or after
-                ``close()``.
+            UsageError: If the goal has another shape, is not finite or beyond the
+                bounds of its entries, or after ``close()``.
+            LayoutError: If the task sets or observes other entries than its layout has.
         """
         self.check_open()
         given = None if goal is None else self._checked_goal(goal)
@@ -133,7 +164,11 @@ class EpisodeCore:
 
         Raises:
             InvalidActionError: If the action has another shape or is not finite.
-            UsageError: If there was no ``reset()``, or after ``close()``.
+            UsageError: If there was no ``reset()``, or none since a step that raised
+                another error; or after ``close()``.
+            NonFiniteStateError: If the simulation diverged.
+            LayoutError: If the task observes or measures other entries than it should.
+            MarlMmError: If the engine warned, or a number of the task is not finite.
         """
         return self.push(self.bounded(action), watch)
 
@@ -150,25 +185,43 @@ class EpisodeCore:
         """``step`` without checks and bounds, for actions beyond the action space."""
         attempt, task = self._begun(), self.task
         named = dict(zip(task.layout.action_names, action.tolist(), strict=True))
-        motions = attempt.follow(task.act(attempt, named), watch)
-        attempt.steps += 1
-        task.at_step(attempt, motions)
-        info, reason = task.measure(attempt), task.failure(attempt)
-        return self._judged(attempt, info | motion_info(motions), reason)
+        orders = task.act(attempt, named)
+        if len(orders) != len(self.drives):
+            raise UsageError(
+                f"{type(task).__name__}.act returned {len(orders)} orders, expected "
+                f"one for each of {len(self.drives)} robots"
+            )
+        try:
+            motions = attempt.follow(orders, watch)
+            attempt.steps += 1
+            task.at_step(attempt, motions)
+            info, reason = task.measure(attempt), task.failure(attempt)
+            return self._judged(attempt, info | motion_info(motions), reason)
+        except BaseException:  # an episode that breaks off within a step cannot go on
+            self.attempt = None
+            raise
 
     def render(self, camera: Camera) -> np.ndarray:
         """A picture of every robot's world, side by side, shape (h, w, 3), uint8.
 
         Raises:
-            UsageError: If there was no ``reset()``, or after ``close()``.
+            UsageError: If there was no ``reset()``, after ``close()``, or if there are
+                no visuals.
         """
         moved = self.task.moved_marks(self._begun("render"))
+        if not self._visual:
+            raise UsageError("render() needs EpisodeCore(task, visual=True)")
         for drive, marks in zip(self.drives, moved, strict=False):
             drive.world.move_marks(marks)
         return np.hstack([drive.world.render(camera) for drive in self.drives])
 
     def starts(self) -> np.ndarray:
-        """Configurations of the robots now, shape (11 R,)."""
+        """Configurations of the robots now, shape (11 R,).
+
+        Raises:
+            UsageError: If there was no ``reset()``, or after ``close()``.
+        """
+        self._begun("starts")
         return np.concatenate([drive.state.q for drive in self.drives])
 
     def check_open(self) -> None:
@@ -229,6 +282,11 @@ class EpisodeCore:
     def _state(self, attempt: Attempt) -> np.ndarray:
         layout = self.task.layout
         seen = dict(self.task.observe(attempt))
+        if len(attempt.goal) != len(layout.desired):
+            raise LayoutError(
+                f"{type(self.task).__name__}.begin set a goal of {len(attempt.goal)} "
+                f"numbers, expected {len(layout.desired)}: {', '.join(layout.desired)}"
+            )
         seen.update(zip(layout.desired, attempt.goal, strict=True))
         whose = f"{type(self.task).__name__}.observe"
         try:
@@ -254,7 +312,10 @@ class EpisodeCore:
             values = np.array(goal, dtype=np.float64)
         except (TypeError, ValueError):
             values = np.empty(0)
-        if values.shape != (len(entries),) or not np.isfinite(values).all():
+        if values.shape != (len(entries),) or not all(
+            math.isfinite(value) and entry.low <= value <= entry.high
+            for entry, value in zip(entries, values, strict=True)
+        ):
             expected = ", ".join(map(str, entries))
             raise UsageError(
                 f"goal is {goal!r}, expected {len(entries)} finite numbers: {expected}"

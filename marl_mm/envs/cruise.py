@@ -23,6 +23,9 @@ HAND = tuple(Entry(f"end_effector_{axis}", "m") for axis in "xyz")
 BASE = (Entry("base_x", "m"), Entry("base_y", "m"), Entry("base_yaw", "rad"))
 """Pose of the base, world frame."""
 
+HAND_X = 0.647
+"""Where the hand is along the way in the start posture, world x [m]."""
+
 HAND_Y = 0.1
 """Where the hand is across the robot in the start posture, world y [m]."""
 
@@ -110,7 +113,7 @@ class CruiseTask(Task, ABC):
     """Largest advance of the base's plan per step [m]. A plan that kept up with the
     hand would make all tasks compatible and alpha meaningless."""
 
-    stand_off: float = 0.647
+    stand_off: float = HAND_X
     """Distance along x at which the base's plan stays behind the hand's target [m]: the
     end-effector's distance ahead of the base in the initial posture."""
 
@@ -161,7 +164,7 @@ class CruiseTask(Task, ABC):
         """
         longest = self.action_scale * steps
         for axis, interval, start, more_to in (
-            ("x", x, self.stand_off, more),
+            ("x", x, HAND_X, more),
             ("y", y, HAND_Y, min(more, 0.0)),
         ):
             way = max(abs(end - start) for end in interval) + more_to

@@ -116,7 +116,11 @@ class Drive:
         )
         self.controller = WholeBodyController(self.limits, controller, RATE)
         self._posture = robot.initial_joints
+        self._scene: Scene | None = None
         self._check_balance(controller)
+        self.state = self._rest()
+        """The robot's state now."""
+
         self.hand: Hand | None = None
         """The hand that holds a block; None if there is no block."""
 
@@ -131,7 +135,9 @@ class Drive:
         """
         self.world.reset(marks, scene)
         self.state = self.world.read()
-        self.hand = None
+        if self.hand is not None:
+            self.hand.payload.release()
+        self.hand, self._scene = None, scene
         return self.state
 
     def start_w(self) -> np.ndarray:
@@ -161,7 +167,12 @@ class Drive:
         Args:
             scene: The scene of ``reset``.
             knowledge: Source of the load's mass for the controller.
+
+        Raises:
+            UsageError: If ``reset`` had another, or none.
         """
+        if scene is not self._scene:
+            raise UsageError("handle() has another scene than reset(), or reset() none")
         self.hand = Hand(self.world.handling, self.model, scene, knowledge)
         return self.hand
 

@@ -11,6 +11,8 @@ from marl_mm.envs.core import (
     RENDER_MODES,
     EpisodeCore,
     check_render_mode,
+    checked_options,
+    checked_seed,
     render_metadata,
 )
 from marl_mm.envs.registry import DEFAULT, make_task
@@ -66,9 +68,18 @@ class GoalEnv(gymnasium.Env[GoalObservation, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[GoalObservation, dict[str, Any]]:
-        """Begin an episode; ``options={"goal": (x, y, z)}`` sets the goal [m]."""
-        super().reset(seed=seed)
-        state = self.core.reset(self.np_random, (options or {}).get("goal"))
+        """Begin an episode.
+
+        Args:
+            seed: Seed of the random numbers; without one their stream goes on.
+            options: ``"goal"``, shape (g,), is the goal, in the units of its entries.
+
+        Raises:
+            UsageError: If an argument makes no sense, or after ``close()``.
+        """
+        goal = checked_options(options).get("goal")
+        super().reset(seed=checked_seed(seed))
+        state = self.core.reset(self.np_random, goal)
         return goal_observation(state, self.task.layout), {}
 
     def step(

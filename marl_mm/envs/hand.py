@@ -47,6 +47,8 @@ class Hand:
         self._closing = False
         self.payload = Payload(model, knowledge, RATE)
         self.held = False
+        """Whether the hand holds the block."""
+
         self.clear_ticks = 0
         """Number of ticks for which a held block has been clear of its stand."""
 

@@ -8,7 +8,13 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
-from marl_mm.envs.core import EpisodeCore, check_render_mode, render_metadata
+from marl_mm.envs.core import (
+    EpisodeCore,
+    check_render_mode,
+    checked_options,
+    checked_seed,
+    render_metadata,
+)
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.errors import InvalidActionError, UsageError
 from marl_mm.layout import Layout
@@ -112,10 +118,11 @@ class TeamEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[AgentDict, dict[str, dict[str, Any]]]:
-        """Begin an episode; ``options={"goal": (x, y, z)}`` sets the goal [m]."""
-        if seed is not None:
-            self._rng, _ = seeding.np_random(seed)
-        state = self.core.reset(self._rng, (options or {}).get("goal"))
+        """Begin an episode; arguments and errors are those of ``GoalEnv.reset``."""
+        goal = checked_options(options).get("goal")
+        if (checked := checked_seed(seed)) is not None:
+            self._rng, _ = seeding.np_random(checked)
+        state = self.core.reset(self._rng, goal)
         self._joint, self.agents = state, list(self.possible_agents)
         return split_state(state, self.task.layout), {
             agent: {} for agent in self.agents
@@ -135,7 +142,7 @@ class TeamEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         Raises:
             InvalidActionError: If an agent is missing, or an action has another shape
                 or is not finite.
-            UsageError: If there was no ``reset()``, or after ``close()``.
+            MarlMmError: As ``EpisodeCore.step`` does.
         """
         self.core.check_open()
         if self._joint is None:

@@ -16,7 +16,10 @@ from marl_mm.spaces import agent_action_spaces, agent_observation_spaces
 
 
 class AgentVector(TaskVector):
-    """``TaskVector`` whose observations are those of the agents, by agent."""
+    """``TaskVector`` whose observations are those of the agents, by agent.
+
+    Its observation spaces are those of the joint states.
+    """
 
     def _observation(self, states: np.ndarray) -> AgentDict:
         return split_state(states, self.task.layout)  # lists of columns make copies
@@ -50,6 +53,7 @@ class TeamVector:
         self.single_action_spaces = agent_action_spaces(layout)
         self.observation_spaces = _batched(self.single_observation_spaces, n)
         self.action_spaces = _batched(self.single_action_spaces, n)
+        self.state_space = self.vector.single_observation_space
 
     @property
     def unwrapped(self) -> "TeamVector":

@@ -10,7 +10,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from marl_mm.envs.core import check_render_mode, render_metadata
+from marl_mm.envs.core import check_render_mode, checked_options, render_metadata
 from marl_mm.envs.goal_env import GoalObservation, goal_observation
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.envs.slots import (
@@ -89,8 +89,9 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
         Args:
             seed: Seed s of the first environment, s + i that of number i; or a seed, or
                 None, for each. Without a seed, streams of random numbers go on.
-            options: ``"goal"``, shape (g,), is the goal of all; ``"reset_mask"``, bool,
-                shape (n,), tells which begin an episode.
+            options: ``"goal"``, shape (g,), is the goal of all episodes that begin
+                now; those that follow draw theirs. ``"reset_mask"``, bool, shape (n,),
+                tells which begin one.
 
         Raises:
             UsageError: If a seed, the goal or the mask makes no sense, or after
@@ -98,14 +99,14 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
             WorkerDiedError: If a worker process died; the vector is closed then.
         """
         self._check_open()
-        options = options or {}
+        asked = checked_options(options)
         seeds = self._checked_seeds(seed)
-        mask = self._checked_mask(options.get("reset_mask"))
+        mask = self._checked_mask(asked.get("reset_mask"))
         arguments: list[tuple[Any, ...] | None] = [None] * self.num_envs
         for i in np.flatnonzero(mask):
             if seeds[i] is None and self._seeds[i] is None:
                 seeds[i] = seeding.np_random()[1]
-            arguments[i] = seeds[i], options.get("goal")
+            arguments[i] = seeds[i], asked.get("goal")
         self._call("reset", arguments)
         for i in np.flatnonzero(mask):
             self._seeds[i] = self._seeds[i] if seeds[i] is None else seeds[i]
@@ -127,6 +128,7 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
         Raises:
             InvalidActionError: If actions have another shape or are not finite; no
                 environment has acted then.
+            MarlMmError: As ``EpisodeCore.step`` does.
             UsageError: If there was no ``reset()`` before, or since a step that raised
                 an error; or after ``close()``.
             WorkerDiedError: If a worker process died; the vector is closed then.
@@ -214,7 +216,10 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
         everyone = np.ones(self.num_envs, bool)
         if mask is None:
             return everyone
-        mask = np.asarray(mask)
+        try:
+            mask = np.asarray(mask)
+        except ValueError:
+            mask = np.asarray(None)
         if mask.shape != everyone.shape or mask.dtype != bool or not mask.any():
             raise UsageError(
                 f"reset_mask is {mask.tolist()}, expected {self.num_envs} truth "

@@ -39,9 +39,16 @@ class Window(NamedTuple):
     """Window of an episode, as the entries of the state."""
 
     x: float
+    """Side of the wall that faces the start, world [m]."""
+
     y: float
+    """Middle of the window there, world [m]."""
+
     z: float
+    """Middle of its height, world [m]."""
+
     slope: float
+    """Way that the middle moves along y for each metre along x [1]."""
 
     def error(self, hand_w: np.ndarray, thickness: float) -> float:
         """Largest distance along y or z from the window's middle within the wall [m].

@@ -1,5 +1,6 @@
 """One URDF for both engines, with the base's uncertain inertia filled in."""
 
+import math
 from dataclasses import dataclass
 from importlib.resources import as_file, files
 from typing import NamedTuple
@@ -51,6 +52,12 @@ class RobotConfig:
 
     def __post_init__(self) -> None:
         check_positive(self, "base_mass", of="robot.")
+        for name, size in {"base_com_b": 3, "initial_joints": 7}.items():
+            values = getattr(self, name)
+            if len(values) != size or not all(map(math.isfinite, values)):
+                raise UsageError(
+                    f"robot.{name} is {values}, expected {size} finite numbers"
+                )
 
 
 PAD_SIZE = (0.020, 0.014, 0.022)
@@ -127,7 +134,11 @@ def urdf_xml(config: RobotConfig, solid: bool = False) -> str:
 
 
 def _root() -> ElementTree.Element:
-    """The URDF's tree, with all that a robot must have; likewise."""
+    """The URDF's tree.
+
+    Raises:
+        UsageError: If it lacks a joint or link, or a joint is of another type.
+    """
     with as_file(files("marl_mm.robot") / "miranda.urdf") as path:
         try:
             root = ElementTree.parse(path).getroot()

@@ -54,7 +54,8 @@ class Entry:
     """Record of its verification; None without one."""
 
     groups: tuple[int, ...]
-    """Tie groups among entries of the same section, 1 for that of the best."""
+    """Tie groups among entries of the same section, 1 for that of the best; none for an
+    entry that is not what it claims."""
 
     @property
     def name(self) -> str:
@@ -132,7 +133,11 @@ def board(
 
 
 def _sections(submissions: Sequence[Submission]) -> tuple[tuple[Entry, ...], ...]:
-    """Entries of the same task, data, engine and goals, the best first."""
+    """Entries of the same task, data, engine and goals, the best first.
+
+    Those whose verification says that they are not what they claim are last, and in no
+    tie group.
+    """
     sections: dict[str, list[Submission]] = {}
     for submission in submissions:
         manifest = submission.manifest
@@ -145,9 +150,16 @@ def _sections(submissions: Sequence[Submission]) -> tuple[tuple[Entry, ...], ...
     entries = []
     for section in sections.values():
         section.sort(key=lambda each: -each.manifest["claims"]["success"])
-        groups = tie_groups([each.scores("success") for each in section])
-        kept = map(read_verification, section)
-        entries.append(tuple(map(Entry, section, kept, groups)))
+        kept = [(each, read_verification(each)) for each in section]
+        false = [each for each in kept if each[1] and each[1]["verdict"] == "not equal"]
+        honest = [each for each in kept if each not in false]
+        groups = tie_groups([each.scores("success") for each, _ in honest])
+        groups += [()] * len(false)
+        entries.append(
+            tuple(
+                Entry(*each, g) for each, g in zip(honest + false, groups, strict=True)
+            )
+        )
     return tuple(sorted(entries, key=_place))
 
 

@@ -54,7 +54,7 @@ def engine_of(overrides: Mapping[str, Any]) -> Engine:
 def engine_overrides(engine: Engine | None) -> dict[str, Any]:
     """Replaced fields of a task on an engine; None is the default one.
 
-    There are none where a task and its record are on this engine all the same.
+    Empty where it is the default engine and the one that records leave out.
     """
     engine = engine or default_engine()
     if engine == RECORDED_ENGINE == default_engine():
@@ -68,7 +68,7 @@ def as_recorded(overrides: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def to_record(overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Replaced fields as a record has them, which has to name the engine but one."""
+    """Replaced fields for a record: they name the engine, but the recorded one."""
     default = default_engine()
     return dict(overrides) if default == RECORDED_ENGINE else _on(default, overrides)
 
@@ -88,8 +88,8 @@ class SimulationConfig:
     bullet, or mujoco where PyBullet is not installed."""
 
     solver_iterations: int = 20
-    """Iterations of the contact solver. On PyBullet 20 leave the base up to 5 mm from
-    where 50 or 200 bring it, and motors of a base of over 100 kg need 50."""
+    """Iterations of PyBullet's contact solver; 20 leave the base up to 5 mm from where
+    50 or 200 bring it, and motors of a base of over 100 kg need 50."""
 
     wheel_force: float = 40.0
     """Largest torque of a wheel's velocity motor [N m]; ours: far below the 200 N m of
@@ -99,11 +99,13 @@ class SimulationConfig:
     """Friction coefficient between drive wheels and ground."""
 
     finger_force: float = 20.0
-    """Largest force of a finger's position motor, which holds an empty gripper [N]."""
+    """Largest force of a finger's position motor, which holds an empty gripper [N];
+    PyBullet's, as MuJoCo's is as strong as it has to be."""
 
     grasp_iterations: int = 50
-    """Iterations of the contact solver where friction holds a block: 3 kg, shaken for
-    12 s at a friction coefficient of 0.6, creep by 0.2 mm; with 30 by 1 mm."""
+    """Iterations of PyBullet's contact solver where friction holds a block: 3 kg,
+    shaken for 12 s at a friction coefficient of 0.6, creep by 0.2 mm; with 30 by
+    1 mm."""
 
     grip_force: float = 70.0
     """Grip force of each finger [N] (Franka Hand data sheet: continuous)."""
@@ -124,6 +126,13 @@ class SimulationConfig:
         blocks = ("finger_force", "grasp_iterations", "grip_force", "grip_speed")
         check_positive(self, *numbers, *blocks, of="simulation.")
         check_not_negative(self, "spinning_friction", of="simulation.")
+        for name in ("solver_iterations", "finger_force", "grasp_iterations"):
+            value, default = getattr(self, name), getattr(SimulationConfig, name)
+            if self.engine != "bullet" and value != default:
+                raise UsageError(
+                    f"simulation.{name} is {value}, expected {default} on engine "
+                    f"{self.engine!r}, which has no such setting"
+                )
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ class MujocoHandling:
         model: A model of ``handling_model`` that nobody shares; the scene's sizes and
             masses are written into it.
         data: Its data, with the robot at its start.
-        robot: Start posture, with the travel of the open fingers.
+        robot: Start posture, with the travel of the fingers.
         config: Settings of the gripper.
         scene: Block and stand.
     """
@@ -54,9 +54,9 @@ class MujocoHandling:
 
         self.fingers = np.array([self._places, self._fingers])
         self.grip = model.joint(FINGER_JOINTS[0]).range.copy()
-        self._build(scene)
+        self._build(scene, robot.initial_finger)
 
-    def _build(self, scene: Scene) -> None:
+    def _build(self, scene: Scene, travel: float) -> None:
         """Write the scene into the model, and put the block in its place."""
         model, data, block = self._model, self._data, scene.block
         geom, body = model.geom(BLOCK).id, self._body
@@ -87,7 +87,7 @@ class MujocoHandling:
         address = int(model.jnt_qposadr[free])
         start[address : address + 7] = *scene.position_w, 1, 0, 0, 0
         start[self._places] = (
-            self.grip[1] if scene.stand_size is not None else block.size[0] / 2
+            travel if scene.stand_size is not None else block.size[0] / 2
         )
         data.qpos[:] = start
         self._drive_fingers(0.0)

@@ -57,6 +57,7 @@ class Scene:
     """A block, on a stand or in the hand."""
 
     block: Block
+    """The block."""
 
     position_w: tuple[float, float, float]
     """Position of the block's centre [m]."""
@@ -66,3 +67,4 @@ class Scene:
     stand, the block is in the hand."""
 
     grasp: Grasp = "friction"
+    """Way of holding the block."""

@@ -1,5 +1,7 @@
 """Both engines load one URDF and agree about it."""
 
+from xml.etree import ElementTree
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -7,7 +9,7 @@ import pytest
 from marl_mm.control.config import ControllerConfig
 from marl_mm.envs.drive import Drive
 from marl_mm.errors import UsageError
-from marl_mm.robot.description import RobotConfig, urdf_xml
+from marl_mm.robot.description import BODY_SIZE, RobotConfig, urdf_xml
 from marl_mm.robot.limits import robot_limits
 from marl_mm.robot.model import ACTUATED, RobotModel, RobotState
 from marl_mm.robot.names import ARM_JOINTS, FINGER_JOINTS, GRASP_JOINT, WHEEL_JOINTS
@@ -168,10 +170,19 @@ def test_a_posture_beyond_the_limits_is_refused(engine: Engine) -> None:
 
 def test_base_inertia_follows_the_config() -> None:
     heavy = RobotConfig(base_mass=164.0, base_com_b=(0.05, 0.0, 0.15))
-    model = pin.buildModelFromXML(urdf_xml(heavy), pin.JointModelFreeFlyer())
+    xml = urdf_xml(heavy)
+    model = pin.buildModelFromXML(xml, pin.JointModelFreeFlyer())
     light = pin.buildModelFromXML(urdf_xml(RobotConfig()), pin.JointModelFreeFlyer())
     added = pin.computeTotalMass(model) - pin.computeTotalMass(light)
     assert added == pytest.approx(82.0)
+    parts = ElementTree.fromstring(xml).iterfind(".//*[@name='base_link']/inertial/*")
+    inertial = {part.tag: part.attrib for part in parts}
+    length, width, height = np.square(BODY_SIZE)
+    moments = 164.0 / 12 * np.array([width + height, length + height, length + width])
+    found = [float(inertial["inertia"][name]) for name in ("ixx", "iyy", "izz")]
+    np.testing.assert_allclose(found, moments)
+    place = inertial["origin"]["xyz"].split()
+    assert tuple(map(float, place)) == heavy.base_com_b
 
 
 def test_jacobian_is_the_derivative_of_the_hand_position() -> None:

@@ -14,11 +14,13 @@ from marl_mm.algorithms.pretrained import load_pretrained
 from marl_mm.collectors.scripted import ScriptedPolicy
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.drive import Tick
+from marl_mm.envs.load import LoadConfig
 from marl_mm.envs.registry import TASKS, make_task
 from marl_mm.envs.rollout import EpisodePlan, run_episode
-from marl_mm.envs.task import ScriptConfig
+from marl_mm.envs.task import Attempt, ScriptConfig
 from marl_mm.envs.tasks.carry import Carry
 from marl_mm.envs.tasks.grasp import LAYOUT as HANDLING
+from marl_mm.envs.tasks.reach import Reach
 from marl_mm.errors import UsageError
 from marl_mm.robot.description import RobotConfig, urdf_xml
 from marl_mm.robot.limits import RobotLimits, robot_limits
@@ -31,6 +33,31 @@ OpenWorld = Callable[..., EpisodeCore]
 STAY = np.zeros(4)
 
 AHEAD, BEHIND = (1.4, 0.0, 0.7), (-1.0, 0.0, 0.7)
+
+
+class CarrySometimes(Carry):
+    """Seeds above 0 have nothing to carry."""
+
+    def begin(
+        self, attempt: Attempt, rng: np.random.Generator, goal: np.ndarray | None
+    ) -> None:
+        bit_generator: Any = rng.bit_generator
+        loaded = bit_generator.seed_seq.entropy == 0
+        (Carry if loaded else Reach).begin(self, attempt, rng, goal)
+
+
+def test_no_load_is_left_in_the_hand_of_an_episode_without_one() -> None:
+    used, fresh = (
+        EpisodeCore(CarrySometimes(load=LoadConfig(knowledge="given"))) for _ in "12"
+    )
+    used.reset(np.random.default_rng(0))
+    used.step(STAY)
+    states = [core.reset(np.random.default_rng(1)) for core in (used, fresh)]
+    steps = [core.step(np.array([1.0, 0.0, 0.0, 0.5])) for core in (used, fresh)]
+    used.close()
+    fresh.close()
+    assert states[0].tobytes() == states[1].tobytes()
+    assert steps[0].state.tobytes() == steps[1].state.tobytes()
 
 
 def test_a_load_is_a_setting_of_the_tasks_that_have_one() -> None:

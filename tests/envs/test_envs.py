@@ -319,14 +319,18 @@ def test_a_switch_can_be_overridden_and_nothing_else_is_one() -> None:
             make_task("Reach-v0", {"controller": {"limits": wrong}})
 
 
-def test_the_zmp_limit_runs_in_the_environment() -> None:
-    limits = {"controller": {"limits": {"zmp": True, "zmp_margin": 0.05}}}
-    core = EpisodeCore(make_task("Reach-v0", {**limits, **QUICK}))
-    core.reset(np.random.default_rng(0))
-    info = core.step(np.array([-1.0, 0.0, 0.0, 0.5])).info
-    core.close()
-    assert info["zmp_margin"] > 0.05
-    assert info["qp_failures"] == 0
+def test_the_zmp_limit_keeps_a_top_heavy_robot_from_tipping() -> None:
+    margins = {}
+    for zmp in (False, True):
+        limits = {"controller": {"limits": {"zmp": zmp, "zmp_margin": 0.15}}}
+        robot = {"robot": {"base_mass": 40.0, "base_com_b": (0.0, 0.0, 0.45)}}
+        core = EpisodeCore(make_task("Reach-v0", {**limits, **robot}))
+        core.reset(np.random.default_rng(0))
+        infos = [core.step(np.array([x, 0.0, 0.0, 0.0])).info for x in (1.0, -1.0)]
+        core.close()
+        assert all(info["qp_failures"] == 0 for info in infos)
+        margins[zmp] = min(info["zmp_margin"] for info in infos)
+    assert margins[False] < 0.13 and margins[True] > 0.15 - 1e-9
 
 
 @pytest.mark.parametrize("task", REACHING)

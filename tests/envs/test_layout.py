@@ -226,7 +226,7 @@ def test_columns_are_views_where_they_can_be() -> None:
     assert columns((2, 4)) == [2, 4] and columns((3, 2)) == [3, 2]
     state = np.arange(10.0)
     assert state[REACH.columns("goal_x", "goal_y")].base is state
-    with pytest.raises(LayoutError, match="it is asked for wind"):
+    with pytest.raises(LayoutError, match="columns are asked for of wind, which"):
         REACH.columns("wind")
 
 

@@ -196,7 +196,7 @@ FORMS: list[tuple[str, dict[str, Any]]] = [
     ("Reach-v0", {}),
     ("Reach-v0", {"controller": {"form": "rhp"}}),
     ("Reach-v0", {"controller": {"form": "rhp-literal"}}),
-    ("Reach-v0", {"controller": {"limits": {"zmp": False}}}),
+    ("Reach-v0", {"controller": {"limits": {"zmp": True, "zmp_margin": 0.12}}}),
     ("CarryReach-v0", {}),
     ("CarryReach-v0", {"load": {"grasp": "weld", "knowledge": "given"}}),
     ("CarryReach-v0", {"load": {"knowledge": "none"}}),

@@ -42,6 +42,9 @@ def test_a_result_between_two_is_in_both_groups() -> None:
 def test_a_single_seed_is_told_apart_from_nothing() -> None:
     assert p_of_difference(reaching(0.9, seeds=1), reaching(0.1)) == 1.0
     assert tie_groups([reaching(0.9, seeds=1), reaching(0.1)]) == [(1,), (1,)]
+    apart = [reaching(0.9), reaching(0.5)]
+    alone = [reaching(0.7, seeds=1)] * 20
+    assert tie_groups([*apart, *alone]) == [(1,), (2,), *[(1, 2)] * 20]
 
 
 def test_seeds_that_agree_leave_the_doubt_about_goals() -> None:

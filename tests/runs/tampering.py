@@ -56,26 +56,26 @@ def manifest(change: Callable[[Any], Any]) -> Change:
 
 
 def weights(
-    change: Callable[[torch.Tensor], torch.Tensor], last: bool = True
+    change: Callable[[torch.Tensor], torch.Tensor], last: bool = True, seed: str = "0"
 ) -> Change:
-    """Change weights of seed 0, and their hash in its record."""
+    """Change weights of a seed, and their hash in its record."""
 
     def tamper(folder: Path) -> None:
-        path = folder / "0" / WEIGHTS
+        path = folder / seed / WEIGHTS
         tensors = load_file(path)
         names = [name for name in tensors if name.endswith("4.bias") or not last]
         changed = {
             n: change(tensors[n]) for n in names if tensors[n].is_floating_point()
         }
         save_file(tensors | changed, path)
-        own_hash(folder)
+        own_hash(folder, seed)
 
     return tamper
 
 
-def own_hash(folder: Path) -> None:
-    digest = file_digest(folder / "0" / WEIGHTS, MarlMmError)
-    edit(folder / "0" / CONFIG, lambda v: v.update(weights_sha256=digest))
+def own_hash(folder: Path, seed: str = "0") -> None:
+    digest = file_digest(folder / seed / WEIGHTS, MarlMmError)
+    edit(folder / seed / CONFIG, lambda v: v.update(weights_sha256=digest))
 
 
 def swapped(folder: Path) -> None:

@@ -14,8 +14,8 @@ from marl_mm.errors import MarlMmError, OutputExistsError, UsageError
 from marl_mm.eval.metrics import METRICS, Metric
 from marl_mm.runs import submission_checks
 from marl_mm.runs.folder import EVALUATION
-from marl_mm.runs.submission import MANIFEST
-from marl_mm.runs.verify import verification_file
+from marl_mm.runs.submission import MANIFEST, Scored
+from marl_mm.runs.verify import _apart, verification_file
 from tests.runs.tampering import CLAIMS, TAMPERING, UNSEALED, seal_again, weights
 
 GOALS = 6
@@ -142,12 +142,37 @@ def test_tampering_is_found_by_the_hashes_alone(name: str, copy: Path) -> None:
 
 def test_another_processors_last_bits_are_equal_within_intervals(copy: Path) -> None:
     """Such as products in another order: weights that differ by 1e-7."""
-    weights(lambda v: v * (1 + 2e-7), last=False)(copy)
+    for seed in "01":
+        weights(lambda v: v * (1 + 2e-7), last=False, seed=seed)(copy)
     seal_again(copy)
     result = marl_mm.verify(copy)
     assert (result.verdict, result.differences) == ("equal within intervals", ())
-    assert result.equal == GOALS
+    assert result.equal == 0
     assert any("be wary of small differences" in note for note in result.notes)
+
+
+def test_a_machine_that_repeats_one_seed_has_to_repeat_the_other(copy: Path) -> None:
+    weights(lambda v: v * (1 + 2e-7), last=False)(copy)
+    seal_again(copy)
+    result = marl_mm.verify(copy)
+    assert result.verdict == "not equal" and result.equal == GOALS
+    assert "6 of all 12 are equal to the bit on this machine" in result.differences[0]
+
+
+@pytest.mark.parametrize("reached", [199, 200])
+def test_a_goal_of_200_may_end_differently_where_all_others_are_reached(
+    reached: int,
+) -> None:
+    def rows(count: int) -> list[Scored]:
+        succeeded: list[Any] = [
+            {"return": 1.0, "success": i < count} for i in range(200)
+        ]
+        return [Scored(row, "", []) for row in succeeded]
+
+    pairs = list(zip(rows(reached), rows(399 - reached), strict=True))
+    assert list(_apart(pairs)) == []
+    pairs = list(zip(rows(200), rows(180), strict=True))
+    assert any("20 of 200 goals have another" in text for text in _apart(pairs))
 
 
 # --- Refusals ----------------------------------------------------------------

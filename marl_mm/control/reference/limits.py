@@ -104,7 +104,7 @@ def keep_out_direction(state: RobotState, terms: ModelTerms) -> np.ndarray:
 
 
 def keep_out_bias(state: RobotState, terms: ModelTerms) -> float:
-    """X'' at u = 0 [m/s^2]: the world's bias, seen from the turning base frame."""
+    """Acceleration x'' at u = 0 [m/s^2]: the world's bias, in the turning base."""
     heading = state.q[2:4]
     lateral = np.array([-heading[1], heading[0]])
     turning = state.v[2]

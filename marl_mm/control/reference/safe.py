@@ -13,7 +13,7 @@ from marl_mm.robot.model import ACTUATED, RobotState
 
 
 def braking_acceleration(state: RobotState, limits: Bounds) -> np.ndarray:
-    """U that brings base and arm to rest, shape (9,)."""
+    """Acceleration u that brings base and arm to rest, shape (9,)."""
     wanted = -BRAKING_RATE * state.v[ACTUATED]
     braking: np.ndarray = np.clip(
         wanted, limits.lower[BOX_ROWS], limits.upper[BOX_ROWS]

@@ -18,7 +18,18 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from marl_mm.declared import check_positive
-from marl_mm.envs.cruise import ALPHA, BASE, DELTA, GOAL, HAND, MODE, Targets, names
+from marl_mm.envs.cruise import (
+    ALPHA,
+    BASE,
+    DELTA,
+    GOAL,
+    HAND,
+    HAND_X,
+    HAND_Y,
+    MODE,
+    Targets,
+    names,
+)
 from marl_mm.envs.hazard import HazardTask
 from marl_mm.envs.intervals import Interval
 from marl_mm.envs.registry import register_task
@@ -84,7 +95,7 @@ class Gate(HazardTask):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_positive(self, "quiet_limit")
-        near, end, start = self.wall.x[0], self.wall.end, self.stand_off
+        near, end, start = self.wall.x[0], self.wall.end, HAND_X
         if not start + self.quiet_until < near <= end < self.goal_x[0]:
             raise UsageError(
                 f"a wall at {near:g} to {end:g} m is not between the start at "
@@ -95,7 +106,7 @@ class Gate(HazardTask):
     def _check_detour(self) -> None:
         """Refuse a window so far aside that no hand gets through it to the goal."""
         near, wall_y = self.wall.x[1], self.wall.y
-        there = max(near - self.stand_off, *map(abs, wall_y))
+        there = max(near - HAND_X, *(abs(y - HAND_Y) for y in wall_y))
         aside = max(abs(goal - window) for goal in self.goal_y for window in wall_y)
         way = there + max(self.goal_x[1] - near, aside) - self.success_distance
         if way > (longest := self.action_scale * self.max_steps):

@@ -52,7 +52,8 @@ GOAL_RATE = Entry("goal_rate", "rad/s")
 """Angular speed of the goal on the circle, positive from y to z."""
 
 SECONDS = Entry("seconds_near", "s", 0.0)
-"""Number of last steps in a row at whose ends the hand was near the goal."""
+"""Number of last steps in a row at whose ends the hand was near the goal; a step lasts
+a second unless ``ticks_per_step`` is another."""
 
 WANTED = Entry("seconds_wanted", "s", 0.0)
 """Number that ends the episode."""
