@@ -149,18 +149,26 @@ def _sections(submissions: Sequence[Submission]) -> tuple[tuple[Entry, ...], ...
         sections.setdefault(key, []).append(submission)
     entries = []
     for section in sections.values():
-        section.sort(key=lambda each: -each.manifest["claims"]["success"])
-        kept = [(each, read_verification(each)) for each in section]
-        false = [each for each in kept if each[1] and each[1]["verdict"] == "not equal"]
-        honest = [each for each in kept if each not in false]
-        groups = tie_groups([each.scores("success") for each, _ in honest])
-        groups += [()] * len(false)
+        kept = [(read_verification(each), each) for each in section]
+        kept.sort(key=lambda each: (_is_refuted(each[0]), -_success(each[1])))
+        honest = [each for verdict, each in kept if not _is_refuted(verdict)]
+        groups = tie_groups([each.scores("success") for each in honest])
+        groups += [()] * (len(kept) - len(honest))
         entries.append(
             tuple(
-                Entry(*each, g) for each, g in zip(honest + false, groups, strict=True)
+                Entry(each, verdict, group)
+                for (verdict, each), group in zip(kept, groups, strict=True)
             )
         )
     return tuple(sorted(entries, key=_place))
+
+
+def _is_refuted(verification: Mapping[str, Any] | None) -> bool:
+    return verification is not None and verification["verdict"] == "not equal"
+
+
+def _success(submission: Submission) -> float:
+    return float(submission.manifest["claims"]["success"])
 
 
 def _place(section: Sequence[Entry]) -> tuple[str, str, int]:

@@ -119,6 +119,23 @@ def test_a_verdict_is_of_the_submission_that_was_scored(
     assert "not verified" in board.page.read_text()
 
 
+def test_what_is_not_as_it_claims_is_last_and_in_no_group(
+    submissions: list[Path], tmp_path: Path
+) -> None:
+    copies = [
+        shutil.copytree(folder, tmp_path / folder.name)
+        for folder in submissions
+        if folder.name != "others"
+    ]
+    record = json.loads(verification_file(submissions[1]).read_text())
+    write_json(
+        verification_file(tmp_path / "agents"), record | {"verdict": "not equal"}
+    )
+    (section,) = marl_mm.board(copies, out=tmp_path / "page").sections
+    groups = [(entry.submission.folder.name, entry.groups) for entry in section]
+    assert groups == [("joint", (1,)), ("none", (2,)), ("agents", ())]
+
+
 def test_rows_are_there_to_be_downloaded(made: Any) -> None:
     links = re.findall(r'href="(rows/[^"]+)"', made.page.read_text())
     assert len(links) == 4
