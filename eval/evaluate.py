@@ -75,7 +75,7 @@ class Evaluation:
         if not isinstance(other, Evaluation):
             raise UsageError(f"{other!r:.60} is no Evaluation, expected another one")
         goals = [
-            (e.task, [(row["seed"], row["goal"]) for row in e.rows])
+            (e.task, [(row["seed"], row.get("goal")) for row in e.rows])
             for e in (self, other)
         ]
         if goals[0] != goals[1]:
