@@ -88,8 +88,8 @@ class SimulationConfig:
     bullet, or mujoco where PyBullet is not installed."""
 
     solver_iterations: int = 20
-    """Iterations of PyBullet's contact solver; 20 leave the base up to 5 mm from where
-    50 or 200 bring it, and motors of a base of over 100 kg need 50."""
+    """Iterations of PyBullet's contact solver, not MuJoCo's. 20 leave the base up to
+    5 mm from where 50 or 200 bring it, and motors of a base of over 100 kg need 50."""
 
     wheel_force: float = 40.0
     """Largest torque of a wheel's velocity motor [N m]; ours: far below the 200 N m of
@@ -103,9 +103,9 @@ class SimulationConfig:
     PyBullet's, as MuJoCo's is as strong as it has to be."""
 
     grasp_iterations: int = 50
-    """Iterations of PyBullet's contact solver where friction holds a block: 3 kg,
-    shaken for 12 s at a friction coefficient of 0.6, creep by 0.2 mm; with 30 by
-    1 mm."""
+    """Iterations of PyBullet's contact solver, and not MuJoCo's, where friction holds a
+    block: 3 kg, shaken for 12 s at a friction coefficient of 0.6, creep by 0.2 mm; with
+    30 by 1 mm."""
 
     grip_force: float = 70.0
     """Grip force of each finger [N] (Franka Hand data sheet: continuous)."""
@@ -126,13 +126,6 @@ class SimulationConfig:
         blocks = ("finger_force", "grasp_iterations", "grip_force", "grip_speed")
         check_positive(self, *numbers, *blocks, of="simulation.")
         check_not_negative(self, "spinning_friction", of="simulation.")
-        for name in ("solver_iterations", "finger_force", "grasp_iterations"):
-            value, default = getattr(self, name), getattr(SimulationConfig, name)
-            if self.engine != "bullet" and value != default:
-                raise UsageError(
-                    f"simulation.{name} is {value}, expected {default} on engine "
-                    f"{self.engine!r}, which has no such setting"
-                )
 
 
 @dataclass(frozen=True)
