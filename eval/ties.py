@@ -67,8 +67,8 @@ def tie_groups(results: Sequence[np.ndarray]) -> list[tuple[int, ...]]:
     Args:
         results: Scores by seed and goal of each result, on the same goals.
     """
-    told = [i for i, scores in enumerate(results) if min(scores.shape) > 1]
-    pairs = list(combinations(told, 2))  # the others' tests would only weaken these
+    testable = [i for i, scores in enumerate(results) if min(scores.shape) > 1]
+    pairs = list(combinations(testable, 2))  # the others' tests would only weaken these
     p_values = holm([p_of_difference(results[a], results[b]) for a, b in pairs])
     groups = [set(range(len(results)))]
     for (first, second), p in zip(pairs, p_values, strict=True):

@@ -7,14 +7,14 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from marl_mm.envs.core import (
+from marl_mm.envs.arguments import (
     RENDER_MODES,
-    EpisodeCore,
     check_render_mode,
     checked_options,
     checked_seed,
     render_metadata,
 )
+from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.envs.task import Terms
 from marl_mm.episode import FAILED

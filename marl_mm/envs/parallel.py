@@ -8,13 +8,13 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
-from marl_mm.envs.core import (
-    EpisodeCore,
+from marl_mm.envs.arguments import (
     check_render_mode,
     checked_options,
     checked_seed,
     render_metadata,
 )
+from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.errors import InvalidActionError, UsageError
 from marl_mm.layout import Layout

@@ -1,7 +1,6 @@
 """Many environments of a task as one Gymnasium vector environment."""
 
 from collections.abc import Mapping, Sequence
-from operator import index
 from typing import Any, cast
 
 import numpy as np
@@ -10,7 +9,12 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from marl_mm.envs.core import check_render_mode, checked_options, render_metadata
+from marl_mm.envs.arguments import (
+    check_render_mode,
+    checked_options,
+    checked_seed,
+    render_metadata,
+)
 from marl_mm.envs.goal_env import GoalObservation, goal_observation
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.envs.slots import (
@@ -198,15 +202,12 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
 
     def _checked_seeds(self, seed: Seeds) -> list[int | None]:
         number = self.num_envs
-        try:
-            if seed is None or isinstance(seed, Sequence | np.ndarray):
-                given = [None] * number if seed is None else list(seed)
-                seeds = [None if each is None else index(each) for each in given]
-            else:
-                seeds = [index(seed) + i for i in range(number)]
-        except TypeError:
-            seeds = []
-        if len(seeds) != number or any(each is not None and each < 0 for each in seeds):
+        if isinstance(seed, Sequence | np.ndarray):
+            seeds = [checked_seed(each) for each in seed]
+        else:
+            first = checked_seed(seed)
+            seeds = [None if first is None else first + i for i in range(number)]
+        if len(seeds) != number:
             raise UsageError(
                 f"seed is {seed!r}, expected an integer >= 0, or {number} of them"
             )
