@@ -30,7 +30,7 @@ _SOURCES = (
     "control/compiled/*.py",
     "robot/*.py",
     "sim/config.py",
-    "sim/native.py",
+    "sim/mujoco/native.py",
     "sim/planar.py",
     "envs/compiled.py",
     "envs/slosh.py",

@@ -62,7 +62,7 @@ class _Absent:
 
 
 if not is_installed("bullet"):
-    absent: Any = ModuleType("marl_mm.sim.engine")
+    absent: Any = ModuleType("marl_mm.sim.bullet.engine")
     absent.pybullet = absent.pybullet_data = _Absent()
     sys.modules[absent.__name__] = absent
 

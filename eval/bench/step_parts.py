@@ -12,7 +12,7 @@ from marl_mm.envs.core import EpisodeCore
 from marl_mm.jit import jit
 from marl_mm.robot.planar import PlanarModel, planar_terms
 from marl_mm.sim.config import RATE
-from marl_mm.sim.native import advance, read
+from marl_mm.sim.mujoco.native import advance, read
 
 _REPEATS = 200
 """Number of calls of a compiled part that are timed at once."""

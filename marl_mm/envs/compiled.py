@@ -23,7 +23,7 @@ from marl_mm.robot.model import RobotState
 from marl_mm.robot.planar import PlanarModel, planar_terms, zero_moment_point
 from marl_mm.robot.support import SUPPORT_B, SUPPORT_INWARD_B
 from marl_mm.sim.config import RATE
-from marl_mm.sim.native import Native, advance, fault, read, update_kinematics
+from marl_mm.sim.mujoco.native import Native, advance, fault, read, update_kinematics
 from marl_mm.sim.planar import attitude, rim_rates
 
 DONE, NO_COMMAND, NO_STATE = range(3)

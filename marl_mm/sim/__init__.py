@@ -1,1 +1,1 @@
-"""The simulator: the only package that imports an engine."""
+"""The simulator: a folder for each engine, which no other package imports."""

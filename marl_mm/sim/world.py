@@ -22,7 +22,7 @@ from marl_mm.sim.config import (
 from marl_mm.sim.scene import Mark, Scene
 
 if TYPE_CHECKING:  # it loads the library of an engine
-    from marl_mm.sim.native import Native
+    from marl_mm.sim.mujoco.native import Native
 
 
 class Touches(NamedTuple):
@@ -164,10 +164,10 @@ def open_world(
     """
     check_engine(config.engine)
     if config.engine == "mujoco":
-        from marl_mm.sim.mujoco import MujocoWorld
+        from marl_mm.sim.mujoco.world import MujocoWorld
 
         return MujocoWorld(robot, config, visual, gui)
-    from marl_mm.sim.bullet import BulletWorld
+    from marl_mm.sim.bullet.world import BulletWorld
 
     return BulletWorld(robot, config, visual, gui)
 

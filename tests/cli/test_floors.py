@@ -2,6 +2,7 @@
 
 import ast
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -73,3 +74,14 @@ def test_only_the_command_line_knows_commands() -> None:
     for path in files():
         if path.parent.name != "commands" and path != ROOT / "cli.py":
             assert "marl_mm.commands" not in path.read_text(), path
+
+
+def test_an_engine_is_imported_in_its_folder_alone() -> None:
+    found = {
+        (engine, path.parent.relative_to(ROOT).as_posix())
+        for path in files()
+        for engine in re.findall(
+            r"^\s*(?:import|from) (pybullet|mujoco)\b", path.read_text(), re.MULTILINE
+        )
+    }
+    assert found == {("pybullet", "sim/bullet"), ("mujoco", "sim/mujoco")}

@@ -19,9 +19,9 @@ from marl_mm.eval.bench.abuse import abuse
 from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig
 from marl_mm.robot.model import ACTUATED, RobotState
 from marl_mm.robot.support import support_margin
-from marl_mm.sim.bullet import BulletWorld
+from marl_mm.sim.bullet.world import BulletWorld
 from marl_mm.sim.config import ENGINES, RATE, Engine, SimulationConfig
-from marl_mm.sim.mujoco import MujocoWorld
+from marl_mm.sim.mujoco.world import MujocoWorld
 from marl_mm.sim.world import check_engine
 
 BASE_AND_POSTURE = (1, 1, LEFT_OUT, LEFT_OUT, 2)

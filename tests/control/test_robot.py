@@ -14,8 +14,8 @@ from marl_mm.robot.limits import robot_limits
 from marl_mm.robot.model import ACTUATED, RobotModel, RobotState
 from marl_mm.robot.names import ARM_JOINTS, FINGER_JOINTS, GRASP_JOINT, WHEEL_JOINTS
 from marl_mm.robot.support import SUPPORT_B, support_margin
+from marl_mm.sim.bullet.engine import pybullet, pybullet_data
 from marl_mm.sim.config import Engine, SimulationConfig
-from marl_mm.sim.engine import pybullet, pybullet_data
 
 JOINTS = WHEEL_JOINTS + ARM_JOINTS + FINGER_JOINTS
 

@@ -18,9 +18,9 @@ from marl_mm.envs.registry import TASKS, make_task
 from marl_mm.envs.tasks.reach import Reach
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.robot.description import RobotConfig
-from marl_mm.sim.bullet import BulletWorld
+from marl_mm.sim.bullet.engine import pybullet
+from marl_mm.sim.bullet.world import BulletWorld
 from marl_mm.sim.config import SimulationConfig
-from marl_mm.sim.engine import pybullet
 from marl_mm.sim.scene import Block, Scene
 
 REACHING = [name for name, task in TASKS.items() if isinstance(task, Reach)]

@@ -28,9 +28,9 @@ from marl_mm.envs.tasks.reach import Reach
 from marl_mm.episode import INFO
 from marl_mm.errors import UsageError
 from marl_mm.robot.names import ARM_LINKS, FINGER_LINKS, HAND_LINK
-from marl_mm.sim.bullet import BulletWorld
+from marl_mm.sim.bullet.engine import pybullet
+from marl_mm.sim.bullet.world import BulletWorld
 from marl_mm.sim.config import SimulationConfig
-from marl_mm.sim.engine import pybullet
 
 REACHING = [name for name, task in TASKS.items() if isinstance(task, Reach)]
 

@@ -26,7 +26,7 @@ from marl_mm.envs.registry import TASKS
 from marl_mm.envs.tasks.reach import Reach
 from marl_mm.errors import InvalidActionError
 from marl_mm.layout import Layout
-from marl_mm.sim.engine import pybullet
+from marl_mm.sim.bullet.engine import pybullet
 
 REACHING = [name for name, task in TASKS.items() if isinstance(task, Reach)]
 

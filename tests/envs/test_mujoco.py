@@ -21,8 +21,8 @@ from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.model import RobotModel, RobotState
 from marl_mm.robot.names import ARM_JOINTS, GRASP_FRAME
 from marl_mm.sim.config import SimulationConfig
-from marl_mm.sim.mujoco import MujocoWorld
-from marl_mm.sim.mujoco_model import NO_SLIP
+from marl_mm.sim.mujoco.model import NO_SLIP
+from marl_mm.sim.mujoco.world import MujocoWorld
 from marl_mm.sim.world import open_world
 
 MUJOCO = {"simulation": {"engine": "mujoco"}}
@@ -390,7 +390,7 @@ def test_a_window_and_pictures_without_pybullet_are_refused(
 ) -> None:
     with pytest.raises(UsageError, match="has no window"):
         MujocoWorld(RobotConfig(), SimulationConfig(), gui=True)
-    monkeypatch.setattr("marl_mm.sim.mujoco.find_spec", lambda name: None)
+    monkeypatch.setattr("marl_mm.sim.mujoco.world.find_spec", lambda name: None)
     with pytest.raises(UsageError, match="are drawn by PyBullet, which is"):
         MujocoWorld(RobotConfig(), SimulationConfig(), visual=True)
 

@@ -12,7 +12,7 @@ from marl_mm.robot.names import (
     HAND_LINK,
 )
 from marl_mm.sim.config import RATE, SimulationConfig
-from marl_mm.sim.mujoco_model import BLOCK, GROUND, PARTED, STAND
+from marl_mm.sim.mujoco.model import BLOCK, GROUND, PARTED, STAND
 from marl_mm.sim.scene import Scene
 from marl_mm.sim.world import Touches
 

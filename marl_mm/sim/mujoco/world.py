@@ -23,15 +23,15 @@ from marl_mm.robot.names import (
     WHEEL_JOINTS,
 )
 from marl_mm.sim.config import RATE, Camera, SimulationConfig
-from marl_mm.sim.mujoco_handling import MujocoHandling
-from marl_mm.sim.mujoco_model import GROUND, handling_model, robot_model
-from marl_mm.sim.native import Native, fault
+from marl_mm.sim.mujoco.handling import MujocoHandling
+from marl_mm.sim.mujoco.model import GROUND, handling_model, robot_model
+from marl_mm.sim.mujoco.native import Native, fault
 from marl_mm.sim.planar import attitude, planar_state, rim_rates
 from marl_mm.sim.scene import Mark, Scene
 from marl_mm.sim.world import Handling
 
 if TYPE_CHECKING:
-    from marl_mm.sim.bullet import BulletWorld
+    from marl_mm.sim.bullet.world import BulletWorld
 
 SETTLING = 480
 """Number of steps in which the robot sinks into its contacts before the first start."""
@@ -162,7 +162,7 @@ def _puppet(robot: RobotConfig, config: SimulationConfig) -> "BulletWorld":
             "pictures of engine 'mujoco' are drawn by PyBullet, which is not there: "
             "pip install pybullet, for which there are wheels up to Python 3.11"
         )
-    from marl_mm.sim.bullet import BulletWorld
+    from marl_mm.sim.bullet.world import BulletWorld
 
     return BulletWorld(robot, config, visual=True)
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from marl_mm.robot.names import ARM_LINKS, BASE_LINK, FINGER_LINKS, HAND_LINK
+from marl_mm.sim.bullet.engine import pybullet
 from marl_mm.sim.config import SimulationConfig
-from marl_mm.sim.engine import pybullet
 from marl_mm.sim.scene import Scene
 from marl_mm.sim.world import Touches
 

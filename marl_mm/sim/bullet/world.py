@@ -2,17 +2,13 @@
 
 import os
 import weakref
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from functools import cache
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.robot.description import RobotConfig
-from marl_mm.robot.description import urdf_xml as robot_urdf
 from marl_mm.robot.model import GRAVITY, RobotState, named
 from marl_mm.robot.names import (
     ARM_JOINTS,
@@ -21,38 +17,16 @@ from marl_mm.robot.names import (
     GRASP_JOINT,
     WHEEL_JOINTS,
 )
+from marl_mm.sim.bullet.engine import pybullet, pybullet_data
+from marl_mm.sim.bullet.handling import BulletHandling
+from marl_mm.sim.bullet.model import urdf_file
 from marl_mm.sim.config import RATE, Camera, SimulationConfig
-from marl_mm.sim.engine import pybullet, pybullet_data
-from marl_mm.sim.handling import BulletHandling
 from marl_mm.sim.planar import attitude, diverged, planar_state, rim_rates
 from marl_mm.sim.scene import Mark, Scene
-from marl_mm.temporary import named_errors
 
 # PyBullet's values of what a mode of control does not use: positions or rates, gains.
 _WHEEL_DEFAULTS = [0.0] * 2, [0.1] * 2, [1.0] * 2
 _ARM_DEFAULTS = [0.0] * 7, [0.1] * 7, [1.0] * 7
-
-
-@cache
-def _urdf(robot: RobotConfig, solid: bool) -> str:
-    """URDF with absolute names of the meshes, which lie in pybullet_data."""
-    meshes = f"{pybullet_data.getDataPath()}/franka_panda"
-    return robot_urdf(robot, solid).replace('"franka_panda', f'"{meshes}')
-
-
-@contextmanager
-def _urdf_file(robot: RobotConfig, solid: bool) -> Iterator[str]:
-    """Name of a file in memory with the URDF.
-
-    For each client, PyBullet keeps for good what it has read from a name, and does not
-    read it again. So there are few names, and they differ where the contents do.
-    """
-    with os.fdopen(os.memfd_create("robot.urdf"), "w") as file:
-        with named_errors(Path("robot.urdf, in memory")):
-            file.write(_urdf(robot, solid))
-            file.flush()
-        process = os.getpid() if solid else "self"
-        yield f"/proc/{process}/fd/{file.fileno()}"
 
 
 class BulletWorld:
@@ -292,7 +266,7 @@ class BulletWorld:
             flags |= pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
         if not self._visual:
             flags |= pybullet.URDF_IGNORE_VISUAL_SHAPES
-        with _urdf_file(self._robot_config, solid) as name:
+        with urdf_file(self._robot_config, solid) as name:
             # loadURDF places the link frame, unlike resetBasePositionAndOrientation.
             robot = pybullet.loadURDF(name, flags=flags, physicsClientId=client)
         self._robot = robot

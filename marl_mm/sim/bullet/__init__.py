@@ -1,0 +1,1 @@
+"""The robot in PyBullet; ``engine.py`` alone imports it."""

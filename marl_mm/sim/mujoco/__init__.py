@@ -1,0 +1,1 @@
+"""The robot in MuJoCo, and its part of the compiled step."""
