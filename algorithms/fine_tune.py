@@ -19,7 +19,7 @@ from marl_mm.algorithms.loggers import DEFAULT_LOGGERS, Row
 from marl_mm.algorithms.online import RunEpisodes, of_episodes
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.runlog import RunLog, is_best
-from marl_mm.algorithms.speed import prepare_for_small_networks
+from marl_mm.algorithms.speed import small_networks
 from marl_mm.algorithms.train import Evaluate, each_seeds, refuse_odd_values, updated
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.episode import Episode
@@ -31,6 +31,7 @@ GOOD = 0.95
 """Success rate that ``online/steps_to_95`` is about."""
 
 
+@small_networks()
 def fine_tune(
     algorithm: FineTunable,
     run: Path,
@@ -59,7 +60,6 @@ def fine_tune(
         DivergedError: If a logged metric is not finite or beyond its bound; the last
             checkpoint is left as it is.
     """
-    prepare_for_small_networks()
     saved = algorithm.own[1]
     advance(min(saved, settings.online_steps), "")
     with RunLog(run, "step", algorithm.step, loggers) as log:

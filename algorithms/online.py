@@ -21,7 +21,7 @@ from marl_mm.algorithms.loggers import DEFAULT_LOGGERS, Row
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.runlog import CurvePoint, RunLog, is_best
 from marl_mm.algorithms.schedule import Schedule
-from marl_mm.algorithms.speed import prepare_for_small_networks
+from marl_mm.algorithms.speed import small_networks
 from marl_mm.algorithms.train import Evaluate
 from marl_mm.episode import Episode
 from marl_mm.errors import DivergedError
@@ -87,6 +87,7 @@ class OnlineAlgorithm(Resumable, Protocol):
         """Metrics of actors and critic now."""
 
 
+@small_networks()
 def train_online(
     algorithm: OnlineAlgorithm,
     run: Path,
@@ -115,7 +116,6 @@ def train_online(
         KeyboardInterrupt: After Ctrl-C, saying which checkpoint there is.
         DivergedError: If a loss is not finite; the last checkpoint is left as it is.
     """
-    prepare_for_small_networks()
     total = algorithm.config.episodes
     advance(algorithm.episodes, "")
     with RunLog(run, "episode", algorithm.episodes, loggers) as log:

@@ -21,17 +21,23 @@ _KEPT = 32 << 20
 """Size of the largest block that glibc can keep [bytes]."""
 
 
-def prepare_for_small_networks() -> None:
-    """Use one thread, as a second only costs, and keep freed memory in the process.
+@contextmanager
+def small_networks() -> Iterator[None]:
+    """Use one thread in a block, as a second only costs, and keep freed memory.
 
     By default glibc gives large blocks back to the system and asks for them again,
     page by page, many times an update: up to a fifth of its time.
     """
-    torch.set_num_threads(1)
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # of glibc only
     if mallopt is not None:
         mallopt(_TRIM_THRESHOLD, 4 * _KEPT)
         mallopt(_MMAP_THRESHOLD, _KEPT)
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def finish(device: str) -> None:

@@ -27,7 +27,7 @@ from marl_mm.algorithms.checkpoint import (
 from marl_mm.algorithms.loggers import DEFAULT_LOGGERS, Row
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.runlog import CurvePoint, RunLog, is_best
-from marl_mm.algorithms.speed import matrix_products, prepare_for_small_networks
+from marl_mm.algorithms.speed import matrix_products, small_networks
 from marl_mm.config_diff import refuse_other_config
 from marl_mm.declared import with_added
 from marl_mm.errors import CheckpointError, DivergedError
@@ -41,6 +41,7 @@ LOG_EVERY = 100
 """Updates per row of ``metrics.jsonl``, which has their means, and per checkpoint."""
 
 
+@small_networks()
 def train(
     algorithm: OfflineAlgorithm,
     runs: Sequence[Path],
@@ -67,7 +68,6 @@ def train(
         DivergedError: If a logged metric is not finite or beyond its bound; the last
             checkpoint is left as it is.
     """
-    prepare_for_small_networks()
     total, saved = algorithm.config.updates, algorithm.step
     advance(min(saved, total), "")
     with ExitStack() as stack:

@@ -150,10 +150,9 @@ class NoJudge:
 def ours(path: Path, name: str, seed: int) -> Begin:
     """Train one of ours."""
     from marl_mm.algorithms.policy import LearnedPolicy
-    from marl_mm.algorithms.speed import prepare_for_small_networks
+    from marl_mm.algorithms.speed import small_networks
     from marl_mm.eval.bench.matched import learner, matched
 
-    prepare_for_small_networks()
     own = {
         "distillation": DISTILLATION,
         "flow_steps": FLOW_STEPS,
@@ -161,9 +160,10 @@ def ours(path: Path, name: str, seed: int) -> Begin:
     }
     config = matched(name, updates=UPDATES[name], precision="highest", **own)
     arrays = our_arrays(path)
-    made = learner(name, config, arrays, NoJudge(), seed)
-    for _ in range(UPDATES[name]):
-        made.update()
+    with small_networks():
+        made = learner(name, config, arrays, NoJudge(), seed)
+        for _ in range(UPDATES[name]):
+            made.update()
     policy = LearnedPolicy(name, made.agents(0), arrays.layout)
 
     def begin(number: int) -> Act:

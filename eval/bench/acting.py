@@ -3,17 +3,17 @@
 from time import perf_counter
 
 import numpy as np
-import torch
 
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.registry import names
-from marl_mm.algorithms.speed import prepare_for_small_networks
+from marl_mm.algorithms.speed import small_networks
 from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.registry import make_task
 from marl_mm.eval.bench.matched import learner, with_settings
 from marl_mm.progress import Advance, silent
 
 
+@small_networks()
 def bench_acting(
     hidden: tuple[int, ...], seed: int, calls: int = 400, advance: Advance = silent
 ) -> dict[str, dict[str, float]]:
@@ -30,8 +30,6 @@ def bench_acting(
     Returns:
         Median and 99th percentile.
     """
-    prepare_for_small_networks()
-    torch.set_num_threads(1)
     arrays, task = shipped_arrays(), make_task()
     state, times = np.zeros(len(task.layout.state), np.float32), np.empty(calls)
     result = {}

@@ -9,7 +9,7 @@ from marl_mm.algorithms.online import OnlineAlgorithm, run_cycle
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.registry import ALGORITHMS, preset
 from marl_mm.algorithms.schedule import Schedule
-from marl_mm.algorithms.speed import prepare_for_small_networks
+from marl_mm.algorithms.speed import small_networks
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import UsageError
@@ -24,6 +24,7 @@ GOALS = 50, 1
 """Number of goals of an evaluation, and their seed: those of training by default."""
 
 
+@small_networks()
 def bench_learning(
     task: str,
     algorithms: Sequence[str],
@@ -56,7 +57,6 @@ def bench_learning(
             raise UsageError(
                 f"{name} learns from a dataset, expected one of {', '.join(online)}"
             )
-    prepare_for_small_networks()
     result: dict[str, Any] = {}
     for algorithm in algorithms:
         seconds: dict[str, list[float]] = {engine: [] for engine in engines}

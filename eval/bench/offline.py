@@ -18,7 +18,7 @@ import psutil
 import torch
 
 from marl_mm.algorithms.registry import ALGORITHMS, PAPER
-from marl_mm.algorithms.speed import matrix_products, prepare_for_small_networks
+from marl_mm.algorithms.speed import matrix_products, small_networks
 from marl_mm.algorithms.td3_bc import Td3Bc
 from marl_mm.algorithms.td3_bc_config import Td3BcConfig
 from marl_mm.datasets.location import SHIPPED
@@ -47,6 +47,7 @@ _LOOK_EVERY = 0.5
 """Time between measurements of a command's memory [s]."""
 
 
+@small_networks()
 def bench_offline(
     updates: int, seed: int, d3rlpy: Path | None, bar: Bar
 ) -> dict[str, Any]:
@@ -61,7 +62,6 @@ def bench_offline(
     Raises:
         UsageError: If that Python is not there, or has no d3rlpy.
     """
-    prepare_for_small_networks()
     each = min(_TURN, updates)
     with ExitStack() as stack:
         theirs = stack.enter_context(learners_of(d3rlpy)) if d3rlpy else {}
@@ -76,7 +76,6 @@ def bench_offline(
                 if turn >= 0:  # the first one warms caches
                     rates[threads, name].append(rate)
                     advance(each, name)
-    torch.set_num_threads(1)
     return {
         f"threads_{threads}": {
             name: {"updates_per_second": float(np.median(rates[threads, name]))}

@@ -21,7 +21,7 @@ from marl_mm.algorithms.maddpg_config import MaddpgConfig
 from marl_mm.algorithms.online import run_cycle
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.registry import preset
-from marl_mm.algorithms.speed import prepare_for_small_networks
+from marl_mm.algorithms.speed import small_networks
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import EpisodePlan, Rollouts, episode_seed
 from marl_mm.envs.task import Task
@@ -36,6 +36,7 @@ _TURN = 100
 """Updates until it is the other's turn."""
 
 
+@small_networks()
 def bench_online(
     updates: int,
     seed: int = 0,
@@ -52,7 +53,6 @@ def bench_online(
         episodes: Number of random episodes in the replays.
         advance: Called with the number of finished updates.
     """
-    prepare_for_small_networks()
     learners = _learners(seed, sb3, episodes, advance)
     rates: dict[str, list[float]] = {name: [] for name in learners}
     for turn in range(-1, max(1, updates // _TURN)):
@@ -102,6 +102,7 @@ def _learners(
     return learners | ({SB3: _sb3(seed, episodes)} if sb3 else {})
 
 
+@small_networks()
 def bench_success(
     env_steps: int,
     seed: int = 0,
@@ -121,7 +122,6 @@ def bench_success(
     Returns:
         Success rate and its 95 % interval over the goals, by name.
     """
-    prepare_for_small_networks()
     hyper = preset("ddpg-her")
     success: dict[str, Any] = {}
     with Rollouts(make_task(TASK)) as rollouts:

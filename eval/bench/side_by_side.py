@@ -10,7 +10,7 @@ from marl_mm.algorithms.registry import ALGORITHMS, names
 from marl_mm.algorithms.speed import (
     finish,
     matrix_products,
-    prepare_for_small_networks,
+    small_networks,
 )
 from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.registry import make_task
@@ -47,6 +47,7 @@ def bench_gpu(updates: int, bar: Bar) -> dict[str, Any]:
     return result
 
 
+@small_networks()
 def bench_side_by_side(
     name: str,
     updates: int,
@@ -63,7 +64,6 @@ def bench_side_by_side(
         device: "cuda", or "cpu" for one core.
         advance: Called with the number of finished updates.
     """
-    prepare_for_small_networks()
     arrays, judge = shipped_arrays(), make_task()
     config = with_settings(name, SIZES)
     make: Any = ALGORITHMS.get(name).learner

@@ -14,8 +14,8 @@ from marl_mm.algorithms.schedule import Schedule
 from marl_mm.algorithms.speed import (
     finish,
     matrix_products,
-    prepare_for_small_networks,
     resolved,
+    small_networks,
 )
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import Location
@@ -131,10 +131,10 @@ class Learner:
         """
         if not isinstance(self.training, Offline):
             return 0.0
-        prepare_for_small_networks()
         training, together = self.training, seeds if self.training.side_by_side else 1
         algorithm = learning.algorithm_of(training, self.dataset, range(together))
-        with matrix_products(training.config.precision, training.device):
+        precision = training.config.precision
+        with small_networks(), matrix_products(precision, training.device):
             for number in range(2 * _TIMED):
                 if number == _TIMED:
                     finish(training.device)

@@ -11,7 +11,6 @@ import torch
 from marl_mm.algorithms.checkpoint import checkpoint, save_seed
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, Algorithm
-from marl_mm.algorithms.speed import prepare_for_small_networks
 from marl_mm.contracts.claims import demand, demand_same
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.datasets.shipped import shipped_arrays
@@ -62,7 +61,7 @@ class Candidate:
         device: str = "cpu",
     ) -> Any:
         """A new learner; an online one has seen the episodes."""
-        prepare_for_small_networks()
+        torch.set_num_threads(1)
         task, make = make_task(), self.algorithm.learner
         if not self.online:
             return make(self.config, arrays, task, seeds, device)

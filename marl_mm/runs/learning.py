@@ -15,7 +15,7 @@ from marl_mm.algorithms.online import train_online
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.algorithms.runlog import CurvePoint, read_metrics
-from marl_mm.algorithms.speed import prepare_for_small_networks, resolved
+from marl_mm.algorithms.speed import resolved, small_networks
 from marl_mm.algorithms.train import resume, resume_seeds, train
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.envs.registry import make_task
@@ -124,6 +124,7 @@ def train_run(
         train_runs(training, dataset, {seed: run}, bar)
 
 
+@small_networks()
 def train_runs(
     training: Training, dataset: Dataset | None, runs: Mapping[int, Path], bar: Bar
 ) -> list[Path]:
@@ -131,7 +132,6 @@ def train_runs(
 
     Online there is a single run. Arguments are those of ``train_seeds``.
     """
-    prepare_for_small_networks()
     algorithm, folders = algorithm_of(training, dataset, [*runs]), [*runs.values()]
     if any((run / FILE).exists() for run in folders):
         if isinstance(training, Offline):

@@ -7,8 +7,8 @@ from marl_mm.algorithms import speed
 from marl_mm.algorithms.config_checks import Precision
 from marl_mm.algorithms.speed import (
     matrix_products,
-    prepare_for_small_networks,
     resolved,
+    small_networks,
 )
 
 
@@ -48,7 +48,8 @@ def test_small_networks_learn_on_one_thread() -> None:
     before = torch.get_num_threads()
     try:
         torch.set_num_threads(2)
-        prepare_for_small_networks()
-        assert torch.get_num_threads() == 1
+        with small_networks():
+            assert torch.get_num_threads() == 1
+        assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(before)
