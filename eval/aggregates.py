@@ -3,10 +3,11 @@
 Intervals are of 95 %, of a stratified bootstrap with a fixed seed: within each dataset
 seeds and goals are drawn anew, goals alike for all seeds and algorithms, and for all
 datasets that are evaluated on the same (Agarwal et al. 2021, arXiv 2108.13264, who draw
-seeds alone).
+seeds alone). Of n seeds n - 1 are drawn, as of few seeds n vary too little (Rao and Wu
+1988, doi 10.1080/01621459.1988.10478591).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -31,16 +32,21 @@ class Estimate(NamedTuple):
     """Upper end; likewise."""
 
 
-Means = Sequence[np.ndarray]
-"""Each seed's mean on every dataset, as it is and then drawn anew: arrays of shape
-(1 + ``RESAMPLES``, seeds)."""
+class Means(NamedTuple):
+    """Each seed's mean on a dataset."""
+
+    own: np.ndarray
+    """As it is, shape (1, seeds)."""
+
+    drawn: np.ndarray
+    """Of seeds and goals drawn anew, shape (``RESAMPLES``, seeds - 1)."""
 
 
 def resampled(
     scores: Sequence[np.ndarray],
     number: int = 0,
     goals_of: Sequence[int] | None = None,
-) -> Means:
+) -> list[Means]:
     """Means of all seeds, and of seeds and goals that are drawn anew.
 
     Args:
@@ -56,24 +62,27 @@ def resampled(
         rng = np.random.default_rng((goals_of[place] if goals_of else place, goals))
         shares = rng.multinomial(goals, np.full(goals, 1 / goals), RESAMPLES) / goals
         rng = np.random.default_rng((place, seeds, number))
-        picks = rng.integers(seeds, size=(RESAMPLES, seeds))
+        picks = rng.integers(seeds, size=(RESAMPLES, seeds - 1))
         drawn = np.take_along_axis(shares @ of_dataset.T, picks, axis=1)
-        means.append(np.concatenate([of_dataset.mean(axis=1)[None], drawn]))
+        means.append(Means(of_dataset.mean(axis=1)[None], drawn))
     return means
 
 
-def interquartile(means: Means) -> Estimate:
+def interquartile(means: Sequence[Means]) -> Estimate:
     """Mean over seeds and datasets without the lowest and the highest quarter."""
-    every = np.concatenate(means, axis=1)
-    return _estimate(scipy.stats.trim_mean(every, 0.25, axis=1), means)
+    return _estimate(
+        lambda every: scipy.stats.trim_mean(np.hstack(every), 0.25, axis=1), means
+    )
 
 
-def mean(means: Means) -> Estimate:
+def mean(means: Sequence[Means]) -> Estimate:
     """Mean over datasets of the means over seeds."""
-    return _estimate(np.mean([of.mean(axis=1) for of in means], axis=0), means)
+    return _estimate(
+        lambda every: np.mean([of.mean(axis=1) for of in every], axis=0), means
+    )
 
 
-def improvement(means: Means, others: Means) -> Estimate:
+def improvement(means: Sequence[Means], others: Sequence[Means]) -> Estimate:
     """Probability that a run reaches more than one of another algorithm.
 
     It is the mean over datasets of the share of pairs of seeds; equal ones count half.
@@ -82,15 +91,25 @@ def improvement(means: Means, others: Means) -> Estimate:
         means: Means of the algorithm.
         others: Means of the other one, on the same datasets.
     """
-    signs = [
-        np.sign(first[:, :, None] - second[:, None, :]).mean(axis=(1, 2))
-        for first, second in zip(means, others, strict=True)
-    ]
-    return _estimate((np.mean(signs, axis=0) + 1) / 2, [*means, *others])
+
+    def chance(every: Sequence[np.ndarray]) -> np.ndarray:
+        signs = [
+            np.sign(first[:, :, None] - second[:, None, :]).mean(axis=(1, 2))
+            for first, second in zip(
+                every[: len(means)], every[len(means) :], strict=True
+            )
+        ]
+        return np.asarray(np.mean(signs, axis=0) + 1) / 2
+
+    return _estimate(chance, [*means, *others])
 
 
-def _estimate(values: np.ndarray, of: Means) -> Estimate:
-    """The first value, and the interval that the others give."""
-    if min(means.shape[1] for means in of) == 1:
-        return Estimate(float(values[0]), np.nan, np.nan)
-    return Estimate(float(values[0]), *percentile_interval(values[1:]))
+def _estimate(
+    statistic: Callable[[Sequence[np.ndarray]], np.ndarray], means: Sequence[Means]
+) -> Estimate:
+    """A statistic of all datasets' means, and the interval of those drawn anew."""
+    (value,) = statistic([of.own for of in means])
+    if min(of.own.size for of in means) == 1:
+        return Estimate(float(value), np.nan, np.nan)
+    drawn = statistic([of.drawn for of in means])
+    return Estimate(float(value), *percentile_interval(drawn))

@@ -37,6 +37,14 @@ def test_the_interval_of_a_mean_is_that_of_seeds_and_goals() -> None:
     assert (high - low) / 2 / 1.96 > 2 * deviation
 
 
+def test_the_interval_of_few_seeds_is_not_too_narrow() -> None:
+    """Its standard error is that with n - 1 in the deviation's denominator."""
+    rates = np.linspace(0.2, 0.8, 5)
+    _, low, high = mean(resampled([np.repeat(rates[:, None], 200, axis=1)]))
+    error = rates.std(ddof=1) / np.sqrt(5)
+    assert (high - low) / 2 / 1.96 == pytest.approx(error, rel=0.05)
+
+
 @pytest.mark.slow
 def test_the_true_mean_is_within_the_interval_about_as_often_as_it_says() -> None:
     """Of 200 experiments with true mean 0.5 the interval misses it in 1 to 12 %."""
