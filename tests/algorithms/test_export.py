@@ -1,6 +1,7 @@
 """Exported policies act as the run's do, without this package."""
 
 import json
+import runpy
 import subprocess
 import sys
 from collections.abc import Callable
@@ -67,6 +68,18 @@ def test_torchscript_acts_without_the_package(
     expected = [policy.act(state) for state in states]
     found = np.load(tmp_path / "actions.npy")
     np.testing.assert_allclose(found, expected, atol=TOLERANCE)
+
+
+@pytest.mark.slow
+def test_the_example_of_a_robots_loop_reaches_goals(tmp_path: Path) -> None:
+    """With the file of the agent that ships, ahead and behind."""
+    policy = load_pretrained()
+    export_policy(policy, tmp_path / "policy.ts", "torchscript")
+    exported = torch.jit.load(str(tmp_path / "policy.ts"))  # type: ignore[no-untyped-call]
+    example = Path(__file__).resolve().parents[2] / "examples/robot_loop.py"
+    loop = runpy.run_path(str(example))
+    for goal in ([1.2, 0.1, 0.7], [-0.6, -0.1, 0.6]):
+        assert loop["reach"](exported, np.array(goal)) < loop["REACHED"]
 
 
 def test_the_best_policy_has_a_file_of_its_own(mabc: Path) -> None:
