@@ -33,7 +33,7 @@ class CfcqlConfig(Td3Config):
 
     focus: float = 1.0
     """Weight of an agent's distance from the data in its share of the conservative
-    term, tau; 0: all shares are the same."""
+    term, tau; 0: all shares are the same. A single agent has all of it."""
 
     others: Literal["data", "policy"] = "policy"
     """Other agents' action in an actor's loss: the dataset's, as in the source's code,
