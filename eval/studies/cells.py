@@ -168,14 +168,17 @@ def _file(cell: Any, folder: Path) -> Path:
 def _sources() -> str:
     """SHA-256 of what decides what is learnt, what an episode is and what is measured.
 
-    That is sources, the robot's description, and the weights that ship.
+    That is sources, the robot's description, and the weights and data that ship.
     """
     package, digest = Path(marl_mm.__file__).parent, sha256()
-    folders = ("algorithms", "collectors", "control", "envs", "robot", "sim")
+    folders = (
+        *("algorithms", "collectors", "control", "datasets", "envs", "robot"),
+        *("runs", "sim"),
+    )
     patterns = [f"{folder}/**/*" for folder in folders]
     for pattern in (*patterns, "eval/*", "episode.py", "layout.py", "policy.py"):
         for path in sorted(package.glob(pattern)):
-            if path.suffix in (".py", ".urdf", ".safetensors"):
+            if path.suffix in (".py", ".urdf", ".safetensors", ".npz"):
                 digest.update(path.read_bytes())
     return digest.hexdigest()
 
