@@ -17,8 +17,6 @@ from marl_mm.files import new_file, write_json
 from marl_mm.markdown import literal, one_line
 from marl_mm.notebook import html_picture, html_table
 from marl_mm.received import read_json
-from marl_mm.sim.config import ENGINES
-from marl_mm.versions import engine_text
 
 if TYPE_CHECKING:
     from marl_mm.datasets.dataset import Dataset
@@ -27,8 +25,8 @@ _BINS = 10
 _CELL = 0.1
 """Edge of the cells that coverage counts [m]."""
 
-LATER = {"made_of", "data_sha256"}
-"""Keys that cards of version 1 lack."""
+LATER = {"made_of", "data_sha256", "engine"}
+"""Keys that cards of version 1 lack, or some of them."""
 
 _HAND = ("end_effector_x", "end_effector_y", "end_effector_z")
 _BASE = ("base_x", "base_y")
@@ -48,7 +46,7 @@ def card(dataset: "Dataset") -> dict[str, Any]:
         "id": dataset.metadata["dataset_id"],
         "path": str(dataset.location.folder),
         "task": record["task"],
-        **_engine(dataset),
+        "engine": dataset.provenance.engine_text,
         "collector": record.get("collector"),
         "seed": record.get("seed"),
         "complete": record.get("complete"),
@@ -222,16 +220,6 @@ def bars(counts: list[int]) -> str:
     """A histogram as one line of text."""
     top = max(max(counts), 1)
     return "".join(" ▁▂▃▄▅▆▇█"[-(-8 * count // top)] for count in counts)
-
-
-def _engine(dataset: "Dataset") -> dict[str, str]:
-    """Engine, with its version in collections; none where the record names none."""
-    provenance = dataset.provenance
-    engine = provenance.engine
-    if engine not in ENGINES:
-        return {}
-    packages = {} if provenance.recipe else dict(provenance.packages or {})
-    return {"engine": engine_text(engine, packages)}
 
 
 def _rejected(record: dict[str, Any]) -> int | None:

@@ -98,6 +98,7 @@ def description(dataset: Dataset, form: str) -> dict[str, Any]:
         "dataset_id": dataset.metadata["dataset_id"],
         "task": dataset.provenance.task,
         "engine": engine_of(dataset.provenance.overrides),
+        "engine_version": dataset.provenance.engine_text.partition(" ")[2],
         "form": form,
         "layout": json.dumps(layout.to_json()),
         "state": list(layout.state_names),

@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, get_type_hints
+from typing import Any, cast, get_type_hints
 
+from marl_mm.episode import IMPORTED
 from marl_mm.errors import DatasetError
 from marl_mm.received import check_kind
 from marl_mm.registry import NAME
 from marl_mm.sim.config import RECORDED_ENGINE, Engine
+from marl_mm.versions import engine_text
 
 _MOST_STEPS = 1_000_000_000
 """Largest number of steps per episode in a dataset's record."""
@@ -85,7 +87,8 @@ class Provenance:
     """Recipe by which the episodes were chosen from others; None of collections."""
 
     sources: Sequence[Mapping[str, str]] | None = None
-    """Ids and fingerprints of the datasets that the episodes were chosen from."""
+    """Ids, engines and fingerprints of the datasets that the episodes were chosen
+    from."""
 
     packages: Mapping[str, str] | None = None
     """Versions of the packages that made it; None stands for those of now."""
@@ -116,6 +119,16 @@ class Provenance:
                 if isinstance(simulation, Mapping) and "engine" in simulation:
                     return str(simulation["engine"])
         return None
+
+    @property
+    def engine_text(self) -> str:
+        """Engine of the episodes, with its version where it is known and one."""
+        engine = cast(Engine, self.engine or RECORDED_ENGINE)
+        if self.sources:
+            texts = {source.get("engine", engine) for source in self.sources}
+            return texts.pop() if len(texts) == 1 else engine
+        known = self.collector != IMPORTED and not self.recipe
+        return engine_text(engine, self.packages or {} if known else {})
 
     @property
     def own_origin(self) -> Origin:

@@ -227,7 +227,10 @@ def _described(datasets: Sequence[Dataset], recipe: dict[str, Any]) -> Provenanc
         seed=recipe.get("seed"),
         recipe=recipe,
         sources=[
-            {key: value for key, value in dataset.identity().items() if key != "path"}
+            {
+                **{k: v for k, v in dataset.identity().items() if k != "path"},
+                "engine": dataset.provenance.engine_text,
+            }
             for dataset in datasets
         ],
         origins=origins,

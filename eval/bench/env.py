@@ -9,6 +9,7 @@ import numpy as np
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.vector import TaskVector
+from marl_mm.errors import UsageError
 from marl_mm.progress import Bar
 from marl_mm.sim.config import Engine, engine_overrides
 
@@ -45,7 +46,11 @@ def bench_env(
         vector: Number of environments of the vector.
         workers: Number of its threads or processes.
         bar: Factory of progress bars.
+
+    Raises:
+        UsageError: If there are no engines, or one twice.
     """
+    check_engines(engines)
     kinds: dict[str, tuple[EpisodeCore, Any]] = {}
     for engine in engines:
         core = EpisodeCore(make_task(task, engine_overrides(engine)))
@@ -88,6 +93,13 @@ def bench_env(
         for engine in engines
     }
     return result
+
+
+def check_engines(engines: Sequence[str]) -> None:
+    """Refuse no engines, and one twice."""
+    if not engines or len({*engines}) < len(engines):
+        text = ", ".join(engines) or "none"
+        raise UsageError(f"engines are {text}, expected each at most once, and one")
 
 
 def _speed_up(

@@ -13,6 +13,7 @@ from marl_mm.algorithms.speed import small_networks
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import UsageError
+from marl_mm.eval.bench.env import check_engines
 from marl_mm.eval.evaluate import evaluate_with
 from marl_mm.progress import Advance, Bar
 from marl_mm.sim.config import Engine, engine_overrides
@@ -47,8 +48,10 @@ def bench_learning(
         bar: Factory of progress bars.
 
     Raises:
-        UsageError: If an algorithm learns from a dataset.
+        UsageError: If an algorithm learns from a dataset; if there are no engines, or
+            one twice.
     """
+    check_engines(engines)
     for name in algorithms:
         if not ALGORITHMS.get(name).online:
             online = [

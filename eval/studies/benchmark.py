@@ -188,6 +188,7 @@ def _write_overall(folder: Path, rows: list[Row], scores: list[Scores]) -> None:
     names = [name for name in ALGORITHM_NAMES if name in there and whole]
     tasks = [some[0]["task"] for some, _ in whole]
     goals_of = [tasks.index(task) for task in tasks]  # a task has the same for all
+    engine = ", ".join(sorted({row["engine"] for some, _ in whole for row in some}))
     means = {}
     for name in names:
         number = ALGORITHM_NAMES.index(name)
@@ -197,6 +198,7 @@ def _write_overall(folder: Path, rows: list[Row], scores: list[Scores]) -> None:
         {
             "algorithm": name,
             "datasets": len(whole),
+            "engine": engine,
             **_estimated("iqm", interquartile(means[name])),
             **_estimated("mean", mean(means[name])),
             "first": sum(name in group for group in groups),
@@ -205,7 +207,7 @@ def _write_overall(folder: Path, rows: list[Row], scores: list[Scores]) -> None:
         for name in names
     ]
     pairs = [
-        {"algorithm": name, "other": other}
+        {"algorithm": name, "other": other, "engine": engine}
         | _estimated("improvement", improvement(means[name], means[other]))
         for name, other in combinations(names, 2)
     ]

@@ -108,8 +108,14 @@ def expected_best(rates: np.ndarray, count: int) -> float:
     return float(np.sort(rates) @ np.diff(share**count))
 
 
-def draw_budgets(rows: Sequence[Row], folder: Path) -> None:
-    """Write both tables and the curves, of the runs of the tuning."""
+def draw_budgets(rows: Sequence[Row], engine: str, folder: Path) -> None:
+    """Write both tables and the curves, of the runs of the tuning.
+
+    Args:
+        rows: A row for each of them.
+        engine: Engine of all, with its version.
+        folder: Folder of tables and figure.
+    """
     figure = Figure(figsize=(9, 4), layout="constrained")
     of_data = grouped(rows, "dataset")
     axes: Any = figure.subplots(1, len(of_data), sharey=True, squeeze=False)[0]
@@ -128,7 +134,12 @@ def draw_budgets(rows: Sequence[Row], folder: Path) -> None:
             mean, reach = curve.mean(axis=0), 1.96 * deviation
             ends = np.clip([mean - reach, mean + reach], 0, 1)
             axis.plot(100 * mean, style, lw=1.2, label=algorithm)
-            about = {"dataset": dataset, "algorithm": algorithm, "policies": len(rates)}
+            about = {
+                "dataset": dataset,
+                "algorithm": algorithm,
+                "engine": engine,
+                "policies": len(rates),
+            }
             bests = {
                 "best_of_3": expected_best(rates, 3),
                 "best_of_12": expected_best(rates, 12),
@@ -145,14 +156,19 @@ def draw_budgets(rows: Sequence[Row], folder: Path) -> None:
     axes[0].set(ylabel="goals that the chosen policy reaches [%]")
     axes[-1].legend(frameon=False, fontsize=7, loc="upper left", bbox_to_anchor=(1, 1))
     write_csv(folder / BUDGETS_TABLE, budgets)
-    write_csv(folder / SELECTION_TABLE, _selections(of_data))
+    write_csv(folder / SELECTION_TABLE, _selections(of_data, engine))
     save_small(figure, folder / BUDGETS_FIGURE)
 
 
-def _selections(of_data: dict[str, list[Row]]) -> list[Row]:
+def _selections(of_data: dict[str, list[Row]], engine: str) -> list[Row]:
     """A row per dataset and score that the rows have."""
     return [
-        {"dataset": dataset, "score": score, **_selection(rows, score)}
+        {
+            "dataset": dataset,
+            "score": score,
+            "engine": engine,
+            **_selection(rows, score),
+        }
         for dataset, on in of_data.items()
         for score in SCORES
         if (rows := [row for row in on if not np.isnan(row.get(score, np.nan))])

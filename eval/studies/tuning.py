@@ -5,7 +5,7 @@ updates, seeds and goals for all. The best mean over datasets and seeds is chose
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -191,7 +191,8 @@ def draw_tuning(results: Path, folder: Path) -> list[Row]:
         best = max(tried, key=lambda row: (row["success"], row["return"]))
         summary += [row | {"chosen": int(row is best)} for row in tried]
     write_csv(folder / TABLE, summary)
-    draw_budgets([row for rows in of_algorithms.values() for row in rows], folder)
+    every = [row for rows in of_algorithms.values() for row in rows]
+    draw_budgets(every, _joined(row["engine"] for row in summary), folder)
     return summary
 
 
@@ -207,13 +208,17 @@ def _summed(
         "success": mean_of(rows, "success"),
         "return": mean_of(rows, "return"),
         "seeds": len({row["seed"] for row in rows}),
-        "engine": ", ".join(dict.fromkeys(engines)),
+        "engine": _joined(engines),
         "datasets": " ".join(of_data),
         "success_each": " ".join(
             f"{mean_of(some, 'success'):.3f}" for some in of_data.values()
         ),
         "changes": rows[0]["changes"],
     }
+
+
+def _joined(texts: Iterable[str]) -> str:
+    return ", ".join(dict.fromkeys(texts))
 
 
 def tuning_table(rows: Sequence[Row]) -> str:

@@ -1,5 +1,6 @@
 """marl-mm bench: what ticks, updates and data cost, and what abuse does."""
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -13,7 +14,8 @@ from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.progress import Bar, progress_bars
 from marl_mm.runs.settings import check_positive, check_seed
 from marl_mm.sim.config import ENGINES, Engine, is_installed
-from marl_mm.versions import versions
+from marl_mm.versions import machine, versions
+from marl_mm.workers import available_cores
 
 
 def _installed() -> tuple[Engine, ...]:
@@ -53,7 +55,7 @@ class BenchControl(_Bench):
         choice = {"form": self.form, "solver": self.solver}
         on_bullet = {"simulation": {"engine": "bullet"}}
         task = make_task("Reach-v0", {"controller": choice, **on_bullet})
-        check_engine("bullet")
+        check_engine("bullet", otherwise="")
         advance = bar("bench control", self.steps)
         return bench_control(task, self.steps, self.seed, advance)
 
@@ -216,6 +218,7 @@ def main(arguments: Sequence[str]) -> None:
         arguments,
     )
     check_seed(options.seed)
+    begun = machine() | {"cores": available_cores(), "load": os.getloadavg()[0]}
     values = {k: v for k, v in asdict(options).items() if k != "json"}
     counts = [k for k, v in values.items() if type(v) is int]  # no bool
     check_positive(**{k: values[k] for k in counts if k not in ("seed", "env_steps")})
@@ -223,7 +226,7 @@ def main(arguments: Sequence[str]) -> None:
         result = options.measure(bar) | {"options": values}
     result["options"].pop("d3rlpy", None)  # a path of this machine
     if options.json:
-        show(result | {"versions": versions()})
+        show(result | {"versions": versions(), "machine": begun})
     else:
         print_rows([*_rows(result)], options.json)
 

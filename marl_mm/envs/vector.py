@@ -54,7 +54,8 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
         check_render_mode(render_mode)
         workers = available_cores() if workers is None else workers
         for name, number in {"n": n, "workers": workers}.items():
-            if not isinstance(number, int | np.integer) or number < 1:
+            whole = isinstance(number, int | np.integer)
+            if not whole or isinstance(number, bool) or number < 1:
                 raise UsageError(f"{name} is {number!r}, expected an integer >= 1")
         self.task = make_task(task, overrides)
         self.num_envs, self.render_mode = int(n), render_mode

@@ -151,7 +151,8 @@ def import_dataset(
         overwrite: Whether what exists may be replaced.
 
     Raises:
-        UsageError: If there is no such file, or its layout is not the task's.
+        UsageError: If there is no such file, its layout is not the task's, or it is of
+            another engine.
         DatasetError: If it cannot be read, or holds impossible values.
         OutputExistsError: If there is a dataset, and it may not be replaced.
     """
@@ -159,6 +160,11 @@ def import_dataset(
         raise UsageError(f"`file` is {file!r:.80}, expected a file or a folder")
     location = _free(out, overwrite, Path(file))
     foreign = read_foreign(Path(file), location.id, task)
+    if engine and foreign.engine not in (None, engine):
+        raise UsageError(
+            f"{file} is of engine {foreign.engine}, `engine` is {engine!r}: leave it "
+            "out, as the file names its own"
+        )
     longest = max(make_task(foreign.task).max_steps, int(foreign.arrays.lengths.max()))
     provenance = Provenance(
         task=foreign.task,

@@ -116,6 +116,12 @@ class Mix:
         object.__setattr__(self, "parts", tuple(parts))
         object.__setattr__(self, "seed", plain(self.seed))
         check_seed(self.seed)
+        if len(engines := {source.engine for source, _ in self.parts}) > 1:
+            names = " and ".join(sorted(str(engine) for engine in engines))
+            raise UsageError(
+                f"mix {self.name!r} has sources with engine {names}, expected one in a "
+                "mix: name the same in all"
+            )
 
     @property
     def task(self) -> str:

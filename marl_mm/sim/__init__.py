@@ -1,1 +1,1 @@
-"""The simulator: a folder for each engine, which no other package imports."""
+"""The simulator: a folder for each engine, and nowhere else its import."""

@@ -267,11 +267,17 @@ def test_step_numbers_and_the_robots_come_along(
     words = ["datasets", "import", path, "--out", "mine", "--engine", "mujoco"]
     assert run(*words) == 0
     mine = load_dataset("mine")
+    assert mine.provenance.engine_text == "mujoco"  # of a version that nobody knows
     np.testing.assert_array_equal(mine.arrays.info["d_mm"], values)
     assert np.isnan(mine.arrays.info["d_mp"]).all()
     assert mine.provenance.engine == "mujoco"
     assert mine.arrays.starts.shape == (6, ROBOT_NUMBERS)
     with h5py.File(path, "a") as file:
+        file.attrs["engine"] = "bullet"
+    assert run(*words, "--overwrite") == 2
+    assert "flat.h5 is of engine bullet" in capsys.readouterr().err
+    with h5py.File(path, "a") as file:
+        file.attrs["engine"] = "mujoco"
         file["infos/d_mp"] = values[1:]
     assert run(*words, "--overwrite") == 1
     assert "'infos/d_mp' has shape (23,), expected (24,)" in capsys.readouterr().err

@@ -102,6 +102,23 @@ def test_numbers_of_numpy_are_as_good(make: Callable[..., Dataset]) -> None:
     assert Source(steps=three, seed=three) == Source(steps=3, seed=3)
 
 
+def test_the_engines_version_comes_along_where_it_is_one(
+    make: Callable[..., Dataset],
+) -> None:
+    one = make("one", packages={"pybullet": "3.2.7"})
+    for first, version, text in (
+        (20, "3.2.7", "bullet 3.2.7"),
+        (40, "3.2.6", "bullet"),
+    ):
+        other = make(f"from-{first}", first, packages={"pybullet": version})
+        recipe = mix([Part(one, 10), Part(other, 10)], seed=0)
+        write_mix(locate(f"mix-{first}"), recipe)
+        mixed = load_dataset(f"mix-{first}")
+        assert card(mixed)["engine"] == text
+        write_mix(locate(f"ahead-{first}"), filtered(mixed, Condition(success=True)))
+        assert card(load_dataset(f"ahead-{first}"))["engine"] == text
+
+
 def test_a_mix_depends_on_its_seed_alone(make: Callable[..., Dataset]) -> None:
     parts = [Part(make("one"), 10)]
     same = [mix(parts, seed=1).arrays.origin_episodes.tolist() for _ in range(2)]

@@ -247,6 +247,7 @@ def test_pictures_are_of_every_environment(engine: str) -> None:
 
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "no environment": ({"n": 0}, "n is 0, expected an integer >= 1"),
+    "a truth value": ({"n": True}, "n is True, expected an integer >= 1"),
     "half of one": ({"n": 1.5}, "n is 1.5, expected an integer >= 1"),
     "no worker": ({"workers": 0}, "workers is 0, expected an integer >= 1"),
     "a task": ({"task": "Reech-v0"}, "unknown task 'Reech-v0'"),

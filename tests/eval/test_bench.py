@@ -72,6 +72,15 @@ def test_engines_are_timed_in_turns() -> None:
     assert not any("of bullet" in quantity for quantity in alone)
 
 
+@pytest.mark.parametrize("words", [[], ["mujoco", "mujoco"]])
+@pytest.mark.parametrize("what", ["env", "learning"])
+def test_no_engine_and_one_twice_are_refused(
+    what: str, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["bench", what, "--engine", *words]) == 2
+    assert "expected each at most once, and one" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_learning_is_timed_to_the_episodes_of_training(
     monkeypatch: pytest.MonkeyPatch,

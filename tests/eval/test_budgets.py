@@ -57,7 +57,7 @@ def test_a_critic_is_compared_at_one_discount_only(tmp_path: Path) -> None:
         for discount, share in ((0.9, 1.0), (0.99, 0.1))
         for rate in share * RATES
     ]
-    draw_budgets(rows, tmp_path)
+    draw_budgets(rows, "mujoco 4.0.0", tmp_path)
     (critic,) = read_rows(tmp_path / SELECTION_TABLE)
     assert np.isnan(critic["correlation"]) and critic["groups"] == 2
     assert critic["correlation_within"] == 1.0 and critic["regret_within"] == 0.0
@@ -81,7 +81,7 @@ def test_a_score_like_success_chooses_the_best_and_its_opposite_the_worst(
         for name, rates in (("bc", RATES), ("iql", RATES / 2))
         for rate in rates
     ]
-    draw_budgets(rows, tmp_path)
+    draw_budgets(rows, "mujoco 4.0.0", tmp_path)
     cloning, fqe, agents = read_rows(tmp_path / SELECTION_TABLE)
     assert cloning["correlation"] == cloning["correlation_within"] == 1.0
     assert cloning["regret"] == cloning["regret_within"] == 0.0

@@ -214,6 +214,10 @@ def test_what_is_committed_was_made_as_declared(
         (lambda: Source(steps=0), "`steps` is 0"),
         (lambda: Source(seed=-1), "the seed is -1"),
         (lambda: Mix("x", [(Source(), 10)], seed=-1), "the seed is -1"),
+        (
+            lambda: Mix("x", [(Source(), 10), (Source(engine="mujoco"), 10)]),
+            "with engine None and mujoco, expected one in a mix",
+        ),
     ],
 )
 def test_a_declaration_that_makes_no_sense_is_refused(
