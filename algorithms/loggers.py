@@ -211,7 +211,7 @@ def check_loggers(names: Sequence[str]) -> None:
     if "wandb" not in names:
         return
     if find_spec("wandb") is None:
-        raise UsageError("wandb is missing: pip install 'marl-mm[wandb]'")
+        raise UsageError("wandb is missing: pip install -e '.[wandb]'")
     import wandb
 
     online = os.environ.get("WANDB_MODE", "online") == "online"

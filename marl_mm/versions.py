@@ -71,4 +71,4 @@ def refuse_missing(extra: str, packages: Iterable[str]) -> None:
     """
     if missing := [name for name in packages if find_spec(name) is None]:
         names = ", ".join(missing)
-        raise UsageError(f"{names} missing: pip install 'marl-mm[{extra}]'")
+        raise UsageError(f"{names} missing: pip install -e '.[{extra}]'")

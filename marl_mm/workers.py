@@ -83,7 +83,7 @@ def open_pool(
     if executor == "local":
         return Workers(workers, initializer, arguments)
     if find_spec("ray") is None:
-        raise UsageError("ray is missing: pip install 'marl-mm[ray]'")
+        raise UsageError("ray is missing: pip install -e '.[ray]'")
     from marl_mm.ray_workers import RayWorkers
 
     return RayWorkers(workers, initializer, arguments)

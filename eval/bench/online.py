@@ -67,7 +67,7 @@ def bench_online(
     result: dict[str, Any] = {"updates_per_second": medians}
     names = [name for name in rates if name != SB3]
     if not sb3:
-        result["sb3"] = "not installed: pip install 'marl-mm[bench]'"
+        result["sb3"] = "not installed: pip install -e '.[bench]'"
         return result
     for name in names:
         ratios = np.array(rates[name]) / np.array(rates[SB3])

@@ -40,7 +40,7 @@ def check_sb3_run(training: Online, seed: int, run: Path) -> None:
     if (run / EVALUATION).exists():
         refuse_other(run, _run_config(training, seed), training.config)
     elif find_spec("stable_baselines3") is None:
-        raise UsageError("stable_baselines3 is missing: pip install 'marl-mm[bench]'")
+        raise UsageError("stable_baselines3 is missing: pip install -e '.[bench]'")
 
 
 def made_of(training: Online) -> dict[str, Any]:

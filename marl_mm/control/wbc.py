@@ -51,7 +51,7 @@ class WholeBodyController:
     ) -> None:
         if config.solver == "daqp" and find_spec("daqp") is None:
             raise UsageError(
-                'solver "daqp" needs the package daqp: pip install "marl-mm[bench]"'
+                'solver "daqp" needs the package daqp: pip install -e ".[bench]"'
             )
         self.config = config
         self._rate = float(rate)

@@ -58,7 +58,7 @@ class Collecting:
 
     executor: Executor = "local"
     """Processes of this machine, or of the Ray cluster that $RAY_ADDRESS names or of
-    one that is started here (pip install 'marl-mm[ray]')."""
+    one that is started here (pip install -e '.[ray]')."""
 
     task: str = DEFAULT
     """Task to collect episodes of."""

@@ -79,7 +79,8 @@ def test_the_example_of_a_robots_loop_reaches_goals(tmp_path: Path) -> None:
     example = Path(__file__).resolve().parents[2] / "examples/robot_loop.py"
     loop = runpy.run_path(str(example))
     for goal in ([1.2, 0.1, 0.7], [-0.6, -0.1, 0.6]):
-        assert loop["reach"](exported, np.array(goal)) < loop["REACHED"]
+        left = loop["reach"](exported, np.array(goal), loop["Robot"]())
+        assert left < loop["TASK"].success_distance
 
 
 def test_the_best_policy_has_a_file_of_its_own(mabc: Path) -> None:

@@ -141,7 +141,7 @@ def test_a_form_that_is_unknown_or_lacks_a_package_is_named(
     with monkeypatch.context() as patch:
         patch.setattr(versions, "find_spec", lambda name: None)
         assert main([*words, "lerobot"]) == 2
-    assert "pyarrow missing: pip install 'marl-mm[lerobot]'" in capsys.readouterr().err
+    assert "pyarrow missing: pip install -e '.[lerobot]'" in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
     assert main([*words, "hub", "--json"]) == 0
     size = sum(map(len, contents(tmp_path / "x").values()))
