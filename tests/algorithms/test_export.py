@@ -26,6 +26,7 @@ from marl_mm.contracts.learners import (
 from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.errors import ExportError
+from marl_mm.robot.model import RobotState
 
 SMALL = (
     "mabc --dataset good-5k --engine mujoco --updates 100 --hidden 8 --curve-every 100 "
@@ -71,16 +72,21 @@ def test_torchscript_acts_without_the_package(
 
 
 @pytest.mark.slow
-def test_the_example_of_a_robots_loop_reaches_goals(tmp_path: Path) -> None:
-    """With the file of the agent that ships, ahead and behind."""
-    policy = load_pretrained()
-    export_policy(policy, tmp_path / "policy.ts", "torchscript")
-    exported = torch.jit.load(str(tmp_path / "policy.ts"))  # type: ignore[no-untyped-call]
+def test_the_example_of_a_robots_loop_reaches_goals_and_stops(tmp_path: Path) -> None:
+    """With the file of the agent that ships, ahead and behind; and after an error."""
+    export_policy(load_pretrained(), tmp_path / "policy.ts", "torchscript")
     example = Path(__file__).resolve().parents[2] / "examples/robot_loop.py"
     loop = runpy.run_path(str(example))
+    exported = loop["load"](str(tmp_path / "policy.ts"))
     for goal in ([1.2, 0.1, 0.7], [-0.6, -0.1, 0.6]):
         left = loop["reach"](exported, np.array(goal), loop["Robot"]())
         assert left < loop["TASK"].success_distance
+    robot, stopped = loop["Robot"](), []
+    robot.read = lambda: RobotState(np.full(11, np.nan), np.zeros(10))
+    robot.stop = lambda: stopped.append(True)
+    with pytest.raises(ValueError, match="is not finite"):
+        loop["reach"](exported, np.array([1.2, 0.1, 0.7]), robot)
+    assert stopped
 
 
 def test_the_best_policy_has_a_file_of_its_own(mabc: Path) -> None:
