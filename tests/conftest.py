@@ -43,9 +43,6 @@ from marl_mm.robot.limits import RobotLimits, robot_limits
 from marl_mm.robot.model import ModelTerms, RobotModel, RobotState
 from marl_mm.sim.config import ENGINES, is_installed
 
-# Where a shell runs the tests in the background, Ctrl-C would be ignored.
-signal.signal(signal.SIGINT, signal.default_int_handler)
-
 WorkersOf = Callable[[int], list[psutil.Process]]
 MakeEpisode = Callable[..., Episode]
 OpenWorld = Callable[..., EpisodeCore]
@@ -69,7 +66,13 @@ if not is_installed("bullet"):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup(item: pytest.Item) -> Generator[None]:
-    """A test whose fixtures need PyBullet is skipped where it is not installed."""
+    """Ctrl-C interrupts, and a test that needs PyBullet is skipped without it.
+
+    A shell that runs the tests in the background has it ignored, and so has a command
+    that was interrupted in this process, as it is ending.
+    """
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if item.get_closest_marker("bullet") and not is_installed("bullet"):
         pytest.skip("PyBullet is not installed")
     with skipped_without_bullet():
