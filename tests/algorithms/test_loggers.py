@@ -157,7 +157,7 @@ def test_a_logger_that_cannot_start_is_refused_before_any_work(
         RunLog(tmp_path, "step", 0, ["mlflow"])
     monkeypatch.setitem(sys.modules, "wandb", None)
     monkeypatch.setattr("marl_mm.algorithms.loggers.find_spec", lambda name: None)
-    with pytest.raises(UsageError, match=r"pip install 'marl-mm\[wandb\]'"):
+    with pytest.raises(UsageError, match=r"pip install -e '.\[wandb\]'"):
         check_loggers(["wandb"])
 
 
