@@ -93,5 +93,7 @@ def test_datasets_may_have_other_numbers_of_seeds_and_one_has_no_interval() -> N
     assert mean(means).value == pytest.approx(
         (reached(0.9, 2).mean() + reached(0.1, 4).mean()) / 2
     )
-    value, low, high = interquartile(resampled([reached(0.9, seeds=1)]))
-    assert np.isnan([low, high]).all() and value > 0.8
+    assert not np.isnan(mean(means)).any()
+    for beside in ([], [reached(0.9)]):
+        value, low, high = interquartile(resampled([reached(0.9, seeds=1), *beside]))
+        assert np.isnan([low, high]).all() and value > 0.8

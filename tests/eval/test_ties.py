@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -54,6 +55,20 @@ def test_seeds_that_agree_leave_the_doubt_about_goals() -> None:
     assert p_of_difference(worse, better) == pytest.approx(0.343, abs=1e-3)
     assert p_of_difference(worse, worse) == 1.0
     assert p_of_difference(np.zeros((5, 10)), better) == 0.0
+
+
+def test_the_variance_is_that_over_seeds_and_over_goals_less_what_is_in_both() -> None:
+    """Of two seeds on three goals: 1 + 4/3 - 1/3 = 2, against one that is always 0."""
+    scores = np.array([[6.0, 3.0, 0.0], [2.0, 1.0, 0.0]])
+    free = 2**2 / (1**2 / 1 + (4 / 3) ** 2 / 2)
+    by_hand = 2 * scipy.stats.t.sf(scores.mean() / np.sqrt(2), free)
+    assert p_of_difference(scores, np.zeros((2, 3))) == pytest.approx(by_hand)
+
+
+def test_two_seeds_and_two_goals_can_be_told_apart() -> None:
+    results = [np.full((2, 2), 0.1), np.full((2, 2), 0.9)]
+    assert p_of_difference(*results) == 0.0
+    assert tie_groups(results) == [(2,), (1,)]
 
 
 @pytest.mark.parametrize("over_seeds", [0.0, 0.05, 0.1])
