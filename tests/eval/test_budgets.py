@@ -1,6 +1,7 @@
 """What choosing a policy costs in episodes, and what scores of data alone are worth."""
 
 import json
+import math
 from itertools import product
 from pathlib import Path
 
@@ -30,6 +31,29 @@ def test_a_bandit_begins_at_random_and_ends_with_the_best() -> None:
     np.testing.assert_array_equal(curve, found(RATES, 200))
 
 
+def test_a_bandit_is_ucb1() -> None:
+    """Step by step: first who has not acted yet, then the highest bound."""
+    episodes = 40
+    rng = np.random.default_rng(0)
+    order = rng.permuted(np.tile(RATES, (500, 1)), axis=1)
+    luck = rng.random((episodes, 500))
+    for bandit, curve in enumerate(found(RATES, episodes)[:20]):
+        rates, counts, reached = order[bandit], [0] * 4, [0] * 4
+        for number in range(1, episodes + 1):
+            bounds = [
+                won / count + math.sqrt(2 * math.log(number) / count) if count else 99
+                for won, count in zip(reached, counts, strict=True)
+            ]
+            arm = bounds.index(max(bounds))
+            counts[arm] += 1
+            reached[arm] += luck[number - 1, bandit] < rates[arm]
+            means = [
+                won / count if count else -1
+                for won, count in zip(reached, counts, strict=True)
+            ]
+            assert curve[number] == rates[means.index(max(means))]
+
+
 def test_of_one_that_always_and_one_that_never_succeeds_two_episodes_tell() -> None:
     assert (found(np.array([0.0, 1.0, 0.0]), 5)[:, 3:] == 1.0).all()
 
@@ -51,16 +75,33 @@ def test_a_critic_is_compared_at_one_discount_only(tmp_path: Path) -> None:
     rows = [
         {
             **{"dataset": "d", "algorithm": "iql", "success": rate},
-            **{"critic": rate + 100 * discount},
+            **{"cloning": rate, "critic": rate + 100 * discount},
             "changes": json.dumps({"discount": discount}),
         }
         for discount, share in ((0.9, 1.0), (0.99, 0.1))
         for rate in share * RATES
     ]
     draw_budgets(rows, "mujoco 4.0.0", tmp_path)
-    (critic,) = read_rows(tmp_path / SELECTION_TABLE)
+    cloning, critic = read_rows(tmp_path / SELECTION_TABLE)
+    assert cloning["groups"] == 1
     assert np.isnan(critic["correlation"]) and critic["groups"] == 2
     assert critic["correlation_within"] == 1.0 and critic["regret_within"] == 0.0
+
+
+def test_intervals_are_of_95_percent_within_all_goals_and_none(tmp_path: Path) -> None:
+    rows = [
+        {
+            **{"dataset": "d", "algorithm": "iql", "success": rate},
+            "changes": json.dumps({"discount": rate}),
+        }
+        for rate in RATES
+    ]
+    draw_budgets(rows, "mujoco 4.0.0", tmp_path)
+    deviation = deviation_of_found(RATES[:, None], BUDGETS[-1])
+    for row in read_rows(tmp_path / BUDGETS_TABLE):
+        mean, reach = row["success"], 1.96 * deviation[row["episodes"]]
+        ends = max(0.0, mean - reach), min(1.0, mean + reach)
+        assert row["success_interval"] == pytest.approx(ends, abs=1e-5)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
