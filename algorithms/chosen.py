@@ -94,6 +94,7 @@ CHOSEN: Mapping[str, Mapping[str, Any]] = {
         "bound_penalty": 0.0,
         "mix": 0.7,
     },
+    "ma-q-chunking": {},
     "q-chunking": {},
     "rebrac": {
         "learning_rate": 0.0005,

@@ -34,6 +34,13 @@ class QChunkingConfig(FqlConfig):
             )
 
 
+_DEPARTS = (
+    "Where an episode ends within a chunk, its last action is repeated, and the "
+    "critics learn from the steps that there are; the source leaves such chunks out of "
+    "their loss. The rest is as in FQL: actions end in a tanh, the weight of the value "
+    f"is divided by its mean size. {BOUNDED}"
+)
+
 ALGORITHMS.add(
     "q-chunking",
     Algorithm(
@@ -45,11 +52,24 @@ ALGORITHMS.add(
         advice="Use it on long tasks whose rewards are rare and whose data hold to a "
         "way for several steps. Within a chunk it reacts to nothing: leave it where "
         "what is seen changes fast. Like FQL it repeats the data's noise.",
-        departs="Where an episode ends within a chunk, its last action is repeated, "
-        "and the critics learn from the steps that there are; the source leaves such "
-        "chunks out of their loss. The rest is as in FQL: actions end in a tanh, the "
-        f"weight of the value is divided by its mean size. {BOUNDED}",
+        departs=_DEPARTS,
         learner=Imported("marl_mm.algorithms.q_chunking:QChunking"),
         presets=presets_of("q-chunking", QChunkingConfig()),
+    ),
+)
+ALGORITHMS.add(
+    "ma-q-chunking",
+    Algorithm(
+        title="MA-Q-chunking",
+        loss="-lambda Q(s, (pi_i(o_i, z_i), a_-i)) + alpha MSE(teacher(s, z)_i, "
+        "pi_i(o_i, z_i)), for each agent i, of h actions in a row",
+        about="Q-chunking of a team: each agent plans a chunk of its own actions.",
+        source="Li 2025",
+        advice="Use it to see what decentralised acting costs Q-chunking. Within a "
+        "chunk an agent reacts to nothing, nor to what the others do.",
+        departs="The source has one agent; here each plans its own, as in MAC-Flow. "
+        + _DEPARTS,
+        learner=Imported("marl_mm.algorithms.q_chunking:MaQChunking"),
+        presets=presets_of("ma-q-chunking", QChunkingConfig()),
     ),
 )

@@ -32,6 +32,7 @@ _CQL = {
     "bound_penalty": (0.0, 0.03, 0.3),
 }
 _FLOW_Q = {**_CRITIC, "distillation": (1.0, 3.0, 10.0, 30.0, 100.0)}
+_Q_CHUNKING = _FLOW_Q | {"chunk": (2, 3, 5)}
 _BEST_OF_N = {**_CRITIC, "samples": (4, 16, 32), "expectile": (0.5, 0.7, 0.9)}
 
 RANGES: Mapping[str, Mapping[str, Sequence[Any]]] = {
@@ -58,6 +59,7 @@ RANGES: Mapping[str, Mapping[str, Sequence[Any]]] = {
     "mac-flow": _FLOW_Q,
     "best-of-n-joint": _BEST_OF_N,
     "best-of-n": _BEST_OF_N,
-    "q-chunking": _FLOW_Q | {"chunk": (2, 3, 5)},
+    "q-chunking": _Q_CHUNKING,
+    "ma-q-chunking": _Q_CHUNKING,
 }
 """Values that hyper-parameters are drawn from, by algorithm."""

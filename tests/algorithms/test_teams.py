@@ -30,11 +30,12 @@ PAIRS = {
     "best-of-n": "best-of-n-joint",
     "ma-cal-ql": "cal-ql",
     "ma-rlpd": "rlpd",
+    "ma-q-chunking": "q-chunking",
 }
 """Joint forms by team forms."""
 
-ONE_FORM = {"omar", "maicq", "q-chunking"}
-"""Team forms whose additions are about several agents, and a joint form for chunks."""
+ONE_FORM = {"omar", "maicq"}
+"""Team forms whose additions are about several agents."""
 
 XOR = np.array([[1.0, -1.0], [-1.0, 1.0]])
 """Actions of two conventions; to mix them is lost."""

@@ -1,0 +1,53 @@
+"""Updates are those that the committed rows were trained with.
+
+If they are to change, rows have to be trained again; then write the new actions with
+``python -m tests.algorithms.test_same_updates``.
+"""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from marl_mm.algorithms.policy import LearnedPolicy
+from marl_mm.algorithms.registry import ALGORITHMS, BENCHMARK, TUNED, names
+from marl_mm.datasets.shipped import shipped_arrays
+from marl_mm.envs.registry import make_task
+
+ACTIONS = Path(__file__).parents[1] / "fixtures" / "same_updates.json"
+
+UPDATES = 20
+
+
+def acted(name: str) -> list[list[float]]:
+    """Actions in a few states after some updates, with the preset of the benchmark."""
+    algorithm, arrays = ALGORITHMS.get(name), shipped_arrays()
+    config = algorithm.presets.get(BENCHMARK, algorithm.presets[TUNED])
+    small = {"hidden": (16, 16), "batch_size": 32, "precision": "highest"}
+    learner = algorithm.learner(
+        replace(config, **small), arrays, make_task(), (3,), "cpu"
+    )
+    for _ in range(UPDATES):
+        learner.update()
+    policy = LearnedPolicy(name, learner.agents(0), learner.layout)
+    actions = []
+    for state in arrays.states[[0, 1_000, 2_000]]:
+        policy.begin(np.random.default_rng(0), policy.layout)
+        actions.append([round(float(entry), 6) for entry in policy.act(state)])
+    return actions
+
+
+@pytest.mark.parametrize("name", names(online=False))
+def test_an_algorithm_s_first_updates_are_those_of_the_committed_rows(
+    name: str,
+) -> None:
+    """To 1e-4, as the last bits are a machine's; one batch more or less is 1e-2."""
+    kept = json.loads(ACTIONS.read_text())
+    np.testing.assert_allclose(acted(name), kept[name], atol=1e-4)
+
+
+if __name__ == "__main__":
+    lines = (f' "{name}": {acted(name)}' for name in names(online=False))
+    ACTIONS.write_text("{\n" + ",\n".join(lines) + "\n}\n")
