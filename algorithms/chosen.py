@@ -94,7 +94,12 @@ CHOSEN: Mapping[str, Mapping[str, Any]] = {
         "bound_penalty": 0.0,
         "mix": 0.7,
     },
-    "ma-q-chunking": {},
+    "ma-q-chunking": {
+        "learning_rate": 0.001,
+        "discount": 0.9,
+        "distillation": 1.0,
+        "chunk": 3,
+    },
     "q-chunking": {},
     "rebrac": {
         "learning_rate": 0.0005,

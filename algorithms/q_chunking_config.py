@@ -65,8 +65,10 @@ ALGORITHMS.add(
         "pi_i(o_i, z_i)), for each agent i, of h actions in a row",
         about="Q-chunking of a team: each agent plans a chunk of its own actions.",
         source="Li 2025",
-        advice="Use it to see what decentralised acting costs Q-chunking. Within a "
-        "chunk an agent reacts to nothing, nor to what the others do.",
+        advice="Use it where Q-chunking suits and each agent sees by itself. It does "
+        "not keep conventions of the data, see MAC-Flow, and within a chunk an agent "
+        "reacts to nothing, nor to what the others do. In the tuning it reached a few "
+        "points more than Q-chunking.",
         departs="The source has one agent; here each plans its own, as in MAC-Flow. "
         + _DEPARTS,
         learner=Imported("marl_mm.algorithms.q_chunking:MaQChunking"),
