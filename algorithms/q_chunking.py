@@ -8,9 +8,9 @@ has the critic pick among samples of the flow at each plan.
 
 Ours: where an episode ends within a chunk, its last action is repeated, the flow does
 not imitate beyond the end, and the critics learn from the steps that there are; the
-source leaves such chunks out of the critics' loss. The team form, whose agents plan
-chunks of their own actions as in ``mac_flow``; the source has one agent. And what FQL
-has of ours.
+source leaves such chunks out of the critics' loss. Ours, too, is the team form:
+agents plan chunks of their own actions, as in ``mac_flow``; the source has one agent.
+And what FQL has of ours.
 """
 
 from collections.abc import Sequence

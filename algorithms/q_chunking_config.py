@@ -64,11 +64,11 @@ ALGORITHMS.add(
         loss="-lambda Q(s, (pi_i(o_i, z_i), a_-i)) + alpha MSE(teacher(s, z)_i, "
         "pi_i(o_i, z_i)), for each agent i, of h actions in a row",
         about="Q-chunking of a team: each agent plans a chunk of its own actions.",
-        source="Li 2025",
-        advice="Use it where Q-chunking suits and each agent sees by itself. It does "
-        "not keep conventions of the data, see MAC-Flow, and within a chunk an agent "
-        "reacts to nothing, nor to what the others do. In the tuning it reached a few "
-        "points more than Q-chunking.",
+        source="Li 2025 and Lee 2025; put together by us",
+        advice="Use it where Q-chunking suits and each agent acts on its own "
+        "observation. It does not keep conventions of the data, see MAC-Flow. Within a "
+        "chunk an agent reacts to nothing, what the others do included. Like FQL it "
+        "repeats the data's noise.",
         departs="The source has one agent; here each plans its own, as in MAC-Flow. "
         + _DEPARTS,
         learner=Imported("marl_mm.algorithms.q_chunking:MaQChunking"),

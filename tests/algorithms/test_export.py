@@ -129,7 +129,9 @@ def test_a_joint_policy_as_onnx(states: np.ndarray, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("form", ["torchscript", "onnx"])
-@pytest.mark.parametrize("name", ["ma-flow-bc", "mac-flow", "q-chunking"])
+@pytest.mark.parametrize(
+    "name", ["ma-flow-bc", "mac-flow", "q-chunking", "ma-q-chunking"]
+)
 def test_policies_that_draw_and_plan(name: str, form: str, tmp_path: Path) -> None:
     """Noise goes in beside observations; actions in a row come out of it."""
     tested = candidate(name)

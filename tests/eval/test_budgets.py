@@ -88,16 +88,19 @@ def test_a_critic_is_compared_at_one_discount_only(tmp_path: Path) -> None:
     assert critic["correlation_within"] == 1.0 and critic["regret_within"] == 0.0
 
 
-def test_intervals_are_of_95_percent_within_all_goals_and_none(tmp_path: Path) -> None:
+@pytest.mark.parametrize("rates", [RATES, np.array([0.0, 0.0, 0.0, 0.1])])
+def test_intervals_are_of_95_percent_within_all_goals_and_none(
+    rates: np.ndarray, tmp_path: Path
+) -> None:
     rows = [
         {
             **{"dataset": "d", "algorithm": "iql", "success": rate},
-            "changes": json.dumps({"discount": rate}),
+            "changes": json.dumps({"setting": number}),
         }
-        for rate in RATES
+        for number, rate in enumerate(rates.tolist())
     ]
     draw_budgets(rows, "mujoco 4.0.0", tmp_path)
-    deviation = deviation_of_found(RATES[:, None], BUDGETS[-1])
+    deviation = deviation_of_found(rates[:, None], BUDGETS[-1])
     for row in read_rows(tmp_path / BUDGETS_TABLE):
         mean, reach = row["success"], 1.96 * deviation[row["episodes"]]
         ends = max(0.0, mean - reach), min(1.0, mean + reach)
