@@ -1,6 +1,6 @@
-"""First updates stay as they were, as the committed rows need to be made again.
+"""First updates stay as they were: committed rows could not be made again otherwise.
 
-If one is to change, rows of its algorithm have to be trained again; then write the new
+If one is to change, rows of its algorithm have to be trained anew; then write the new
 actions with ``python -m tests.algorithms.test_same_updates``.
 """
 
@@ -55,7 +55,7 @@ def acted(name: str) -> list[list[float]]:
 
 @pytest.mark.parametrize("name", ALL)
 def test_first_updates_stay_as_they_were(name: str) -> None:
-    """To 1e-4, as the last bits are a machine's."""
+    """To 1e-4: on a processor with other instructions they differ by 1e-6."""
     kept = json.loads(ACTIONS.read_text())
     np.testing.assert_allclose(acted(name), kept[name], rtol=0, atol=1e-4)
 
