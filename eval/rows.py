@@ -41,7 +41,7 @@ _CELLS = 1_000_000
 _ROW_CELLS = 5
 """Number of cells whose memory a row takes by itself."""
 
-_COLUMNS = 1_000
+MOST_COLUMNS = 1_000
 """Largest number of columns; ours have less than 30."""
 
 
@@ -140,8 +140,8 @@ def _columns(data: bytes) -> dict[str, Sequence[str]]:
         raise ValueError("it is empty")
     file = io.TextIOWrapper(io.BytesIO(data), "utf-8", newline="")
     names, *lines = csv.reader(file, strict=True)
-    if len(names) > _COLUMNS:
-        raise ValueError(f"{len(names):,} columns, expected at most {_COLUMNS:,}")
+    if len(names) > MOST_COLUMNS:
+        raise ValueError(f"{len(names):,} columns, expected at most {MOST_COLUMNS:,}")
     for name, count in Counter(names).most_common(1):
         if count > 1:
             raise ValueError(f"{count} columns of the name {name:.40}")

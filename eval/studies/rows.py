@@ -181,9 +181,11 @@ class RowStore:
         for key in ("seed", "preset", "device", *SWITCHES):
             config.pop(key, None)
         if config["dataset"]:
-            if {row["seed"] for row in rows} - set(runs):
-                self.check_dataset(cell, config["dataset"])
             config["dataset"] = _bytes_of(config["dataset"])
+        if {row["seed"] for row in rows} - set(runs):  # others stay, of the same
+            path, before = self._path(cell, ".json"), self._record(cell)
+            same = {k: v for k, v in config.items() if k in before and k != "packages"}
+            refuse_other_config(path, before, same, _ADVICE)
         ends = {s: u for s, u in self.diverged(cell).items() if s not in runs}
         for seed, run in runs.items():
             if (step := diverged_at(run, config)) is not None:

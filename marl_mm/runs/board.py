@@ -10,6 +10,7 @@ from typing import Any, cast
 
 from jinja2 import Environment
 
+from marl_mm.envs.registry import config_dict
 from marl_mm.errors import UsageError
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.ties import tie_groups
@@ -143,9 +144,10 @@ def _sections(submissions: Sequence[Submission]) -> tuple[tuple[Entry, ...], ...
         manifest = submission.manifest
         dataset = manifest["dataset"] or {}
         data = dataset.get("recipe_sha256", dataset.get("fingerprint"))
-        names = ("task", "engine", "goals", "overrides")
-        parts = [dataset.get("id", ""), data, *map(manifest.get, names)]
-        key = json.dumps(parts, sort_keys=True)
+        # The task as it is, however much of it is named.
+        task = manifest["task"], config_dict(submission.task)
+        parts = [dataset.get("id", ""), data, *task, manifest["engine"]]
+        key = json.dumps([*parts, manifest["goals"]], sort_keys=True)
         sections.setdefault(key, []).append(submission)
     entries = []
     for section in sections.values():
@@ -239,8 +241,10 @@ def _line(entry: Entry, films: bool) -> Mapping[str, Any]:
     manifest, claims = entry.submission.manifest, entry.submission.manifest["claims"]
     record = entry.verification or {"verdict": "", "scored": 0, "episodes": 0}
     words, kind, about = _VERDICTS.get(record["verdict"], _UNVERIFIED)
-    if record["scored"] < record["episodes"]:
-        words += f", {record['scored']} of {record['episodes']}"
+    if (count := record["scored"]) < (every := record["episodes"]):
+        words += f", {count} of {every}"
+        if kind == "good" and 2 * count < every:  # most of what is false was not seen
+            kind = "open"
     if entry.verification is not None:
         about += f"; success {100 * record['success']:.1f} %"
     steps = manifest["overrides"].get("max_steps")

@@ -23,6 +23,7 @@ from marl_mm.runs.folder import (
     read_config,
     read_evaluation,
 )
+from marl_mm.runs.submission import EPISODES
 from marl_mm.sim.config import Engine, is_installed
 
 
@@ -154,6 +155,8 @@ def _is_of_a_run(config: Path, root: Path) -> bool:
     """Whether a file may be a run's record: not a sweep's, nor half of a folder."""
     if any(part.startswith(".") for part in config.relative_to(root).parts):
         return False
+    if (config.parent / EPISODES).exists():
+        return False  # a seed of a submission
     try:
         values = read_json(config, CheckpointError)
     except CheckpointError:  # a damaged run's, which is listed as such

@@ -16,6 +16,7 @@ from marl_mm.config_diff import as_json, changes
 from marl_mm.envs.registry import TASKS, config_dict
 from marl_mm.envs.task import Task
 from marl_mm.errors import LayoutError, SubmissionError, UsageError
+from marl_mm.eval.rows import MOST_COLUMNS
 from marl_mm.plugins import record
 from marl_mm.received import Refusal, check_kind, damage_named, read_json
 from marl_mm.runs.submission import (
@@ -180,6 +181,12 @@ def _check_task(submission: Submission) -> None:
 def _check_rows(submission: Submission) -> None:
     """Raise unless the rows are of the task's goals, each once and in order."""
     first = submission.runs[0].evaluation
+    columns = {key for run in submission.runs for r in run.evaluation.rows for key in r}
+    if len(columns) > MOST_COLUMNS:
+        raise SubmissionError(
+            f"{submission.folder}: rows have {len(columns):,} columns, expected at "
+            f"most {MOST_COLUMNS:,}"
+        )
     setting = first.task, first.overrides, first.engine, first.seed
     goals = [(plan.index, plan.seed) for plan in submission.plans]
     for run in submission.runs:

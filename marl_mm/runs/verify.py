@@ -1,8 +1,9 @@
 """Score a submission again, and compare: episode by episode, then by intervals."""
 
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal
 
@@ -45,6 +46,9 @@ _FIRST_ACTION = 1e-4
 _REPEATED = 0.1
 """Share of equal episodes, of all seeds, from which a machine is the submission's, and
 all have to be equal: another processor changes last bits in every episode."""
+
+_TWINS = 0.5
+"""Share of goals with the same first action from which two seeds are no two runs."""
 
 _LISTED = 5
 """Largest number of goals that a message lists."""
@@ -139,7 +143,9 @@ def verify(
 ) -> Verification:
     """Score a submission again, and keep the verdict in a file beside its folder.
 
-    Goals are taken in random order until all are done, or time is up.
+    Goals are taken in random order until all are done, or time is up. An earlier
+    verdict "not equal", or of more episodes, is replaced by one of all episodes only,
+    or by "not equal".
 
     Args:
         folder: Folder of the submission, or what ``submit`` returned.
@@ -187,8 +193,22 @@ def verify(
         versions(),
         machine(),
     )
+    if (earlier := read_verification(submission)) and _stands(earlier, result):
+        kept = f"{earlier['verdict']}, {earlier['scored']} scored before"
+        return replace(result, notes=(*result.notes, f"kept on record: {kept}"))
     write_json(file, asdict(result))
     return result
+
+
+def _stands(earlier: Mapping[str, Any], result: Verification) -> bool:
+    """Whether an earlier verification knows more.
+
+    It has found what is false, or has scored more episodes.
+    """
+    if result.verdict == "not equal" or result.scored == result.episodes:
+        return False
+    more: bool = earlier["scored"] > result.scored
+    return more or earlier["verdict"] == "not equal"
 
 
 Pairs = list[tuple[Scored, Scored]]
@@ -343,6 +363,14 @@ def _notes(
             "though processor and packages are called the same: be wary of small "
             "differences"
         )
+    for one, other in combinations(submission.runs, 2):
+        alike = sum(map(_alike, one.episodes, other.episodes))
+        if alike > _TWINS * len(one.episodes):
+            yield (
+                f"seeds {one.config.seed} and {other.config.seed} begin alike for "
+                f"{alike} of {len(one.episodes)} goals, to {_FIRST_ACTION:g}: be wary "
+                "of them"
+            )
     dataset = manifest["dataset"] or {}
     data = recorded().get(dataset.get("recipe", ""), {}).get("data_sha256")
     if data is not None and dataset.get("data_sha256") != data:

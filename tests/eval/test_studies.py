@@ -416,6 +416,18 @@ def test_evaluations_of_two_trainings_are_not_mixed(tmp_path: Path) -> None:
     store.keep(cell, {0: other}, [LAST, BEST])  # nothing of the former one stays
 
 
+def test_seeds_of_other_settings_are_not_mixed(tmp_path: Path) -> None:
+    """As two processes might bring them, which began with no rows."""
+    store, cell = RowStore(tmp_path / "rows"), ("good-5k", OURS)
+    runs = [finished(tmp_path, seed) for seed in (0, 1)]
+    config = json.loads((runs[1] / "config.json").read_text())
+    (runs[1] / "config.json").write_text(json.dumps(config | {"updates": 999}))
+    store.keep(cell, {0: runs[0]}, [LAST])
+    with pytest.raises(OtherConfigError, match=r"updates = 10 \(now 999\)"):
+        store.keep(cell, {1: runs[1]}, [LAST])
+    assert store.seeds(cell) == [0]
+
+
 def test_a_probe_is_added_where_curves_of_some_seeds_lack_a_measure(
     tmp_path: Path,
 ) -> None:

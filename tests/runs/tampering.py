@@ -190,6 +190,10 @@ TAMPERING: dict[str, tuple[Change, str]] = {
     "a weight changed": (weights(lambda v: v + 0.5), "did not make these rows"),
     "weights of another seed": (swapped, "did not make these rows"),
     "one seed twice": (twice, "has the weights of"),
+    "a thousand columns": (
+        row(0, **{f"column {number}": 1.0 for number in range(1_000)}),
+        "columns, expected at most 1,000",
+    ),
     "a NaN weight": (weights(lambda v: v * np.nan), "NaN or infinite"),
     "a weight's type": (weights(lambda v: v.double()), "float64, expected"),
     "a weight's shape": (weights(lambda v: v[:-1].clone()), "is damaged"),

@@ -119,6 +119,17 @@ def test_a_verdict_is_of_the_submission_that_was_scored(
     assert "not verified" in board.page.read_text()
 
 
+@pytest.mark.parametrize(("scored", "kind"), [(11, "open"), (12, "good")])
+def test_a_verdict_of_few_episodes_is_not_green(
+    scored: int, kind: str, submissions: list[Path], tmp_path: Path
+) -> None:
+    copy = shutil.copytree(submissions[1], tmp_path / "agents")
+    record = json.loads(verification_file(submissions[1]).read_text())
+    write_json(verification_file(copy), record | {"scored": scored})
+    page = marl_mm.board([copy], out=tmp_path / "page").page.read_text()
+    assert re.search(rf'class="{kind}"[^>]*>verified, {scored} of 24', page)
+
+
 def test_what_is_not_as_it_claims_is_last_and_in_no_group(
     submissions: list[Path], tmp_path: Path
 ) -> None:

@@ -112,11 +112,14 @@ def test_damaged_runs_stand_beside_the_others(tmp_path: Path, capsys: Output) ->
 
 
 def test_what_is_no_run_is_not_listed(tmp_path: Path) -> None:
-    """A sweep has a config of its own; a folder is hidden until it is whole."""
+    """A sweep has a config of its own, and so has a seed of a submission; a folder is
+    hidden until it is whole."""
     make_run(tmp_path / "good")
     make_run(tmp_path / ".good.0123456789abcdef.new")
     (tmp_path / "alpha").mkdir()
     (tmp_path / "alpha" / "config.json").write_text('{"alphas": [0, 1]}')
+    make_run(tmp_path / "submitted" / "0")
+    (tmp_path / "submitted" / "0" / "episodes.json").write_text("{}")
     (tmp_path / "number").mkdir()
     (tmp_path / "number" / "config.json").write_text("3")  # damaged, and told so
     found = [run.folder.name for run in find_runs(tmp_path)]

@@ -14,9 +14,18 @@ from marl_mm.errors import MarlMmError, OutputExistsError, UsageError
 from marl_mm.eval.metrics import METRICS, Metric
 from marl_mm.runs import submission_checks
 from marl_mm.runs.folder import EVALUATION
-from marl_mm.runs.submission import MANIFEST, Scored
+from marl_mm.runs.submission import EPISODES, MANIFEST, Scored
 from marl_mm.runs.verify import _apart, verification_file
-from tests.runs.tampering import CLAIMS, TAMPERING, UNSEALED, seal_again, weights
+from tests.runs.tampering import (
+    CLAIMS,
+    TAMPERING,
+    UNSEALED,
+    edit,
+    in_each,
+    row,
+    seal_again,
+    weights,
+)
 
 GOALS = 6
 
@@ -97,6 +106,46 @@ def test_little_time_scores_a_part_that_a_seed_repeats(
     assert results[0].verdict == "equal to the bit"
     assert "time was up after 1 of 12 episodes" in results[0].notes[0]
     assert results[0].episodes == made.scores("success").size == 12
+
+
+def test_a_short_verification_replaces_no_longer_one(copy: Path) -> None:
+    """Neither "not equal", which it may miss, nor one of more episodes."""
+    whole = marl_mm.verify(copy)
+    short = marl_mm.verify(copy, minutes=1e-6, seed=0)
+    assert (whole.scored, short.scored) == (2 * GOALS, 2)
+    assert json.loads(verification_file(copy).read_text())["scored"] == 2 * GOALS
+    row(0, success=not whole_row(copy, 0)["success"])(copy)
+    seal_again(copy)
+    assert marl_mm.verify(copy).verdict == "not equal"
+    others = (marl_mm.verify(copy, minutes=1e-6, seed=seed) for seed in range(20))
+    missed = next(each for each in others if each.verdict != "not equal")
+    assert "kept on record: not equal, 12 scored before" in missed.notes
+    assert json.loads(verification_file(copy).read_text())["verdict"] == "not equal"
+    row(0, success=not whole_row(copy, 0)["success"])(copy)
+    seal_again(copy)
+    assert marl_mm.verify(copy).verdict == "equal to the bit"
+
+
+def whole_row(folder: Path, number: int) -> Any:
+    return json.loads((folder / "0" / EVALUATION).read_text())["episodes"][number]
+
+
+def test_seeds_that_act_alike_are_named(copy: Path) -> None:
+    own = (copy / "0" / EPISODES).read_text()
+    first = json.loads(own)["first_action"]
+    edit(copy / "1" / EPISODES, lambda v: v.update(first_action=first))
+    seal_again(copy)
+    notes = marl_mm.verify(copy).notes
+    assert any("seeds 0 and 1 begin alike for 6 of 6 goals" in note for note in notes)
+
+
+def test_a_value_that_is_the_tasks_own_makes_no_section(
+    honest: Path, copy: Path, tmp_path: Path
+) -> None:
+    in_each(EVALUATION, lambda v: v["overrides"].update(max_steps=25))(copy)
+    seal_again(copy)
+    sections = marl_mm.board([honest, copy], out=tmp_path / "board").sections
+    assert [len(section) for section in sections] == [2]
 
 
 def test_a_metric_of_ones_own_may_be_nan_and_unknown_elsewhere(
