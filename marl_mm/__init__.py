@@ -99,5 +99,9 @@ def __getattr__(name: str) -> Any:
     return getattr(import_module(_MODULES[name]), name)
 
 
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_MODULES})
+
+
 TASKS.names()  # registers them with Gymnasium, too
 load_installed()

@@ -222,13 +222,16 @@ def _reward(task: Task) -> str:
         return text
     return (
         f"{text}\nA failure ends the episode and brings {task.load.failure_reward:g}: "
-        f"{'a missed grasp, ' * isinstance(task, Grasp)}a drop, a collision, or a block out of reach. "
+        f"{_FAILURES_OF_GRASP if isinstance(task, Grasp) else 'a drop or a collision'}. "
         '`info["reason"]` says which. Nothing but friction holds the block; '
         '`{"load": {"grasp": "weld"}}` fixes it to the hand instead. '
         "The policy does not see what a block weighs; the controller "
         "weighs it by the joints' torques "
         '(`{"load": {"knowledge": "given"}}` tells it).\n'
     )
+
+
+_FAILURES_OF_GRASP = "a missed grasp, a drop, a collision, or a block out of reach"
 
 
 def _reward_of_team(task: Any) -> str:
@@ -267,13 +270,16 @@ def _reasons(task: Task) -> Iterator[str]:
 
 
 def _changed(task: Task) -> str:
-    changed = [
-        f"`{item.name}` {getattr(task, item.name)}"
-        for item in fields(task)
-        if not is_dataclass(getattr(task, item.name))
-        and getattr(task, item.name) != getattr(type(task)(), item.name)
-    ]
-    return ", ".join(changed)
+    return ", ".join(_differing(task, type(task)()))
+
+
+def _differing(of: Any, usual: Any, path: str = "") -> Iterator[str]:
+    for item in fields(of):
+        value, default = getattr(of, item.name), getattr(usual, item.name)
+        if is_dataclass(value):
+            yield from _differing(value, default, f"{path}{item.name}.")
+        elif value != default:
+            yield f"`{path}{item.name}` {value}"
 
 
 def _task_results(name: str) -> str:

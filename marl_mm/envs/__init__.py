@@ -33,3 +33,7 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, environment = _ENVIRONMENTS[name]
     return getattr(import_module(f"{__name__}.{module}"), environment)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_ENVIRONMENTS})

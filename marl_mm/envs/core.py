@@ -7,10 +7,11 @@ and rewards.
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from marl_mm.envs.arguments import checked_goal, refuse_copies
 from marl_mm.envs.drive import Drive, Motion, Watch
 from marl_mm.envs.task import Attempt, Task
 from marl_mm.episode import FAILED
@@ -20,7 +21,6 @@ from marl_mm.errors import (
     MarlMmError,
     UsageError,
 )
-from marl_mm.layout import places
 from marl_mm.sim.config import RATE, Camera
 
 
@@ -65,11 +65,7 @@ class EpisodeCore:
         self._visual, self._closed = visual or gui, False
         self._low, self._high = np.array(task.layout.low), np.array(task.layout.high)
 
-    def __reduce__(self) -> NoReturn:
-        raise UsageError(
-            "an environment cannot be copied or pickled: make another, with the same "
-            "seed and actions"
-        )
+    __reduce__ = refuse_copies
 
     @property
     def drive(self) -> Drive:
@@ -92,7 +88,7 @@ class EpisodeCore:
             LayoutError: If the task sets or observes other entries than its layout has.
         """
         self.check_open()
-        given = None if goal is None else self._checked_goal(goal)
+        given = None if goal is None else checked_goal(goal, self.task.layout)
         attempt = Attempt(self.task, self.drives)
         self.attempt = None  # where the task refuses, there is no episode to go on with
         self.task.begin(attempt, rng, given)
@@ -249,23 +245,6 @@ class EpisodeCore:
             odd = np.flatnonzero(~np.isfinite(state))[0]
             raise MarlMmError(f"{whose}: {layout.state[odd]} is {state[odd]}")
         return state
-
-    def _checked_goal(self, goal: np.ndarray) -> np.ndarray:
-        layout = self.task.layout
-        entries = [layout.state[i] for i in places(layout.state_names, layout.desired)]
-        try:
-            values = np.array(goal, dtype=np.float64)
-        except (TypeError, ValueError):
-            values = np.empty(0)
-        if values.shape != (len(entries),) or not all(
-            math.isfinite(value) and entry.low <= value <= entry.high
-            for entry, value in zip(entries, values, strict=True)
-        ):
-            expected = ", ".join(map(str, entries))
-            raise UsageError(
-                f"goal is {goal!r}, expected {len(entries)} finite numbers: {expected}"
-            )
-        return values
 
     def _checked(self, action: np.ndarray) -> np.ndarray:
         try:

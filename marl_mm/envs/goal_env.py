@@ -12,6 +12,7 @@ from marl_mm.envs.arguments import (
     check_render_mode,
     checked_options,
     checked_seed,
+    refuse_copies,
     render_metadata,
 )
 from marl_mm.envs.core import EpisodeCore
@@ -65,6 +66,8 @@ class GoalEnv(gymnasium.Env[GoalObservation, np.ndarray]):
         )
         self.action_space = action_space(layout)
 
+    __reduce__ = refuse_copies
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[GoalObservation, dict[str, Any]]:
@@ -77,7 +80,8 @@ class GoalEnv(gymnasium.Env[GoalObservation, np.ndarray]):
         Raises:
             UsageError: If an argument makes no sense, or after ``close()``.
         """
-        goal = checked_options(options).get("goal")
+        self.core.check_open()
+        goal = checked_options(options, self.task.layout).get("goal")
         super().reset(seed=checked_seed(seed))
         state = self.core.reset(self.np_random, goal)
         return goal_observation(state, self.task.layout), {}
@@ -100,13 +104,15 @@ class GoalEnv(gymnasium.Env[GoalObservation, np.ndarray]):
             desired_goal: Goal to judge the step by.
             info: The step's info, or a sequence with one per row of the goals.
         """
-        return self.task.reward(achieved_goal, desired_goal, self._terms(info))
+        goals = np.asarray(achieved_goal), np.asarray(desired_goal)
+        return self.task.reward(*goals, self._terms(info))
 
     def compute_terminated(
         self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Infos
     ) -> np.ndarray:
         """Whether a step would have ended the episode with other goals, shape (...)."""
-        _, ended = self.task.judge(achieved_goal, desired_goal, self._terms(info))
+        goals = np.asarray(achieved_goal), np.asarray(desired_goal)
+        _, ended = self.task.judge(*goals, self._terms(info))
         return np.asarray(ended)
 
     def compute_truncated(

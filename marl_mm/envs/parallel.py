@@ -12,6 +12,7 @@ from marl_mm.envs.arguments import (
     check_render_mode,
     checked_options,
     checked_seed,
+    refuse_copies,
     render_metadata,
 )
 from marl_mm.envs.core import EpisodeCore
@@ -107,6 +108,8 @@ class TeamEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         self._rng, _ = seeding.np_random()
         self._joint: np.ndarray | None = None
 
+    __reduce__ = refuse_copies
+
     def observation_space(self, agent: str) -> spaces.Box:
         """Space of an agent's observation; the same object at each call."""
         return self.observation_spaces[agent]
@@ -119,7 +122,8 @@ class TeamEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[AgentDict, dict[str, dict[str, Any]]]:
         """Begin an episode; arguments and errors are those of ``GoalEnv.reset``."""
-        goal = checked_options(options).get("goal")
+        self.core.check_open()
+        goal = checked_options(options, self.task.layout).get("goal")
         if (checked := checked_seed(seed)) is not None:
             self._rng, _ = seeding.np_random(checked)
         state = self.core.reset(self._rng, goal)

@@ -107,6 +107,7 @@ class TeamVector:
             UsageError: As ``TaskVector.step``.
             WorkerDiedError: If a worker process died; the vector is closed then.
         """
+        self.vector.check_open()
         joint = join_actions(actions, self.task.layout, self.num_envs)
         observations, rewards, terminated, truncated, infos = self.vector.step(joint)
         return (

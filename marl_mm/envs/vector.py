@@ -1,7 +1,7 @@
 """Many environments of a task as one Gymnasium vector environment."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -13,6 +13,7 @@ from marl_mm.envs.arguments import (
     check_render_mode,
     checked_options,
     checked_seed,
+    refuse_copies,
     render_metadata,
 )
 from marl_mm.envs.goal_env import GoalObservation, goal_observation
@@ -73,6 +74,8 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
             self.task, n, min(workers, n), render_mode is not None, backend
         )
 
+    __reduce__ = refuse_copies
+
     def _space(self, layout: Layout) -> spaces.Space[Any]:
         """Space of one environment's observation."""
         return state_space(layout)
@@ -103,8 +106,8 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
                 ``close()``.
             WorkerDiedError: If a worker process died; the vector is closed then.
         """
-        self._check_open()
-        asked = checked_options(options)
+        self.check_open()
+        asked = checked_options(options, self.task.layout, "reset_mask")
         seeds = self._checked_seeds(seed)
         mask = self._checked_mask(asked.get("reset_mask"))
         arguments: list[tuple[Any, ...] | None] = [None] * self.num_envs
@@ -138,7 +141,7 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
                 an error; or after ``close()``.
             WorkerDiedError: If a worker process died; the vector is closed then.
         """
-        self._check_open()
+        self.check_open()
         if not self._begun.all():
             raise UsageError("step() was called before reset()")
         outcomes = self._call("step", [(a,) for a in self._checked(actions)])
@@ -163,14 +166,15 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """A picture of each, shape (h, w, 3), uint8; None without a render mode."""
-        self._check_open()
+        self.check_open()
         if not self.render_mode:
             return None
         return tuple(self._called("render", [()] * self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """End simulators, threads and processes."""
-        self._slots.close()
+        if hasattr(self, "_slots"):  # Gymnasium 1.1 closes what was refused, too
+            self._slots.close()
 
     def _call(self, name: str, arguments: list[tuple[Any, ...] | None]) -> list[Any]:
         """Call all environments; after an error they have to be reset."""
@@ -197,13 +201,18 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
             infos = self._add_info(infos, info, i)
         return infos
 
-    def _check_open(self) -> None:
+    def check_open(self) -> None:
+        """Raise after ``close()``.
+
+        Raises:
+            UsageError: If it was closed.
+        """
         if self.closed:
             raise UsageError("the environment is closed: make another")
 
     def _checked_seeds(self, seed: Seeds) -> list[int | None]:
         number = self.num_envs
-        if isinstance(seed, Sequence | np.ndarray):
+        if isinstance(seed, Sequence) or (isinstance(seed, np.ndarray) and seed.ndim):
             seeds = [checked_seed(each) for each in seed]
         else:
             first = checked_seed(seed)
@@ -219,15 +228,15 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
         if mask is None:
             return everyone
         try:
-            mask = np.asarray(mask)
+            values = np.asarray(mask)
         except ValueError:
-            mask = np.asarray(None)
-        if mask.shape != everyone.shape or mask.dtype != bool or not mask.any():
+            values = np.asarray(None)
+        if values.shape != everyone.shape or values.dtype != bool or not values.any():
             raise UsageError(
-                f"reset_mask is {mask.tolist()}, expected {self.num_envs} truth "
-                "values, one of them true"
+                f"reset_mask is {mask!r:.60}, expected {self.num_envs} truth values, "
+                "one of them true"
             )
-        return cast(np.ndarray, mask)
+        return values
 
     def _checked(self, actions: np.ndarray) -> np.ndarray:
         shape = self.action_space.shape

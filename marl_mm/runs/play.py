@@ -157,6 +157,8 @@ def play(
         raise UsageError(
             f"`direction` is {direction!r:.40}, expected forward, backward or None"
         )
+    if not isinstance(camera, Camera | None):
+        raise UsageError(f"`camera` is {camera!r:.40}, expected a Camera or None")
     name = task or (DEFAULT if policy is None else own_task([policy]))
     policy = default_policy(name) if policy is None else policy
     overrides = task_overrides(max_steps, engine or own_engine([policy]))

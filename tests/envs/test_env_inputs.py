@@ -14,6 +14,7 @@ from marl_mm.envs.goal_env import GoalEnv
 from marl_mm.envs.registry import TASKS, register_task
 from marl_mm.envs.task import Attempt, Terms, Values
 from marl_mm.envs.tasks.reach import Reach
+from marl_mm.envs.vector import GoalVector
 from marl_mm.errors import InvalidActionError, LayoutError, MarlMmError, UsageError
 
 REACHING = [name for name, task in TASKS.items() if isinstance(task, Reach)]
@@ -77,11 +78,11 @@ def test_after_a_refused_goal_there_is_no_episode_to_go_on_with() -> None:
     core.close()
 
 
-@pytest.mark.parametrize("make", [GoalEnv, parallel_env])
+@pytest.mark.parametrize("make", [GoalEnv, parallel_env, GoalVector])
 def test_environments_are_not_copied_or_pickled(make: Any) -> None:
     """A copy would drive the robot of the first."""
     env = make("Reach-v0")
-    for twin in (copy.deepcopy, pickle.dumps):
+    for twin in (copy.copy, copy.deepcopy, pickle.dumps):
         with pytest.raises(UsageError, match="cannot be copied or pickled"):
             twin(env)
     env.close()

@@ -213,6 +213,8 @@ def test_a_zone_as_long_as_its_room_is_drawn() -> None:
             {"load": {"failure_reward": -3.0}},
             "-3, expected -10, as it has",
         ),
+        ("Course-v0", {"load": {"lift": 0.3}}, "lift is 0.3, expected 0, as it has"),
+        ("Tray-v0", {"frequency": 63.0}, "is 63 Hz, expected below 62.6 Hz"),
         ("Gate-v0", {"goal_reward": -50.0}, "goal_reward is -50.0, expected > 0"),
         ("Tray-v0", {"goal_y": (1.3, 1.3)}, "dry in 10 steps: goal_y is 1.3 to 1.3 m"),
         ("MovingReach-v0", {"ticks_per_step": 480}, "at most 0.05, which a hand"),

@@ -20,7 +20,7 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import marl_mm
 from marl_mm import interrupts
-from marl_mm.envs import parallel_env, registry
+from marl_mm.envs import parallel_env, registry, vector
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.goal_env import GoalEnv
 from marl_mm.envs.slots import Slot
@@ -299,14 +299,30 @@ def test_wrong_actions_are_told_before_any_environment_acts() -> None:
         with pytest.raises(UsageError, match=r"reset_mask is .*, expected 3 truth"):
             vector.reset(options={"reset_mask": np.array(mask)})
     with pytest.raises(UsageError, match=r"goal is .*, expected 3 finite numbers"):
-        vector.reset(options={"goal": (1, 2)})
+        vector.reset(seed=7, options={"goal": (1, 2)})
+    with pytest.raises(UsageError, match=r"no option 'gaol' \(did you mean goal\?\)"):
+        vector.reset(seed=7, options={"gaol": (1, 2, 3)})
+    # Episodes go on, and so do the streams of those that follow.
+    assert data_equivalence(vector.step(right), reference.step(right), exact=True)
+    assert data_equivalence(vector.reset(), reference.reset(), exact=True)
+    for each in (vector, reference):
+        each.close()
+        each.close()
+
+
+def test_a_vector_that_was_refused_is_closed_in_silence() -> None:
+    """Gymnasium 1.1 does so where nothing refers to it any more."""
+    vector.GoalVector.__new__(vector.GoalVector).close()
+
+
+def test_resetting_some_is_no_reset_of_all() -> None:
+    vector, right = opened(3), np.tile(MIDDLE, (3, 1))
     vector.reset(options={"reset_mask": np.array([True, False, False])})
     with pytest.raises(UsageError, match=r"step\(\) was called before reset"):
         vector.step(right)
     vector.reset(options={"reset_mask": np.array([False, True, True])})
     vector.step(right)
     vector.close()
-    reference.close()
 
 
 def test_wrong_actions_of_agents_are_told() -> None:

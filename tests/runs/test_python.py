@@ -493,6 +493,7 @@ def test_an_error_of_a_callback_ends_the_training_and_is_raised(
 
 
 def test_the_package_offers_what_it_names() -> None:
+    assert {*marl_mm.__all__} <= {*dir(marl_mm)}  # what an editor completes
     for name in marl_mm.__all__:
         assert callable(getattr(marl_mm, name)), name
     with pytest.raises(AttributeError, match="no attribute 'fly'"):

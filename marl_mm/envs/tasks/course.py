@@ -55,6 +55,13 @@ if TYPE_CHECKING:
     from marl_mm.envs.drive import Motion
 
 
+_WITHOUT_EFFECT = {
+    "failure_reward": "`failure_reward` is the reward of all failures",
+    "lift": "the block goes to the bin",
+}
+"""Settings of the block that other tasks use, and why this one does not."""
+
+
 class Stations(NamedTuple):
     """What an episode has on its way."""
 
@@ -153,12 +160,13 @@ class Course(CruiseTask):
             raise UsageError(
                 f"failure_reward is {self.failure_reward}, expected below 0"
             )
-        given, unused = self.load.failure_reward, StandConfig().failure_reward
-        if given != unused:
-            raise UsageError(
-                f"load.failure_reward is {given:g}, expected {unused:g}, as it has no "
-                "effect here: `failure_reward` is the reward of all failures"
-            )
+        for name, instead in _WITHOUT_EFFECT.items():
+            given, unused = (getattr(of, name) for of in (self.load, StandConfig()))
+            if given != unused:
+                raise UsageError(
+                    f"load.{name} is {given:g}, expected {unused:g}, as it has no "
+                    f"effect here: {instead}"
+                )
         self._check_block()
 
     def _check_block(self) -> None:

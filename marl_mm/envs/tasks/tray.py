@@ -27,7 +27,7 @@ from marl_mm.envs.tasks.reach import steer, to_goal
 from marl_mm.envs.terms import length
 from marl_mm.errors import UsageError
 from marl_mm.layout import Agent, Entry, Layout
-from marl_mm.sim.config import Camera
+from marl_mm.sim.config import RATE, Camera
 from marl_mm.sim.scene import YELLOW, Mark
 
 if TYPE_CHECKING:
@@ -142,6 +142,13 @@ class Tray(HazardTask):
             raise UsageError(
                 f"leak is {self.leak:g}, frequency {self.frequency:g}, damping "
                 f"{self.damping:g}, expected > 0, > 0, and 0 to 1"
+            )
+        # Beyond, the steps of the liquid's motion make it grow.
+        most = RATE / pi * (hypot(1, self.damping) - self.damping)
+        if self.frequency >= most:
+            raise UsageError(
+                f"frequency is {self.frequency:g} Hz, expected below {most:.3g} Hz at "
+                f"{RATE} ticks a second and damping {self.damping:g}"
             )
         self.check_way(
             f"a cup of level {low:g} is dry in {low / self.leak:.0f} steps: goal_",
