@@ -4,11 +4,10 @@ Loss of the twin critics: (Q_j(s, a) - r - gamma (1 - terminated) min_j Q_j'(s',
 + alpha (sum_i lambda_i log E[exp Q_j(s, (u_i, a_-i)) / q(u_i)] - Q_j(s, a)). Agent i's
 actions u_i are drawn from q, half uniform and half Gaussian about its policy's; all
 others do what they did in the data. a' is the target actors' action with clipped noise;
-lambda_i is the softmax over agents of tau |pi_i(o_i) - a_i|^2, as in the source's code
-for discrete actions; in that for continuous ones it is of -tau. Every second update
-each actor follows -Q_1(s, (pi_i(o_i), a_-i)) + c mean pi_i(o_i)^2 - b sum log(1 -
-pi_i(o_i)^2), over its entries. With one agent it is CQL with an actor of TD3 instead of
-SAC.
+lambda_i is the softmax over agents of tau |pi_i(o_i) - a_i|^2, as in the source's code,
+whose first version for continuous actions had -tau. Every second update each actor
+follows -Q_1(s, (pi_i(o_i), a_-i)) + c mean pi_i(o_i)^2 - b sum log(1 - pi_i(o_i)^2),
+over its entries. With one agent it is CQL with an actor of TD3 instead of SAC.
 
 What departs: the source measures the distance from the data in lambda_i by a
 variational auto-encoder, trained before. In the loss of an actor its a_-i is from the

@@ -85,11 +85,11 @@ ALGORITHMS.add(
         "several conventions to keep if all are worth the same.",
         departs="The distance from the data is a square error, in the source a "
         "variational auto-encoder's likelihood. The agents that left the data farthest "
-        "are held down most, as in the source's code for discrete actions; in its code "
-        "for continuous ones they are held down least. In the loss of an actor the "
-        "others act by their policies, see `others`. The source clips the critics' "
-        "gradients and makes five of their updates to one of the actors, here it is "
-        f"two. {BOUNDED}",
+        "are held down most, as in the source's code; its first version for continuous "
+        "actions held them down least. In the loss of an actor the others act by their "
+        "policies, see `others`. The source clips the gradients of critics and actors, "
+        "and makes five updates of critics to one of actors, here it is two. "
+        f"{BOUNDED}",
         learner=Imported("marl_mm.algorithms.cfcql:Cfcql"),
         presets=presets_of("cfcql", CfcqlConfig()),
     ),

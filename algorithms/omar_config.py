@@ -65,8 +65,9 @@ ALGORITHMS.add(
         "agent's own. They are conservative where one agent leaves the data, while "
         "actors and targets take what all do now: where several agents have left, "
         "values are not held down. An actor's own action is among the elites from the "
-        "first round, in the source it is compared at the end. The source clips the "
-        f"critics' gradients. {BOUNDED}",
+        "first round, in the source it is compared at the end. Targets have noise, and "
+        "actors follow every second update, as in TD3; the source has neither. The "
+        f"source clips the gradients of critics and actors. {BOUNDED}",
         learner=Imported("marl_mm.algorithms.omar:Omar"),
         presets=presets_of("omar", OmarConfig()),
     ),

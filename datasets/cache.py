@@ -112,7 +112,13 @@ class Key:
 
 
 def cached(key: Key) -> EpisodeArrays | None:
-    """The arrays of a dataset; None if they are not in the cache, or damaged."""
+    """The arrays of a dataset; None if they are not in the cache, or damaged.
+
+    Raises:
+        UsageError: If ``$MARL_MM_CACHE_GB`` is no number.
+    """
+    if not most_bytes():
+        return None
     path = cache_folder() / f"{key.name}.npz"
     try:
         check_regular(path, DatasetError)

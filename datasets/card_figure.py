@@ -41,9 +41,13 @@ def draw_card(
         axis.set_major_locator(MaxNLocator(integer=True))
     reached = arrays.successes()
     returns = arrays.returns()
+    low, high = returns.min(), returns.max()
+    if np.isclose(low, high):  # but for last bits
+        low, high = low - 0.5, high + 0.5
     axes[3].hist(
         [returns[reached], returns[~reached]],
         bins=30,
+        range=(low, high),
         stacked=True,
         color=(_REACHED, _MISSED),
         label=("goal reached", "missed"),
@@ -91,7 +95,8 @@ def _goals(axes: Axes, arrays: EpisodeArrays) -> None:
     state = {entry.name: entry for entry in arrays.layout.state}
     entries = [state[name] for name in arrays.layout.desired[:2]]
     names = [f"{entry.name.replace('_', ' ')} [{entry.unit}]" for entry in entries]
-    axes.set(xlabel=names[0], ylabel=names[-1])
+    axes.set_xlabel(names[0], parse_math=False)  # a unit may hold dollars
+    axes.set_ylabel(names[-1], parse_math=False)
     axes.legend(frameon=False, markerscale=8 / size)
 
 

@@ -22,6 +22,9 @@ from marl_mm.processes import importing_this, limit_memory
 
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
+_LONGEST = 10_000
+"""Largest length of an error [bytes], which a pipe holds while nobody reads."""
+
 _CODE = "from marl_mm.datasets.convert import main; main()"
 
 
@@ -48,22 +51,28 @@ def read_apart(
             "info": [*info],
             "out": str(out),
         }
-        try:
-            ended = subprocess.run(
-                [sys.executable, "-c", _CODE],
-                input=json.dumps(asked),
-                capture_output=True,
-                env={**os.environ, **importing_this(), **_ONE_THREAD},
-                timeout=reading_limits(path.stat().st_size)[0],
-                text=True,
-                check=False,
-            )
-        except subprocess.TimeoutExpired as error:
-            raise DatasetError(
-                f"{path} is damaged: reading it did not end in {error.timeout:.0f} s"
-            ) from None
-        if ended.stdout:
-            raise DatasetError(json.loads(ended.stdout))
+        complaints, end = os.pipe()  # anything may print, such as a plug-in
+        with open(complaints, encoding="utf-8") as pipe:
+            try:
+                ended = subprocess.run(
+                    [sys.executable, "-c", _CODE],
+                    input=json.dumps({**asked, "complaints": end}),
+                    capture_output=True,
+                    env={**os.environ, **importing_this(), **_ONE_THREAD},
+                    pass_fds=(end,),
+                    timeout=reading_limits(path.stat().st_size)[0],
+                    text=True,
+                    check=False,
+                )
+            except subprocess.TimeoutExpired as error:
+                raise DatasetError(
+                    f"{path} is damaged: reading it did not end in "
+                    f"{error.timeout:.0f} s"
+                ) from None
+            finally:
+                os.close(end)
+            if complaint := pipe.read():
+                raise DatasetError(complaint)
         if ended.returncode or not out.exists():
             why = f"it ended with {ended.returncode}"
             raise DatasetError(
@@ -89,7 +98,7 @@ def _hand_over(out: Path, arrays: EpisodeArrays) -> None:
 
 
 def main() -> None:
-    """Read what standard input asks for; print an error as JSON."""
+    """Read what standard input asks for; errors go to a pipe that it names."""
     asked = json.load(sys.stdin)
     path, out = Path(asked["path"]), Path(asked["out"])
     limit_memory(reading_limits(path.stat().st_size)[1])
@@ -98,8 +107,10 @@ def main() -> None:
     try:
         arrays = read_hdf5(path, asked["total"], layout, asked["info"])
         _hand_over(out, arrays)
+        return
     except DatasetError as error:
-        sys.stdout.write(json.dumps(str(error)))
+        complaint = str(error)
     except (OSError, MemoryError) as error:
         reason = str(error) or "it needs more memory than its size allows"
-        sys.stdout.write(json.dumps(f"cannot read {path}: {reason}"))
+        complaint = f"cannot read {path}: {reason}"
+    os.write(asked["complaints"], complaint.encode()[:_LONGEST])

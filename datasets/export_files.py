@@ -15,6 +15,7 @@ from marl_mm.datasets.export import (
     episode_steps,
 )
 from marl_mm.datasets.hdf5_files import write_tables
+from marl_mm.datasets.storage import env_spec
 
 _GYM = 2
 """robomimic's ``EnvType.GYM_TYPE``."""
@@ -27,7 +28,9 @@ def _robomimic(dataset: Dataset, path: Path) -> None:
     """
     joint, views = dataset.joint(), {"state": dataset.joint(), **dataset.agents()}
     about = description(dataset, "robomimic")
-    env = {"env_name": about["task"], "type": _GYM, "env_kwargs": {}}
+    spec = env_spec(dataset.provenance)
+    kwargs = {} if spec is None else spec.kwargs
+    env = {"env_name": f"marl_mm/{about['task']}", "type": _GYM, "env_kwargs": kwargs}
     groups = {"data": {"total": len(joint), "env_args": json.dumps(env)}}
     tables: Tables = {}
     for number, steps in enumerate(episode_steps(dataset)):

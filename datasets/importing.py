@@ -92,8 +92,7 @@ def read_foreign(path: Path, dataset_id: str, task: str | None = None) -> Foreig
 def _task_of(path: Path) -> str | None:
     """Name of the task in a file; reading a damaged file can crash or never end."""
     with open_hdf5(path) as file:
-        task = _metadata(path, file).get("task")
-    return task if isinstance(task, str) else None
+        return _text(_metadata(path, file), "task")
 
 
 def _read(arguments: tuple[Path, str, str]) -> tuple[EpisodeArrays, Engine | None]:
@@ -138,10 +137,25 @@ def _judged(arrays: EpisodeArrays, task: Task, path: Path) -> EpisodeArrays:
 
 def _engine(metadata: Mapping[str, Any]) -> Engine | None:
     """Engine in a file's attributes, or in our metadata beside it."""
-    engine, overrides = metadata.get("engine"), metadata.get("overrides")
+    overrides = metadata.get("overrides")
     if isinstance(overrides, Mapping):
-        engine = engine_of(overrides)
-    return engine if isinstance(engine, str) and engine in ENGINES else None
+        metadata = {"engine": engine_of(overrides)}
+    engine = _text(metadata, "engine")
+    if engine not in (None, *ENGINES):
+        raise DatasetError(
+            f"its engine is {engine!r:.60}, expected {' or '.join(ENGINES)}"
+        )
+    return engine
+
+
+def _text(metadata: Mapping[str, Any], name: str) -> str | None:
+    """A text of the metadata, which a file may hold as bytes; None without one."""
+    text = metadata.get(name)
+    if isinstance(text, bytes):
+        text = text.decode(errors="replace")
+    if not isinstance(text, str | None):
+        raise DatasetError(f"its {name} is {text!r:.60}, expected a text")
+    return text
 
 
 def _metadata(path: Path, file: Any) -> Mapping[str, Any]:

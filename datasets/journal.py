@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from marl_mm.datasets.arrays import arrays_of, load_arrays, save_arrays
-from marl_mm.datasets.location import datasets_root
+from marl_mm.datasets.location import datasets_root, found
 from marl_mm.datasets.sqlite_files import check_files, check_tables, opened_to_read
 from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError, MarlMmError
@@ -45,8 +45,8 @@ def begun() -> dict[str, int | None]:
     """
     root = datasets_root()
     counts: dict[str, int | None] = {}
-    for path in root.glob(f"**/.*.collecting/{FILE}") if root.exists() else []:
-        folder = path.parent
+    folders = (path.parent for path in found(FILE))
+    for folder in (each for each in folders if each.match(".*.collecting")):
         name = folder.with_name(folder.name[1:].removesuffix(".collecting"))
         count = None
         with suppress(MarlMmError), reading(folder) as journal:

@@ -7,6 +7,7 @@ A text such as ``marl_mm/reach/pd-v0`` is an id. The name of a recipe, such as
 
 import os
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -109,9 +110,27 @@ def find(text: str) -> Location:
 def known_ids() -> list[str]:
     """Ids of all datasets below the datasets' root, sorted."""
     root = datasets_root()
-    files = root.glob("**/data/metadata.json") if root.exists() else []
+    files = found("data/metadata.json")
     folders = (path.parent.parent.relative_to(root) for path in files)
     return sorted(f.as_posix() for f in folders if not f.name.startswith("."))
+
+
+def found(name: str) -> Iterator[Path]:
+    """Files of a name in folders below the datasets' root, and in those linked there.
+
+    Args:
+        name: Path within a folder.
+    """
+    root = datasets_root()
+    inside: dict[str, tuple[str, ...]] = {str(root.parent): ()}
+    for folder, names, _ in os.walk(root, followlinks=True):
+        real, above = os.path.realpath(folder), inside[os.path.dirname(folder)]
+        if real in above:  # links in a circle
+            names.clear()
+            continue
+        inside[folder] = (*above, real)
+        if (path := Path(folder, name)).exists():
+            yield path
 
 
 def _absolute(path: Path) -> Path:

@@ -85,8 +85,8 @@ def split(dataset: Dataset, share: float, seed: int) -> tuple[Recipe, Recipe]:
         UsageError: If the share makes no sense or there is only one episode.
     """
     count = len(dataset.arrays)
-    if not 0.0 < share < 1.0:
-        raise UsageError(f"the share is {share}, expected one between 0 and 1")
+    if not isinstance(share, float | np.floating) or not 0.0 < share < 1.0:
+        raise UsageError(f"the share is {share!r:.40}, expected one between 0 and 1")
     if count < 2:
         raise UsageError("one episode cannot be split, expected at least two")
     first = min(max(round(share * count), 1), count - 1)

@@ -58,6 +58,9 @@ ABOUT_COMPLETION = (
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
 
+_CIRCLE = "Symlink loop"
+"""Words of an error about links that lead to each other."""
+
 _UNWRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 """Errors of writing to an open file."""
 
@@ -69,6 +72,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in ("stdout", "stderr"):  # which may be closed, as for a daemon's child
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
+        with suppress(AttributeError):  # of what a program put in its place
+            getattr(sys, name).reconfigure(errors="backslashreplace")
     try:
         code = _run(words)
         sys.stdout.flush()
@@ -80,6 +85,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return 0
     except (MemoryError, RuntimeError) as error:
+        if _CIRCLE in str(error):  # before Python 3.13
+            _complain(str(error))
+            return MarlMmError.exit_code
         if not _is_memory(error):
             raise
         _complain("there is not enough memory for that: ask for less at a time")
@@ -106,6 +114,8 @@ def _run(words: list[str]) -> int:
         _print(f"marl-mm {__version__}")
         return 0
     words, sources = _without_plugins(words)
+    if words[:1] in (["-h"], ["--help"], ["--version"]):
+        return _run(words[:1])
     if words[:1] and words[0] not in (*COMMANDS, *LISTS, COMPLETION):
         choices = ", ".join((*COMMANDS, *LISTS))
         raise UsageError(f"unknown command {words[0]!r}, expected one of {choices}")

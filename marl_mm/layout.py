@@ -18,7 +18,7 @@ JOINT_NAME = "joint"
 """Name of the single actor of algorithms without agents."""
 
 _RESERVED = (
-    *(JOINT_NAME, "actor", "critic", "imitation"),
+    *(JOINT_NAME, "actor", "critic", "imitation", "flow", "value", "conservative"),
     *("state", "next_state", "rewards", "terminals", "timeouts", "episodes"),
 )
 """Names that agents may not have: logs, checkpoints and exported files use them."""

@@ -3,8 +3,9 @@
 import importlib
 import re
 import sys
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Generic, TypeVar
 
 from marl_mm.errors import UsageError, meant
@@ -21,13 +22,26 @@ _origin: list[str] = []
 """Names of the plug-ins being loaded, the innermost last."""
 
 
+_undo: list[Callable[[], None]] = []
+"""What takes back the things that plug-ins being loaded have registered."""
+
+
 @contextmanager
 def registered_by(origin: str) -> Iterator[None]:
-    """Record an origin for everything that is registered in the block."""
+    """Record an origin for everything that is registered in the block.
+
+    Nothing of it stays if the block fails.
+    """
     _origin.append(origin)
+    before = len(_undo)
     try:
         yield
+    except BaseException:
+        for undo in reversed(_undo[before:]):
+            undo()
+        raise
     finally:
+        del _undo[before:]
         _origin.pop()
 
 
@@ -86,10 +100,19 @@ class Registry(Generic[T]):
                 f"{self.kind} {name!r} of {origin} exists already, from {before}: "
                 "give it another name"
             )
+        if _origin:
+            _undo.append(partial(self._restore, name, self._things.get(name)))
         self._things[name], self._origins[name] = thing, origin
         places = [*self._order, module]
         self._places[name] = places.index(module)
         return thing
+
+    def _restore(self, name: str, thing: T | None) -> None:
+        if thing is not None:  # of the same origin
+            self._things[name] = thing
+            return
+        for kept in (self._things, self._origins, self._places):
+            kept.pop(name, None)
 
     def names(self) -> tuple[str, ...]:
         """Names of all things, the built-in ones first."""

@@ -6,6 +6,7 @@ from typing import Any
 from marl_mm.envs.tasks import grasp, reach
 from marl_mm.errors import LayoutError
 from marl_mm.layout import Layout
+from marl_mm.received import check_kind
 
 _LAYOUTS = (reach.LAYOUT, grasp.LAYOUT)
 """All layouts of version 1."""
@@ -17,7 +18,10 @@ def dataset_layout(metadata: Mapping[str, Any]) -> Layout:
     Raises:
         LayoutError: If version 1 had none with these.
     """
-    names = [*metadata.get("state", ()), *metadata.get("action", ())]
+    names: list[str] = []
+    for part in ("state", "action"):
+        check_kind(metadata.get(part), list[str], part, LayoutError)
+        names += metadata[part]
     for layout in _LAYOUTS:
         if [*layout.state_names, *layout.action_names] == names:
             return layout

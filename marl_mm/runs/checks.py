@@ -1,11 +1,14 @@
 """What stops runs before any work is done."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
+from marl_mm.algorithms.fine_tuning import FineTuning
 from marl_mm.algorithms.offline_batches import refuse_missing_terms, refuse_odd_values
 from marl_mm.algorithms.online import is_flat
-from marl_mm.algorithms.registry import ALGORITHMS
+from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.envs.registry import make_task
@@ -78,6 +81,8 @@ def _check_offline(training: Offline, dataset: Dataset, fresh: bool) -> None:
             f"`updates` is 0 and `online_steps` too, expected one of them > 0: "
             f"{training.algorithm} has nothing to learn from otherwise"
         )
+    if not online_steps:
+        _refuse_unused(training.fine_tuning, FineTuning(), "`online_steps` is 0")
     name, arrays = dataset.location.name, dataset.arrays
     if training.require_success and fresh and not arrays.successes().any():
         others = " (and `imitate` all)" if hasattr(training.config, "imitate") else ""
@@ -93,6 +98,19 @@ def _check_offline(training: Offline, dataset: Dataset, fresh: bool) -> None:
             f"{name} is of {dataset.provenance.task}, expected {task} with "
             "`online_steps`: their rewards differ"
         )
+
+
+def _refuse_unused(
+    given: Any, usual: Any, why: str, names: Sequence[str] | None = None
+) -> None:
+    """Raise where a setting is not what it is without a reason to set it."""
+    for name in names or [field.name for field in fields(usual)]:
+        value, other = (getattr(of, name, None) for of in (given, usual))
+        if value != other:
+            raise UsageError(
+                f"`{name}` is {value}, but {why}, so that it has no effect: leave it "
+                f"at {other}"
+            )
 
 
 def _check_online(training: Training, demonstrations: Dataset | None) -> None:
@@ -112,6 +130,9 @@ def _check_online(training: Training, demonstrations: Dataset | None) -> None:
             "a dataset, or leave it at 0"
         )
     if demonstrations is None:
+        usual = preset(training.algorithm, training.preset or TUNED)
+        names = "demonstration_share", "demonstration_successes"
+        _refuse_unused(training.config, usual, "there are no `demonstrations`", names)
         return
     size = getattr(training.config, "batch_size", 0)
     share = getattr(training.config, "demonstration_share", 1.0)

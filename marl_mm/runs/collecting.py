@@ -21,6 +21,7 @@ from marl_mm.envs.registry import DEFAULT, TASKS, config_dict, make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.episode import Episode
 from marl_mm.errors import (
+    DatasetError,
     HopelessError,
     MarlMmError,
     OtherConfigError,
@@ -201,7 +202,11 @@ class _Collector:
         Raises:
             UsageError: If more were asked for before.
         """
-        before = begun.get("steps_asked", 0) if self.options.resume else 0
+        before = (begun.get("steps_asked") or 0) if self.options.resume else 0
+        if not isinstance(before, int) or before < 0:
+            raise DatasetError(
+                f"{self.location.working} is damaged: steps_asked is {before!r:.40}"
+            )
         before = max(before, (stored and stored.steps_asked) or 0)
         asked = self.options.steps or before or _STEPS
         if asked < before:

@@ -16,7 +16,7 @@ from marl_mm.episode import IMPORTED
 from marl_mm.errors import UsageError
 from marl_mm.files import refuse_existing, refuse_input
 from marl_mm.runs.settings import check_positive, check_seed, with_settings
-from marl_mm.sim.config import Engine, engine_overrides
+from marl_mm.sim.config import RECORDED_ENGINE, Engine, engine_overrides
 
 Named = Dataset | str | Path
 """A dataset, its id or its path."""
@@ -166,9 +166,10 @@ def import_dataset(
             "out, as the file names its own"
         )
     longest = max(make_task(foreign.task).max_steps, int(foreign.arrays.lengths.max()))
+    engine = engine or foreign.engine or RECORDED_ENGINE
     provenance = Provenance(
         task=foreign.task,
-        overrides={"max_steps": longest, **engine_overrides(engine or foreign.engine)},
+        overrides={"max_steps": longest, **engine_overrides(engine)},
         collector=IMPORTED,
         origins={location.id: Origin(file=Path(file).name)},
     )

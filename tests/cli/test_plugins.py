@@ -359,6 +359,7 @@ def test_plugins_that_are_none_or_fail_are_told_in_one_line(
     (other / "awac.py").write_text((EXAMPLES / "awac.py").read_text() + "\n# changed\n")
     for name in ("a-b.py", "a_b.py"):
         (other / name).write_text(f"# {name}")
+    (tmp_path / "loop.py").symlink_to(tmp_path / "loop.py")
     (tmp_path / "quits.py").write_text("import sys\nsys.exit(0)\n")
     leave = sys.exit
     # As packages do that want to know how a process ends.
@@ -370,6 +371,7 @@ def test_plugins_that_are_none_or_fail_are_told_in_one_line(
             ["--plugin", "no_such_module_at_all"],
             "no plug-in 'no_such_module_at_all'",
         ),
+        (1, ["--plugin", tmp_path / "loop.py"], "Symlink loop"),
         (2, ["--plugin"], "--plugin has no value"),
         (2, ["--plugin", "--json"], "--plugin has no value"),
         (1, ["--plugin", broken], "broken.py fails: KeyError: 'oh' (line 2)"),
@@ -403,6 +405,8 @@ def test_plugins_that_are_none_or_fail_are_told_in_one_line(
         plugins.load(broken)
     with pytest.raises(UsageError):
         plugins.load("")
+    assert run("--plugin", EXAMPLES / "awac.py", "--help") == 0
+    assert "usage: marl-mm COMMAND" in capsys.readouterr().out
 
 
 def test_lists_tell_what_there_is_and_whose(capsys: pytest.CaptureFixture[str]) -> None:

@@ -56,6 +56,22 @@ def test_what_a_plugin_loads_itself_is_not_its_own() -> None:
     assert registry.origin("one") == "inner.py"
 
 
+def test_nothing_of_a_plugin_that_fails_stays() -> None:
+    """But of others that it had loaded, and what it had replaced."""
+    registry: Registry[int] = Registry("number")
+    with registered_by("plugin.py"):
+        registry.add("one", 1)
+    with pytest.raises(KeyError), registered_by("plugin.py"):
+        with registered_by("inner.py"):
+            registry.add("inner", 3)
+        registry.add("one", 10)
+        registry.add("two", 2)
+        raise KeyError
+    assert registry.items() == (("one", 1), ("inner", 3))
+    with registered_by("other.py"):
+        registry.add("two", 20)
+
+
 def test_a_name_belongs_to_who_came_first() -> None:
     registry: Registry[int] = Registry("number")
     registry.add("one", 1)

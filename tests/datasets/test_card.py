@@ -47,8 +47,11 @@ def test_returns_that_differ_in_their_last_bits_have_a_histogram(
     name = "marl_mm/reach/test-v0"
     about = Provenance(task="Reach-v0", collector="pd")
     write_dataset(locate(name), arrays_of(episodes, name), about)
-    histogram = load_dataset(name).card()["return_histogram"]
+    dataset = load_dataset(name)
+    histogram = dataset.card()["return_histogram"]
     assert sum(histogram["counts"]) == 2 and histogram["low"] < 1.2 < histogram["high"]
+    draw_card(dataset.arrays, dataset.card(), locate(name).folder / "card.png")
+    assert (locate(name).folder / "card.png").read_bytes().startswith(PNG)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import h5py
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from marl_mm.datasets.hdf5 import FILE
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
+from marl_mm.envs.goal_env import GoalEnv
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError, OutputExistsError, UsageError
@@ -155,7 +157,10 @@ def test_robomimic_has_states_and_the_agents_parts(
     with h5py.File(written(dataset, "robomimic", tmp_path)) as file:
         data = file["data"]
         assert data.attrs["total"] == sum(LENGTHS)
-        assert json.loads(data.attrs["env_args"])["env_name"] == "Reach-v0"
+        about = json.loads(data.attrs["env_args"])
+        env = gymnasium.make(about["env_name"], **about["env_kwargs"])
+        assert isinstance(env.unwrapped, GoalEnv)
+        env.close()
         demos = [data[f"demo_{number}"] for number in range(len(LENGTHS))]
         assert tuple(demo.attrs["num_samples"] for demo in demos) == LENGTHS
 

@@ -148,7 +148,7 @@ def test_schema_errors_name_key_got_and_expected(
 
 @pytest.mark.parametrize(
     ("name", "value", "code"),
-    [("engine", np.array([1, 2]), 0), ("layout", 5, 2)],
+    [("engine", np.array([1, 2]), 1), ("seed", np.array([1, 2]), 0), ("layout", 5, 2)],
 )
 def test_attributes_of_any_type_are_read(
     dataset: Path,
@@ -184,6 +184,22 @@ def test_the_task_is_the_files(
     assert run("datasets", "import", folder, "--out", "again") == 0
     assert load_dataset("again").metadata["marl_mm"]["task"] == "SmoothReach-v0"
     with h5py.File(path, "a") as file:
+        for key, text in {"task": b"SmoothReach-v0", "engine": b"mujoco"}.items():
+            file.attrs[key] = np.bytes_(text)  # as C programs write them
+    assert run("datasets", "import", path, "--out", "bytes") == 0
+    assert load_dataset("bytes").provenance.task == "SmoothReach-v0"
+    assert load_dataset("bytes").provenance.engine == "mujoco"
+    for key, value, expected in (
+        ("engine", "Mujoco", "its engine is 'Mujoco', expected bullet or mujoco"),
+        ("task", 3, "its task is"),
+    ):
+        with h5py.File(path, "a") as file:
+            file.attrs[key] = value
+        capsys.readouterr()
+        assert run("datasets", "import", path, "--out", "odd") == 1
+        assert expected in capsys.readouterr().err
+    with h5py.File(path, "a") as file:
+        file.attrs["engine"] = "bullet"
         file.attrs["task"] = "antmaze"
     capsys.readouterr()
     assert run("datasets", "import", path, "--out", "ants") == 2

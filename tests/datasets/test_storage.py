@@ -187,6 +187,18 @@ def test_nothing_is_overwritten_unasked(written: Path, episodes: list[Episode]) 
     assert [p.name for p in written.parent.iterdir() if p.name.startswith(".")] == []
 
 
+def test_linked_folders_are_listed_and_circles_are_not_walked(
+    written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As those of data on a larger disk."""
+    root = tmp_path / "another"
+    root.mkdir()
+    (root / "linked").symlink_to(written.parent)
+    (root / "back").symlink_to(root)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
+    assert known_ids() == [f"linked/{written.name}"]
+
+
 def test_overwrite_replaces_datasets_and_nothing_else(
     tmp_path: Path, episodes: list[Episode]
 ) -> None:
@@ -333,7 +345,27 @@ def test_views_share_memory_with_the_whole(written: Path) -> None:
     assert np.shares_memory(dataset.episodes[2].actions, joint.action)
 
 
-@pytest.mark.parametrize("content", ["{", "{}", "[1]", '{"marl_mm": {"schema": 99}}'])
+def test_what_is_printed_beside_the_reading_of_a_file_is_no_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written: Path
+) -> None:
+    """As an installed plug-in may greet."""
+    (tmp_path / "sitecustomize.py").write_text("print('welcome')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setenv("MARL_MM_CACHE_GB", "0")
+    assert len(load_dataset(ID).episodes) > 0
+    data = written / "data" / "main_data.hdf5"
+    data.write_bytes(data.read_bytes()[:-100])
+    with pytest.raises(DatasetError, match=str(data)):
+        _ = load_dataset(ID).episodes
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        *("{", "{}", "[1]", '{"marl_mm": {"schema": 99}}'),
+        *(f'{{"marl_mm": {{"schema": 2, "state": {x}}}}}' for x in ("5", "[1, 2]")),
+    ],
+)
 def test_foreign_or_damaged_metadata_are_named(written: Path, content: str) -> None:
     (written / "data" / "metadata.json").write_text(content)
     with pytest.raises(DatasetError, match=r"metadata.json"):
@@ -348,7 +380,7 @@ sys.path.insert(0, sys.argv[1])
 from conftest import build_episode
 from marl_mm.datasets import hdf5
 from marl_mm.datasets.arrays import arrays_of
-from marl_mm.datasets.location import locate
+from marl_mm.datasets.location import known_ids, locate
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
 

@@ -36,13 +36,15 @@ from tests.algorithms.games import NoJudge
 SMALL: dict[str, Any] = {
     **{"updates": 100, "hidden": (8, 8), "batch_size": 16, "engine": "mujoco"},
     **{"curve_every": 100, "curve_episodes": 1, "eval_episodes": 1, "max_steps": 5},
-    **{"online_every": 20, "online_cycle": 2, "precision": "highest", "logger": ()},
+    **{"precision": "highest", "logger": ()},
 }
+OWN: dict[str, Any] = {"online_every": 20, "online_cycle": 2}
 KEPT = (FILE, METRICS)
 
 
 def trained(name: str, out: Path, **settings: Any) -> Run:
-    (run,) = marl_mm.train(name, "good-5k", out=out, **SMALL | settings)
+    own = OWN if settings.get("online_steps") else {}
+    (run,) = marl_mm.train(name, "good-5k", out=out, **SMALL | own | settings)
     return run
 
 
@@ -122,7 +124,7 @@ def test_a_run_started_from_another_is_as_if_it_were_one(
 
 def online() -> dict[str, Any]:
     """What a run that starts from another does not take from it."""
-    return {name: SMALL[name] for name in ("online_every", "online_cycle", "logger")}
+    return OWN | {"logger": ()}
 
 
 @pytest.mark.slow
@@ -175,6 +177,7 @@ def test_what_cannot_go_on_is_refused_before_any_work(
     refused("online_steps is 1000000000000, expected at most", online_steps=10**12)
     refused("is of Reach-v0, expected PreciseReach-v0", task="PreciseReach-v0")
     refused("online_every is 0, expected > 0", online_every=0)
+    refused("`kept` is 0.9, but `online_steps` is 0", online_steps=0, kept=0.9)
     refused("`updates` is 0 and `online_steps` too", "rlpd", updates=0, online_steps=0)
 
 

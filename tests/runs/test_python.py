@@ -441,6 +441,15 @@ ONE = Evaluation("pd", {}, "Reach-v0", {}, 0, [ROW])
         ),
         (lambda: marl_mm.filter_dataset("good-5k", "x"), "no condition: expected an"),
         (lambda: marl_mm.split_dataset("good-5k", share=2), "the share is 2, expected"),
+        (
+            lambda: marl_mm.split_dataset("good-5k", share=cast(Any, "a")),
+            "the share is 'a', expected",
+        ),
+        (lambda: marl_mm.play(camera=cast(Any, "x")), "`camera` is 'x', expected a"),
+        (
+            lambda: marl_mm.train("ddpg", demonstration_share=0.9),
+            "0.9, but there are no `demonstrations`, so that it has no effect",
+        ),
         (lambda: marl_mm.import_dataset(cast(Any, 3), "x"), "`file` is 3, expected a"),
         (lambda: marl_mm.export("nowhere"), "nowhere"),
         (lambda: marl_mm.board(cast(Any, 3)), "3 is no submission, expected folders"),
