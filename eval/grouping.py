@@ -7,6 +7,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from marl_mm.errors import MarlMmError
+
 R = TypeVar("R", bound=Mapping[str, Any])
 
 
@@ -23,8 +25,15 @@ def grouped(rows: Sequence[R], *keys: str) -> dict[Any, list[R]]:
 
 
 def by_goal(rows: Sequence[Mapping[str, Any]], name: str) -> NDArray[np.float64]:
-    """A column in the order of seeds and goals, to be paired with other rows'."""
+    """A column in the order of seeds and goals, to be paired with other rows'.
+
+    Raises:
+        MarlMmError: If seeds have other goals, or one twice.
+    """
     ordered = sorted(rows, key=itemgetter("seed", "goal"))
+    goals = [[row["goal"] for row in own] for own in grouped(ordered, "seed").values()]
+    if any(own != goals[0] or len({*own}) < len(own) for own in goals):
+        raise MarlMmError("rows are damaged: their seeds have not the same goals, once")
     return np.array([row[name] for row in ordered], dtype=float)
 
 

@@ -56,8 +56,8 @@ def main(
     Args:
         policies: Run folders, checkpoint files, "pretrained" or names of collectors.
         suite: Suite of disturbances, each beside the clean run: actions that are late,
-            views that are lost or noisy, a frozen agent, other payload, friction and
-            engine, three strengths each. What does not apply is named.
+            views that are lost or noisy, a frozen agent, other payload and friction,
+            three strengths each, and the other engine. What does not apply is named.
         partners: Other runs of the same task: one agent of each run is replaced by that
             of each other one, for the matrix of what such teams reach.
         episodes: Number of goals: half ahead and half behind, where the task does not
