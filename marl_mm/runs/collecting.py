@@ -1,6 +1,7 @@
 """Collecting into a dataset that survives whatever stops it."""
 
 import shutil
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any
@@ -33,8 +34,10 @@ from marl_mm.files import only_here, refuse_existing
 from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.plugins import record
 from marl_mm.progress import Bar, silent_bar
+from marl_mm.received import check_kind
 from marl_mm.runs.settings import check_positive, check_seed, refuse_both
 from marl_mm.sim.config import RECORDED_ENGINE, Engine, engine_overrides
+from marl_mm.versions import versions
 from marl_mm.workers import Executor
 
 _STEPS = 10_000
@@ -174,6 +177,8 @@ class _Collector:
                 replaces = options.overwrite or bool(begun.get("replaces"))
                 stored = recorded(location) if options.resume and not replaces else None
                 steps = self._steps(begun, stored)
+                before = begun.get("packages") or (stored and stored.packages) or {}
+                packages = _all_versions(before, versions())
                 attempts: Attempts = {}
                 for source in (first, location if stored else None):
                     attempts |= self._attempts(source)
@@ -182,7 +187,7 @@ class _Collector:
                     cleaning.callback(clear, location)
                     kept = [e for e in attempts.values() if e is not None]
                     return Collection(kept, len(attempts), complete=True)
-                attempts |= self._begun(journal, steps)
+                attempts |= self._begun(journal, steps, packages)
                 try:
                     collection = self._run(journal, steps, attempts, bar)
                 except HopelessError:
@@ -190,7 +195,7 @@ class _Collector:
                         journal.begin(self.about.to_json())  # empty, it is removed
                     raise
             self._refuse_loss(collection, replaces)
-            self._write(collection, steps)
+            self._write(collection, steps, packages)
             if collection.complete:
                 cleaning.pop_all()  # the next collection's journal may be there
                 clear(location)
@@ -225,13 +230,15 @@ class _Collector:
         attempts: Attempts = dict.fromkeys(range(dataset.provenance.attempts or 0))
         return attempts | {episode.index: episode for episode in dataset.episodes}
 
-    def _begun(self, journal: Journal, steps: int) -> Attempts:
+    def _begun(
+        self, journal: Journal, steps: int, packages: Mapping[str, str]
+    ) -> Attempts:
         """Attempts in a journal; an empty one begins."""
         location, options, before = self.location, self.options, journal.about()
         if before is None:
             replaces = options.overwrite and location.folder.exists()
             more = {"steps_asked": steps, "replaces": replaces}
-            journal.begin(self.about.to_json() | more)
+            journal.begin(self.about.to_json() | more | {"packages": packages})
             return {}
         if not options.resume:
             raise OutputExistsError(
@@ -239,7 +246,7 @@ class _Collector:
                 "another `dataset` or add `overwrite=True`"
             )
         self._refuse_other(location, before)
-        journal.note({**before, "steps_asked": steps})
+        journal.note({**before, "steps_asked": steps, "packages": packages})
         return {**self._episodes(journal)}
 
     def _episodes(self, journal: Journal) -> dict[int, Episode]:
@@ -301,10 +308,13 @@ class _Collector:
                 "on with `resume=True`"
             )
 
-    def _write(self, collection: Collection, steps: int) -> None:
+    def _write(
+        self, collection: Collection, steps: int, packages: Mapping[str, str]
+    ) -> None:
         provenance = Provenance.collected(
             self.about,
             steps_asked=steps,
+            packages=packages,
             attempts=collection.attempts,
             complete=collection.complete,
         )
@@ -320,6 +330,16 @@ class _Collector:
                 f"{reason}; finished episodes are kept: make room and go on with "
                 "`resume=True`"
             ) from error
+
+
+def _all_versions(before: Any, now: Mapping[str, str]) -> dict[str, str]:
+    """Versions of the packages of those who began, and where they differ of now."""
+    check_kind(before, dict[str, str], "packages", DatasetError)
+    every = {}
+    for name, version in now.items():
+        known = before.get(name, version)
+        every[name] = known if version in known.split(", ") else f"{known}, {version}"
+    return every
 
 
 def clear(location: Location) -> None:

@@ -31,6 +31,7 @@ from marl_mm.files import only_here
 from marl_mm.policy import Policy
 from marl_mm.runs import collecting
 from marl_mm.runs.collecting import Collecting, _Collector, collect_dataset
+from marl_mm.versions import versions
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 MakeEpisode = Callable[..., Episode]
@@ -336,6 +337,30 @@ def test_what_is_asked_for_counts_when_python_goes_on(tmp_path: Path) -> None:
             marl_mm.collect("pd", **again | asked)
     more = marl_mm.collect("pd", **again)
     assert more.arrays.steps >= 20 and more.provenance.task == "SmoothReach-v0"
+
+
+def test_episodes_of_other_versions_are_not_taken_for_those_of_now(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether the collection was stopped, or is to be longer."""
+    made: dict[str, Any] = {"dataset": tmp_path / "data", "workers": 1}
+    marl_mm.collect("random", steps=5, max_steps=5, engine="mujoco", **made)
+    now = versions()
+    monkeypatch.setattr(collecting, "versions", lambda: now | {"numpy": "9.9.9"})
+    for steps in (10, 15):
+        more = marl_mm.collect("random", steps=steps, resume=True, **made)
+        assert more.provenance.packages is not None
+        both = {**more.provenance.packages}
+        assert both.pop("numpy") == f"{now['numpy']}, 9.9.9"
+        assert both.items() <= now.items()
+    location = locate(str(tmp_path / "stopped"))
+    options = Collecting(steps=5, max_steps=5, workers=1, resume=True, engine="mujoco")
+    with Journal(location.working) as journal:
+        work = _Collector(location, "random", RandomConfig(), options)
+        journal.begin(work.about.to_json() | {"packages": now | {"numpy": "1.0"}})
+    collect_dataset(location, "random", RandomConfig(), options)
+    packages = load_dataset(location).provenance.packages
+    assert packages is not None and packages["numpy"] == "1.0, 9.9.9"
 
 
 def test_another_agent_does_not_go_on(
