@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import gymnasium
 import numpy as np
-from gymnasium import spaces
+from gymnasium import logger, spaces
 
 from marl_mm.envs.arguments import (
     RENDER_MODES,
@@ -60,6 +60,7 @@ class GoalEnv(gymnasium.Env[GoalObservation, np.ndarray]):
         self.task = make_task(task, overrides)
         self.metadata = render_metadata(self.task)
         self.core = EpisodeCore(self.task, visual=render_mode is not None)
+        self._over = False
         layout = self.task.layout
         self.observation_space = cast(
             spaces.Space[GoalObservation], goal_observation_space(layout)
@@ -84,13 +85,20 @@ class GoalEnv(gymnasium.Env[GoalObservation, np.ndarray]):
         goal = checked_options(options, self.task.layout).get("goal")
         super().reset(seed=checked_seed(seed))
         state = self.core.reset(self.np_random, goal)
+        self._over = False
         return goal_observation(state, self.task.layout), {}
 
     def step(
         self, action: np.ndarray
     ) -> tuple[GoalObservation, float, bool, bool, dict[str, Any]]:
-        """Act for one step; see ``EpisodeCore.step``."""
+        """Act for one step; see ``EpisodeCore.step``.
+
+        After an episode's end it warns, as Gymnasium's own environments do.
+        """
+        if self._over:
+            logger.warn("step() was called after the episode's end: call reset()")
         state, reward, terminated, truncated, info = self.core.step(action)
+        self._over = terminated or truncated
         observation = goal_observation(state, self.task.layout)
         return observation, reward, terminated, truncated, info
 

@@ -298,6 +298,8 @@ def test_reaching_terminates_and_time_truncates(task: str) -> None:
     env.reset(seed=0)
     ends = [env.step(still)[2:4] for _ in range(2)]
     assert ends == [(False, False), (False, True)]
+    with pytest.warns(UserWarning, match="after the episode's end: call reset"):
+        env.step(still)
     env.close()
 
 
