@@ -37,6 +37,10 @@ from marl_mm.algorithms.statistics import RunningStatistics
 from marl_mm.episode import Episode
 from marl_mm.layout import AgentLayout, Layout
 
+_FAR = 10.0
+"""Mean distance of what is reached from the goals, in their standard deviations, from
+which it counts for their scale."""
+
 
 class Ddpg:
     """One actor and one critic, which learn from episodes as they come.
@@ -67,6 +71,7 @@ class Ddpg:
         self.episodes += 1
         self.env_steps += len(episode)
         self._statistics.add(episode.states)
+        self._reached.add(episode.states[:, self.layout.achieved])
 
     # --- Update --------------------------------------------------------------
 
@@ -141,6 +146,7 @@ class Ddpg:
         self._shown = round(share * config.batch_size)  # at the end of each batch
         self._rng = np.random.default_rng(seed)
         self._statistics = RunningStatistics(len(layout.state), config.std_floor)
+        self._reached = RunningStatistics(len(layout.desired), config.std_floor)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.critic = Critic(
@@ -196,11 +202,26 @@ class Ddpg:
     def _set_statistics(self) -> None:
         """Set the input statistics of all networks to those of the experience."""
         mean, std = self._statistics.mean, self._statistics.std
+        if self.config.hindsight:
+            self._reach(mean, std)
         for critic in (self.critic, self._target_critic):
             critic.normalizer.set(mean, std)
         for agent in (*self.agents.values(), *self._target_agents.values()):
             entries = list(agent.layout.observation)
             agent.actor.normalizer.set(mean[entries], std[entries])
+
+    def _reach(self, mean: torch.Tensor, std: torch.Tensor) -> None:
+        """Scale a goal by what is reached, too, where that is far from all goals.
+
+        In hindsight it becomes the goal, and would be up to hundreds of deviations away
+        where goals hardly differ. Ours; Andrychowicz 2017 scales all exchanged goals.
+        """
+        goal, other = self.layout.goal, self._reached
+        gap, spread = other.mean - mean[goal], std[goal].square()
+        far = other.std.square() + gap.square() > _FAR**2 * spread
+        both = (spread + other.std.square()) / 2 + (gap / 2).square()
+        mean[goal] = torch.where(far, mean[goal] + gap / 2, mean[goal])
+        std[goal] = torch.where(far, both.sqrt(), std[goal])
 
     @torch.no_grad()
     def diagnose(self) -> dict[str, float]:
@@ -237,6 +258,7 @@ class Ddpg:
             "actor_optimizer": self._actor_optimizer.state_dict(),
             "critic_optimizer": self._critic_optimizer.state_dict(),
             "statistics": self._statistics.state(),
+            "reached": self._reached.state(),
             "replay": self.replay.state(),
             "rng": json.dumps(self._rng.bit_generator.state),
         }
@@ -254,5 +276,7 @@ class Ddpg:
         self._actor_optimizer.load_state_dict(state["actor_optimizer"])
         self._critic_optimizer.load_state_dict(state["critic_optimizer"])
         self._statistics.load_state(state["statistics"])
+        if "reached" in state:  # which older ones lack
+            self._reached.load_state(state["reached"])
         self.replay.load_state(state["replay"])
         self._rng.bit_generator.state = json.loads(state["rng"])

@@ -179,7 +179,10 @@ ALGORITHMS.add(
         advice="Without data, where one actor may see everything and chance comes to "
         "goals of some kind: it comes to 95 % of those of `Reach-v0` in about a "
         "hundred episodes. With its presets it grasps nothing.",
-        departs="As DDPG: of its numbers only the shorter warm-up counts.",
+        departs="As DDPG: of its numbers only the shorter warm-up counts. Inputs are "
+        "scaled by the goals that were set, in the source by exchanged ones, too. "
+        "Where what is reached is on the average more than 10 of their deviations "
+        "away, as in the tasks of teams, it counts as much as they do.",
         learner=Imported("marl_mm.algorithms.ddpg:Ddpg"),
         presets={TUNED: DdpgConfig(), PAPER: DdpgConfig(**TABLE_2)},
         online=True,

@@ -49,7 +49,7 @@ ALGORITHMS.add(
         "`Reach-v0` it needs hardly more episodes than DDPG + HER, and its alpha is "
         "worth as much. On grasping it was not tried.",
         departs="The agents share one reward, hence one critic, of which the source "
-        "has one for each agent. Otherwise as DDPG.",
+        "has one for each agent. Otherwise as DDPG + HER.",
         learner=Imported("marl_mm.algorithms.maddpg:Maddpg"),
         presets={TUNED: MaddpgConfig(), PAPER: _PAPER},
         online=True,

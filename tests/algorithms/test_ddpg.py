@@ -356,6 +356,35 @@ def test_running_statistics_are_those_of_everything_at_once() -> None:
     assert statistics.std[1] == pytest.approx(0.01)
 
 
+@pytest.mark.parametrize(("spread", "far"), [(0.5, False), (0.01, True)])
+def test_goals_that_hardly_differ_are_scaled_by_what_is_reached(
+    spread: float, far: bool, make_episode: MakeEpisode
+) -> None:
+    """As those of QuietZone-v0 do along x; in Reach-v0 they differ enough."""
+    rng, learner = np.random.default_rng(0), Ddpg(DdpgConfig(), JUDGE, 0, (), REACH)
+    seen = []
+    for number in range(200):
+        episode = make_episode(number)
+        episode.states[:, REACH.goal] = 3.0 + spread * rng.normal(size=3)
+        learner.observe(episode)
+        seen.append(episode.states)
+    learner.learn(1)
+    states = np.concatenate(seen)
+    goals, reached = states[:, REACH.goal], states[:, REACH.achieved]
+    scaled_by = np.concatenate([goals, reached]) if far else goals
+    normalizer = learner.critic.normalizer
+    for place, (mean, std) in enumerate(
+        zip(scaled_by.mean(axis=0), scaled_by.std(axis=0), strict=True)
+    ):
+        column = range(len(REACH.state))[REACH.goal][place]
+        assert normalizer.mean[column] == pytest.approx(mean, rel=1e-5)
+        assert normalizer.std[column] == pytest.approx(std, rel=1e-5)
+    rest = np.delete(states, REACH.goal, axis=1).std(axis=0)
+    np.testing.assert_allclose(
+        np.delete(normalizer.std.numpy(), REACH.goal), rest, rtol=1e-5
+    )
+
+
 def test_a_joint_actor_cannot_act_for_agents(episodes: list[Episode]) -> None:
     policy = LearnedPolicy("ddpg", taught(Ddpg, KINDS[0][1], episodes).agents, REACH)
     with pytest.raises(UsageError, match="one joint actor"):
