@@ -37,9 +37,10 @@ from marl_mm.algorithms.statistics import RunningStatistics
 from marl_mm.episode import Episode
 from marl_mm.layout import AgentLayout, Layout
 
-_FAR = 10.0
+_FAR = 20.0
 """Mean distance of what is reached from the goals, in their standard deviations, from
-which it counts for their scale."""
+which it counts for their scale: before learning 1 to 5 in tasks of one robot that
+reaches, 37 to 300 in those of teams."""
 
 
 class Ddpg:

@@ -181,7 +181,7 @@ ALGORITHMS.add(
         "hundred episodes. With its presets it grasps nothing.",
         departs="As DDPG: of its numbers only the shorter warm-up counts. Inputs are "
         "scaled by the goals that were set, in the source by exchanged ones, too. "
-        "Where what is reached is on the average more than 10 of their deviations "
+        "Where what is reached is on the average more than 20 of their deviations "
         "away, as in the tasks of teams, it counts as much as they do.",
         learner=Imported("marl_mm.algorithms.ddpg:Ddpg"),
         presets={TUNED: DdpgConfig(), PAPER: DdpgConfig(**TABLE_2)},
