@@ -38,9 +38,9 @@ from marl_mm.episode import Episode
 from marl_mm.layout import AgentLayout, Layout
 
 _FAR = 20.0
-"""Mean distance of what is reached from the goals, in their standard deviations, from
-which it counts for their scale: before learning 1 to 5 in tasks of one robot that
-reaches, 37 to 300 in those of teams."""
+"""Root mean square distance of what is reached from the mean goal along an axis, in
+standard deviations of the goals, from which it counts for that axis' scale: before
+learning up to 5 in Reach-v0 and its kin, 37 to 300 where all goals are as far ahead."""
 
 
 class Ddpg:
@@ -72,7 +72,8 @@ class Ddpg:
         self.episodes += 1
         self.env_steps += len(episode)
         self._statistics.add(episode.states)
-        self._reached.add(episode.states[:, self.layout.achieved])
+        if self._reached is not None:
+            self._reached.add(episode.states[:, self.layout.achieved])
 
     # --- Update --------------------------------------------------------------
 
@@ -147,7 +148,9 @@ class Ddpg:
         self._shown = round(share * config.batch_size)  # at the end of each batch
         self._rng = np.random.default_rng(seed)
         self._statistics = RunningStatistics(len(layout.state), config.std_floor)
-        self._reached = RunningStatistics(len(layout.desired), config.std_floor)
+        self._reached: RunningStatistics | None = None
+        if config.hindsight:
+            self._reached = RunningStatistics(len(layout.desired), config.std_floor)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.critic = Critic(
@@ -203,21 +206,28 @@ class Ddpg:
     def _set_statistics(self) -> None:
         """Set the input statistics of all networks to those of the experience."""
         mean, std = self._statistics.mean, self._statistics.std
-        if self.config.hindsight:
-            self._reach(mean, std)
+        if self._reached is not None:
+            self._scale_by(self._reached, mean, std)
         for critic in (self.critic, self._target_critic):
             critic.normalizer.set(mean, std)
         for agent in (*self.agents.values(), *self._target_agents.values()):
             entries = list(agent.layout.observation)
             agent.actor.normalizer.set(mean[entries], std[entries])
 
-    def _reach(self, mean: torch.Tensor, std: torch.Tensor) -> None:
-        """Scale a goal by what is reached, too, where that is far from all goals.
+    def _scale_by(
+        self, other: RunningStatistics, mean: torch.Tensor, std: torch.Tensor
+    ) -> None:
+        """Scale goals by what is reached, too, along axes where that is far from them.
 
         In hindsight it becomes the goal, and would be up to hundreds of deviations away
         where goals hardly differ. Ours; Andrychowicz 2017 scales all exchanged goals.
+
+        Args:
+            other: Statistics of what is reached.
+            mean: Means of the inputs, which change.
+            std: Standard deviations of the inputs, which change.
         """
-        goal, other = self.layout.goal, self._reached
+        goal = self.layout.goal
         gap, spread = other.mean - mean[goal], std[goal].square()
         far = other.std.square() + gap.square() > _FAR**2 * spread
         both = (spread + other.std.square()) / 2 + (gap / 2).square()
@@ -259,7 +269,7 @@ class Ddpg:
             "actor_optimizer": self._actor_optimizer.state_dict(),
             "critic_optimizer": self._critic_optimizer.state_dict(),
             "statistics": self._statistics.state(),
-            "reached": self._reached.state(),
+            **({"reached": self._reached.state()} if self._reached else {}),
             "replay": self.replay.state(),
             "rng": json.dumps(self._rng.bit_generator.state),
         }
@@ -277,7 +287,9 @@ class Ddpg:
         self._actor_optimizer.load_state_dict(state["actor_optimizer"])
         self._critic_optimizer.load_state_dict(state["critic_optimizer"])
         self._statistics.load_state(state["statistics"])
-        if "reached" in state:  # which older ones lack
+        if "reached" not in state:  # as older ones, which go on as they began
+            self._reached = None
+        elif self._reached is not None:
             self._reached.load_state(state["reached"])
         self.replay.load_state(state["replay"])
         self._rng.bit_generator.state = json.loads(state["rng"])

@@ -181,8 +181,9 @@ ALGORITHMS.add(
         "hundred episodes. With its presets it grasps nothing.",
         departs="As DDPG: of its numbers only the shorter warm-up counts. Inputs are "
         "scaled by the goals that were set, in the source by exchanged ones, too. "
-        "Where what is reached is on the average more than 20 of their deviations "
-        "away, as in the tasks of teams, it counts as much as they do.",
+        "Along an axis where what is reached is more than 20 of their deviations away, "
+        "both count alike: that is where all goals are at the same distance, as in "
+        "most tasks of teams.",
         learner=Imported("marl_mm.algorithms.ddpg:Ddpg"),
         presets={TUNED: DdpgConfig(), PAPER: DdpgConfig(**TABLE_2)},
         online=True,

@@ -112,7 +112,7 @@ class Key:
 
 
 def cached(key: Key) -> EpisodeArrays | None:
-    """The arrays of a dataset; None if they are not in the cache, or damaged.
+    """The arrays of a dataset; None if they are not there, or damaged, or 0 GB may be.
 
     Raises:
         UsageError: If ``$MARL_MM_CACHE_GB`` is no number.

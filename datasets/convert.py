@@ -10,6 +10,7 @@ import resource
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -51,28 +52,30 @@ def read_apart(
             "info": [*info],
             "out": str(out),
         }
-        complaints, end = os.pipe()  # anything may print, such as a plug-in
-        with open(complaints, encoding="utf-8") as pipe:
-            try:
-                ended = subprocess.run(
-                    [sys.executable, "-c", _CODE],
-                    input=json.dumps({**asked, "complaints": end}),
-                    capture_output=True,
-                    env={**os.environ, **importing_this(), **_ONE_THREAD},
-                    pass_fds=(end,),
-                    timeout=reading_limits(path.stat().st_size)[0],
-                    text=True,
-                    check=False,
-                )
-            except subprocess.TimeoutExpired as error:
-                raise DatasetError(
-                    f"{path} is damaged: reading it did not end in "
-                    f"{error.timeout:.0f} s"
-                ) from None
-            finally:
-                os.close(end)
-            if complaint := pipe.read():
-                raise DatasetError(complaint)
+        # Anything may print to the usual files, such as a plug-in.
+        complaints, end = os.pipe()
+        os.set_blocking(complaints, False)
+        try:
+            ended = subprocess.run(
+                [sys.executable, "-c", _CODE],
+                input=json.dumps({**asked, "complaints": end}),
+                capture_output=True,
+                env={**os.environ, **importing_this(), **_ONE_THREAD},
+                pass_fds=(end,),
+                timeout=reading_limits(path.stat().st_size)[0],
+                text=True,
+                check=False,
+            )
+            with suppress(BlockingIOError):  # there is none
+                complaint = os.read(complaints, _LONGEST)
+                raise DatasetError(complaint.decode(errors="surrogateescape"))
+        except subprocess.TimeoutExpired as error:
+            raise DatasetError(
+                f"{path} is damaged: reading it did not end in {error.timeout:.0f} s"
+            ) from None
+        finally:
+            os.close(complaints)
+            os.close(end)
         if ended.returncode or not out.exists():
             why = f"it ended with {ended.returncode}"
             raise DatasetError(
@@ -113,4 +116,5 @@ def main() -> None:
     except (OSError, MemoryError) as error:
         reason = str(error) or "it needs more memory than its size allows"
         complaint = f"cannot read {path}: {reason}"
-    os.write(asked["complaints"], complaint.encode()[:_LONGEST])
+    text = complaint.encode(errors="surrogateescape")
+    os.write(asked["complaints"], text[:_LONGEST])

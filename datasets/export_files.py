@@ -30,7 +30,8 @@ def _robomimic(dataset: Dataset, path: Path) -> None:
     about = description(dataset, "robomimic")
     spec = env_spec(dataset.provenance)
     kwargs = {} if spec is None else spec.kwargs
-    env = {"env_name": f"marl_mm/{about['task']}", "type": _GYM, "env_kwargs": kwargs}
+    name = f"marl_mm:marl_mm/{about['task']}"
+    env = {"env_name": name, "type": _GYM, "env_kwargs": kwargs}
     groups = {"data": {"total": len(joint), "env_args": json.dumps(env)}}
     tables: Tables = {}
     for number, steps in enumerate(episode_steps(dataset)):

@@ -25,7 +25,7 @@ from marl_mm.received import (
     read_json,
     refuse_links_out,
 )
-from marl_mm.sim.config import ENGINES, Engine, engine_of
+from marl_mm.sim.config import engine_of
 from marl_mm.version1 import dataset_layout
 from marl_mm.workers import apart
 
@@ -40,8 +40,9 @@ class Foreign:
     task: str
     """Registered name of the task whose rewards these are."""
 
-    engine: Engine | None
-    """Engine of the simulation; None where the file names none."""
+    engine: str | None
+    """Engine that the file names, whether there is one of the name here or not; None
+    where it names none."""
 
 
 def read_foreign(path: Path, dataset_id: str, task: str | None = None) -> Foreign:
@@ -95,7 +96,7 @@ def _task_of(path: Path) -> str | None:
         return _text(_metadata(path, file), "task")
 
 
-def _read(arguments: tuple[Path, str, str]) -> tuple[EpisodeArrays, Engine | None]:
+def _read(arguments: tuple[Path, str, str]) -> tuple[EpisodeArrays, str | None]:
     """Episodes and engine of a file; arguments: path, the dataset's id, the task."""
     path, dataset_id, name = arguments
     task = make_task(name)
@@ -135,17 +136,12 @@ def _judged(arrays: EpisodeArrays, task: Task, path: Path) -> EpisodeArrays:
     return replace(arrays, info={**arrays.info, "is_success": success})
 
 
-def _engine(metadata: Mapping[str, Any]) -> Engine | None:
+def _engine(metadata: Mapping[str, Any]) -> str | None:
     """Engine in a file's attributes, or in our metadata beside it."""
     overrides = metadata.get("overrides")
     if isinstance(overrides, Mapping):
         metadata = {"engine": engine_of(overrides)}
-    engine = _text(metadata, "engine")
-    if engine not in (None, *ENGINES):
-        raise DatasetError(
-            f"its engine is {engine!r:.60}, expected {' or '.join(ENGINES)}"
-        )
-    return engine
+    return _text(metadata, "engine")
 
 
 def _text(metadata: Mapping[str, Any], name: str) -> str | None:

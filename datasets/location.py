@@ -129,8 +129,8 @@ def found(name: str) -> Iterator[Path]:
             names.clear()
             continue
         inside[folder] = (*above, real)
-        if (path := Path(folder, name)).exists():
-            yield path
+        if os.path.exists(path := os.path.join(folder, name)):  # and may be looked at
+            yield Path(path)
 
 
 def _absolute(path: Path) -> Path:

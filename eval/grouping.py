@@ -33,7 +33,9 @@ def by_goal(rows: Sequence[Mapping[str, Any]], name: str) -> NDArray[np.float64]
     ordered = sorted(rows, key=itemgetter("seed", "goal"))
     goals = [[row["goal"] for row in own] for own in grouped(ordered, "seed").values()]
     if any(own != goals[0] or len({*own}) < len(own) for own in goals):
-        raise MarlMmError("rows are damaged: their seeds have not the same goals, once")
+        raise MarlMmError(
+            "rows are damaged: their seeds do not all have the same goals, each once"
+        )
     return np.array([row[name] for row in ordered], dtype=float)
 
 

@@ -65,9 +65,9 @@ def load(source: str | Path) -> Plugin:
         raise UsageError(f"no plug-in {text}: expected FILE.py, or a module's name")
     name = Path(text).name if is_file else text
     if is_file:
-        path = Path(text).resolve()
-        if not path.is_file():
+        if not Path(text).is_file():
             raise UsageError(f"no plug-in {text}: expected a file, or a module's name")
+        path = Path(text).resolve()
         text = str(path)
         digest = _sha256(path)
         for plugin in _loaded.values():

@@ -22,23 +22,26 @@ _origin: list[str] = []
 """Names of the plug-ins being loaded, the innermost last."""
 
 
-_undo: list[Callable[[], None]] = []
-"""What takes back the things that plug-ins being loaded have registered."""
+_undo: list[tuple[str, Callable[[], None]]] = []
+"""Modules that have registered things of plug-ins being loaded, and what takes each of
+these back."""
 
 
 @contextmanager
 def registered_by(origin: str) -> Iterator[None]:
     """Record an origin for everything that is registered in the block.
 
-    Nothing of it stays if the block fails.
+    If the block fails, nothing of it stays registered.
     """
     _origin.append(origin)
-    before = len(_undo)
+    before, there = len(_undo), set(sys.modules)
     try:
         yield
     except BaseException:
-        for undo in reversed(_undo[before:]):
+        for module, undo in reversed(_undo[before:]):
             undo()
+            if module not in there:  # a second attempt has to run it again
+                sys.modules.pop(module, None)
         raise
     finally:
         del _undo[before:]
@@ -100,8 +103,9 @@ class Registry(Generic[T]):
                 f"{self.kind} {name!r} of {origin} exists already, from {before}: "
                 "give it another name"
             )
-        if _origin:
-            _undo.append(partial(self._restore, name, self._things.get(name)))
+        if _origin and not inner:  # modules of the package stay imported
+            undo = partial(self._restore, name, self._things.get(name))
+            _undo.append((module, undo))
         self._things[name], self._origins[name] = thing, origin
         places = [*self._order, module]
         self._places[name] = places.index(module)

@@ -36,6 +36,9 @@ from marl_mm.versions import engine_text
 _ADVICE = "name another folder with `out`"
 """Advice if rows are of runs with another config."""
 
+_ANY = {"packages", "precision"}
+"""Values of records in which the seeds of a cell may differ."""
+
 _CURVES = ".curve.csv.xz"
 """Suffix of files with a cell's learning curves."""
 
@@ -183,9 +186,11 @@ class RowStore:
         if config["dataset"]:
             config["dataset"] = _bytes_of(config["dataset"])
         if {row["seed"] for row in rows} - set(runs):  # others stay, of the same
-            path, before = self._path(cell, ".json"), self._record(cell)
-            same = {k: v for k, v in config.items() if k in before and k != "packages"}
-            refuse_other_config(path, before, same, _ADVICE)
+            begun, now = (
+                with_added(of, cell[1].config) for of in (self._record(cell), config)
+            )
+            same = {k: now[k] for k in now.keys() & begun.keys() - _ANY}
+            refuse_other_config(self._path(cell, ".json"), begun, same, _ADVICE)
         ends = {s: u for s, u in self.diverged(cell).items() if s not in runs}
         for seed, run in runs.items():
             if (step := diverged_at(run, config)) is not None:

@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 
+from marl_mm.envs.arguments import refuse_copies
 from marl_mm.envs.parallel import AgentDict, join_actions, split_state
 from marl_mm.envs.registry import DEFAULT
 from marl_mm.envs.slots import Backend
@@ -54,6 +55,8 @@ class TeamVector:
         self.observation_spaces = _batched(self.single_observation_spaces, n)
         self.action_spaces = _batched(self.single_action_spaces, n)
         self.state_space = self.vector.single_observation_space
+
+    __reduce__ = refuse_copies
 
     @property
     def unwrapped(self) -> "TeamVector":

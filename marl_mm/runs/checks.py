@@ -49,12 +49,12 @@ def check_training(
         OtherConfigError: If a run to resume was made otherwise.
     """
     check_positive(curve_episodes=training.curve_episodes)
+    fresh = not all(goes_on(run, training) for run in runs.values())
     if isinstance(training, Offline):
         assert dataset is not None
-        fresh = not all(goes_on(run, training) for run in runs.values())
         _check_offline(training, dataset, fresh)
     else:
-        _check_online(training, dataset)
+        _check_online(training, dataset, fresh)
     for seed, run in runs.items():
         config = run_config(training, dataset, seed)
         check_run(run, config, training, further)
@@ -81,7 +81,7 @@ def _check_offline(training: Offline, dataset: Dataset, fresh: bool) -> None:
             f"`updates` is 0 and `online_steps` too, expected one of them > 0: "
             f"{training.algorithm} has nothing to learn from otherwise"
         )
-    if not online_steps:
+    if fresh and not online_steps:
         _refuse_unused(training.fine_tuning, FineTuning(), "`online_steps` is 0")
     name, arrays = dataset.location.name, dataset.arrays
     if training.require_success and fresh and not arrays.successes().any():
@@ -103,7 +103,7 @@ def _check_offline(training: Offline, dataset: Dataset, fresh: bool) -> None:
 def _refuse_unused(
     given: Any, usual: Any, why: str, names: Sequence[str] | None = None
 ) -> None:
-    """Raise where a setting is not what it is without a reason to set it."""
+    """Raise for a setting that was changed though it has no effect."""
     for name in names or [field.name for field in fields(usual)]:
         value, other = (getattr(of, name, None) for of in (given, usual))
         if value != other:
@@ -113,7 +113,9 @@ def _refuse_unused(
             )
 
 
-def _check_online(training: Training, demonstrations: Dataset | None) -> None:
+def _check_online(
+    training: Training, demonstrations: Dataset | None, fresh: bool
+) -> None:
     assert isinstance(training, Online)
     task = make_task(training.task, training.overrides)
     longest = task.max_steps
@@ -132,7 +134,9 @@ def _check_online(training: Training, demonstrations: Dataset | None) -> None:
     if demonstrations is None:
         usual = preset(training.algorithm, training.preset or TUNED)
         names = "demonstration_share", "demonstration_successes"
-        _refuse_unused(training.config, usual, "there are no `demonstrations`", names)
+        if fresh:
+            why = "there are no `demonstrations`"
+            _refuse_unused(training.config, usual, why, names)
         return
     size = getattr(training.config, "batch_size", 0)
     share = getattr(training.config, "demonstration_share", 1.0)

@@ -177,7 +177,8 @@ class _Collector:
                 replaces = options.overwrite or bool(begun.get("replaces"))
                 stored = recorded(location) if options.resume and not replaces else None
                 steps = self._steps(begun, stored)
-                before = begun.get("packages") or (stored and stored.packages) or {}
+                beside = stored or (recorded(first) if first else None)
+                before = begun.get("packages") or (beside and beside.packages) or {}
                 packages = _all_versions(before, versions())
                 attempts: Attempts = {}
                 for source in (first, location if stored else None):
@@ -333,7 +334,7 @@ class _Collector:
 
 
 def _all_versions(before: Any, now: Mapping[str, str]) -> dict[str, str]:
-    """Versions of the packages of those who began, and where they differ of now."""
+    """Versions by package: those that it began with, and where they differ of now."""
     check_kind(before, dict[str, str], "packages", DatasetError)
     every = {}
     for name, version in now.items():

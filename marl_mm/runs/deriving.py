@@ -16,7 +16,7 @@ from marl_mm.episode import IMPORTED
 from marl_mm.errors import UsageError
 from marl_mm.files import refuse_existing, refuse_input
 from marl_mm.runs.settings import check_positive, check_seed, with_settings
-from marl_mm.sim.config import RECORDED_ENGINE, Engine, engine_overrides
+from marl_mm.sim.config import ENGINES, RECORDED_ENGINE, Engine, engine_overrides
 
 Named = Dataset | str | Path
 """A dataset, its id or its path."""
@@ -160,13 +160,19 @@ def import_dataset(
         raise UsageError(f"`file` is {file!r:.80}, expected a file or a folder")
     location = _free(out, overwrite, Path(file))
     foreign = read_foreign(Path(file), location.id, task)
-    if engine and foreign.engine not in (None, engine):
+    named = foreign.engine if foreign.engine in ENGINES else None
+    if engine and named not in (None, engine):
         raise UsageError(
-            f"{file} is of engine {foreign.engine}, `engine` is {engine!r}: leave it "
-            "out, as the file names its own"
+            f"{file} is of engine {named}, `engine` is {engine!r}: leave it out, as "
+            "the file names its own"
+        )
+    if engine is None and foreign.engine is not None and named is None:
+        raise UsageError(
+            f"{file} is of engine {foreign.engine!r:.60}, expected "
+            f"{' or '.join(ENGINES)}: give `engine`"
         )
     longest = max(make_task(foreign.task).max_steps, int(foreign.arrays.lengths.max()))
-    engine = engine or foreign.engine or RECORDED_ENGINE
+    engine = engine or named or RECORDED_ENGINE
     provenance = Provenance(
         task=foreign.task,
         overrides={"max_steps": longest, **engine_overrides(engine)},

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -169,6 +170,9 @@ def verify(
     submission = folder if isinstance(folder, Submission) else read_submission(folder)
     file = verification_file(submission.folder)
     refuse_existing(file, overwrite=True)
+    earlier = None
+    with suppress(SubmissionError):  # a damaged one is replaced
+        earlier = read_verification(submission)
     pairs = _scored_again(submission, begun + 60 * minutes, seed, workers, progress)
     every = [pair for each in pairs for pair in each]
     claimed, again = (
@@ -193,7 +197,7 @@ def verify(
         versions(),
         machine(),
     )
-    if (earlier := read_verification(submission)) and _stands(earlier, result):
+    if earlier is not None and _stands(earlier, result):
         kept = f"{earlier['verdict']}, {earlier['scored']} scored before"
         return replace(result, notes=(*result.notes, f"kept on record: {kept}"))
     write_json(file, asdict(result))

@@ -371,7 +371,7 @@ def test_plugins_that_are_none_or_fail_are_told_in_one_line(
             ["--plugin", "no_such_module_at_all"],
             "no plug-in 'no_such_module_at_all'",
         ),
-        (1, ["--plugin", tmp_path / "loop.py"], "Symlink loop"),
+        (2, ["--plugin", tmp_path / "loop.py"], "no plug-in"),
         (2, ["--plugin"], "--plugin has no value"),
         (2, ["--plugin", "--json"], "--plugin has no value"),
         (1, ["--plugin", broken], "broken.py fails: KeyError: 'oh' (line 2)"),

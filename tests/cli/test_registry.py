@@ -72,6 +72,44 @@ def test_nothing_of_a_plugin_that_fails_stays() -> None:
         registry.add("two", 20)
 
 
+def test_what_a_failed_plugin_made_the_package_import_stays(tmp_path: Path) -> None:
+    code = """
+import pathlib, sys
+from marl_mm import plugins
+from marl_mm.algorithms.registry import ALGORITHMS
+from marl_mm.envs.registry import TASKS
+from marl_mm.errors import PluginError
+
+folder = pathlib.Path(sys.argv[1])
+try:
+    plugins.load(folder / "plug.py")
+except PluginError as error:
+    print(error)
+print("mabc" in ALGORITHMS, "Mine-v0" in TASKS)
+(folder / "plug.py").write_text("import helper_of_mine")
+plugins.load(folder / "plug.py")
+print("Mine-v0" in TASKS)
+"""
+    (tmp_path / "helper_of_mine.py").write_text(
+        "from marl_mm.envs import register_task\n"
+        "from marl_mm.envs.tasks.reach import Reach\n"
+        "register_task('Mine-v0', Reach())\n"
+    )
+    (tmp_path / "plug.py").write_text(
+        "import helper_of_mine\n"
+        "from marl_mm.algorithms.registry import ALGORITHMS\n"
+        "raise KeyError(len(ALGORITHMS.names()))\n"
+    )
+    printed = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.splitlines()
+    assert "plug.py fails: KeyError" in printed[0]
+    assert printed[1:] == ["True False", "True"]
+
+
 def test_a_name_belongs_to_who_came_first() -> None:
     registry: Registry[int] = Registry("number")
     registry.add("one", 1)

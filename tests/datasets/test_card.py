@@ -4,6 +4,7 @@ import base64
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -62,7 +63,11 @@ def test_names_of_strangers_are_text(shipped: Dataset, tmp_path: Path) -> None:
     page = shipped._repr_html_()
     assert "&lt;script&gt;alert(1)&lt;/script&gt;$\\frac{$" in page
     assert page.count("<img") == 1 and "<script" not in page
-    draw_card(shipped.arrays, shipped.card(), tmp_path / "card.png")
+    goal = next(e for e in shipped.arrays.layout.state if e.name == "goal_x")
+    odd = replace(goal, unit="$\\frac$")
+    state = tuple(odd if e is goal else e for e in shipped.arrays.layout.state)
+    arrays = replace(shipped.arrays, layout=replace(shipped.arrays.layout, state=state))
+    draw_card(arrays, shipped.card(), tmp_path / "card.png")
     assert (tmp_path / "card.png").read_bytes().startswith(PNG)
 
 

@@ -189,15 +189,17 @@ def test_the_task_is_the_files(
     assert run("datasets", "import", path, "--out", "bytes") == 0
     assert load_dataset("bytes").provenance.task == "SmoothReach-v0"
     assert load_dataset("bytes").provenance.engine == "mujoco"
-    for key, value, expected in (
-        ("engine", "Mujoco", "its engine is 'Mujoco', expected bullet or mujoco"),
-        ("task", 3, "its task is"),
+    words = ["datasets", "import", path, "--out", "odd"]
+    for key, value, code, expected in (
+        ("engine", "MuJoCo 2.1", 2, "flat.h5 is of engine 'MuJoCo 2.1', expected bull"),
+        ("task", 3, 1, "its task is"),
     ):
         with h5py.File(path, "a") as file:
             file.attrs[key] = value
         capsys.readouterr()
-        assert run("datasets", "import", path, "--out", "odd") == 1
+        assert run(*words) == code
         assert expected in capsys.readouterr().err
+    assert run(*words, "--task", "Reach-v0", "--engine", "mujoco") == 0
     with h5py.File(path, "a") as file:
         file.attrs["engine"] = "bullet"
         file.attrs["task"] = "antmaze"

@@ -11,6 +11,7 @@ import pytest
 from marl_mm.envs import parallel_env
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.goal_env import GoalEnv
+from marl_mm.envs.parallel_vector import TeamVector
 from marl_mm.envs.registry import TASKS, register_task
 from marl_mm.envs.task import Attempt, Terms, Values
 from marl_mm.envs.tasks.reach import Reach
@@ -78,7 +79,7 @@ def test_after_a_refused_goal_there_is_no_episode_to_go_on_with() -> None:
     core.close()
 
 
-@pytest.mark.parametrize("make", [GoalEnv, parallel_env, GoalVector])
+@pytest.mark.parametrize("make", [GoalEnv, parallel_env, GoalVector, TeamVector])
 def test_environments_are_not_copied_or_pickled(make: Any) -> None:
     """A copy would drive the robot of the first."""
     env = make("Reach-v0")

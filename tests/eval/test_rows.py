@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.eval.grouping import by_goal
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import has_rows, read_rows, write_csv
 
@@ -81,3 +82,16 @@ def test_numbers_are_read_as_such_and_texts_as_texts(tmp_path: Path) -> None:
     values = list(read_rows(path)[0].values())
     expected = [1, -2, 0.5, 1e3, math.nan, -math.inf, math.inf, "east", "i", "", "1.x"]
     assert list(map(repr, values)) == list(map(repr, expected))
+
+
+def test_only_rows_of_the_same_goals_are_paired() -> None:
+    rows = [
+        {"seed": seed, "goal": goal, "success": float(goal == seed)}
+        for seed, goal in ((1, 1), (0, 0), (1, 0), (0, 1))
+    ]
+    assert by_goal(rows, "success").tolist() == [1, 0, 0, 1]
+    twice = [row | {"goal": 1} for row in rows]
+    other = [row | {"goal": row["goal"] + row["seed"]} for row in rows]
+    for damaged in (rows[1:], twice, other):
+        with pytest.raises(MarlMmError, match="do not all have the same goals, each"):
+            by_goal(damaged, "success")

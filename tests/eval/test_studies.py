@@ -419,13 +419,21 @@ def test_evaluations_of_two_trainings_are_not_mixed(tmp_path: Path) -> None:
 def test_seeds_of_other_settings_are_not_mixed(tmp_path: Path) -> None:
     """As two processes might bring them, which began with no rows."""
     store, cell = RowStore(tmp_path / "rows"), ("good-5k", OURS)
+    cell = cell[0], Setting("omar", "OMAR", "omar")
     runs = [finished(tmp_path, seed) for seed in (0, 1)]
     config = json.loads((runs[1] / "config.json").read_text())
-    (runs[1] / "config.json").write_text(json.dumps(config | {"updates": 999}))
-    store.keep(cell, {0: runs[0]}, [LAST])
-    with pytest.raises(OtherConfigError, match=r"updates = 10 \(now 999\)"):
+
+    def keep_second(**changes: Any) -> None:
+        (runs[1] / "config.json").write_text(json.dumps(config | changes))
         store.keep(cell, {1: runs[1]}, [LAST])
+
+    store.keep(cell, {0: runs[0]}, [LAST])
+    for name, value, was in (("updates", 999, "10"), ("bound_penalty", 0.001, "0.0")):
+        with pytest.raises(OtherConfigError, match=rf"{name} = {was} \(now {value}\)"):
+            keep_second(**{name: value})
     assert store.seeds(cell) == [0]
+    keep_second(packages={"numpy": "9.9.9"}, precision="medium")
+    assert store.seeds(cell) == [0, 1]
 
 
 def test_a_probe_is_added_where_curves_of_some_seeds_lack_a_measure(
