@@ -345,6 +345,21 @@ def _recipe(submission: Submission) -> Iterator[str]:
         yield f"dataset: the recipe {name} is another one here"
 
 
+def _twins(submission: Submission) -> Iterator[str]:
+    """Seeds that hardly differ, in words."""
+    begun = [[each.first_action for each in run.episodes] for run in submission.runs]
+    if len({len(action) for actions in begun for action in actions}) > 1:
+        return  # made by no policy
+    for (i, one), (j, other) in combinations(enumerate(map(np.array, begun)), 2):
+        alike = int((np.abs(one - other) <= _FIRST_ACTION).all(axis=1).sum())
+        if alike > _TWINS * len(one):
+            first, second = (submission.runs[n].config.seed for n in (i, j))
+            yield (
+                f"seeds {first} and {second} begin alike for {alike} of {len(one)} "
+                f"goals, to {_FIRST_ACTION:g}: be wary of them"
+            )
+
+
 def _notes(
     submission: Submission, equal: Sequence[bool], pairs: Pairs
 ) -> Iterator[str]:
@@ -367,14 +382,7 @@ def _notes(
             "though processor and packages are called the same: be wary of small "
             "differences"
         )
-    for one, other in combinations(submission.runs, 2):
-        alike = sum(map(_alike, one.episodes, other.episodes))
-        if alike > _TWINS * len(one.episodes):
-            yield (
-                f"seeds {one.config.seed} and {other.config.seed} begin alike for "
-                f"{alike} of {len(one.episodes)} goals, to {_FIRST_ACTION:g}: be wary "
-                "of them"
-            )
+    yield from _twins(submission)
     dataset = manifest["dataset"] or {}
     data = recorded().get(dataset.get("recipe", ""), {}).get("data_sha256")
     if data is not None and dataset.get("data_sha256") != data:
