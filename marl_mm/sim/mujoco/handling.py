@@ -1,6 +1,5 @@
 """A block, its stand and the gripper in MuJoCo."""
 
-import mujoco
 import numpy as np
 
 from marl_mm.robot.description import RobotConfig
@@ -12,6 +11,7 @@ from marl_mm.robot.names import (
     HAND_LINK,
 )
 from marl_mm.sim.config import RATE, SimulationConfig
+from marl_mm.sim.mujoco.engine import mujoco
 from marl_mm.sim.mujoco.model import BLOCK, GROUND, PARTED, STAND
 from marl_mm.sim.scene import Scene
 from marl_mm.sim.world import Touches

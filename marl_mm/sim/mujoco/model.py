@@ -5,7 +5,6 @@ Joint frames, masses and inertias are those of the URDF.
 
 from functools import lru_cache
 
-import mujoco
 import numpy as np
 
 from marl_mm.robot.description import (
@@ -27,6 +26,7 @@ from marl_mm.robot.names import (
     WHEEL_JOINTS,
 )
 from marl_mm.sim.config import RATE, SimulationConfig
+from marl_mm.sim.mujoco.engine import mujoco
 
 GROUND = "ground"
 """Name of the plane."""

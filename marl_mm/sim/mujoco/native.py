@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
-import mujoco
 import numpy as np
 from numba import types
 from numba.extending import intrinsic
@@ -18,6 +17,7 @@ from marl_mm.errors import MarlMmError, NonFiniteStateError
 from marl_mm.jit import jit
 from marl_mm.robot.model import RobotState
 from marl_mm.sim.config import RATE
+from marl_mm.sim.mujoco.engine import mujoco
 from marl_mm.sim.planar import planar_state
 
 

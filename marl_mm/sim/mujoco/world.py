@@ -11,7 +11,6 @@ from functools import lru_cache
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 
 from marl_mm.errors import MarlMmError, UsageError
@@ -23,6 +22,7 @@ from marl_mm.robot.names import (
     WHEEL_JOINTS,
 )
 from marl_mm.sim.config import RATE, Camera, SimulationConfig
+from marl_mm.sim.mujoco.engine import mujoco
 from marl_mm.sim.mujoco.handling import MujocoHandling
 from marl_mm.sim.mujoco.model import GROUND, handling_model, robot_model
 from marl_mm.sim.mujoco.native import Native, fault
