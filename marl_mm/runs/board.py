@@ -19,7 +19,7 @@ from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.play import play
 from marl_mm.runs.submission import OF_A_SEED, Submission
 from marl_mm.runs.submission_checks import read_submission
-from marl_mm.runs.verify import VERIFIED, read_verification
+from marl_mm.runs.verification import VERIFIED, read_verification
 from marl_mm.sim.config import Engine
 
 PAGE = "index.html"

@@ -19,7 +19,7 @@ from marl_mm.runs import board as boards
 from marl_mm.runs.folder import EVALUATION
 from marl_mm.runs.submission import EPISODES, MANIFEST, seal
 from marl_mm.runs.submission_checks import read_submission
-from marl_mm.runs.verify import verification_file
+from marl_mm.runs.verification import verification_file
 from tests.runs.tampering import seal_again
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)

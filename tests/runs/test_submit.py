@@ -13,9 +13,10 @@ from marl_mm.cli import main
 from marl_mm.errors import MarlMmError, OutputExistsError, UsageError
 from marl_mm.eval.metrics import METRICS, Metric
 from marl_mm.runs import submission_checks
+from marl_mm.runs.comparison import beyond_chance
 from marl_mm.runs.folder import EVALUATION
 from marl_mm.runs.submission import EPISODES, MANIFEST, Scored
-from marl_mm.runs.verify import _apart, verification_file
+from marl_mm.runs.verification import verification_file
 from tests.runs.tampering import (
     CLAIMS,
     TAMPERING,
@@ -219,9 +220,9 @@ def test_a_goal_of_200_may_end_differently_where_all_others_are_reached(
         return [Scored(row, "", []) for row in succeeded]
 
     pairs = list(zip(rows(reached), rows(399 - reached), strict=True))
-    assert list(_apart(pairs)) == []
+    assert list(beyond_chance(pairs)) == []
     pairs = list(zip(rows(200), rows(180), strict=True))
-    assert any("20 of 200 goals have another" in text for text in _apart(pairs))
+    assert any("20 of 200 goals have another" in text for text in beyond_chance(pairs))
 
 
 # --- Refusals ----------------------------------------------------------------
