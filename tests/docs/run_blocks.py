@@ -37,9 +37,9 @@ SMALL = {
 
 FEW = {
     "collect": "--workers 1",
-    "train": "--updates 60 --curve-episodes 1 --eval-episodes 2 --max-steps 4 "
+    "train": "--updates 60 --curve-episodes 1 --eval-episodes 2 --max-steps 2 "
     "--workers 1",
-    "eval": "--max-steps 4 --workers 1",
+    "eval": "--max-steps 2 --workers 1",
     "play": "--max-steps 2 --fps 2",
     "ablate": "--workers 1",
     "bench": "--turns 1 --steps 2 --vector 2",
@@ -55,7 +55,7 @@ _GOALS = r",\s*(eval_episodes|curve_episodes|max_steps|workers)=\d+"
 def _with_few(call: re.Match[str]) -> str:
     """A call of ``train`` that evaluates hardly anything."""
     asked = re.sub(_GOALS, "", call[1]).rstrip().rstrip(",")
-    return f"{asked}, eval_episodes=2, curve_episodes=1, max_steps=4, workers=1)"
+    return f"{asked}, eval_episodes=2, curve_episodes=1, max_steps=2, workers=1)"
 
 
 def small_code(code: str) -> str:
@@ -68,7 +68,7 @@ def small_code(code: str) -> str:
     code = re.sub(r"(marl_mm\.train\((?:[^()]|\([^()]*\))*)\)", _with_few, code)
     evaluations = r"evaluate|robustness|cross_play"
     evaluated = rf"(marl_mm\.(?:{evaluations})\((?:[^()]|\([^()]*\))*)\)"
-    code = re.sub(evaluated, r"\1, max_steps=4)", code)
+    code = re.sub(evaluated, r"\1, max_steps=2)", code)
     return re.sub(r"(marl_mm\.play\([^)]*)\)", r"\1, max_steps=2, fps=2)", code)
 
 
