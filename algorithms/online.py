@@ -128,7 +128,7 @@ def train_online(
                 epoch = waiting.pop()
                 epoch.keep(log)
                 saved = epoch.row["episode"]
-                advance(0, _note(log.rows))
+                advance(0, _note(log.rows, algorithm.updates))
 
         try:
             while end < total and not is_flat(log.rows, schedule.patience):
@@ -269,9 +269,10 @@ def is_flat(rows: Sequence[Row], patience: int) -> bool:
     return bool(best["success/all"] > LEARNT and waited >= patience)
 
 
-def _note(rows: Sequence[Row]) -> str:
+def _note(rows: Sequence[Row], updates: int) -> str:
     evaluated = [row["success/all"] for row in rows if "success/all" in row]
-    note = f"reached {100 * rows[-1]['train/success']:.0f} %"
+    note = "" if updates else "no update yet, "
+    note += f"reached {100 * rows[-1]['train/success']:.0f} %"
     return note + (f", eval {100 * evaluated[-1]:.0f} %" if evaluated else "")
 
 
