@@ -73,7 +73,7 @@ def check_positive(config: Any, *fields: str, of: str = "") -> None:
     """
     for name in fields:
         value = getattr(config, name)
-        if isinstance(value, tuple):
+        if isinstance(value, tuple | list):
             low, high = value
             if not 0 < low <= high < math.inf:
                 raise UsageError(

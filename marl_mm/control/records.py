@@ -109,6 +109,34 @@ class Priorities(NamedTuple):
     """Weight of each hierarchy's solution in u, shape (m,)."""
 
 
+def checked(track: Track, priorities: Priorities) -> tuple[Track, Priorities]:
+    """Both in arrays of their own, which compiled code reads without a look at them.
+
+    Raises:
+        UsageError: If an array has another shape.
+    """
+    ticks, hierarchies = len(track.points), len(priorities.shares)
+    shapes = {
+        "target_w": (3,),
+        "rotation_w": (3, 3),
+        "points": (ticks, 2),
+        "posture": (7,),
+        "matrices": (hierarchies, 4, 5),
+        "shares": (hierarchies,),
+    }
+    values = {**track._asdict(), **priorities._asdict()}
+    for name, expected in shapes.items():
+        if (shape := np.shape(values[name])) != expected:
+            raise UsageError(
+                f"an order's {name} has shape {shape}, expected {expected}"
+            )
+        values[name] = np.array(values[name], np.float64, order="C")
+    for name in values.keys() - shapes.keys():
+        values[name] = float(values[name])
+    *line, matrices, shares = values.values()
+    return Track(*line), Priorities(matrices, shares)
+
+
 class Command(NamedTuple):
     """Command to the robot until the next tick."""
 

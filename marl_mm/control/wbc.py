@@ -28,6 +28,7 @@ from marl_mm.control.records import (
     Reference,
     ReferenceAt,
     Track,
+    checked,
 )
 from marl_mm.errors import NonFiniteStateError, UsageError
 from marl_mm.robot.limits import RobotLimits
@@ -113,6 +114,7 @@ class WholeBodyController:
 
         Raises:
             NonFiniteStateError: If the state holds, or the solution would hold, a NaN.
+            UsageError: If an array of the reference has another shape.
         """
         if self._limits.zmp:
             self._check_wrench(terms)
@@ -135,12 +137,17 @@ class WholeBodyController:
         Args:
             reference_at: Reference of the tasks at a tick and state.
             priorities: Priorities of the tasks.
+
+        Raises:
+            UsageError: If an array of a ``Track`` or of the priorities has another
+                shape.
         """
         track = reference_at
         if self.config.solver != "active-set" or not isinstance(track, Track):
             return lambda k, state, terms: self.solve(
                 state, terms, reference_at(k, state), priorities
             )
+        track, priorities = checked(track, priorities)
         line = packed(track._replace(points=np.empty(0)))
         unchanging = self._packed, line, track.points, *priorities
 
@@ -171,6 +178,9 @@ class WholeBodyController:
         reference: Reference,
         priorities: Priorities,
     ) -> tuple[Command, bool]:
+        for name, shape in _SHAPES.items():  # compiled code would read what lies behind
+            if (found := np.shape(getattr(reference, name))) != shape:
+                raise UsageError(f"{name} has shape {found}, expected {shape}")
         u, torque, counters = np.empty(VARIABLES), np.empty(7), np.zeros(4, np.int64)
         feasible, finite, forward, turning = tick(
             tuple(state),
@@ -210,6 +220,15 @@ class WholeBodyController:
             self._rate,
             qp.daqp if self.config.solver == "daqp" else qp.proxqp,
         )
+
+
+_SHAPES = {
+    "ee_position_w": (3,),
+    "ee_rotation_w": (3, 3),
+    "base_position_w": (2,),
+    "posture": (7,),
+}
+"""Shapes of the arrays of a ``Reference``."""
 
 
 def no_command_error(

@@ -12,7 +12,7 @@ from marl_mm.control.compiled.along import reference_on
 from marl_mm.control.compiled.tick import tick
 from marl_mm.control.limits import WHEEL_ARM
 from marl_mm.control.payload import learned
-from marl_mm.control.records import VARIABLES, Track
+from marl_mm.control.records import VARIABLES, Track, checked
 from marl_mm.control.wbc import no_command_error
 from marl_mm.envs.drive import Drive, Motion
 from marl_mm.envs.order import Order
@@ -55,10 +55,12 @@ def follow(drive: Drive, order: Order, ticks: int, every: int) -> Motion:
         NonFiniteStateError: If the controller finds no finite command, or the
             simulation diverges.
         MarlMmError: If MuJoCo warns of anything else.
+        UsageError: If an array of the order has another shape.
     """
-    model, controller, (track, priorities) = drive.model, drive.controller, order
-    native = drive.world.native
-    assert native and isinstance(model, PlanarModel) and isinstance(track, Track)
+    model, controller, native = drive.model, drive.controller, drive.world.native
+    assert native and isinstance(model, PlanarModel)
+    assert isinstance(order.reference_at, Track)
+    track, priorities = checked(order.reference_at, order.priorities)
     accelerations, looks = np.empty(ticks), np.empty((-(-ticks // every), 5))
     path, hand_w = np.empty((ticks, 11)), np.empty((ticks, 3))
     q, v, counts = drive.state.q.copy(), drive.state.v.copy(), np.zeros(2, np.int64)

@@ -1,5 +1,6 @@
 """Tasks of one hand: the actions steer the hand, and the base follows slowly."""
 
+import math
 from abc import ABC
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
@@ -130,6 +131,9 @@ class CruiseTask(Task, ABC):
         super().__post_init__()
         check_positive(self, "action_scale", "cruise")
         check_not_negative(self, "standing", "heading_limit")
+        for name in ("stand_off", "heading_gain"):
+            if not math.isfinite(value := getattr(self, name)):
+                raise UsageError(f"{name} is {value}, expected a finite number")
         if not 0.0 <= self.initial_alpha <= 1.0:
             raise UsageError(f"initial_alpha is {self.initial_alpha}, expected [0, 1]")
         if self.random_start_steps < 0:
@@ -195,11 +199,11 @@ class CruiseTask(Task, ABC):
         still = BasePlan(0.0, 0.0, 0.0)
         attempt.memory = Targets(rotation_w, self.initial_alpha, hand_w, still)
 
-    def hold(self, attempt: Attempt, target_w: np.ndarray) -> None:
-        """Hold the hand at a position, shape (3,) [m], for one unseen step."""
+    def hold(self, attempt: Attempt, target_w: np.ndarray) -> Order:
+        """Order to stand and to hold the hand at a position, shape (3,) [m]."""
         attempt.memory.target_w = target_w
         attempt.memory.plan = BasePlan(0.0, 0.0, 0.0)
-        attempt.follow([self._order(attempt)])
+        return self._order(attempt)
 
     def wander(self, attempt: Attempt, rng: np.random.Generator) -> None:
         """Take the random steps before the episode."""

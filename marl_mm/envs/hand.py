@@ -86,7 +86,8 @@ class Hand:
             self._handling.squeeze()
         self._offset = self._handling.block_w()[0] - grasp_w
         block = self._scene.block
-        self.payload.hold(block.mass, block.size)
+        across, along, up = block.size  # fingers close along y of the grasp frame
+        self.payload.hold(block.mass, (along, across, up))
         self.held = True
 
     def feel(
@@ -142,8 +143,9 @@ class Hand:
         if stand is None:
             return True
         under = block_w[2] - scene.block.size[2] / 2 - stand[2]
-        aside = np.abs(block_w[:2] - scene.position_w[:2]).max()
-        beside = aside > (stand[0] + scene.block.size[0]) / 2
+        aside = np.abs(block_w[:2] - scene.position_w[:2])
+        widths = np.array(stand[:2]) + np.array(scene.block.size[:2])
+        beside = (aside > widths / 2).any()
         return bool((under > CLEAR or beside) and not touches.stand)
 
     def _close_around(self, touches: Touches, grasp_w: np.ndarray) -> None:

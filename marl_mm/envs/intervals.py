@@ -1,5 +1,6 @@
 """Intervals that tasks draw from."""
 
+import math
 from typing import Any
 
 from marl_mm.errors import UsageError
@@ -8,7 +9,7 @@ Interval = tuple[float, float]
 
 
 def check_intervals(config: Any, *fields: str, of: str = "") -> None:
-    """Raise for an interval whose ends are in the wrong order.
+    """Raise for an interval whose ends are in the wrong order, or not finite.
 
     Args:
         config: Config with the intervals.
@@ -20,9 +21,10 @@ def check_intervals(config: Any, *fields: str, of: str = "") -> None:
     """
     for name in fields:
         low, high = getattr(config, name)
-        if not low <= high:
+        if not -math.inf < low <= high < math.inf:
             raise UsageError(
-                f"{of}{name} is {low:g} to {high:g}, expected the smaller first"
+                f"{of}{name} is {low:g} to {high:g}, expected the smaller first, "
+                "both finite"
             )
 
 

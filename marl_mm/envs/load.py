@@ -10,6 +10,7 @@ from marl_mm.control.config import HEAVIEST, Knowledge
 from marl_mm.declared import check_positive
 from marl_mm.envs.intervals import Interval, check_within
 from marl_mm.errors import UsageError
+from marl_mm.robot.description import BODY_SIZE
 from marl_mm.sim.scene import Block, Grasp, Scene
 
 WIDEST = 0.075
@@ -110,6 +111,17 @@ class StandConfig(LoadConfig):
                 raise UsageError(
                     f"load.{name} is {low} to {high}, expected low <= high"
                 )
+        half = self.stand_edge / 2
+        places = zip((self.stand_x, self.stand_y), BODY_SIZE[:2], strict=True)
+        if all(
+            low - half < side / 2 and high + half > -side / 2
+            for (low, high), side in places
+        ):
+            raise UsageError(
+                f"load.stand_x is {self.stand_x} and load.stand_y {self.stand_y}, "
+                "expected beside the base, which starts at (0, 0) and is "
+                f"{BODY_SIZE[0]} by {BODY_SIZE[1]} m"
+            )
         if not self.stand_edge >= self.edge[1]:
             raise UsageError(
                 f"load.stand_edge is {self.stand_edge}, expected >= load.edge, "

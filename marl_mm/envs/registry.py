@@ -10,6 +10,7 @@ import gymnasium
 
 from marl_mm.declared import defaults
 from marl_mm.envs.task import Task
+from marl_mm.episode import FAILED, GOAL_INFO, MOTION_INFO
 from marl_mm.errors import UsageError, meant
 from marl_mm.layout import Layout
 from marl_mm.registry import Registry
@@ -27,6 +28,9 @@ TASKS: Registry[Task] = Registry(
 )
 """All tasks by name."""
 
+_RESERVED = {*GOAL_INFO, *MOTION_INFO, FAILED, "reason"}
+"""Names of step numbers that are not a task's own."""
+
 DEFAULT = "Reach-v0"
 """Name of the default task."""
 
@@ -35,8 +39,9 @@ def register_task(name: str, task: Task) -> None:
     """Register a task by name, with Gymnasium as ``marl_mm/NAME``, too.
 
     Raises:
-        UsageError: If it is no task, has no layout or a field without a default, or the
-            name is another task's or does not end in a version.
+        UsageError: If it is no task, has no layout or a field without a default, or a
+            step number that every task has, or the name is another task's or does not
+            end in a version.
     """
     if not re.fullmatch(r".+-v(0|[1-9]\d*)", str(name)):
         raise UsageError(f"task {name!r}: expected a version, such as {name}-v0")
@@ -44,6 +49,11 @@ def register_task(name: str, task: Task) -> None:
         defaults(type(task))
         if not isinstance(getattr(task, "layout", None), Layout):
             raise UsageError(f"task {name!r}: {type(task).__name__} has no layout")
+        if taken := sorted(_RESERVED & set(task.own_info)):
+            raise UsageError(
+                f"task {name!r}: own_info of {type(task).__name__} has {taken[0]!r}, "
+                "a step number of every task: give it another name"
+            )
     TASKS.add(name, task, caller=2)
     gymnasium.registry.pop(f"marl_mm/{name}", None)  # a task that is replaced
     gymnasium.register(

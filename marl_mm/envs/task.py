@@ -151,8 +151,9 @@ class Task(ABC):
 
     def __post_init__(self) -> None:
         for name in ("max_steps", "ticks_per_step", "look_every"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"{name} is {getattr(self, name)}, expected >= 1")
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or value < 1:
+                raise UsageError(f"{name} is {value!r}, expected an integer >= 1")
 
     @property
     def seconds_per_step(self) -> float:
@@ -211,7 +212,10 @@ class Task(ABC):
         """
 
     def at_tick(self, attempt: Attempt, tick: "Tick") -> None:  # noqa: B027
-        """See a tick of a robot; called only for tasks that override it."""
+        """See a tick of a robot; called only for tasks that override it.
+
+        Ticks of unseen steps, before the episode's first observation, are among them.
+        """
 
     def at_step(  # noqa: B027
         self, attempt: Attempt, motions: "Sequence[Motion]"

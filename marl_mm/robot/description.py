@@ -58,6 +58,9 @@ class RobotConfig:
                 raise UsageError(
                     f"robot.{name} is {values}, expected {size} finite numbers"
                 )
+            object.__setattr__(self, name, tuple(map(float, values)))
+        for name in ("base_mass", "initial_finger"):  # of NumPy's, a URDF has no name
+            object.__setattr__(self, name, float(getattr(self, name)))
 
 
 PAD_SIZE = (0.020, 0.014, 0.022)

@@ -1,5 +1,6 @@
 """Both engines load one URDF and agree about it."""
 
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -18,6 +19,17 @@ from marl_mm.sim.bullet.engine import pybullet, pybullet_data
 from marl_mm.sim.config import Engine, SimulationConfig
 
 JOINTS = WHEEL_JOINTS + ARM_JOINTS + FINGER_JOINTS
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    """The URDF has their values, and equal configs are equal."""
+    plain = RobotConfig(base_mass=91.0, base_com_b=(0.0, 0.0, 0.25))
+    numpy = RobotConfig(
+        base_mass=np.float64(91), base_com_b=tuple(np.array([0, 0, 0.25]))
+    )
+    assert urdf_xml(numpy) == urdf_xml(plain)
+    listed: Any = [*plain.initial_joints]
+    assert hash(RobotConfig(initial_joints=listed)) == hash(RobotConfig())
 
 
 class Engines:

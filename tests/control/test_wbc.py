@@ -89,6 +89,36 @@ def test_a_track_that_ends_before_its_step_is_refused(
         command_at(1, state, terms)
 
 
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("target_w", np.zeros(2)),
+        ("rotation_w", np.eye(3)[:2]),
+        ("points", np.zeros((240, 3))),
+        ("posture", np.zeros(6)),
+        ("matrices", np.zeros((4, 5))),
+    ],
+)
+def test_arrays_of_another_shape_are_refused(
+    field: str, value: Any, situation: Draw, limits: RobotLimits
+) -> None:
+    """Compiled code would read what lies behind them."""
+    state, terms, reference = situation(np.random.default_rng(0))
+    (target_w, rotation_w, point, _, speed, posture) = reference
+    track = Track(target_w, rotation_w, point[None], 0.5, 0.3, 1.0, speed, posture)
+    controller = WholeBodyController(limits, ControllerConfig())
+    priorities = controller.priorities(0.5)
+    if field in track._fields:
+        track = track._replace(**{field: value})
+    else:
+        priorities = priorities._replace(**{field: value})
+    with pytest.raises(UsageError, match=f"{field} has shape"):
+        controller.along(track, priorities)
+    with pytest.raises(UsageError, match="posture has shape"):
+        wrong = reference._replace(posture=np.zeros(6))
+        controller.solve(state, terms, wrong, controller.priorities(0.5))
+
+
 def test_blend_is_the_mix_of_the_two_ends(situation: Draw, limits: RobotLimits) -> None:
     controller = WholeBodyController(limits, ControllerConfig())
     state, terms, reference = situation(np.random.default_rng(1))

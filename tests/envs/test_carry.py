@@ -1,6 +1,8 @@
 """A load in the hand: held by friction, weighed by the joints, dropped for a reason."""
 
 from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 from xml.etree import ElementTree
@@ -27,6 +29,7 @@ from marl_mm.robot.limits import RobotLimits, robot_limits
 from marl_mm.robot.model import ACTUATED
 from marl_mm.robot.names import FINGER_JOINTS
 from marl_mm.sim.config import SimulationConfig
+from marl_mm.sim.scene import Block
 
 OpenWorld = Callable[..., EpisodeCore]
 
@@ -323,6 +326,10 @@ def test_loads_that_make_no_sense_are_refused(
         ({"stand_x": (0.8, 0.6)}, "load.stand_x is 0.8 to 0.6, expected low <= high"),
         ({"stand_edge": 0.0}, "load.stand_edge is 0.0, expected >= load.edge, 0.06"),
         (
+            {"stand_x": (0.2, 0.5), "stand_y": (0.0, 0.4)},
+            r"load.stand_x is \(0.2, 0.5\) .* expected beside the base",
+        ),
+        (
             {"hold_ticks": 10**5},
             "load.hold_ticks is 100000, expected at most an episode's 4800",
         ),
@@ -333,3 +340,27 @@ def test_stands_that_make_no_sense_are_refused(
 ) -> None:
     with pytest.raises(UsageError, match=complaint):
         open_world("Grasp-v0", **load)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plank(LoadConfig):
+    """A load that is long across the hand."""
+
+    def draw(self, rng: np.random.Generator) -> Block:
+        return Block((0.04, 0.30, 0.06), 3.0)
+
+
+def test_the_model_knows_how_a_long_load_lies() -> None:
+    """Its inertia in world axes is the block's, whatever the grasp frame's are."""
+    task = Carry(load=Plank(knowledge="given", grasp="weld"))
+    with closing(EpisodeCore(task)) as core:
+        core.reset(np.random.default_rng(0))
+        (drive,) = core.drives
+        assert drive.hand is not None
+        turned = drive.model.evaluate(drive.state).rotation_w
+        moments = [
+            np.diag(np.dot(size, size) - np.square(size))
+            for size in (drive.hand.payload.size, (0.04, 0.30, 0.06))
+        ]
+    model, block = turned @ moments[0] @ turned.T, moments[1]
+    np.testing.assert_allclose(model, block, atol=0.03 * block.max())

@@ -121,6 +121,15 @@ def lifted(world: EpisodeCore) -> Step:
     return world.step(moved(0, 0, 1, CLOSE))
 
 
+def test_a_block_on_its_stand_is_never_held_clear_of_it(open_world: OpenWorld) -> None:
+    world = open_world("Grasp-v0", hold_ticks=0, lift=0.03)
+    over_the_block(world, above=0.0)
+    step = world.step(moved(0, 0, 0, CLOSE))
+    (drive,) = world.drives
+    assert drive.world.handling.touches().stand and not step.info["held"]
+    assert not step.info["is_success"]
+
+
 @pytest.mark.parametrize("grasp", ["friction", "weld"])
 def test_opening_in_the_air_drops_the_block(grasp: str, open_world: OpenWorld) -> None:
     world = open_world("GraspReach-v0", grasp=grasp)

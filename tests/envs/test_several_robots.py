@@ -3,7 +3,7 @@
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -20,7 +20,9 @@ from marl_mm.envs.order import Order
 from marl_mm.envs.registry import register_task
 from marl_mm.envs.rollout import EpisodePlan, run_episode
 from marl_mm.envs.task import Attempt, ScriptConfig, Task, Terms, Values
+from marl_mm.envs.tasks.bar import Bar
 from marl_mm.envs.tasks.reach import LAYOUT, Reach
+from marl_mm.errors import UsageError
 from marl_mm.eval.video import film_episode
 from marl_mm.layout import Agent, Entry, Layout
 from marl_mm.sim.config import Camera
@@ -137,6 +139,31 @@ class Quiet(Reach):
 def registered(registries: None) -> None:
     register_task("Pair-v0", Pair())
     register_task("Quiet-v0", Quiet())
+
+
+def test_a_step_number_of_every_task_is_not_a_tasks_own() -> None:
+    class Cup(Quiet):
+        own_info = {**Quiet.own_info, "tilt": "tilt of the cup [deg]"}  # noqa: RUF012
+
+    with pytest.raises(UsageError, match="own_info of Cup has 'tilt'"):
+        register_task("Cup-v0", Cup())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Watched(Bar):
+    """Bar with a task that looks at every tick."""
+
+    seen: ClassVar[set[tuple[Any, ...]]] = set()
+
+    def at_tick(self, attempt: Attempt, tick: Tick) -> None:
+        memory = type(attempt.memory).__name__
+        self.seen.add((memory, len(attempt.drives), tick.robot))
+
+
+def test_unseen_ticks_of_a_task_of_two_robots_are_of_both() -> None:
+    with closing(EpisodeCore(Watched())) as core:
+        core.reset(np.random.default_rng(0))
+    assert Watched.seen == {("Pair", 2, 0), ("Pair", 2, 1)}
 
 
 @pytest.mark.slow

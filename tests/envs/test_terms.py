@@ -83,7 +83,7 @@ def test_overrides_take_json_lists() -> None:
         ("Fly-v0", {}, "Reach-v0, SmoothReach-v0, PreciseReach-v0"),
         ("Reach-v0", {"maxsteps": 3}, "max_steps"),
         ("Reach-v0", {"controller": {"gain": 3}}, "controller.gain"),
-        ("Reach-v0", {"max_steps": 0}, "expected >= 1"),
+        ("Reach-v0", {"max_steps": 0}, "expected an integer >= 1"),
         ("Reach-v0", {"max_steps": "50"}, "max_steps is '50', expected int"),
         ("Reach-v0", {"cruise": float("nan")}, "cruise is nan, expected a finite"),
         ("Reach-v0", {"goal_y": [0.2]}, "expected 2 numbers"),
@@ -130,3 +130,18 @@ def test_unknown_names_and_bad_values_are_refused(
 ) -> None:
     with pytest.raises(UsageError, match=message):
         make_task(task, overrides)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"max_steps": float("nan")}, "max_steps is nan, expected an integer >= 1"),
+        ({"ticks_per_step": 240.5}, "ticks_per_step is 240.5, expected an integer"),
+        ({"goal_x_forward": (1.0, float("inf"))}, "goal_x_forward is 1 to inf"),
+        ({"stand_off": float("nan")}, "stand_off is nan, expected a finite number"),
+        ({"heading_gain": float("inf")}, "heading_gain is inf, expected a finite"),
+    ],
+)
+def test_a_task_of_odd_numbers_is_refused(fields: Any, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        Reach(**fields)

@@ -105,15 +105,24 @@ def _write_rotation_error(
                 relative[i, j] += rotation_w[k, i] * target_w[k, j]
     cosine = clip((relative[0, 0] + relative[1, 1] + relative[2, 2] - 1) / 2, -1.0, 1.0)
     angle = np.arccos(cosine)
+    x = relative[2, 1] - relative[1, 2]
+    y = relative[0, 2] - relative[2, 0]
+    z = relative[1, 0] - relative[0, 1]
     if angle < 1e-4:
         scale = 0.5
     elif angle < 3.1:
         scale = angle / (2 * np.sin(angle))
-    else:
-        scale = 1.0
-    x = scale * (relative[2, 1] - relative[1, 2])
-    y = scale * (relative[0, 2] - relative[2, 0])
-    z = scale * (relative[1, 0] - relative[0, 1])
+    else:  # where these vanish, a column of (R + R') / 2 - cos I tells the axis
+        k = 0
+        for i in range(1, 3):
+            if relative[i, i] > relative[k, k]:
+                k = i
+        length = np.sqrt((1 - cosine) * (relative[k, k] - cosine))
+        scale = -angle / length if (x, y, z)[k] < 0 else angle / length
+        x = (relative[0, k] + relative[k, 0]) / 2 - cosine * (k == 0)
+        y = (relative[1, k] + relative[k, 1]) / 2 - cosine * (k == 1)
+        z = (relative[2, k] + relative[k, 2]) / 2 - cosine * (k == 2)
+    x, y, z = scale * x, scale * y, scale * z
     for i in range(3):
         vector[i] = rotation_w[i, 0] * x + rotation_w[i, 1] * y + rotation_w[i, 2] * z
 

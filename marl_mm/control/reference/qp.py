@@ -22,7 +22,7 @@ _ACCURACY = 1e-12
 """Absolute accuracy. At 1e-9 a level's error of 1e-9 in a limit grows to 1e-2 in the
 next one's solution, because a projected limit row can be a thousand times shorter."""
 
-_ITERATIONS = 50
+_ITERATIONS = 200
 """Limit of outer and inner iterations: ProxQP does not detect infeasible problems."""
 
 NO_CAUSE = -1

@@ -200,12 +200,15 @@ class Bar(RiskyTask):
         attempt.goal = drawn if goal is None else goal
         left, right = (Attempt(self, [drive]) for drive in attempt.drives)
         pair = attempt.memory = Pair((left, right), beam, np.empty((2, 3)))
-        for side, robot in enumerate(pair.sides):
+        orders = [
             self._take(robot, self._marks(side, beam, attempt.goal))
+            for side, robot in enumerate(pair.sides)
+        ]
+        attempt.follow(orders)  # one unseen step
         pair.late_w = self._hands_w(pair)
         self.wander(attempt, rng)
 
-    def _take(self, robot: Attempt, marks: Sequence[Mark]) -> None:
+    def _take(self, robot: Attempt, marks: Sequence[Mark]) -> Order:
         (drive,) = robot.drives
         start_w = drive.start_w()
         x, y, z = start_w.tolist()
@@ -213,7 +216,7 @@ class Bar(RiskyTask):
         scene = Scene(half, (x, y, z), grasp="weld")
         self.place(robot, tuple(marks), scene)
         drive.handle(scene, "given").take(self.hand_w(robot))
-        self.hold(robot, start_w)
+        return self.hold(robot, start_w)
 
     def act(self, attempt: Attempt, action: Values) -> list[Order]:
         """Move both hands' targets, and plan both bases."""

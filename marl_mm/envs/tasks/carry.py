@@ -40,7 +40,7 @@ class Carry(Reach):
         goal_mark = Mark(tuple(attempt.goal.tolist()), (GOAL_SIZE,))
         self.place(attempt, (goal_mark,), scene)
         drive.handle(scene, self.load.knowledge).take(self.hand_w(attempt))
-        self.hold(attempt, start_w)
+        attempt.follow([self.hold(attempt, start_w)])
         self.wander(attempt, rng)
 
     def failure(self, attempt: Attempt) -> str:

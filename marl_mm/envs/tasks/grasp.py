@@ -60,7 +60,7 @@ def handled(attempt: Attempt, holds: bool) -> dict[str, float]:
 def holds_clear(attempt: Attempt, ticks: int) -> bool:
     """Whether the block has been held, clear of its stand, for so many ticks."""
     hand = attempt.drives[0].hand
-    return hand is not None and hand.held and hand.clear_ticks >= ticks
+    return hand is not None and hand.held and hand.clear_ticks >= max(ticks, 1)
 
 
 @dataclass(frozen=True, kw_only=True)
