@@ -30,6 +30,8 @@ from marl_mm.eval.studies.tuning import DATASETS as TUNING
 from marl_mm.files import write_json
 from marl_mm.runs.recipes import RECIPES
 
+RESULTS = Path(__file__).resolve().parents[2] / "eval" / "results" / "studies"
+
 FIRST, SECOND = (RECIPES.get(name).source.name for name in DATASETS[:2])
 FIRST_EARLY = RECIPES.get(early.DATASETS[0]).source.name
 FEW = [cell for cell in early.AGENTS.cells if cell[1].name.startswith("early-")]
@@ -193,3 +195,14 @@ def test_it_runs_where_policies_are_tested_elsewhere_and_goes_on_from_its_rows(
     assert main([*words, "--resume"]) == 0  # of the rows that are there
     assert not list((tmp_path / "runs").glob("marl_mm-gate-*"))
     assert main(["ablate", "benchmark", "--check", *folders]) == 0
+
+
+def test_what_is_committed_is_of_the_settings_that_are_compared(
+    datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing of a whole dataset is missing, and no record names another setting."""
+    rows = read_rows(RESULTS / TABLE)
+    whole = {row["dataset"] for row in rows if row["seeds"] == AGENTS.seeds}
+    words = ["ablate", "benchmark", "--plan", "--datasets", *sorted(whole)]
+    assert main([*words, "--out", str(RESULTS), "--runs", str(tmp_path)]) == 0
+    assert "| all |  | 0 of 0 |" in capsys.readouterr().out
