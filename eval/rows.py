@@ -96,7 +96,7 @@ def as_read(rows: Sequence[Row]) -> list[Row]:
 
 
 def to_json(values: Any) -> str:
-    """Rows as JSON, where null is what could not be measured."""
+    """Rows as JSON, where null is what could not be measured, or is infinite."""
     return json.dumps(_or_null(values), indent=2)
 
 
@@ -105,7 +105,7 @@ def _or_null(value: Any) -> Any:
         return [_or_null(item) for item in value]
     if isinstance(value, dict):
         return {name: _or_null(item) for name, item in value.items()}
-    return None if isinstance(value, float) and math.isnan(value) else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def read_rows(path: Path) -> list[Row]:

@@ -54,6 +54,19 @@ def available_cores() -> int:
     return int(text)
 
 
+def check_workers(workers: int) -> None:
+    """Raise for a number of processes that this machine cannot have.
+
+    Raises:
+        UsageError: If it is not positive, or many times the number of cores.
+    """
+    cores = available_cores()
+    if not 1 <= workers <= (most := max(_MOST, 4 * cores)):
+        raise UsageError(
+            f"workers is {workers}, expected 1 to {most}: there are {cores} cores"
+        )
+
+
 class Pool(Protocol):
     """Worker processes, of this machine or of a cluster."""
 
@@ -109,11 +122,7 @@ class Workers:
         arguments: tuple[Any, ...] = (),
         threads: bool = False,
     ) -> None:
-        cores = available_cores()
-        if not 1 <= workers <= (most := max(_MOST, 4 * cores)):
-            raise UsageError(
-                f"workers is {workers}, expected 1 to {most}: there are {cores} cores"
-            )
+        check_workers(workers)
         self._workers = workers
         self._pool: futures.Executor | None = None
         if workers > 1:

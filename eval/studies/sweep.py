@@ -28,7 +28,7 @@ from marl_mm.eval.studies.sweep_summary import (
     summarize_loads,
     worth_of_a_rule,
 )
-from marl_mm.files import new_folder, refuse_existing, write_json
+from marl_mm.files import new_folder, refuse_foreign, write_json
 from marl_mm.progress import Bar
 from marl_mm.runs.settings import check_positive, check_seed
 from marl_mm.sim.config import Engine, default_engine, engine_overrides
@@ -145,7 +145,8 @@ def run_sweep(
     """
     sweep.check_settings()
     check_positive(workers=workers)
-    refuse_existing(sweep.out, overwrite)
+    mark, files = ("config.json", '"options"'), ("*.csv", "*.csv.*", "*.png")
+    refuse_foreign(sweep.out, overwrite, mark, ("config.json", *files))
     hidden = sweep.out.absolute().with_name(f".{sweep.out.absolute().name}.cells")
     if not resume:
         shutil.rmtree(hidden, ignore_errors=True)

@@ -159,7 +159,8 @@ def _delete(
         if not sys.stdin.isatty():
             raise UsageError("there is no terminal to confirm on: add --yes to delete")
         try:
-            answer = input(f"delete {what}? [y/N] ")
+            print(f"delete {what}? [y/N] ", end="", file=sys.stderr, flush=True)
+            answer = input()
         except EOFError:
             answer = ""
         if answer.strip().lower() not in ("y", "yes"):

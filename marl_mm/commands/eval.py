@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import tyro
 
-from marl_mm.commands.options import CORES, CollectorsSettings, OwnTask, config_of
+from marl_mm.commands.options import CORES, CollectorsSettings, OwnTask, configs_of
 from marl_mm.commands.output import print_evaluations, print_rows, show
 from marl_mm.commands.parser import command
 from marl_mm.commands.wording import as_options
@@ -83,7 +83,7 @@ def main(
     task = own_task(both) if task is None else task
     engine = own_engine(both) if engine is None else engine
     variant = make_task(task, task_overrides(max_steps, engine))
-    configs = [config_of(name, settings) for name in both]
+    configs = configs_of(both, settings)
     for name, config in zip(both, configs, strict=True):  # before any work is done
         load_policy(name, variant, config)
     with progress_bars() as bar:

@@ -1,6 +1,7 @@
 """Options that several commands share."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import field, fields, make_dataclass
 from typing import Annotated, Any
 
@@ -8,6 +9,7 @@ import tyro
 
 from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.envs.registry import TASKS, kind_of
+from marl_mm.errors import UsageError
 from marl_mm.runs.policies import AGENT
 from marl_mm.workers import available_cores
 
@@ -57,9 +59,20 @@ CollectorsSettings = Annotated[
 """Settings of every collector's policy, as options that begin with its name."""
 
 
-def config_of(name: str, settings: CollectorsSettings) -> Any:
-    """Settings of the policy of a name, or None of one that is no collector's."""
-    return getattr(settings, _attribute(name), None)
+def configs_of(policies: Sequence[str], settings: CollectorsSettings) -> list[Any]:
+    """Settings of policies by name, or None of one that is no collector's.
+
+    Raises:
+        UsageError: If there are some of another collector.
+    """
+    for name, collector in COLLECTORS.items():
+        given = getattr(settings, _attribute(name), None)
+        if given not in (None, collector.config()) and name not in policies:
+            raise UsageError(
+                f"--{name}.* have no effect: {name} is not among the policies, "
+                f"{', '.join(policies)}"
+            )
+    return [getattr(settings, _attribute(name), None) for name in policies]
 
 
 def _attribute(name: str) -> str:

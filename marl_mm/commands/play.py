@@ -1,16 +1,17 @@
 """marl-mm play: one episode on film, or in PyBullet's window."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from marl_mm.commands.options import CollectorsSettings, OwnTask, config_of
+from marl_mm.commands.options import CollectorsSettings, OwnTask, configs_of
 from marl_mm.commands.output import show
 from marl_mm.commands.parser import command
 from marl_mm.envs.demos import DEMOS, Drift
-from marl_mm.envs.registry import DEFAULT
+from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.errors import UsageError
 from marl_mm.eval.metrics import episode_row
 from marl_mm.eval.video import check_format, write_video
@@ -24,6 +25,7 @@ from marl_mm.runs.play import (
     play,
     play_demo,
 )
+from marl_mm.runs.policies import own_task
 from marl_mm.sim.config import Camera, Engine
 
 _CAMERA, _MOTION = Camera(), Motion()
@@ -69,11 +71,13 @@ def main(
         gui: Open PyBullet's window instead of writing a film; needs a screen.
         overwrite: Replace what exists.
         json: Print the episode's row as JSON.
-        camera: Place of the camera.
+        camera: Place of the camera, where it is not to be the task's.
         motion: Motion of the robot alone.
         settings: Settings of collectors' policies.
     """
     policy = default_policy(task or DEFAULT) if policy is None else policy
+    (config,) = configs_of([policy], settings)
+    asked = {k: v for k, v in vars(camera).items() if v != vars(_CAMERA)[k]}
     if gui or (video is None and strip is not None):
         video = None
     else:
@@ -106,8 +110,8 @@ def main(
             engine=engine,
             fps=fps,
             gui=gui,
-            camera=None if camera == _CAMERA else camera,
-            config=config_of(policy, settings),
+            camera=replace(make_task(task or own_task([policy])).camera, **asked),
+            config=config,
             progress=bar,
         )
     if video is not None:

@@ -93,7 +93,11 @@ def main(arguments: Sequence[str]) -> None:
         from marl_mm.runs.starts import refuse_changed_start
         from marl_mm.runs.train import dataset_of
 
-        if not dataset:
+        if named:
+            raise UsageError(
+                "--config has its run's hyper-parameters: leave out --preset"
+            )
+        if not dataset and "--demonstrations" not in arguments:
             dataset_of(repeated)  # is that which it learnt from
         if not start and "--resume" not in arguments:
             refuse_changed_start(repeated)

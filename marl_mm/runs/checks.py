@@ -27,6 +27,7 @@ from marl_mm.runs.starts import check_start
 from marl_mm.runs.training import Offline, Online, Training
 from marl_mm.sim.config import default_engine
 from marl_mm.sim.world import check_engine
+from marl_mm.workers import check_workers
 
 
 def check_training(
@@ -49,6 +50,8 @@ def check_training(
         OtherConfigError: If a run to resume was made otherwise.
     """
     check_positive(curve_episodes=training.curve_episodes)
+    check_workers(training.workers)
+    make_task(task_of(training, dataset), training.overrides)
     fresh = not all(goes_on(run, training) for run in runs.values())
     if isinstance(training, Offline):
         assert dataset is not None

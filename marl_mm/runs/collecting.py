@@ -170,6 +170,7 @@ class _Collector:
         location, options = self.location, self.options
         with only_here(location.working), ExitStack() as cleaning:
             cleaning.callback(_remove_if_empty, location)
+            self._refuse_existing()  # another process may have been faster
             if options.overwrite:
                 discard(location.working)
             with Journal(location.working) as journal:

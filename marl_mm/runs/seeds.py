@@ -13,6 +13,7 @@ from marl_mm.errors import DivergedError, WorkerDiedError
 from marl_mm.files import only_here
 from marl_mm.progress import Bar, distant_bars, show_distant_bars
 from marl_mm.runs.checks import check_training
+from marl_mm.runs.folder import check_run, run_config
 from marl_mm.runs.learning import (
     begin_runs,
     on_engine,
@@ -59,6 +60,8 @@ def train_seeds(
     with ExitStack() as stack:
         for run in runs.values():
             stack.enter_context(only_here(run, wait=wait))
+        for seed, run in runs.items():  # another process may have been faster
+            check_run(run, run_config(training, dataset, seed), training)
         begin_runs(training, dataset, runs)
         if training.side_by_side:
             parts: Iterable[_Trained] = _together(training, dataset, runs, bar)

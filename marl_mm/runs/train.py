@@ -12,6 +12,7 @@ from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.folder import (
     check_runs,
+    read_config,
     saved_settings,
     settings_of,
 )
@@ -62,14 +63,13 @@ def train(
         KeyboardInterrupt: After Ctrl-C; ``resume=True`` goes on.
     """
     training = training_of(algorithm, preset or TUNED)
-    if out == "" or not isinstance(out, str | Path | None):
-        raise UsageError(f"`out` is {out!r:.80}, expected a folder")
-    folder = Path(out) if out is not None else default_out(algorithm, settings)
+    folder = default_out(algorithm, settings) if out is None else _folder(out)
     saved: dict[str, Any] = {}
+    if start := settings.get("start"):
+        settings["start"] = getattr(start, "folder", start)
     if settings.get("resume"):
         saved = saved_settings(folder)
-    elif start := settings.get("start"):
-        settings["start"] = getattr(start, "folder", start)
+    elif start:
         saved = started_settings(settings["start"])
     if preset is None:
         training = with_values(training, saved, "config.json", CheckpointError)
@@ -87,14 +87,26 @@ def train(
     return sorted(runs, key=lambda run: seeds.index(int(run.folder.name)))
 
 
+def _folder(out: object) -> Path:
+    if out == "" or not isinstance(out, str | Path):
+        raise UsageError(f"`out` is {out!r:.80}, expected a folder")
+    return Path(out)
+
+
 def repeat(
-    config: RunConfig, *, out: str | Path, progress: Bar = silent_bar, **settings: Any
+    config: RunConfig | Run | str | Path,
+    *,
+    out: str | Path,
+    dataset: str | Path | Dataset | None = None,
+    progress: Bar = silent_bar,
+    **settings: Any,
 ) -> Run:
     """Make a run again from its record, to the same bytes on the same machine.
 
     Args:
-        config: Record of the run, as ``load_run(...).config``.
+        config: Record of the run, as ``load_run(...).config``, the run, or its folder.
         out: Folder of the new run: seed s goes to ``out/s``.
+        dataset: Dataset to learn from in place of the run's, its id or its path.
         progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
         **settings: Settings in place of the run's, by name.
 
@@ -102,14 +114,24 @@ def repeat(
         UsageError: If the run's dataset, or the checkpoint that it started from, is
             gone or another, or the new run exists.
     """
+    folder = _folder(out)
+    if not isinstance(config, RunConfig):
+        config = read_config(config.folder if isinstance(config, Run) else Path(config))
+    if "preset" in settings:
+        raise UsageError(
+            "`preset` is of another run: a repeated one has its own hyper-parameters"
+        )
+    if start := settings.get("start"):
+        settings["start"] = getattr(start, "folder", start)
     record = settings_of(config), "config.json", CheckpointError
     training = with_values(training_of(config.algorithm), *record)
     training = with_settings(config.algorithm, training, settings)
     if not {"start", "resume"} & settings.keys():
         refuse_changed_start(config)
-    dataset = None if "demonstrations" in settings else dataset_of(config)
-    dataset = dataset if isinstance(training, Offline) else None
-    (run,) = trained(training, dataset, Path(out), (config.seed,), progress)
+    if dataset is None and "demonstrations" not in settings:
+        of_run = dataset_of(config)
+        dataset = of_run if isinstance(training, Offline) else None
+    (run,) = trained(training, dataset, folder, (config.seed,), progress)
     return run
 
 
