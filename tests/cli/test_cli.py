@@ -8,6 +8,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -349,6 +350,48 @@ def test_train_refuses_and_resumes(run_folder: Path, capsys: Output) -> None:
     assert "no run in" in shown and "names no seed" in shown
     assert run(*base, "--resume", *options, "--seeds", "0", "3") == 0
     assert (run_folder.parent / "3" / "eval.json").exists()
+
+
+@pytest.mark.slow
+def test_a_refused_command_leaves_finished_runs_as_they_are(
+    run_folder: Path, tmp_path: Path, capsys: Output
+) -> None:
+    before = {path: path.read_bytes() for path in run_folder.rglob("*")}
+    out, fresh = str(run_folder.parent), str(tmp_path / "fresh")
+    base, record = ["train", "mabc", "--dataset", ID], str(run_folder)
+    sweep = ["sweep-alpha", "--out", out, "--overwrite"]
+    capsys.readouterr()
+    for words, complaint in (
+        ([*base, "--out", out, "--overwrite", "--workers", "9999"], "workers is 9999"),
+        ([*base, "--out", out, "--overwrite", "--max-steps", "0"], "max_steps is 0"),
+        ([*base, "--out", fresh, "--max-steps", "-3"], "max_steps is -3"),
+        (["train", "--config", record, "--preset", "paper"], "leave out --preset"),
+        (sweep, "has no config.json of marl-mm and is not replaced"),
+        (["eval", record, "--pd.kp", "3"], "--pd.* have no effect: pd is not among"),
+        (["play", "random", "--pd.kp", "3"], "--pd.* have no effect: pd is not among"),
+    ):
+        assert run(*words) == 2, words
+        assert complaint in one_line(capsys)
+    assert {path: path.read_bytes() for path in run_folder.rglob("*")} == before
+    assert not Path(fresh).exists()
+
+
+@pytest.mark.slow
+def test_a_camera_that_is_asked_for_keeps_the_rest_of_the_tasks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
+
+    def seen(*names: str, **settings: Any) -> Any:
+        asked.append(settings["camera"])
+        raise UsageError("seen")
+
+    monkeypatch.setattr("marl_mm.commands.play.play", seen)
+    film = ["--task", "Course-v0", "--video", str(tmp_path / "f.gif")]
+    assert run("play", *film, "--camera.width", "640") == 2
+    assert run("play", *film) == 2
+    own = TASKS.get("Course-v0").camera
+    assert asked == [replace(own, width=640), own]
 
 
 @pytest.mark.slow

@@ -273,6 +273,12 @@ def test_a_run_is_repeated_from_its_record(
         for folder in (run.folder, again.folder, tmp_path / "c" / "3")
     )
     assert others == [first, first]
+    moved = repeat(run, out=tmp_path / "m", dataset="good-5k")
+    assert moved.config == run.config
+    with pytest.raises(UsageError, match="`preset` is of another run"):
+        repeat(run, out=tmp_path / "n", preset="paper")
+    with pytest.raises(UsageError, match="`out` is '', expected a folder"):
+        repeat(run.folder, out="")
     marl_mm.collect("pd", dataset=tmp_path / "d", steps=8)
     (own,) = marl_mm.train("mabc", tmp_path / "d", out=tmp_path / "e", **FEW)
     marl_mm.collect("pd", dataset=tmp_path / "d", steps=8, seed=1, overwrite=True)
