@@ -180,7 +180,10 @@ def seconds_per_update(cell: TuningCell) -> float:
     def seconds(updates: int) -> float:
         short = replace(cell, dataset=_SHIPS, seeds=(0,), updates=updates, goals=2)
         begun = process_time()
-        run_cell(short)
+        try:
+            run_cell(short)
+        except KeyboardInterrupt:  # of a run that is thrown away
+            raise KeyboardInterrupt from None
         return process_time() - begun
 
     few, more = _TIMED

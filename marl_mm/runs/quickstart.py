@@ -63,7 +63,7 @@ class Quickstart:
     """Less data and fewer goals: a smoke test of the chain."""
 
     overwrite: bool = False
-    """Replace the folder if it exists."""
+    """Write over the files of a quickstart that is in the folder."""
 
 
 def run_quickstart(
@@ -114,17 +114,17 @@ def run_quickstart(
                 eval_seed=options.seed,
                 **anew,
             )
+        evaluations = [run.evaluated]
+        with _timed(stages, "evaluate (pd, random)"):
+            for policy in (PdPolicy(EXPERT), "random"):
+                again = evaluate(policy, episodes=goals, seed=options.seed, **common)
+                evaluations.append(again)
+        with _timed(stages, "figures and film"):
+            _picture(run, options, progress)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"stopped; start again with `overwrite=True`, or use what is in {out}"
         ) from None
-    evaluations = [run.evaluated]
-    with _timed(stages, "evaluate (pd, random)"):
-        for policy in (PdPolicy(EXPERT), "random"):
-            again = evaluate(policy, episodes=goals, seed=options.seed, **common)
-            evaluations.append(again)
-    with _timed(stages, "figures and film"):
-        _picture(run, options, progress)
     values = {
         "stages_s": stages,
         "dataset": card(data),
