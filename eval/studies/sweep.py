@@ -10,7 +10,7 @@ import numpy as np
 from marl_mm.collectors.pd import PdConfig
 from marl_mm.control.config import FORMS, Form
 from marl_mm.envs.registry import make_task
-from marl_mm.errors import UsageError
+from marl_mm.errors import OutputExistsError, UsageError
 from marl_mm.eval.grouping import grouped
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import has_rows, read_rows, write_csv
@@ -148,6 +148,11 @@ def run_sweep(
     mark, files = ("config.json", '"options"'), ("*.csv", "*.csv.*", "*.png")
     refuse_foreign(sweep.out, overwrite, mark, ("config.json", *files))
     hidden = sweep.out.absolute().with_name(f".{sweep.out.absolute().name}.cells")
+    if hidden.exists() and not (resume or overwrite):
+        raise OutputExistsError(
+            f"{sweep.out} was begun already: go on with `resume=True`, or start again "
+            "with `overwrite=True`"
+        )
     if not resume:
         shutil.rmtree(hidden, ignore_errors=True)
     loads = load_cells(sweep.load_goals, sweep.seed) if sweep.load_goals else []

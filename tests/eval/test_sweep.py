@@ -187,6 +187,8 @@ def test_the_command_resumes_to_the_same_bytes(
         assert main(["sweep-alpha", "--out", str(cut), *ARGUMENTS]) == 130
     assert not cut.exists()
     assert "--resume" in capsys.readouterr().err
+    assert main(["sweep-alpha", "--out", str(cut), *ARGUMENTS]) == 2
+    assert "was begun already: go on with --resume" in capsys.readouterr().err
     ran: list[SweepCell] = []
 
     def counted(cell: SweepCell) -> list[Row]:
