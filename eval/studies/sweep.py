@@ -131,6 +131,10 @@ class Sweep:
         ]
 
 
+_OLDER = "alpha.md", "drawn_with.txt"
+"""Files of sweeps of version 1."""
+
+
 def run_sweep(
     sweep: Sweep, workers: int, resume: bool, overwrite: bool, bar: Bar
 ) -> dict[str, list[Row]]:
@@ -145,8 +149,8 @@ def run_sweep(
     """
     sweep.check_settings()
     check_positive(workers=workers)
-    mark, files = ("config.json", '"options"'), ("*.csv", "*.csv.*", "*.png")
-    refuse_foreign(sweep.out, overwrite, mark, ("config.json", *files))
+    mark, files = ("config.json", '"options"'), ("*.csv", "*.csv.*", "*.png", "*.svg")
+    refuse_foreign(sweep.out, overwrite, mark, (*_OLDER, "config.json", *files))
     hidden = sweep.out.absolute().with_name(f".{sweep.out.absolute().name}.cells")
     if hidden.exists() and not (resume or overwrite):
         raise OutputExistsError(

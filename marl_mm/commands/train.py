@@ -97,7 +97,7 @@ def main(arguments: Sequence[str]) -> None:
             raise UsageError(
                 "--config has its run's hyper-parameters: leave out --preset"
             )
-        if not dataset and "--demonstrations" not in arguments:
+        if not dataset and not value_of(arguments, "--demonstrations", ""):
             dataset_of(repeated)  # is that which it learnt from
         if not start and "--resume" not in arguments:
             refuse_changed_start(repeated)

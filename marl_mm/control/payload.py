@@ -48,7 +48,7 @@ class Payload:
 
     @property
     def size(self) -> tuple[float, float, float]:
-        """Edges of the cuboid in the hand [m]."""
+        """Edges of the cuboid in the hand, along the grasp frame's axes [m]."""
         return self._size
 
     @property
@@ -61,7 +61,8 @@ class Payload:
 
         Args:
             mass: True mass [kg].
-            size: Edges of the cuboid whose inertia it has [m].
+            size: Edges of the cuboid whose inertia it has, along the grasp frame's axes
+                [m].
         """
         self._held, self._size, self._true = True, size, mass
         self.count(mass if self._knowledge == "given" else 0.0)

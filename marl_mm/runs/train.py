@@ -106,7 +106,8 @@ def repeat(
     Args:
         config: Record of the run, as ``load_run(...).config``, the run, or its folder.
         out: Folder of the new run: seed s goes to ``out/s``.
-        dataset: Dataset to learn from in place of the run's, its id or its path.
+        dataset: Dataset that an offline run learns from in place of its own, its id or
+            its path; online it is ``demonstrations``.
         progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
         **settings: Settings in place of the run's, by name.
 
