@@ -58,9 +58,9 @@ ALGORITHMS.add(
         loss="-(1 - c) Q_1(s, (pi_i(o_i), a_-i)) + c MSE(best_i, pi_i(o_i))",
         about="OMAR: conservative critics, and actors that follow a search.",
         source="Pan 2022",
-        advice="For data of several ways of different worth: the search crosses the "
-        "valleys between them, which CFCQL's gradient does not. It is "
-        "slow: see the table of updates per second.",
+        advice="In games worked by hand its search crosses valleys between ways of "
+        "different worth, which CFCQL's gradient does not. On this robot it has not "
+        "done so: try others first. It is slow.",
         departs="Critics are of the joint state and action, in the source of each "
         "agent's own. They are conservative where one agent leaves the data, while "
         "actors and targets take what all do now: where several agents have left, "

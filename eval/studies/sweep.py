@@ -131,8 +131,8 @@ class Sweep:
         ]
 
 
-_OLDER = "alpha.md", "drawn_with.txt"
-"""Files of sweeps of version 1."""
+_OLDER = "alpha.md", "*.svg", "drawn_with.txt"
+"""Files that sweeps of version 1 have, too."""
 
 
 def run_sweep(
@@ -149,7 +149,7 @@ def run_sweep(
     """
     sweep.check_settings()
     check_positive(workers=workers)
-    mark, files = ("config.json", '"options"'), ("*.csv", "*.csv.*", "*.png", "*.svg")
+    mark, files = ("config.json", '"options"'), ("*.csv", "*.csv.*", "*.png")
     refuse_foreign(sweep.out, overwrite, mark, (*_OLDER, "config.json", *files))
     hidden = sweep.out.absolute().with_name(f".{sweep.out.absolute().name}.cells")
     if hidden.exists() and not (resume or overwrite):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from marl_mm.control.compiled.assembly import _write_rotation_error
 from marl_mm.control.config import Gains
 from marl_mm.control.records import Reference
 from marl_mm.control.reference.tasks.arm_posture import arm_posture
@@ -19,6 +20,8 @@ from marl_mm.control.reference.tasks.manipulator_position import manipulator_pos
 from marl_mm.control.reference.tasks.task import Task
 from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.model import ACTUATED, ModelTerms, RobotModel, RobotState
+
+Error = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 Draw = Callable[[np.random.Generator], tuple[RobotState, ModelTerms, Reference]]
 GAINS = Gains()
@@ -147,19 +150,32 @@ def test_heading_error_takes_the_short_way_round(situation: Draw) -> None:
     assert task.target[0] == pytest.approx(GAINS.heading_rate**2 * turn)
 
 
+def compiled_error(rotation_w: np.ndarray, target_w: np.ndarray) -> np.ndarray:
+    vector = np.empty(3)
+    _write_rotation_error(rotation_w, target_w, vector)
+    return vector
+
+
+BOTH = pytest.mark.parametrize("error_of", [rotation_error, compiled_error])
+
+
+@BOTH
 @pytest.mark.parametrize("angle", [0.0, 1e-5, 0.3, 1.5, 3.0, 3.09, 3.11, 3.14])
-def test_rotation_error_is_the_rotation_vector(angle: float) -> None:
+def test_rotation_error_is_the_rotation_vector(angle: float, error_of: Error) -> None:
     axis = np.array([0.6, -0.48, 0.64])
     start = Rotation.from_rotvec([0.3, -0.2, 0.9])
     target = Rotation.from_rotvec(angle * axis) * start
-    error = rotation_error(start.as_matrix(), target.as_matrix())
+    error = error_of(start.as_matrix(), target.as_matrix())
     np.testing.assert_allclose(error, angle * axis, atol=1e-6)
 
 
+@BOTH
 @pytest.mark.parametrize("axis", [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.6, 0, -0.8]])
-def test_rotation_error_at_half_a_turn_is_half_a_turn(axis: list[float]) -> None:
+def test_rotation_error_at_half_a_turn_is_half_a_turn(
+    axis: list[float], error_of: Error
+) -> None:
     vector = np.pi * np.array(axis)
-    error = rotation_error(np.eye(3), Rotation.from_rotvec(vector).as_matrix())
+    error = error_of(np.eye(3), Rotation.from_rotvec(vector).as_matrix())
     assert min(abs(error - vector).max(), abs(error + vector).max()) < 1e-6
 
 

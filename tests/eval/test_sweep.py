@@ -230,3 +230,22 @@ def test_alpha_trades_the_hand_for_the_base(form: Form, engine: Engine) -> None:
     assert (np.diff([one["steps"] for one in back]) > 0).all()
     assert (np.diff([one["base_jerk_rms"] for one in back]) < 0).all()
     assert sum(one["qp_failures"] for one in back) == 0
+
+
+def test_only_a_sweep_is_replaced_by_a_sweep(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of version 1, too; a folder that holds anything else stays as it is."""
+
+    def interrupted(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sweep, "run_cells", interrupted)  # all has been checked then
+    words = ["sweep-alpha", "--out", str(tmp_path), *ARGUMENTS, "--overwrite"]
+    (tmp_path / "config.json").write_text('{"options": {}}')
+    for name in ("alpha.md", "pareto.svg", "drawn_with.txt", "episodes.csv.gz"):
+        (tmp_path / name).touch()
+    assert main(words) == 130
+    (tmp_path / "thesis.tex").touch()
+    assert main(words) == 2
+    assert "thesis.tex, which is not of marl-mm" in capsys.readouterr().err
