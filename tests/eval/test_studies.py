@@ -1,5 +1,6 @@
 """Studies: declared, run, interrupted, drawn and checked."""
 
+import glob
 import gzip
 import json
 import lzma
@@ -550,9 +551,17 @@ def test_runs_that_diverged_are_marked(own: Path, tmp_path: Path) -> None:
     assert row["diverged"] == "0 after 0, 1 after 0" and np.isnan(row["q_slope"])
 
 
+def found_in(folder: Path, name: str) -> list[str]:
+    """Files of that name while another process makes and removes folders.
+
+    `Path.rglob` fails when a folder is gone before it is read.
+    """
+    return glob.glob(f"**/{name}", root_dir=folder, recursive=True)
+
+
 def unfinished(runs: Path) -> list[Path]:
     """Runs between their first checkpoint and their end."""
-    begun = [path.parent for path in runs.rglob("checkpoint.pt")]
+    begun = [runs / Path(path).parent for path in found_in(runs, "checkpoint.pt")]
     return [run for run in begun if not (run / "eval.json").exists()]
 
 
@@ -613,7 +622,7 @@ def test_a_killed_worker_does_not_stop_it(
     job = get_context("spawn").Process(target=main, args=(asked,))
     job.start()
     deadline = time.monotonic() + 60
-    while time.monotonic() < deadline and not list(tmp_path.rglob("metrics.jsonl")):
+    while time.monotonic() < deadline and not found_in(tmp_path, "metrics.jsonl"):
         time.sleep(0.05)
     assert job.pid is not None
     workers_of(job.pid)[0].kill()
