@@ -2,6 +2,7 @@
 
 import html
 import io
+import os
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -147,7 +148,9 @@ def find_runs(folder: str | Path) -> list[Run]:
     root = Path(folder)
     if not root.is_dir():
         raise UsageError(f"{root} is no folder, expected one with runs in it")
-    found = sorted(root.rglob(CONFIG))
+    # unlike `Path.rglob`, `os.walk` passes over a folder that is removed meanwhile
+    inside = ((at, {*folders, *files}) for at, folders, files in os.walk(root))
+    found = sorted(Path(at, CONFIG) for at, names in inside if CONFIG in names)
     return [Run(config.parent) for config in found if _is_of_a_run(config, root)]
 
 

@@ -1,6 +1,8 @@
 """The list of runs: a damaged one stands there with the reason, beside the others."""
 
 import json
+import shutil
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -124,6 +126,25 @@ def test_what_is_no_run_is_not_listed(tmp_path: Path) -> None:
     (tmp_path / "number" / "config.json").write_text("3")  # damaged, and told so
     found = [run.folder.name for run in find_runs(tmp_path)]
     assert found == ["good", "number"]
+
+
+def test_runs_are_listed_while_another_process_removes_folders(tmp_path: Path) -> None:
+    make_run(tmp_path / "good")
+    done = threading.Event()
+
+    def work() -> None:
+        while not done.is_set():
+            (tmp_path / "bad" / ".0.new").mkdir(parents=True)
+            shutil.rmtree(tmp_path / "bad")
+
+    worker = threading.Thread(target=work)
+    worker.start()
+    try:
+        found = [find_runs(tmp_path) for _ in range(500)]
+    finally:
+        done.set()
+        worker.join()
+    assert {len(runs) for runs in found} == {1}
 
 
 @pytest.mark.parametrize("name", ["a\x1b]0;title\x07", "a\u202eb", "a\n  b", "[red]a"])
