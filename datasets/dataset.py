@@ -183,7 +183,12 @@ def load_dataset(name: str | Path | Location) -> Dataset:
 def existing(text: str) -> Location:
     """Location of a dataset to read; one that ships is unpacked at its first use."""
     location = find(text)
+    unpack(location)
+    return location
+
+
+def unpack(location: Location) -> None:
+    """Write the dataset that belongs at a location, if it ships and is missing."""
     ships = location.id in shipped.IDS and location == locate(location.id)
     if ships and not location.folder.exists():
         shipped.install(location)
-    return location

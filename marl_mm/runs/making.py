@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.datasets.dataset import Dataset, load_dataset, unpack
 from marl_mm.datasets.location import SHIPPED, Location, locate
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.recipe import Part, mix, write_mix
@@ -61,8 +61,10 @@ class Datasets:
     """Engine of sources that name none."""
 
     def get(self, data: Data) -> Dataset:
-        """A dataset; what is missing of it is made, but for a plan."""
+        """A dataset; one that ships is unpacked, others are made, but for a plan."""
         data = self._declared(data)
+        if not self.small and not isinstance(data, str):
+            unpack(self._location(data))
         if not self.plan or isinstance(data, str):
             return self.make(data)
         try:

@@ -12,10 +12,18 @@ import marl_mm
 from marl_mm.cli import main
 from marl_mm.datasets.card import keep_card
 from marl_mm.datasets.named import AXES, name_of, named_ids
+from marl_mm.datasets.shipped import IDS
 from marl_mm.errors import DatasetError, UsageError
 from marl_mm.runs import recipes
+from marl_mm.runs.making import Datasets
 from marl_mm.runs.rebuilding import rebuild
-from marl_mm.runs.recipes import RECIPES, Recipe, build_dataset, recorded
+from marl_mm.runs.recipes import (
+    RECIPES,
+    Recipe,
+    build_dataset,
+    catalogue_rows,
+    recorded,
+)
 from marl_mm.runs.sources import Source
 
 SMALL = "small-noisy"
@@ -108,6 +116,16 @@ def test_cards_are_rebuilt_to_the_bit_by_any_number_of_workers(
     assert main(["datasets", "rebuild", str(other), "--workers", "1"]) == 1
     error = capsys.readouterr().err
     assert "differ: none, so that code, processor or card is another" in error
+
+
+@pytest.mark.usefixtures("datasets_home")
+def test_a_study_takes_the_datasets_that_ship() -> None:
+    sources = {row["id"]: RECIPES.get(row["name"]).source for row in catalogue_rows()}
+    named = [sources[name] for name in IDS if name in sources]
+    messages: list[str] = []
+    for source in named:
+        assert Datasets(notify=messages.append).get(source).location.id == source.name
+    assert len(named) == 3 and not messages
 
 
 def test_what_cannot_be_built_is_refused(
