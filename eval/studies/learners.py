@@ -167,6 +167,7 @@ class Learner:
 def training_of(
     source: Data | Online,
     setting: Setting,
+    task: str | None,
     small: bool,
     precision: Precision = "auto",
     engine: Engine = RECORDED_ENGINE,
@@ -177,6 +178,7 @@ def training_of(
     Args:
         source: Dataset, or episodes of the learner's own.
         setting: Algorithm and hyper-parameters.
+        task: Registered name of the dataset's task, if it is known.
         small: Whether hardly anything is trained.
         precision: Precision of matrix products of offline runs.
         engine: Engine of the simulation.
@@ -209,7 +211,7 @@ def training_of(
     run_settings["max_steps"] = setting.max_steps
     if small:
         changes |= {k: v for k, v in _SMALL.items() if hasattr(training.config, k)}
-        steps = fewest_steps(getattr(source, "task", DEFAULT), 4)
+        steps = fewest_steps(training.task or task or DEFAULT, 4)
         run_settings = {"eval_episodes": 2, "curve_episodes": 2, "max_steps": steps}
         if setting.fine_tuning.online_steps:
             run_settings["fine_tuning"] = replace(setting.fine_tuning, **_FEW_OWN)

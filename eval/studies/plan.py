@@ -5,8 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import groupby
 
-from marl_mm.datasets.dataset import Dataset
-from marl_mm.datasets.location import find
+from marl_mm.datasets.dataset import Dataset, existing
 from marl_mm.errors import OtherConfigError, UsageError
 from marl_mm.eval.studies.cost import GoalTimes
 from marl_mm.eval.studies.jobs import Job
@@ -40,9 +39,10 @@ def missing_jobs(
         source, setting = cell
         engine = engines[cell_name(cell)]
         how = options.small, options.precision, engine, options.device
-        training = training_of(source, setting, *how)
+        task = _task_of(source)
+        training = training_of(source, setting, task, *how)
         record = made_of(setting, training)
-        if (task := _task_of(source)) is not None:
+        if task is not None:
             record.setdefault("task", task)
         seeds = options.store.missing(cell, asked, probes, record, training.config)
         if not seeds:
@@ -72,7 +72,7 @@ def missing_jobs(
 def _task_of(source: Data | Online) -> str | None:
     """Task of a cell's data; None online, and where the data are not there."""
     if isinstance(source, str):
-        there = recorded(find(source))
+        there = recorded(existing(source))
         return None if there is None else there.task
     return None if isinstance(source, Online) else source.task
 

@@ -105,7 +105,7 @@ def test_a_run_that_diverged_counts_as_it_was_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(learning, "train_run", _diverge)
-    small = training_of(StudyOnline(), Setting("x", "x", "ddpg"), small=True)
+    small = training_of(StudyOnline(), Setting("x", "x", "ddpg"), None, small=True)
     learner = Learner(small, None)
     learner.train({0: tmp_path / "run"}, silent_bar)
     assert all(probe.file(tmp_path / "run").exists() for probe in (LAST, BEST))

@@ -689,7 +689,7 @@ def test_of_runs_side_by_side_one_that_fails_is_the_only_one(
 ) -> None:
     """They are on a CPU here, and evaluated one by one after all are trained."""
     monkeypatch.setattr(Offline, "side_by_side", True)
-    training = training_of("good-5k", OURS, small=True)
+    training = training_of("good-5k", OURS, None, small=True)
     learner = Learner(training, load_dataset("good-5k").location)
     held = Probe("held", "alpha held", alpha=0.5)
     jobs = [
@@ -751,6 +751,21 @@ def test_a_plan_of_several_targets_trains_nothing_either(
     cells = {cell_name(cell) for study in studies for cell in study.cells}
     assert f"| {len(cells)} of {len(cells)} |" in total
     assert not list(tmp_path.glob("[!d]*"))  # but its home of datasets
+
+
+@pytest.mark.parametrize("name", ["gate-expert", "bar-conventions"])
+def test_quick_runs_on_a_named_dataset_have_steps_enough(
+    name: str, datasets_home: Path, tmp_path: Path
+) -> None:
+    """Nobody gets to these tasks' goals in so few as a quick run of Reach has."""
+    file = tmp_path / "own.py"
+    file.write_text(
+        "from marl_mm.eval.studies.settings import setting_of\n"
+        "from marl_mm.eval.studies.study import Study\n"
+        f"OWN = Study('x', [('{name}', setting_of('own', 'bc', 10))])\n"
+    )
+    asked = ["ablate", f"{file}:OWN", "--engine", "mujoco", "--budget", "smoke"]
+    assert main([*asked, "--plan", "--runs", str(tmp_path / "runs")]) == 0
 
 
 @pytest.mark.slow
