@@ -83,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return error.exit_code
     except BrokenPipeError:  # the reader has gone; keep silent, also at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        return 0
+        return MarlMmError.exit_code  # what was left to do is not done
     except (MemoryError, RuntimeError) as error:
         if _CIRCLE in str(error):  # before Python 3.13
             _complain(str(error))

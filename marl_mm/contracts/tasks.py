@@ -291,7 +291,7 @@ _CLAIMS: dict[str, Claim] = {
     "a dataset of it passes verify, and replays to the bit": _replay,
     "goals of evaluations are its own": _goals,
     "actions at their bounds work, and those that make no sense are refused": _actions,
-    "its expert sets every entry within its bounds, by the state alone": _expert,
+    "its expert, if any, sets every entry within bounds, by the state alone": _expert,
     "it travels to workers and into records": _workers,
     "PettingZoo's own tests pass": _pettingzoo,
     "Gymnasium's own test passes": _gymnasium,

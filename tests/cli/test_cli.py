@@ -565,6 +565,16 @@ def test_closed_streams_change_no_exit_code(datasets_home: Path) -> None:
         assert subprocess.run(["sh", "-c", f"{marl_mm} {words}"]).returncode == code
 
 
+def test_a_reader_that_has_gone_ends_the_command_in_silence() -> None:
+    """As `head` does; seeds that were not yet trained are no success."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    words = [sys.executable, "-m", "marl_mm.cli", "tasks"]
+    child = subprocess.run(words, stdout=writer, stderr=subprocess.PIPE)
+    os.close(writer)
+    assert child.returncode == 1 and child.stderr == b""
+
+
 def test_sigterm_ends_a_job_that_ignores_ctrl_c() -> None:
     """As jobs do that a script has started in the background."""
     code = (
