@@ -53,6 +53,11 @@ class CoordinationOptions(PolicyOptions):
     tasks: tuple[str, ...] = tuple(f"{kind}-v0" for kind in KINDS)
     """Registered names of the tasks."""
 
+    @property
+    def cells_folder(self) -> Path:
+        """Folder of the teams' rows."""
+        return self.runs_folder / "coordination"
+
 
 def teams(name: str) -> list[Contestant]:
     """Teams of a task."""
@@ -119,10 +124,9 @@ def make_coordination(options: CoordinationOptions, bar: Bar) -> list[Row]:
     for task, (first, *_) in cells.items():
         check_task(make_task(task, first.overrides))
     every = [cell for listed in cells.values() for cell in listed]
-    folder = options.runs_folder / "coordination"
     pool = options.workers, (bar, "coordination"), options.executor
     groups = {_rows_folder(options.results) / task: of for task, of in cells.items()}
-    run_cells(run_cell, every, folder, *pool, groups)
+    run_cells(run_cell, every, options.cells_folder, *pool, groups)
     return draw_coordination(options.results, options.results)
 
 

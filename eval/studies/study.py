@@ -83,7 +83,9 @@ class Study:
         _check_once([probe.name for probe in self.probes])
 
     def part(
-        self, datasets: Sequence[str] | None, settings: Sequence[str] | None
+        self,
+        datasets: Sequence[str] | None = None,
+        settings: Sequence[str] | None = None,
     ) -> "Study":
         """The study with the cells of some sources and settings only; None: all."""
         datasets = datasets and [named_ids().get(name, name) for name in datasets]

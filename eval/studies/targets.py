@@ -2,8 +2,8 @@
 
 import runpy
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +25,8 @@ from marl_mm.eval.studies import (
     separation,
     tuning,
 )
-from marl_mm.eval.studies.engines_plan import plan_engines
 from marl_mm.eval.studies.engines_summary import engines_table
+from marl_mm.eval.studies.policies_plan import plan_coordination, plan_engines
 from marl_mm.eval.studies.robustness_plan import plan_robustness
 from marl_mm.eval.studies.study import Study
 from marl_mm.progress import Bar
@@ -99,6 +99,7 @@ COMPARISONS: Comparisons = {
         coordination.make_coordination,
         coordination.draw_coordination,
         coordination.coordination_table,
+        plan=plan_coordination,
     ),
     "robustness": Comparison(
         robustness.ABOUT,
@@ -144,6 +145,36 @@ GROUPS = {
     "all": (*_OF_THE_PAPERS_TASKS, "alpha"),
 }
 """Targets by the name of their group: those of the paper's tasks on one engine."""
+
+
+def part_of(
+    target: str,
+    studies: dict[str, Study],
+    comparisons: Comparisons,
+    part: Mapping[str, Sequence[str]],
+) -> tuple[dict[str, Study], Comparisons]:
+    """The part of a target's study, or of the runs that its comparison goes on with.
+
+    Args:
+        target: Name of the target.
+        studies: Studies of the target, by name.
+        comparisons: Comparisons of the target.
+        part: Names of datasets, of settings or of both.
+
+    Raises:
+        UsageError: If the target has no such parts, or a name is unknown.
+    """
+    for name, comparison in comparisons.items():
+        if not studies and comparison.agents and {*part} <= {*comparison.in_parts}:
+            agents = comparison.agents.part(**part)
+            return studies, {name: replace(comparison, agents=agents)}
+    if len(studies) != 1:
+        asked = " and ".join(f"`{word}`" for word in part)
+        raise UsageError(f"{asked} are for a study, not {target}")
+    ((name, study),) = studies.items()
+    cut = study.part(**part)
+    whole = len(cut.cells) == len(study.cells)
+    return {name if whole else f"{name}-part": cut}, comparisons
 
 
 def study_of(path: Path, name: str) -> Study:

@@ -2,9 +2,10 @@
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from marl_mm.commands.output import show
 from marl_mm.commands.parser import Subcommand, parse_subcommand
 from marl_mm.commands.wording import as_options
 from marl_mm.errors import FailedRunsError, MarlMmError, UsageError
@@ -23,6 +24,7 @@ from marl_mm.eval.studies.targets import (
     STUDIES,
     Comparison,
     Comparisons,
+    part_of,
     study_of,
 )
 from marl_mm.eval.studies.tuning import TuningOptions
@@ -92,11 +94,16 @@ _OPTIONS = {
 def main(arguments: Sequence[str]) -> None:
     """Run the command line of ``marl-mm ablate``."""
     target, options, studies, comparisons = _parsed(arguments)
-    if options.datasets is not None or options.settings is not None:
-        studies, comparisons = _parts(studies, comparisons, options, target)
+    given = {"datasets": options.datasets, "settings": options.settings}
+    part = {name: names for name, names in given.items() if names is not None}
     if options.check:
-        print_states(checks_of(options, studies, comparisons))
+        if part or options.plan:
+            beside = "--datasets, --settings, --plan"
+            raise UsageError(f"--check is for whole tables, without {beside}")
+        print_states(checks_of(options, studies, comparisons), options.json)
         return
+    if part:
+        studies, comparisons = part_of(target, studies, comparisons, part)
     with progress_bars(vanish=True) as bar:
         engine = Engine(options, _notify, bar)
         if options.plan:
@@ -114,10 +121,17 @@ def main(arguments: Sequence[str]) -> None:
     raise_together(failures)
 
 
-def print_states(checks: Sequence[Check]) -> None:
-    """Print of every table whether it is what its rows give."""
-    for path, state in states_of(checks):
-        print(f"{path}: {state}")
+def print_states(checks: Sequence[Check], as_json: bool) -> None:
+    """Print of every table whether it is what its rows give, as JSON by its path."""
+    states: dict[str, str] = {}
+    try:
+        for path, state in states_of(checks):
+            states[str(path)] = state
+            if not as_json:
+                print(f"{path}: {state}")
+    finally:  # also if a table is not the same
+        if as_json:
+            show(states)
 
 
 def _agents(comparisons: Comparisons) -> dict[str, Study]:
@@ -147,25 +161,6 @@ def _make(
         except FailedRunsError as error:
             failures.append(error)
     return tables, failures
-
-
-def _parts(
-    studies: dict[str, Study], comparisons: Comparisons, options: Ablate, target: str
-) -> tuple[dict[str, Study], Comparisons]:
-    """The requested part of a study, or of the runs that a comparison goes on with."""
-    chosen = [n for n in ("datasets", "settings") if getattr(options, n) is not None]
-    for name, comparison in comparisons.items():
-        if not studies and comparison.agents and {*chosen} <= {*comparison.in_parts}:
-            part = comparison.agents.part(options.datasets, options.settings)
-            return studies, {name: replace(comparison, agents=part)}
-    if len(studies) != 1:
-        raise UsageError(f"--{' and --'.join(chosen)} are for a study, not {target}")
-    ((name, study),) = studies.items()
-    part = study.part(options.datasets, options.settings)
-    whole = len(part.cells) == len(study.cells)
-    if options.check and not whole:
-        raise UsageError("--check is for whole tables, without --datasets, --settings")
-    return {name if whole else f"{name}-part": part}, comparisons
 
 
 def _parsed(

@@ -39,7 +39,7 @@ def main(
     """
     if check:
         sweep.check_settings()
-        print_states([(sweep.out, lambda folder: draw_sweep(sweep.out, folder))])
+        print_states([(sweep.out, lambda folder: draw_sweep(sweep.out, folder))], json)
         return
     with progress_bars() as bar:
         tables = run_sweep(sweep, workers, resume, overwrite, bar)

@@ -128,6 +128,17 @@ def test_agents_that_grasp_take_part_in_their_own_task(
     assert len(contestants("GraspReach-v0", options)) == 21
 
 
+def test_a_plan_counts_teams(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ["ablate", "coordination", "--plan", "--tasks", "Bar-v0", "Reach-v0"]
+    assert main([*asked, "--runs", str(tmp_path / "runs")]) == 0
+    text = capsys.readouterr().out
+    for task, number in (("Bar-v0", 26), ("Bar-hard-v0", 4), ("Reach-v0", 19)):
+        assert f"| {task} | mujoco | {number} of {number} |" in text
+    assert not (tmp_path / "runs").exists()
+
+
 @pytest.mark.bullet
 def test_a_plan_counts_policies_and_runs_none(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -483,6 +483,9 @@ def test_a_study_of_ones_own_is_made_once_and_checked(
 
     assert main(words(own, runs, "--check")) == 0
     assert capsys.readouterr().out == f"{results / 'widths.csv'}: the same\n"
+    assert main(words(own, runs, "--check", "--json")) == 0
+    state = {str(results / "widths.csv"): "the same"}
+    assert json.loads(capsys.readouterr().out) == state
 
     # From the rows alone, without any run: the same bytes.
     drawn = contents(results)
@@ -905,6 +908,7 @@ def test_what_there_is_no_data_for_is_collected_first(
             ["own.py:WIDTHS", "--settings", "width-16", "--check"],
             "--check is for whole tables",
         ),
+        (["own.py:WIDTHS", "--plan", "--check"], "--check is for whole tables"),
         (
             ["cures", "--datasets", "pd-30k", "--settings", "matd3-bc"],
             "--settings matd3-bc are not run on --datasets pd-30k",
