@@ -4,13 +4,15 @@ Of each dataset it tells which algorithms can be told apart, and over all datase
 much of the goals each reaches, and how often it reaches more than another.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
 from itertools import chain, combinations, groupby, product
 from pathlib import Path
 
 import numpy as np
 
 from marl_mm.algorithms.chosen import CHOSEN, UPDATES
+from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.errors import UsageError
 from marl_mm.eval.aggregates import (
     Estimate,
@@ -66,21 +68,26 @@ TESTED = {
 """Tasks of the evaluations that are not the data's, by the name of the recipe."""
 
 
-def cells_of(names: Sequence[str], updates: int, prefix: str = "") -> tuple[Cell, ...]:
-    """Cells of datasets and the algorithms that are tuned, as the tuning chose.
+def cells_of(
+    names: Sequence[str],
+    updates: int,
+    prefix: str = "",
+    algorithms: Sequence[str] = ALGORITHM_NAMES,
+) -> tuple[Cell, ...]:
+    """Cells of datasets and algorithms, as the tuning chose where they are tuned.
 
     Args:
         names: Names of the datasets' recipes.
         updates: Updates of all algorithms.
         prefix: Beginning of the settings' names.
+        algorithms: Registered names of the algorithms.
     """
     return tuple(
         (
             RECIPES.get(name).source,
             _setting(algorithm, TESTED.get(name), updates, prefix),
         )
-        for name, algorithm in product(names, ALGORITHM_NAMES)
-        if algorithm in CHOSEN
+        for name, algorithm in product(names, algorithms)
     )
 
 
@@ -89,7 +96,7 @@ def _setting(algorithm: str, task: str | None, updates: int, prefix: str) -> Set
         f"{prefix}{task or 'benchmark'}-{algorithm}".lower(),
         algorithm,
         updates,
-        CHOSEN[algorithm],
+        CHOSEN.get(algorithm, {}),
         task=task,
         curve_goals=2,
         measured=("steps", "return"),
@@ -115,6 +122,35 @@ AGENTS = Study(
 """Study whose runs are compared: of algorithms that are tuned."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkOptions(StudyOptions):
+    """Settings of the benchmark."""
+
+    own: tuple[str, ...] = ()
+    """Registered names of other offline algorithms, such as of a plug-in, which learn
+    from the same data by their tuned presets, with as many updates. Their rows in OUT
+    stand in the tables whenever they are registered."""
+
+    @property
+    def agents(self) -> Study:
+        """Study whose runs are compared.
+
+        Raises:
+            UsageError: If an own algorithm is unknown, or learns online.
+        """
+        for name in self.own:
+            if ALGORITHMS.get(name).online:
+                raise UsageError(f"`own` has {name}, expected an offline algorithm")
+        every = tuple(dict.fromkeys((*ALGORITHM_NAMES, *self.own)))
+        return replace(AGENTS, cells=cells_of(DATASETS, UPDATES, algorithms=every))
+
+
+def _others() -> list[str]:
+    """Registered names of offline algorithms that the benchmark has not."""
+    names = (name for name, each in ALGORITHMS.items() if not each.online)
+    return sorted({*names} - {*ALGORITHM_NAMES})
+
+
 def make_benchmark(options: StudyOptions, bar: Bar) -> list[Row]:
     """Draw the tables from the rows of ``AGENTS`` that are there.
 
@@ -131,7 +167,8 @@ def draw_benchmark(results: Path, folder: Path) -> list[Row]:
     """Write the tables into a folder, from rows in another; likewise."""
     store, rows = RowStore(results / "rows"), list[Row]()
     scores: list[Scores] = []
-    for _, cells in groupby(AGENTS.cells, lambda cell: cell_name(cell)[0]):
+    every = cells_of(DATASETS, UPDATES, algorithms=(*ALGORITHM_NAMES, *_others()))
+    for _, cells in groupby(every, lambda cell: cell_name(cell)[0]):
         there = [(cell, seeds) for cell in cells if (seeds := store.seeds(cell))]
         if not there:
             continue
@@ -185,14 +222,14 @@ def _write_overall(folder: Path, rows: list[Row], scores: list[Scores]) -> None:
     there = {name for of_dataset in scores for name in of_dataset}
     each = zip(grouped(rows, "dataset").values(), scores, strict=True)
     whole = [(some, of) for some, of in each if there and of.keys() == there]
-    names = [name for name in ALGORITHM_NAMES if name in there and whole]
+    names = _in_order(there) if whole else []
     tasks = [some[0]["task"] for some, _ in whole]
     goals_of = [tasks.index(task) for task in tasks]  # a task has the same for all
     engine = ", ".join(sorted({row["engine"] for some, _ in whole for row in some}))
     means = {}
-    for name in names:
-        number = ALGORITHM_NAMES.index(name)
-        means[name] = resampled([of[name] for _, of in whole], number, goals_of)
+    for number, name in enumerate(_in_order({*ALGORITHM_NAMES, *names})):
+        if name in names:
+            means[name] = resampled([of[name] for _, of in whole], number, goals_of)
     groups = [[row["algorithm"] for row in some if row["first"]] for some, _ in whole]
     overall = [
         {
@@ -213,6 +250,12 @@ def _write_overall(folder: Path, rows: list[Row], scores: list[Scores]) -> None:
     ]
     write_csv(folder / OVERALL, overall)
     write_csv(folder / PAIRS, pairs)
+
+
+def _in_order(names: Collection[str]) -> list[str]:
+    """Algorithms in the tables' order: others come last, by name."""
+    listed = [*ALGORITHM_NAMES]
+    return [n for n in listed if n in names] + sorted({*names} - {*listed})
 
 
 def _estimated(name: str, estimate: Estimate) -> Row:
@@ -254,8 +297,7 @@ def algorithms_table(rows: Sequence[Row], text: Callable[[Row], str]) -> str:
     datasets = dict.fromkeys(row["dataset"] for row in rows)
     lines = [
         [f"`{name}`", *(texts.get((name, dataset), "") for dataset in datasets)]
-        for name in ALGORITHM_NAMES
-        if any((name, dataset) in texts for dataset in datasets)
+        for name in _in_order({row["algorithm"] for row in rows})
     ]
     heads = ["algorithm", *(dataset.removeprefix("marl_mm/") for dataset in datasets)]
     return markdown_table(heads, lines)
@@ -307,7 +349,7 @@ def pairs_table(rows: list[Row]) -> str:
         ):
             apart = low > 0.5 or high < 0.5
             chances[pair] = f"**{value:.2f}**" if apart else f"{value:.2f}"
-    names = [name for name in ALGORITHM_NAMES if any(name in pair for pair in chances)]
+    names = _in_order({*chain(*chances)})
     lines = [
         [f"`{name}`", *(chances.get((name, other), "") for other in names)]
         for name in names

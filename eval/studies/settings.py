@@ -136,7 +136,7 @@ def setting_of(
         changes: Other hyper-parameters that replace the preset's.
         **more: Other fields of the setting.
     """
-    title = ALGORITHMS.get(algorithm).title
+    title = ALGORITHMS.get(algorithm).title or algorithm
     changes = {**changes, "updates": updates}
     return Setting(name, title, algorithm, changes=changes, **more)
 

@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from marl_mm.commands.output import show
@@ -11,6 +11,7 @@ from marl_mm.commands.wording import as_options
 from marl_mm.errors import FailedRunsError, MarlMmError, UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import to_json
+from marl_mm.eval.studies.benchmark import BenchmarkOptions
 from marl_mm.eval.studies.checks import Check, checks_of, raise_together, states_of
 from marl_mm.eval.studies.coordination import CoordinationOptions
 from marl_mm.eval.studies.engine import Engine
@@ -78,6 +79,11 @@ class AblateRobustness(Ablate, RobustnessOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class AblateBenchmark(Ablate, BenchmarkOptions):
+    """Compare algorithms, training the runs that are missing."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class AblateTuning(Ablate, TuningOptions):
     """Try settings of algorithms, running those that are missing."""
 
@@ -87,6 +93,7 @@ _OPTIONS = {
     "coordination": AblateCoordination(),
     "robustness": AblateRobustness(),
     "tuning": AblateTuning(),
+    "benchmark": AblateBenchmark(),
 }
 """Options of targets that have others than all have."""
 
@@ -102,6 +109,8 @@ def main(arguments: Sequence[str]) -> None:
             raise UsageError(f"--check is for whole tables, without {beside}")
         print_states(checks_of(options, studies, comparisons), options.json)
         return
+    if isinstance(options, BenchmarkOptions):
+        comparisons = {target: replace(comparisons[target], agents=options.agents)}
     if part:
         studies, comparisons = part_of(target, studies, comparisons, part)
     with progress_bars(vanish=True) as bar:

@@ -3,7 +3,6 @@
 import shutil
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,7 @@ from marl_mm.eval.studies.benchmark import (
     OVERALL,
     PAIRS,
     TABLE,
+    BenchmarkOptions,
     benchmark_table,
     draw_benchmark,
     overall_table,
@@ -27,7 +27,6 @@ from marl_mm.eval.studies.benchmark import (
 )
 from marl_mm.eval.studies.early import draw_early, early_table
 from marl_mm.eval.studies.study import Cell, cell_name
-from marl_mm.eval.studies.targets import COMPARISONS
 from marl_mm.eval.studies.tuning import DATASETS as TUNING
 from marl_mm.files import write_json
 from marl_mm.runs.recipes import RECIPES
@@ -153,6 +152,34 @@ def test_fewer_updates_are_compared_where_there_are_runs_of_both(
     assert first.startswith("| `bc` | **") and "**" not in second
 
 
+def test_other_algorithms_stand_last_and_change_no_row_of_the_benchmarks(
+    tmp_path: Path,
+) -> None:
+    """Estimates over datasets are of the same draws; groups are of all pairs."""
+    options = BenchmarkOptions(own=("rebrac", "cfcql"))
+    ours = ("mabc", "bc")
+    for name, rate in zip(ours, (0.9, 0.4), strict=True):
+        write(tmp_path, FIRST, name, rate)
+    draw_benchmark(tmp_path, tmp_path)
+    before = read_rows(tmp_path / OVERALL), read_rows(tmp_path / PAIRS)
+    for name in options.own:
+        write(tmp_path, FIRST, name, 0.7, cells=options.agents.cells)
+    rows = draw_benchmark(tmp_path, tmp_path)
+    assert [row["algorithm"] for row in rows] == ["bc", "mabc", "cfcql", "rebrac"]
+    assert [row["group"] for row in rows] == ["3", "1", "2", "2"]
+    overall, pairs = read_rows(tmp_path / OVERALL), read_rows(tmp_path / PAIRS)
+    assert (overall[:2], pairs[:1]) == before and len(pairs) == 6
+    assert benchmark_table(rows).splitlines()[-3].startswith("| `rebrac` |")
+
+
+def test_an_own_algorithm_is_an_offline_one() -> None:
+    for name, complaint in (("ddpg", "expected an offline"), ("bcc", "did you mean")):
+        with pytest.raises(UsageError, match=complaint):
+            _ = BenchmarkOptions(own=(name,)).agents
+    cells = BenchmarkOptions(own=("mabc",)).agents.cells
+    assert cells == AGENTS.cells  # which has it
+
+
 def test_without_rows_there_is_no_table(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="run marl-mm ablate benchmark"):
         draw_benchmark(tmp_path, tmp_path)
@@ -175,20 +202,13 @@ def test_no_dataset_is_one_of_the_tuning_and_every_axis_and_task_is_there() -> N
 def test_it_runs_where_policies_are_tested_elsewhere_and_goes_on_from_its_rows(
     datasets_home: Path,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Gate-stitch has data of a task of halves, and its policies act in the whole."""
-    part = AGENTS.part(
-        ["gate-expert", "marl_mm/gate/stitch-v0"],  # a name or an id
-        ["benchmark-mabc", "gate-v0-mabc"],
-    )
-    assert len(part.cells) == 2
-    comparison = replace(COMPARISONS["benchmark"], agents=part)
-    monkeypatch.setitem(COMPARISONS, "benchmark", comparison)
     folders = ["--runs", str(tmp_path / "runs"), "--out", str(tmp_path / "out")]
     words = ["ablate", "benchmark", *folders, "--seeds", "0", "--workers", "1"]
-    words += ["--budget", "smoke"]
+    words += ["--datasets", "gate-expert", "marl_mm/gate/stitch-v0"]  # a name or an id
+    words += ["--settings", "benchmark-mabc", "gate-v0-mabc", "--budget", "smoke"]
     assert main(words) == 0
     assert "| `mabc` |" in capsys.readouterr().out
     (expert, stitch) = read_rows(tmp_path / "out" / TABLE)
