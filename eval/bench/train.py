@@ -7,12 +7,15 @@ from typing import Any
 import torch
 
 from marl_mm.algorithms.registry import names
+from marl_mm.errors import UsageError
 from marl_mm.eval.bench import d3rlpy_reference
 from marl_mm.eval.bench.acting import bench_acting
+from marl_mm.eval.bench.d3rlpy_process import learners_of
 from marl_mm.eval.bench.offline import bench_offline, bench_seeds
 from marl_mm.eval.bench.online import bench_online, bench_success
 from marl_mm.eval.bench.side_by_side import bench_gpu, bench_side_by_side
 from marl_mm.progress import Bar
+from marl_mm.runs.settings import check_positive
 
 _TURN = 100
 """Updates of a turn; their number is rounded up to whole turns."""
@@ -43,7 +46,16 @@ def bench_train(
         seed: Seed of networks and episodes.
         d3rlpy: Python of an environment with d3rlpy, which then takes part.
         bar: Progress of each part.
+
+    Raises:
+        UsageError: If a number makes no sense, or d3rlpy does not work.
     """
+    check_positive(updates=updates, seeds=seeds)
+    if env_steps < 0:
+        raise UsageError(f"`env_steps` is {env_steps}, expected >= 0")
+    if d3rlpy is not None:
+        with learners_of(d3rlpy):  # before minutes of the others
+            pass
     sb3 = find_spec("stable_baselines3") is not None
     updates = -(-updates // _TURN) * _TURN
     advance = bar("bench online", (4 if sb3 else 3) * updates)

@@ -50,8 +50,9 @@ def mix_datasets(
         drawn = []
     if not drawn:
         raise UsageError(f"`parts` is {parts!r:.80}, expected datasets and their steps")
-    for _, steps in drawn:
-        check_positive(steps=steps)
+    for dataset, steps in drawn:
+        named = dataset.location.name if isinstance(dataset, Dataset) else dataset
+        check_positive(**{f"steps of {named}": steps})
     read = [Part(_read(dataset), steps) for dataset, steps in drawn]
     location = _free(out, overwrite, *(part.dataset.location.folder for part in read))
     write_mix(location, mix(read, seed), overwrite)

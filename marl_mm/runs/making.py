@@ -8,7 +8,12 @@ from marl_mm.datasets.dataset import Dataset, load_dataset, unpack
 from marl_mm.datasets.location import SHIPPED, Location, locate
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.recipe import Part, mix, write_mix
-from marl_mm.errors import DatasetError, UnknownDatasetError, UsageError
+from marl_mm.errors import (
+    DatasetError,
+    OtherConfigError,
+    UnknownDatasetError,
+    UsageError,
+)
 from marl_mm.files import only_here
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.collecting import Collecting, collect_dataset, recorded
@@ -130,7 +135,10 @@ class Datasets:
         what = location, source.collector, source.config
         try:
             collection = collect_dataset(*what, collecting, first, self.bar)
-        except (UsageError, DatasetError):
+        except (UsageError, DatasetError) as error:
+            if isinstance(error, OtherConfigError) and not self.overwrite:
+                advice = f"move or delete {location.folder} first"
+                raise OtherConfigError(error.difference, advice) from error
             if not (begun and self.overwrite):
                 raise
             anew = replace(collecting, resume=False, overwrite=True)

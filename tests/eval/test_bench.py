@@ -199,6 +199,21 @@ def test_bench_offline_times_all_in_turns() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--env-steps", "-3"], "--env-steps is -3, expected >= 0"),
+        (["--seeds", "0"], "--seeds is 0"),
+        (["--d3rlpy", "/nowhere/python"], "/nowhere/python does not run"),
+    ],
+)
+def test_a_comparison_that_makes_no_sense_is_refused_at_once(
+    words: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["bench", "train", *words]) == 2
+    assert complaint in capsys.readouterr().err
+
+
 def test_a_python_without_d3rlpy_is_refused() -> None:
     with pytest.raises(UsageError, match=r"no d3rlpy that works: .*d3rlpy"):
         bench_offline(3, 0, Path(sys.executable), silent_bar)

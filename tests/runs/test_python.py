@@ -427,7 +427,7 @@ ONE = Evaluation("pd", {}, "Reach-v0", {}, 0, [ROW])
         (lambda: marl_mm.mix_datasets(cast(Any, 3), "x"), "`parts` is 3, expected"),
         (
             lambda: marl_mm.mix_datasets({"good-5k": cast(Any, "9")}, "x"),
-            "`steps` is '9', expected a whole number",
+            "`steps of good-5k` is '9', expected a whole",
         ),
         (
             lambda: marl_mm.mix_datasets({"good-5k": 10**6}, "x"),
