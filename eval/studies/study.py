@@ -1,6 +1,6 @@
 """Declaration of studies."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -56,7 +56,10 @@ class Study:
     def __post_init__(self) -> None:
         """Refuse cells that share a name or cannot be run."""
         for field_ in ("cells", "probes"):  # which may be generators
-            object.__setattr__(self, field_, tuple(getattr(self, field_)))
+            value = getattr(self, field_)
+            if not isinstance(value, Iterable):
+                raise UsageError(f"{value!r:.80} are no {field_}, expected a sequence")
+            object.__setattr__(self, field_, tuple(value))
         if not self.probes:
             raise UsageError(f"{self.about!r} has no probes")
         if self.table not in get_args(_Columns):

@@ -17,6 +17,7 @@ from marl_mm.eval.ties import tie_groups
 from marl_mm.files import new_folder, refuse_existing, refuse_foreign, refuse_input
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.play import play
+from marl_mm.runs.settings import as_path
 from marl_mm.runs.submission import OF_A_SEED, Submission
 from marl_mm.runs.submission_checks import read_submission
 from marl_mm.runs.verification import VERIFIED, read_verification
@@ -113,7 +114,7 @@ def board(
     ]
     if not found:
         raise UsageError("no submission given, expected folders of marl-mm submit")
-    target = Path(out)
+    target = as_path(out, "out")
     mark = PAGE, "<title>marl_mm: board<"
     refuse_foreign(target, overwrite, mark, (PAGE, "rows", "films"))
     refuse_input(target, [submission.folder for submission in found])

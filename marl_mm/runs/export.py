@@ -10,6 +10,7 @@ from marl_mm.algorithms.policy import load_policy
 from marl_mm.errors import UsageError
 from marl_mm.files import refuse_existing
 from marl_mm.runs.run import Run
+from marl_mm.runs.settings import as_path
 
 
 def export(
@@ -48,7 +49,8 @@ def export(
     policy, path = load_policy(source), Path(source)
     best = "best-" if path.is_file() and path.name == BEST else ""
     name = f"{best}{agent or 'policy'}{POLICY_FORMATS.get(format).suffix}"
-    file = Path(out or (path if path.is_dir() else path.parent) / name)
+    default = (path if path.is_dir() else path.parent) / name
+    file = default if out is None else as_path(out, "out", "a file")
     if file.is_dir():
         raise UsageError(f"`out` {file} is a folder, expected a file: {file}/{name}")
     refuse_existing(file, overwrite)

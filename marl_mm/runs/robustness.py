@@ -1,6 +1,6 @@
 """Evaluate policies under disturbances, and with agents of each other."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -119,6 +119,8 @@ def cross_play(
         LayoutError: If a run is made for another layout than the task has.
         CheckpointError: If a run's checkpoint is damaged.
     """
+    if not isinstance(policies, Iterable):
+        raise UsageError(f"{policies!r:.80} are no policies, expected 2 or more")
     policies = list(policies)
     if len(policies) < 2:
         raise UsageError(f"cross-play of {len(policies)} policy, expected 2 or more")

@@ -24,6 +24,7 @@ from marl_mm.runs.folder import (
     read_config,
     read_evaluation,
 )
+from marl_mm.runs.settings import as_path
 from marl_mm.runs.submission import EPISODES
 from marl_mm.sim.config import Engine, is_installed
 
@@ -145,7 +146,7 @@ def find_runs(folder: str | Path) -> list[Run]:
     Raises:
         UsageError: If there is no such folder.
     """
-    root = Path(folder)
+    root = as_path(folder, "folder", "one with runs in it")
     if not root.is_dir():
         raise UsageError(f"{root} is no folder, expected one with runs in it")
     # unlike `Path.rglob`, `os.walk` passes over a folder that is removed meanwhile

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
@@ -110,6 +111,22 @@ def setting_names(record: Any) -> Iterator[str]:
 
 def _is_record(value: Any) -> bool:
     return is_dataclass(value) and not isinstance(value, type)
+
+
+def as_path(value: object, name: str, expected: str = "a folder") -> Path:
+    """A path that somebody named.
+
+    Args:
+        value: The path, or its text.
+        name: Name of the parameter.
+        expected: What the path should be of, for the message.
+
+    Raises:
+        UsageError: If it is empty, or no path.
+    """
+    if value == "" or not isinstance(value, str | Path):
+        raise UsageError(f"`{name}` is {value!r:.80}, expected {expected}")
+    return Path(value)
 
 
 def check_positive(**values: int) -> None:

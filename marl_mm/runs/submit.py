@@ -28,7 +28,7 @@ from marl_mm.runs.evaluate import task_overrides
 from marl_mm.runs.folder import EVALUATION
 from marl_mm.runs.recipes import RECIPES
 from marl_mm.runs.run import Run, load_run
-from marl_mm.runs.settings import check_positive, check_seed
+from marl_mm.runs.settings import as_path, check_positive, check_seed
 from marl_mm.runs.submission import (
     EPISODES,
     FORMAT,
@@ -94,7 +94,7 @@ def submit(
     refuse_mixed([(str(run.folder), run.config) for run in found], UsageError)
     for run in found:
         _ = run.evaluated  # refuses one that is not trained to its end
-    target = Path(out)
+    target = as_path(out, "out")
     refuse_foreign(target, overwrite, (MANIFEST, FORMAT), (MANIFEST, "[0-9]*"))
     refuse_input(target, [run.folder for run in found])
     if (target.absolute().parent / MANIFEST).exists():

@@ -19,6 +19,7 @@ from marl_mm.runs.folder import (
 from marl_mm.runs.run import Run
 from marl_mm.runs.seeds import train_seeds
 from marl_mm.runs.settings import (
+    as_path,
     check_config,
     check_seeds,
     with_settings,
@@ -63,7 +64,7 @@ def train(
         KeyboardInterrupt: After Ctrl-C; ``resume=True`` goes on.
     """
     training = training_of(algorithm, preset or TUNED)
-    folder = default_out(algorithm, settings) if out is None else _folder(out)
+    folder = default_out(algorithm, settings) if out is None else as_path(out, "out")
     saved: dict[str, Any] = {}
     if start := settings.get("start"):
         settings["start"] = getattr(start, "folder", start)
@@ -85,12 +86,6 @@ def train(
     seeds = [int(seed) for seed in seeds]
     runs = list(trained(training, dataset, folder, seeds, progress))
     return sorted(runs, key=lambda run: seeds.index(int(run.folder.name)))
-
-
-def _folder(out: object) -> Path:
-    if out == "" or not isinstance(out, str | Path):
-        raise UsageError(f"`out` is {out!r:.80}, expected a folder")
-    return Path(out)
 
 
 def repeat(
@@ -115,9 +110,10 @@ def repeat(
         UsageError: If the run's dataset, or the checkpoint that it started from, is
             gone or another, or the new run exists.
     """
-    folder = _folder(out)
+    folder = as_path(out, "out")
     if not isinstance(config, RunConfig):
-        config = read_config(config.folder if isinstance(config, Run) else Path(config))
+        record_of = config.folder if isinstance(config, Run) else config
+        config = read_config(as_path(record_of, "config", "a run or its folder"))
     if "preset" in settings:
         raise UsageError(
             "`preset` is of another run: a repeated one has its own hyper-parameters"
