@@ -4,13 +4,16 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
 from marl_mm.collectors.pd import PdConfig
+from marl_mm.config_diff import as_json
 from marl_mm.control.config import FORMS, Form
 from marl_mm.envs.registry import make_task
-from marl_mm.errors import OutputExistsError, UsageError
+from marl_mm.errors import MarlMmError, OutputExistsError, UsageError
 from marl_mm.eval.grouping import grouped
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import has_rows, read_rows, write_csv
@@ -28,8 +31,9 @@ from marl_mm.eval.studies.sweep_summary import (
     summarize_loads,
     worth_of_a_rule,
 )
-from marl_mm.files import new_folder, refuse_foreign, write_json
+from marl_mm.files import new_folder, only_here, refuse_foreign, write_json
 from marl_mm.progress import Bar
+from marl_mm.received import read_json
 from marl_mm.runs.settings import check_positive, check_seed
 from marl_mm.sim.config import Engine, default_engine, engine_overrides
 from marl_mm.versions import versions
@@ -149,16 +153,38 @@ def run_sweep(
     """
     sweep.check_settings()
     check_positive(workers=workers)
+    hidden = sweep.out.absolute().with_name(f".{sweep.out.absolute().name}.cells")
+    swept = as_json(asdict(sweep) | {"out": sweep.out.name})
+    if resume and not hidden.exists() and _options(sweep.out) == swept:
+        with TemporaryDirectory() as drawn:
+            return draw_sweep(sweep.out, Path(drawn))
     mark, files = ("config.json", '"options"'), ("*.csv", "*.csv.*", "*.png")
     refuse_foreign(sweep.out, overwrite, mark, (*_OLDER, "config.json", *files))
-    hidden = sweep.out.absolute().with_name(f".{sweep.out.absolute().name}.cells")
     if hidden.exists() and not (resume or overwrite):
         raise OutputExistsError(
             f"{sweep.out} was begun already: go on with `resume=True`, or start again "
             "with `overwrite=True`"
         )
-    if not resume:
+    with only_here(hidden):
+        if not resume:
+            for older in hidden.iterdir():
+                older.unlink()
+        tables = _swept(sweep, hidden, workers, swept, bar)
         shutil.rmtree(hidden, ignore_errors=True)
+    return tables
+
+
+def _options(folder: Path) -> Any:
+    """Options of the finished sweep in a folder; None without one."""
+    file = folder / "config.json"
+    values = read_json(file, MarlMmError) if file.exists() else None
+    return values.get("options") if isinstance(values, dict) else None
+
+
+def _swept(
+    sweep: Sweep, hidden: Path, workers: int, options: dict[str, Any], bar: Bar
+) -> dict[str, list[Row]]:
+    """Run what a folder of cells lacks, and write everything; tables by name."""
     loads = load_cells(sweep.load_goals, sweep.seed) if sweep.load_goals else []
     cells, worth, loads = (
         [replace(cell, engine=sweep.engine) for cell in part]
@@ -173,9 +199,8 @@ def run_sweep(
         if loads:
             write_csv(folder / LOAD_EPISODES, [r for cell in loads for r in rows[cell]])
         result = draw_sweep(folder, folder)
-        swept = asdict(sweep) | {"out": sweep.out.name}
-        write_json(folder / "config.json", {"options": swept, "versions": versions()})
-    shutil.rmtree(hidden, ignore_errors=True)
+        record = {"options": options, "versions": versions()}
+        write_json(folder / "config.json", record)
     return result
 
 

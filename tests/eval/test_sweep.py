@@ -204,6 +204,10 @@ def test_the_command_resumes_to_the_same_bytes(
         assert (cut / name).read_bytes() == (whole / name).read_bytes(), name
     for name in ("response.png", "pareto.png", "config.json"):
         assert (cut / name).stat().st_size > 100
+    before = {path: path.stat().st_mtime_ns for path in cut.iterdir()}
+    assert main(resume) == 0  # nothing is left to do
+    assert {path: path.stat().st_mtime_ns for path in cut.iterdir()} == before
+    assert main([*resume, "--seed", "9"]) == 2  # another sweep is there
 
 
 @pytest.mark.slow
