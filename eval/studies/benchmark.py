@@ -136,18 +136,23 @@ class BenchmarkOptions(StudyOptions):
         """Study whose runs are compared.
 
         Raises:
-            UsageError: If an own algorithm is unknown, or learns online.
+            UsageError: If an own algorithm is unknown, or does not learn from a
+                dataset alone.
         """
         for name in self.own:
-            if ALGORITHMS.get(name).online:
-                raise UsageError(f"`own` has {name}, expected an offline algorithm")
+            if name not in (*ALGORITHM_NAMES, *_others()):
+                learns = ALGORITHMS.get(name).learns
+                raise UsageError(
+                    f"`own` has {name}, which learns {learns}, expected an algorithm "
+                    "that learns from a dataset"
+                )
         every = tuple(dict.fromkeys((*ALGORITHM_NAMES, *self.own)))
         return replace(AGENTS, cells=cells_of(DATASETS, UPDATES, algorithms=every))
 
 
 def _others() -> list[str]:
-    """Registered names of offline algorithms that the benchmark has not."""
-    names = (name for name, each in ALGORITHMS.items() if not each.online)
+    """Registered names of other algorithms that learn from a dataset."""
+    names = (n for n, each in ALGORITHMS.items() if each.learns == "from a dataset")
     return sorted({*names} - {*ALGORITHM_NAMES})
 
 
@@ -173,6 +178,7 @@ def draw_benchmark(results: Path, folder: Path) -> list[Row]:
         if not there:
             continue
         of_source = [of_cell(store, cell, seeds) for cell, seeds in there]
+        store.refuse_mixed([cell for cell, _ in there])
         reached = {  # of a single seed nobody knows how another does
             row["algorithm"]: success for row, success in of_source if row["seeds"] > 1
         }
@@ -218,36 +224,45 @@ def of_cell(store: RowStore, cell: Cell, seeds: list[int]) -> tuple[Row, np.ndar
 
 
 def _write_overall(folder: Path, rows: list[Row], scores: list[Scores]) -> None:
-    """Tables over the datasets that all algorithms have learnt from, several seeds."""
+    """Tables over the datasets that all of the benchmark's algorithms have learnt from.
+
+    With several seeds; of other algorithms over those of these that they have.
+    """
     there = {name for of_dataset in scores for name in of_dataset}
+    ours = there & {*ALGORITHM_NAMES} or there
     each = zip(grouped(rows, "dataset").values(), scores, strict=True)
-    whole = [(some, of) for some, of in each if there and of.keys() == there]
-    names = _in_order(there) if whole else []
+    whole = [(some, of) for some, of in each if there and of.keys() >= ours]
+    names = _in_order({name for _, of in whole for name in of})
     tasks = [some[0]["task"] for some, _ in whole]
     goals_of = [tasks.index(task) for task in tasks]  # a task has the same for all
     engine = ", ".join(sorted({row["engine"] for some, _ in whole for row in some}))
     means = {}
     for number, name in enumerate(_in_order({*ALGORITHM_NAMES, *names})):
-        if name in names:
-            means[name] = resampled([of[name] for _, of in whole], number, goals_of)
+        # Draws are of a dataset's place, whichever datasets an algorithm has.
+        drawn = resampled(
+            [of.get(name, next(iter(of.values()))) for _, of in whole], number, goals_of
+        )
+        means[name] = {k: drawn[k] for k, (_, of) in enumerate(whole) if name in of}
     groups = [[row["algorithm"] for row in some if row["first"]] for some, _ in whole]
     overall = [
         {
             "algorithm": name,
-            "datasets": len(whole),
+            "datasets": len(means[name]),
             "engine": engine,
-            **_estimated("iqm", interquartile(means[name])),
-            **_estimated("mean", mean(means[name])),
+            **_estimated("iqm", interquartile([*means[name].values()])),
+            **_estimated("mean", mean([*means[name].values()])),
             "first": sum(name in group for group in groups),
             "first_alone": groups.count([name]),
         }
         for name in names
     ]
-    pairs = [
-        {"algorithm": name, "other": other, "engine": engine}
-        | _estimated("improvement", improvement(means[name], means[other]))
-        for name, other in combinations(names, 2)
-    ]
+    pairs = []
+    for name, other in combinations(names, 2):
+        both = sorted(means[name].keys() & means[other].keys())
+        if both:
+            of_each = ([means[one][k] for k in both] for one in (name, other))
+            row = {"algorithm": name, "other": other, "engine": engine}
+            pairs.append(row | _estimated("improvement", improvement(*of_each)))
     write_csv(folder / OVERALL, overall)
     write_csv(folder / PAIRS, pairs)
 
@@ -327,9 +342,12 @@ def overall_table(rows: list[Row]) -> str:
         for row in rows
     ]
     heads = ["algorithm", "IQM [%]", "mean [%]", "not told from the best", "best alone"]
+    most = max(row["datasets"] for row in rows)
+    fewer = any(row["datasets"] < most for row in rows)
+    those = "the benchmark" if fewer else "these"
     return (
-        f"{markdown_table(heads, lines)}\nOver {rows[0]['datasets']} of "
-        f"{len(DATASETS)} datasets: those that all of these have learnt from.\n"
+        f"{markdown_table(heads, lines)}\nOver {most} of {len(DATASETS)} datasets: "
+        f"those that all of {those} have learnt from.\n"
     )
 
 

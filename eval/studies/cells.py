@@ -10,9 +10,9 @@ from types import MappingProxyType
 from typing import Any, Generic, Protocol, TypeVar, cast
 
 import marl_mm
-from marl_mm.config_diff import as_json
+from marl_mm.config_diff import as_json, changes
 from marl_mm.envs.registry import config_dict, make_task
-from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.errors import MarlMmError, OtherConfigError, UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import as_read, read_rows, write_csv
 from marl_mm.files import write_json
@@ -125,18 +125,35 @@ def record_of(path: Path) -> Path:
     return path.with_name(f"{path.name}.json")
 
 
-def missing_groups(groups: Mapping[Path, Sequence[C]]) -> dict[Path, Sequence[C]]:
-    """Groups whose rows are not there; those of older code count."""
-    return {path: cells for path, cells in groups.items() if not _is_made(path, cells)}
+def missing_groups(
+    groups: Mapping[Path, Sequence[C]], overwrite: bool
+) -> dict[Path, Sequence[C]]:
+    """Groups of which rows are not there; those of older code count.
 
+    Args:
+        groups: Cells by the path of ``write_cells``.
+        overwrite: Whether rows of other cells may be replaced.
 
-def _is_made(path: Path, cells: Sequence[C]) -> bool:
-    record = record_of(path)
-    if not record.exists():
-        return False
-    made = read_json(record, MarlMmError).get("cells")
-    wanted = [asdict(cast(Any, cell)) for cell in cells]
-    return bool(made == as_json({"cells": wanted})["cells"])
+    Raises:
+        OtherConfigError: If rows of other cells would be lost, naming what differs.
+    """
+    missing = {}
+    for path, cells in groups.items():
+        record, wanted = record_of(path), [asdict(cast(Any, c)) for c in cells]
+        wanted = as_json({"cells": wanted})["cells"]
+        made = read_json(record, MarlMmError).get("cells") if record.exists() else []
+        if all(cell in made for cell in wanted):
+            continue
+        lost = [cell for cell in made if cell not in wanted]
+        if lost and not overwrite:
+            like = min(wanted, key=lambda cell: len([*changes(lost[0], cell)]))
+            words = ", ".join(changes(lost[0], like)) or "other settings"
+            raise OtherConfigError(
+                f"{record} was made with {words:.300}",
+                "name another folder with `out`, or replace it with `overwrite=True`",
+            )
+        missing[path] = cells
+    return missing
 
 
 def read_cells(folder: Path) -> dict[str, list[Row]]:

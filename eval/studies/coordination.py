@@ -18,7 +18,7 @@ from marl_mm.eval.grouping import by_goal, grouped, mean_of
 from marl_mm.eval.intervals import paired_interval, success_interval
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
-from marl_mm.eval.studies.cells import read_cells, run_cells
+from marl_mm.eval.studies.cells import missing_groups, read_cells, run_cells
 from marl_mm.eval.studies.options import PolicyOptions
 from marl_mm.eval.studies.policies import Contestant, PolicyCell, run_cell
 from marl_mm.eval.tables import markdown_table, rate_in_interval
@@ -123,11 +123,17 @@ def make_coordination(options: CoordinationOptions, bar: Bar) -> list[Row]:
     cells = cells_of(options)
     for task, (first, *_) in cells.items():
         check_task(make_task(task, first.overrides))
-    every = [cell for listed in cells.values() for cell in listed]
+    groups = missing_groups(groups_of(options), options.overwrite)
+    every = [cell for listed in groups.values() for cell in listed]
     pool = options.workers, (bar, "coordination"), options.executor
-    groups = {_rows_folder(options.results) / task: of for task, of in cells.items()}
     run_cells(run_cell, every, options.cells_folder, *pool, groups)
     return draw_coordination(options.results, options.results)
+
+
+def groups_of(options: CoordinationOptions) -> dict[Path, list[PolicyCell]]:
+    """Cells by the path of their task's rows, see ``write_cells``."""
+    folder = _rows_folder(options.results)
+    return {folder / task: cells for task, cells in cells_of(options).items()}
 
 
 def _rows_folder(results: Path) -> Path:

@@ -14,7 +14,12 @@ from marl_mm.envs.registry import DEFAULT, fewest_steps, make_task
 from marl_mm.eval.evaluate import check_task
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
-from marl_mm.eval.studies.cells import read_cells, run_cells, write_cells
+from marl_mm.eval.studies.cells import (
+    missing_groups,
+    read_cells,
+    run_cells,
+    write_cells,
+)
 from marl_mm.eval.studies.engines_summary import agreement, paired
 from marl_mm.eval.studies.offline import BLOCKS, LEARNERS
 from marl_mm.eval.studies.options import PolicyOptions, StudyOptions
@@ -150,14 +155,16 @@ def make_engines(options: EnginesOptions, bar: Bar) -> list[Row]:
         KeyboardInterrupt: After Ctrl-C; finished policies are kept.
     """
     options.check_settings()
-    cells = [cell for task in options.tasks for cell in cells_of(task, options)]
+    missing = missing_groups(groups_of(options), options.overwrite)
+    tasks = [task for task in options.tasks if rows_path(options, task) in missing]
+    cells = [cell for task in tasks for cell in cells_of(task, options)]
     for task, engine in product(options.tasks, ENGINES):  # before any work is done
         check_task(make_task(task, {"simulation": {"engine": engine}}))
     pool = options.workers, (bar, "engines"), options.executor
     rows = run_cells(run_cell, cells, options.cells_folder, *pool)
-    for task in options.tasks:
+    for task in tasks:
         of_task = {recorded(cell): rows[cell] for cell in cells if cell.task == task}
-        write_cells(_rows_folder(options.results) / task, [*of_task], of_task)
+        write_cells(rows_path(options, task), [*of_task], of_task)
     return draw_engines(options.results, options.results)
 
 
@@ -172,6 +179,19 @@ def cells_of(task: str, options: EnginesOptions) -> list[PolicyCell]:
         for contestant in (every[::8] if options.small else every)
         for engine in ENGINES
     ]
+
+
+def rows_path(options: EnginesOptions, task: str) -> Path:
+    """Path of a task's rows, see ``write_cells``."""
+    return _rows_folder(options.results) / task
+
+
+def groups_of(options: EnginesOptions) -> dict[Path, list[PolicyCell]]:
+    """Cells by that path, as they are recorded."""
+    return {
+        rows_path(options, task): [*map(recorded, cells_of(task, options))]
+        for task in options.tasks
+    }
 
 
 def recorded(cell: PolicyCell) -> PolicyCell:

@@ -9,6 +9,7 @@ from typing import Any
 from marl_mm.algorithms.checkpoint import BEST as BEST_FILE
 from marl_mm.algorithms.checkpoint import FILE
 from marl_mm.algorithms.config_checks import Precision
+from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.schedule import Schedule
 from marl_mm.algorithms.speed import (
@@ -26,6 +27,7 @@ from marl_mm.envs.registry import DEFAULT, fewest_steps
 from marl_mm.errors import DivergedError
 from marl_mm.eval.studies import sb3
 from marl_mm.eval.studies.settings import BEST, LAST, Online, Probe, Setting
+from marl_mm.plugins import record
 from marl_mm.progress import Bar
 from marl_mm.runs import learning
 from marl_mm.runs.checks import check_training
@@ -227,6 +229,8 @@ def made_of(setting: Setting, training: Training) -> dict[str, Any]:
         return sb3.made_of(training)
     made = {"algorithm": training.algorithm} | as_record(training.config)
     made |= training.recorded
+    if plugins := record(ALGORITHMS.origin(training.algorithm)):
+        made["plugins"] = plugins
     task = training.task if isinstance(training, OnlineTraining) else setting.task
     if task is not None:  # else the dataset's
         made["task"] = task

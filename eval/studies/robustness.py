@@ -313,7 +313,7 @@ def make_robustness(options: RobustnessOptions, bar: Bar) -> list[Row]:
         path = rows_path(options, dataset, setting)
         cells = cells_of(options, dataset, setting)
         groups[path] = _with_weights(options, path, cells)
-    missing = missing_groups(groups)
+    missing = missing_groups(groups, options.overwrite)
     every = [cell for cells in missing.values() for cell in cells]
     folder, run = options.runs_folder / "robustness", partial(run_cell, options)
     pool = options.workers, (bar, "robustness"), options.executor

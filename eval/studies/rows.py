@@ -39,6 +39,9 @@ _ADVICE = "name another folder with `out`"
 _ANY = {"packages", "precision"}
 """Values of records in which the seeds of a cell may differ."""
 
+_ALIKE = "eval_seed", "eval_episodes", "max_steps", "updates", "engine", "task"
+"""Values in which the cells of a table may not differ, beside the bytes of the data."""
+
 _CURVES = ".curve.csv.xz"
 """Suffix of files with a cell's learning curves."""
 
@@ -85,7 +88,14 @@ class RowStore:
         begun, current = (with_added(of, settings) for of in (record, recorded))
         refuse_other_config(path, begun, current, _ADVICE)
         pairs = {(row["seed"], row["probe"]) for row in self._rows(cell)}
-        return [seed for seed in seeds if not pairs >= set(product([seed], ways))]
+        left = [seed for seed in seeds if not pairs >= set(product([seed], ways))]
+        engine = record.get("engine")
+        if left and engine and "packages" in record:
+            before, present = self.engine_text(cell, engine), engine_text(engine)
+            if before != present:
+                words = f"{path} was made with {before} (now {present})"
+                raise OtherConfigError(words, _ADVICE)
+        return left
 
     def seeds(self, cell: Cell) -> list[int]:
         """Seeds of a cell's rows; none without rows."""
@@ -139,6 +149,24 @@ class RowStore:
                 f"{self._path(cell, '.json')} is damaged: engine is {engine!r:.60}"
             )
         return engine
+
+    def refuse_mixed(self, cells: Sequence[Cell]) -> None:
+        """Raise for rows of a table that differ in data, goals, updates or engine.
+
+        Raises:
+            OtherConfigError: Naming the first cell that differs, and in what.
+        """
+        first, *others = [self._record(cell) for cell in cells]
+        for cell, record in zip(cells[1:], others, strict=True):
+            begun, now = (
+                {"fingerprint": (of.get("dataset") or {}).get("fingerprint")}
+                | {key: of.get(key) for key in _ALIKE}
+                for of in (first, record)
+            )
+            if words := ", ".join(changes(now, begun)):
+                path = self._path(cell, ".json")
+                why = f"{path} was made otherwise than other rows of its table: {words}"
+                raise OtherConfigError(why, _ADVICE)
 
     def check_dataset(self, cell: Cell, identity: Mapping[str, Any]) -> None:
         """Raise if there are rows of runs that learnt from other data.

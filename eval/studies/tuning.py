@@ -129,7 +129,8 @@ def make_tuning(options: TuningOptions, bar: Bar) -> list[Row]:
             build_dataset(name, workers=options.workers, progress=bar)
     rows_folder, runs = _rows_folder(options.results), options.runs_folder / "tuning"
     groups = missing_groups(
-        {rows_folder / name: listed for name, listed in cells.items()}
+        {rows_folder / name: listed for name, listed in cells.items()},
+        options.overwrite,
     )
     every = [cell for listed in groups.values() for cell in listed]
     pool = options.workers, (bar, "tuning"), options.executor
@@ -149,7 +150,7 @@ def plan_tuning(options: TuningOptions, bar: Bar) -> str:
     advance = bar("measuring", len(every))
     for name, cells in every.items():
         left: Sequence[TuningCell] = []
-        if missing_groups({folder / name: cells}):
+        if missing_groups({folder / name: cells}, options.overwrite):
             kept = kept_rows(cells, options.runs_folder / "tuning")
             left = [cell for cell in cells if cell not in kept]
         seconds = 0.0

@@ -4,12 +4,13 @@ import shutil
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from marl_mm.cli import main
-from marl_mm.errors import UsageError
+from marl_mm.errors import OtherConfigError, UsageError
 from marl_mm.eval.rows import read_rows, write_csv
 from marl_mm.eval.studies import early
 from marl_mm.eval.studies.benchmark import (
@@ -172,8 +173,58 @@ def test_other_algorithms_stand_last_and_change_no_row_of_the_benchmarks(
     assert benchmark_table(rows).splitlines()[-3].startswith("| `rebrac` |")
 
 
+def test_what_others_have_learnt_from_is_no_matter_of_an_own_algorithm(
+    tmp_path: Path,
+) -> None:
+    """It stands beside them over the datasets that it has."""
+    options = BenchmarkOptions(own=("cfcql",))
+    for dataset, rate in ((FIRST, 0.9), (SECOND, 0.3)):
+        for name in ("bc", "mabc"):
+            write(tmp_path, dataset, name, rate)
+    draw_benchmark(tmp_path, tmp_path)
+    before = read_rows(tmp_path / OVERALL), read_rows(tmp_path / PAIRS)
+    write(tmp_path, SECOND, "cfcql", 0.6, cells=options.agents.cells)
+    draw_benchmark(tmp_path, tmp_path)
+    *overall, own = read_rows(tmp_path / OVERALL)
+    pairs = {(r["algorithm"], r["other"]): r for r in read_rows(tmp_path / PAIRS)}
+    for row, earlier in zip(overall, before[0], strict=True):
+        assert {**row, "first": 0} == {**earlier, "first": 0}  # another may be best
+    assert [pairs["bc", "mabc"]] == before[1]
+    assert own["datasets"] == 1 and own["first_alone"] == 1
+    assert pairs["bc", "cfcql"]["improvement"] == 0.0
+    text = overall_table([*overall, own])
+    assert "Over 2 of 16 datasets: those that all of the benchmark have" in text
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"dataset": {"fingerprint": "b"}},
+        {"eval_episodes": 2},
+        {"eval_seed": 7},
+        {"updates": 5},
+    ],
+)
+def test_rows_of_other_goals_or_data_are_in_no_table_with_these(
+    change: dict[str, Any], tmp_path: Path
+) -> None:
+    for name in ("bc", "mabc"):
+        write(tmp_path, FIRST, name, 0.5)
+    (record,) = tmp_path.rglob("*-mabc.json")
+    write_json(record, {"engine": "mujoco", "probes": {}, **change})
+    (key,) = change
+    named = "fingerprint" if key == "dataset" else key
+    with pytest.raises(OtherConfigError, match=f"-mabc.json was made .*: {named} = "):
+        draw_benchmark(tmp_path, tmp_path)
+
+
 def test_an_own_algorithm_is_an_offline_one() -> None:
-    for name, complaint in (("ddpg", "expected an offline"), ("bcc", "did you mean")):
+    no_data = "expected an algorithm that learns from"
+    for name, complaint in (
+        ("ddpg", f"learns online, {no_data}"),
+        ("rlpd", f"learns online, beside a dataset, {no_data}"),
+        ("bcc", "did you mean"),
+    ):
         with pytest.raises(UsageError, match=complaint):
             _ = BenchmarkOptions(own=(name,)).agents
     cells = BenchmarkOptions(own=("mabc",)).agents.cells

@@ -1,6 +1,7 @@
 """Both engines beside each other: by hand, and from nothing to tables in small."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,8 @@ from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.policies import PolicyCell
 from marl_mm.eval.studies.study import cell_name
 from marl_mm.sim.config import Engine
+
+RESULTS = Path(__file__).resolve().parents[2] / "eval" / "results" / "studies"
 
 MUJOCO = {"simulation": {"engine": "mujoco"}}
 
@@ -137,6 +140,33 @@ def test_a_plan_counts_teams(
     for task, number in (("Bar-v0", 26), ("Bar-hard-v0", 4), ("Reach-v0", 19)):
         assert f"| {task} | mujoco | {number} of {number} |" in text
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (
+            ["coordination", "--tasks", "Gate-v0"],
+            "Gate-v0.json was made with goals =",
+        ),
+        (
+            ["tuning", "--algorithms", "bc"],
+            "bc.json was made with dataset = quiet",
+        ),
+        (["engines", "--tasks", "Reach-v0"], "Reach-v0.json was made with goals = 200"),
+    ],
+)
+@pytest.mark.bullet
+def test_rows_of_other_settings_are_not_replaced(
+    words: list[str], complaint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Although tables are drawn again with --resume."""
+    shutil.copytree(RESULTS / "rows" / words[0], tmp_path / "rows" / words[0])
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
+    asked = ["ablate", *words, "--budget", "smoke", "--runs", str(tmp_path / "runs")]
+    assert main([*asked, "--out", str(tmp_path), "--resume"]) == 2
+    assert complaint in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.*")} == before
 
 
 @pytest.mark.bullet

@@ -41,6 +41,7 @@ from marl_mm.errors import (
 )
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies import jobs as studies_jobs
+from marl_mm.eval.studies import learners
 from marl_mm.eval.studies import rows as study_rows
 from marl_mm.eval.studies.cells import write_cells
 from marl_mm.eval.studies.jobs import Job, _begin, _by_process, _do, do_jobs
@@ -58,6 +59,7 @@ from marl_mm.runs.paper import GOOD_30K
 from marl_mm.runs.sources import Mix, Source
 from marl_mm.runs.training import Offline
 from marl_mm.runs.training import training_of as default_training
+from marl_mm.versions import versions
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 
@@ -249,6 +251,25 @@ def test_a_dataset_of_other_steps_or_parts_is_another(datasets_home: Path) -> No
 
 
 # --- Rows --------------------------------------------------------------------
+
+
+def test_rows_of_another_plugin_or_engine_are_not_gone_on_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(learners, "record", lambda origin: {"own.py": "then"})
+    store, cell = RowStore(tmp_path), ("good-5k", OURS)
+    training = training_of(*cell, None, small=True)
+    asked = [0], [LAST], learners.made_of(OURS, training), training.config
+    record = {**asked[2], "probes": {}, "engine": "mujoco", "packages": versions()}
+    write_json(tmp_path / "good-5k" / f"{OURS.name}.json", record)
+    assert store.missing(cell, *asked) == [0]
+    older = {**record, "packages": dict.fromkeys(versions(), "3.0.0")}
+    write_json(tmp_path / "good-5k" / f"{OURS.name}.json", older)
+    with pytest.raises(OtherConfigError, match=r"with mujoco 3.0.0 \(now mujoco"):
+        store.missing(cell, *asked)
+    monkeypatch.setattr(learners, "record", lambda origin: {"own.py": "now"})
+    with pytest.raises(OtherConfigError, match=r"own.py = then \(now now\)"):
+        store.missing(cell, [0], [LAST], learners.made_of(OURS, training), *asked[3:])
 
 
 def finished(folder: Path, seed: int, q_policy: float = 1.0, **more: float) -> Path:
