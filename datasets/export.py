@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from marl_mm.datasets.dataset import Dataset
+from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.hdf5_files import write_tables
 from marl_mm.errors import UsageError
 from marl_mm.files import new_file, new_folder, refuse_existing, refuse_foreign
@@ -57,12 +57,12 @@ DATASET_FORMS: Registry[DatasetForm] = Registry(
 
 
 def export(
-    dataset: Dataset, form: str, path: str | Path, overwrite: bool = False
+    dataset: Dataset | str | Path, form: str, path: str | Path, overwrite: bool = False
 ) -> None:
     """Write a dataset in a form that another library reads.
 
     Args:
-        dataset: The dataset.
+        dataset: The dataset, its id or its path.
         form: Name of one of ``DATASET_FORMS``.
         path: File or folder to write, as the form is.
         overwrite: Whether it may be replaced if it exists; a folder only if it is an
@@ -74,6 +74,10 @@ def export(
             path is a folder where a file is written, or the other way around, or lies
             within the dataset.
     """
+    if not isinstance(dataset, Dataset):
+        dataset = load_dataset(dataset)
+    if not isinstance(path, str | Path):
+        raise UsageError(f"`path` is {path!r:.80}, expected a file or folder")
     chosen, path = DATASET_FORMS.get(form), Path(path).absolute()
     real = Path(os.path.realpath(path))  # which goes round no circle of links
     if real.is_relative_to(dataset.location.folder.resolve()):

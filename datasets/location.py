@@ -90,6 +90,10 @@ def locate(text: str) -> Location:
         raise UsageError(f"dataset {text!r} is no name, expected an id or a path")
     if folder.name == "data" and (folder / "metadata.json").exists():
         folder = folder.parent
+    if folder.is_relative_to(root := datasets_root()):
+        inner = str(folder.relative_to(root))
+        if ID.fullmatch(inner):
+            return Location(inner, folder)
     name = re.sub(r"[^a-zA-Z0-9_-]", "-", folder.name)
     return Location(f"marl_mm/local/{_versioned(name)}", folder)
 

@@ -1,6 +1,6 @@
 """What holds of all episodes, wherever they come from, and of the record about them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -89,9 +89,11 @@ def _seeds(arrays: EpisodeArrays) -> list[str]:
 
 def _values(arrays: EpisodeArrays) -> list[str]:
     layout = arrays.layout
-    low, high = np.array(layout.low), np.array(layout.high)
+    low, high = _as_stored(layout.low, layout.high)
     outside = (arrays.actions < low) | (arrays.actions > high)
-    least, most = np.array([(entry.low, entry.high) for entry in layout.state]).T
+    least, most = _as_stored(
+        *zip(*((e.low, e.high) for e in layout.state), strict=True)
+    )
     beyond = ((arrays.states < least) | (arrays.states > most)).any(axis=1)
     moved = np.diff(arrays.states[:, layout.goal], axis=0)[~arrays.is_last_state()[:-1]]
     checks = {
@@ -100,6 +102,16 @@ def _values(arrays: EpisodeArrays) -> list[str]:
         "goals that move within an episode": moved.any(axis=1).sum(),
     }
     return [f"{count} {text}" for text, count in checks.items() if count]
+
+
+def _as_stored(
+    low: Sequence[float], high: Sequence[float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds that values at them keep when they are stored as float32."""
+    return (
+        np.minimum(low, np.array(low, np.float32)),
+        np.maximum(high, np.array(high, np.float32)),
+    )
 
 
 def _ends(arrays: EpisodeArrays) -> list[str]:

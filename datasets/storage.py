@@ -177,6 +177,8 @@ def read_arrays(
     arrays = cache.cached(key) if cached else None
     if arrays is None:
         arrays = read_apart(path, key.episodes, key.layout, key.info)
+        if file_digest(path, DatasetError) != digest:
+            raise DatasetError(f"{path} was replaced while it was read: read it again")
         _refuse_problems(problems_of(arrays), path)
         cache.keep(key, arrays)
     _refuse_problems(problems_of_record(metadata, arrays.steps), about)

@@ -324,14 +324,14 @@ class _Collector:
         try:
             with deaf_to_interrupts(forget=not collection.complete):
                 write_dataset(self.location, arrays, provenance, overwrite=True)
-        except (OSError, MarlMmError) as error:  # no room
-            reason = str(error)
-            if isinstance(error, OSError):
-                reason = f"{error.strerror}: {error.filename}"
+        except OSError as error:  # no room
             raise MarlMmError(
-                f"{reason}; finished episodes are kept: make room and go on with "
-                "`resume=True`"
+                f"{error.strerror}: {error.filename}; finished episodes are kept: make "
+                "room and go on with `resume=True`"
             ) from error
+        except MarlMmError as error:
+            kept = "finished episodes are kept, and `resume=True` writes them again"
+            raise MarlMmError(f"{error}; {kept}") from error
 
 
 def _all_versions(before: Any, now: Mapping[str, str]) -> dict[str, str]:

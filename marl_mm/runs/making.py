@@ -155,8 +155,10 @@ class Datasets:
         record = None if self.overwrite else recorded(location)
         if record is None:
             return True
-        fewer = 0 < sum(_drawn(record).values()) <= sum(self._drawn_by(data))
-        return record.seed == data.seed and fewer
+        drawn = _drawn(record)
+        fewer = 0 < sum(drawn.values()) <= sum(self._drawn_by(data))
+        own = drawn.keys() == {self._location(source).id for source, _ in data.parts}
+        return own and record.seed == data.seed and fewer
 
     def _made_of(self, data: Source | Mix) -> list[Source]:
         """Sources that it begins with, or is drawn from."""
@@ -176,8 +178,21 @@ class Datasets:
             return False
         if isinstance(data, Mix):
             drawn = [self._location(source).id for source, _ in data.parts]
-            return _drawn(record) == dict(zip(drawn, self._drawn_by(data), strict=True))
+            same = dict(zip(drawn, self._drawn_by(data), strict=True))
+            return _drawn(record) == same and all(
+                self._is_drawn_from(source, record) for source, _ in data.parts
+            )
         return replace(data, steps=self._steps(data.steps)).made(record)
+
+    def _is_drawn_from(self, source: Source, mixed: Provenance) -> bool:
+        """Whether a mix is of a source as it is now, or as it was before it went."""
+        location = self._location(source)
+        if recorded(location) is None:
+            origin = mixed.origins.get(location.id)
+            return origin is None or source.is_of(origin)
+        drawn = {each["id"]: each["fingerprint"] for each in mixed.sources or ()}
+        now = load_dataset(location).fingerprint
+        return self._whole(source, location) and drawn.get(location.id) == now
 
     def _deed(self, data: Source | Mix) -> str:
         if isinstance(data, Mix):

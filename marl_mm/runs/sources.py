@@ -5,16 +5,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from marl_mm import plugins
 from marl_mm.collectors.registry import COLLECTORS
 from marl_mm.config_diff import as_json
-from marl_mm.datasets.provenance import Provenance
+from marl_mm.datasets.provenance import Origin, Provenance
 from marl_mm.declared import as_record, plain
-from marl_mm.envs.registry import DEFAULT, make_task
-from marl_mm.errors import UsageError
+from marl_mm.envs.registry import DEFAULT, TASKS, config_dict, make_task
+from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.runs.settings import check_positive, check_seed, with_settings
 from marl_mm.sim.config import (
     RECORDED_ENGINE,
     Engine,
+    as_recorded,
     default_engine,
     engine_of,
     engine_overrides,
@@ -80,19 +82,51 @@ class Source:
 
     def made(self, record: Provenance) -> bool:
         """Whether a dataset with this record is the source's, with all its steps."""
-        config = as_json(as_record(self.config))
-        engine = self.engine or RECORDED_ENGINE
-        expected = self.task, self.collector, config, engine, self.seed, self.steps
-        config = as_json(dict(record.collector_config or {}))
-        actual = record.task, record.collector, config, engine_of(record.overrides)
-        numbers = record.seed, record.steps_asked
         longest = COLLECTORS.get(self.collector).max_steps
         longest = longest or make_task(self.task).max_steps
         return (
             record.complete
-            and (*actual, *numbers) == expected
+            and self.is_of(record)
+            and record.steps_asked == self.steps
             and record.overrides.get("max_steps", longest) == longest
+            and self._acts_alike(record)
         )
+
+    def is_of(self, record: Provenance | Origin) -> bool:
+        """Whether a collection's task, collector, seed and engine are the source's."""
+        config = as_json(as_record(self.config))
+        engine = self.engine or RECORDED_ENGINE
+        actual = as_json(dict(record.collector_config or {}))
+        return (self.task, self.collector, config, engine, self.seed) == (
+            *(record.task, record.collector, actual, engine_of(record.overrides)),
+            record.seed,
+        )
+
+    def _acts_alike(self, record: Provenance) -> bool:
+        """Whether task, plug-ins and weights are those that a dataset was made with."""
+        task = make_task(self.task, as_recorded(record.overrides))
+        if _differ(record.config, as_json(config_dict(task))):
+            return False
+        origins = COLLECTORS.origin(self.collector), TASKS.origin(self.task)
+        if dict(record.plugins) != plugins.record(*origins):
+            return False
+        if record.weights is None:
+            return True
+        try:
+            policy = COLLECTORS.get(self.collector).policy(self.config, task)
+        except MarlMmError:  # the agent is gone, its data are there
+            return True
+        return bool(policy.describe().get("weights") == record.weights)
+
+
+def _differ(begun: Mapping[str, Any], now: Mapping[str, Any]) -> bool:
+    """Whether settings that both records have differ; older ones lack some."""
+    for key in begun.keys() & now.keys():
+        before, value = begun[key], now[key]
+        nested = isinstance(before, Mapping) and isinstance(value, Mapping)
+        if _differ(before, value) if nested else before != value:
+            return True
+    return False
 
 
 @dataclass(frozen=True)

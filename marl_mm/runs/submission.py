@@ -33,6 +33,9 @@ from marl_mm.runs.training import SWITCHES
 from marl_mm.sim.config import as_recorded
 
 MANIFEST = "manifest.json"
+MEANS = "success_rate", "interval", "summary"
+"""Values of an evaluation that follow from its rows, and that a submission's lacks."""
+
 EPISODES = "episodes.json"
 FORMAT = "marl_mm submission 1"
 

@@ -5,7 +5,7 @@ Nothing is run, no path is taken from a file, and weights hold numbers only.
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +19,12 @@ from marl_mm.errors import LayoutError, SubmissionError, UsageError
 from marl_mm.eval.rows import MOST_COLUMNS
 from marl_mm.plugins import record
 from marl_mm.received import Refusal, check_kind, damage_named, read_json
+from marl_mm.runs.folder import EVALUATION
 from marl_mm.runs.submission import (
     FILES,
     FORMAT,
     MANIFEST,
+    MEANS,
     Submission,
     described,
     files_of,
@@ -216,6 +218,22 @@ def _check_claims(submission: Submission) -> None:
     folder, manifest = submission.folder, submission.manifest
     follows = as_json(described(submission.runs))
     claims, claimed = follows.pop("claims"), manifest["claims"]
+    if other := sorted({*claimed} - {*claims}):
+        raise SubmissionError(f"{folder} claims {other[0]!a:.80}, which is not scored")
+    known = {*follows, *_KINDS, "format", "fingerprint"}
+    _refuse_others(folder / MANIFEST, manifest.keys() - known)
+    for run in submission.runs:
+        rows = run.folder / EVALUATION
+        values = run.evaluation.to_json()
+        said = read_json(rows, SubmissionError)
+        _refuse_others(rows, said.keys() - (values.keys() - {*MEANS}))
+        values |= {"policy": run.config.algorithm, "policy_config": {}}
+        for name in ("policy", "policy_config", "engine"):
+            if said.get(name) != values[name]:
+                expected = values[name]
+                raise SubmissionError(
+                    f"{rows}: {name} is {said.get(name)!a:.80}, expected {expected!a}"
+                )
     for name, value in claims.items():
         said = claimed.get(name, [])
         if np.shape(said) != np.shape(value) or not np.allclose(said, value, 1e-9):
@@ -229,6 +247,14 @@ def _check_claims(submission: Submission) -> None:
                 f"{folder}: {name} is {manifest.get(name)!a:.80} in the manifest, "
                 f"{value!a:.80} in the seeds' files"
             )
+
+
+def _refuse_others(file: Path, names: Set[str]) -> None:
+    """Raise for values that are not a submission's, and that nobody checks."""
+    if names:
+        raise SubmissionError(
+            f"{file} has {sorted(names)[0]!a:.80}, which nobody checks"
+        )
 
 
 def _check_weights(submission: Submission) -> None:

@@ -33,6 +33,7 @@ from marl_mm.runs.submission import (
     EPISODES,
     FORMAT,
     MANIFEST,
+    MEANS,
     MOST_GOALS,
     Scored,
     Submission,
@@ -151,7 +152,7 @@ def submit(
 def _write_rows(home: Path, evaluation: Evaluation, kept: Sequence[Scored]) -> None:
     """Write the rows without means, which are the manifest's, and the hashes."""
     values = evaluation.to_json()
-    for name in ("success_rate", "interval", "summary"):
+    for name in MEANS:
         del values[name]
     write_json(home / EVALUATION, values)
     hashes = {

@@ -5,7 +5,7 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import h5py
@@ -64,6 +64,14 @@ def equal(values: Any, expected: np.ndarray) -> None:
     """Equal to the bit, once the expected values have the type of the others."""
     values = np.asarray(values)
     np.testing.assert_array_equal(values, expected.astype(values.dtype))
+
+
+def test_a_dataset_may_be_named(tmp_path: Path, datasets_home: Path) -> None:
+    export("good-5k", "flat", tmp_path / "named.hdf5")
+    export(load_dataset("good-5k"), "flat", tmp_path / "read.hdf5")
+    assert contents(tmp_path / "named.hdf5") == contents(tmp_path / "read.hdf5")
+    with pytest.raises(UsageError, match="`path` is 5, expected a file or folder"):
+        export("good-5k", "flat", cast(Any, 5))
 
 
 @pytest.mark.slow

@@ -37,6 +37,14 @@ def test_everything_else_is_a_path(
     assert locate(str(data)).folder == data.parent  # unless it is Minari's folder
 
 
+def test_a_path_below_the_root_is_its_id(datasets_home: Path) -> None:
+    folder = datasets_home / "marl_mm" / "reach" / "pd-v0"
+    assert (
+        locate(str(folder)) == locate("pd") == Location("marl_mm/reach/pd-v0", folder)
+    )
+    assert locate(str(datasets_home / "pd")).id == "marl_mm/local/pd-v0"
+
+
 @pytest.mark.parametrize("text", ["", "/", "marl_mm/reach/pd", "marl_mm/"])
 def test_no_name_and_half_an_id_are_refused(text: str) -> None:
     with pytest.raises(UsageError, match=r"expected an id or a path|without its ver"):

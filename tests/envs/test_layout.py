@@ -20,6 +20,7 @@ from marl_mm.datasets.hdf5 import FILE, read_hdf5
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.plausible import problems_of
 from marl_mm.datasets.provenance import Provenance
+from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.envs.goal_env import goal_observation
 from marl_mm.envs.parallel import join_actions, split_action, split_state
@@ -242,3 +243,17 @@ def test_episodes_of_two_layouts_are_no_dataset(tmp_path: Path) -> None:
     with pytest.raises(Exception, match="order of the state"):
         arrays_of([straight, reversed_], "x")
     assert set(INFO) >= {"distance", "is_success"}
+
+
+def test_actions_at_bounds_that_are_no_float32_are_within_them() -> None:
+    """float32(0.6) is above 0.6; a step beyond is outside all the same."""
+    arrays = shipped_arrays().select(range(2))
+    layout = replace(
+        arrays.layout,
+        action=tuple(replace(e, low=-0.6, high=0.6) for e in arrays.layout.action),
+    )
+    at_bounds = np.full_like(arrays.actions, 0.6)
+    assert problems_of(replace(arrays, layout=layout, actions=at_bounds)) == []
+    beyond = np.nextafter(at_bounds, np.float32(1))
+    (problem,) = problems_of(replace(arrays, layout=layout, actions=beyond))
+    assert "outside of the action space" in problem

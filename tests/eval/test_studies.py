@@ -30,12 +30,12 @@ from marl_mm.cli import main
 from marl_mm.config_diff import as_json
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import begun
-from marl_mm.datasets.location import locate
-from marl_mm.datasets.recipe import Part, mix, write_mix
 from marl_mm.declared import as_record
+from marl_mm.envs.registry import TASKS, make_task
 from marl_mm.errors import (
     MarlMmError,
     OtherConfigError,
+    OutputExistsError,
     UnknownDatasetError,
     UsageError,
 )
@@ -242,12 +242,41 @@ def test_a_dataset_of_other_steps_or_parts_is_another(datasets_home: Path) -> No
     short = Source("random", steps=20, name="one")
     with pytest.raises(UnknownDatasetError):
         Datasets().find(short)  # which has the task's 25 steps an episode
-    recipe = mix([Part(load_dataset("one"), 10)], seed=0)
-    write_mix(locate("both"), recipe)
     made = Datasets()
-    for name, whole in (("one", True), ("two", False)):
-        data = Mix("both", [(replace(short, name=name), 10)])
-        assert made._whole(data, locate("both")) == whole
+    three, four = (replace(short, name=name, seed=3) for name in ("three", "four"))
+    made.make(four)
+    made.make(Mix("both", [(three, 10)]))
+    assert made.find(Mix("both", [(three, 10)]))
+    for other in (four, Source("pd", steps=20, name="three", seed=3)):
+        with pytest.raises(UnknownDatasetError):  # of another part, or another's
+            made.find(Mix("both", [(other, 10)]))
+    shutil.rmtree(load_dataset("three").location.folder)
+    assert made.find(Mix("both", [(three, 10)])), (
+        "its source is gone, which is no matter"
+    )
+    changed = Mix("both", [(replace(three, collector="pd"), 10)])
+    origins = made.make(changed).provenance.origins.values()
+    assert {origin.collector for origin in origins} == {"pd"}
+
+
+def test_a_mix_of_other_data_of_ones_own_is_not_replaced(datasets_home: Path) -> None:
+    few = Source("random", steps=30, name="few")
+    marl_mm.mix_datasets({"good-5k": 10}, "both")
+    before = load_dataset("both").fingerprint
+    with pytest.raises(OutputExistsError, match="both"):
+        Datasets().make(Mix("both", [(few, 20)]))
+    assert load_dataset("both").fingerprint == before
+
+
+def test_a_dataset_of_a_task_that_has_changed_is_another(
+    datasets_home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = Source("random", steps=20, name="few")
+    Datasets().make(source)
+    changed = make_task("Reach-v0", {"success_distance": 0.2})
+    monkeypatch.setitem(TASKS._things, "Reach-v0", changed)
+    with pytest.raises(OtherConfigError, match=r"success_distance = 0.05 \(now 0.2\)"):
+        Datasets().make(source)
 
 
 # --- Rows --------------------------------------------------------------------

@@ -283,6 +283,15 @@ TAMPERING: dict[str, tuple[Change, str]] = {
         "has the seed -1, expected >= 0",
     ),
     "no claims": (manifest(lambda v: v.pop("claims")), "claims"),
+    "a number in the manifest": (manifest(lambda v: v.update(rank=1)), "has 'rank'"),
+    "a rate beside the rows": (
+        in_each(EVALUATION, lambda v: v.update(success_rate=1.0)),
+        "has 'success_rate', which nobody checks",
+    ),
+    "another policy's name": (
+        in_each(EVALUATION, lambda v: v.update(policy="best")),
+        "policy is 'best', expected",
+    ),
 }
 """What an attacker changes, and what is said of it though all hashes are recomputed."""
 
@@ -290,6 +299,10 @@ CLAIMS: dict[str, tuple[Change, str]] = {
     "a claim raised": (
         manifest(lambda v: v["claims"].update(success=1.5)),
         "claims that success is 1.5",
+    ),
+    "a claim more": (
+        manifest(lambda v: v["claims"].update(transfer=0.9)),
+        "claims 'transfer', which nobody can score",
     ),
     "an interval narrowed": (
         manifest(lambda v: v["claims"].update(success_interval=[0.9, 0.91])),
