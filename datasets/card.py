@@ -76,6 +76,7 @@ def _made_of(record: dict[str, Any]) -> dict[str, Any] | None:
         **{name: record.get(name) or {} for name in names if name != "seed"},
         "seed": record.get("seed"),
         "steps": record["steps_asked"],
+        **{name: record[name] for name in ("weights", "plugins") if record.get(name)},
     }
 
 

@@ -1,7 +1,7 @@
 """Datasets that are collected again from their cards, to compare the data."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -31,6 +31,9 @@ _MADE_OF: Mapping[str, Any] = {
 }
 """Types of what a card says that its dataset is made of."""
 
+_ACTED: Mapping[str, Any] = {"weights": str, "plugins": dict[str, str]}
+"""Types of what acted, where that was a learnt agent or is of plug-ins."""
+
 
 @dataclass(frozen=True)
 class Card:
@@ -53,6 +56,9 @@ class Card:
 
     packages: Mapping[str, str]
     """Versions by package."""
+
+    acted: Mapping[str, Any] = field(default_factory=dict)
+    """Fingerprint of the learnt agent and SHA-256 of plug-ins, where there are some."""
 
     @property
     def differing_packages(self) -> Sequence[str]:
@@ -96,13 +102,14 @@ def read_card(card: str | Path) -> Card:
     if not isinstance(name, str) or not ID.fullmatch(name):
         raise DatasetError(f"{card}: id is {name!r:.80}, expected a dataset's id")
     where = f"{card}: made_of"
-    _refuse_other_keys(made_of, _MADE_OF, where)
+    _refuse_other_keys(made_of, (*_MADE_OF, *_ACTED), where)
     if missing := sorted(_MADE_OF.keys() - made_of.keys()):
         raise DatasetError(
             f"{card} lacks {', '.join(missing)} in made_of: keep the card anew with "
             "marl-mm datasets show"
         )
-    for key, kind in _MADE_OF.items():
+    acted = {key: made_of[key] for key in _ACTED if key in made_of}
+    for key, kind in (*_MADE_OF.items(), *((k, _ACTED[k]) for k in acted)):
         _check_value(made_of[key], kind, f"{where}: {key}")
     try:
         collecting = _collecting(made_of, where)
@@ -111,7 +118,7 @@ def read_card(card: str | Path) -> Card:
         text = str(error).replace("`", "")  # which names options
         raise DatasetError(f"{card}: {text}") from error
     collector, packages = made_of["collector"], made_of["packages"]
-    return Card(name, expected, collector, config, collecting, packages)
+    return Card(name, expected, collector, config, collecting, packages, acted)
 
 
 def rebuild(
@@ -129,7 +136,8 @@ def rebuild(
 
     Raises:
         UnknownDatasetError: If there is no such card or dataset.
-        DatasetError: If the card is not of a collection, or says what makes no sense.
+        DatasetError: If the card is not of a collection, says what makes no sense, or
+            names an agent or plug-in that is another here.
         KeyboardInterrupt: After Ctrl-C.
     """
     card = card if isinstance(card, Card) else read_card(card)
@@ -143,8 +151,14 @@ def rebuild(
             raise KeyboardInterrupt(
                 "stopped before the data were whole: nothing is kept"
             )
-        actual = str(read_metadata(location)["marl_mm"]["data_sha256"])
-    return card.data_sha256, actual
+        made = read_metadata(location)["marl_mm"]
+    for name, value in card.acted.items():
+        if made.get(name) != value:
+            raise DatasetError(
+                f"{card.id} was collected with {name} {value}, here {made.get(name)}: "
+                "that agent or plug-in is another"
+            )
+    return card.data_sha256, str(made["data_sha256"])
 
 
 def _collecting(made_of: Mapping[str, Any], where: str) -> Collecting:

@@ -91,7 +91,8 @@ def test_what_was_stopped_is_not_rebuilt(
         ({"collector_config": {"kp": "1"}}, "kp is '1': str is neither float or int"),
         ({"packages": None}, "made_of: packages: None is not a dict"),
         ({"packages": {"numpy": 2}}, "packages: value of key 'numpy' of dict is not"),
-        ({"weights": "w"}, "made_of has 'weights', which is not rebuilt"),
+        ({"agent": "w"}, "made_of has 'agent', which is not rebuilt"),
+        ({"weights": 3}, "made_of: weights: int is not an instance of str"),
     ],
 )
 def test_each_part_of_a_card_is_checked(

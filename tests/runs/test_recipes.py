@@ -128,6 +128,19 @@ def test_a_study_takes_the_datasets_that_ship() -> None:
     assert len(named) == 3 and not messages
 
 
+def test_a_card_names_the_agent_that_acted(datasets_home: Path, tmp_path: Path) -> None:
+    few: dict[str, Any] = {"steps": 20, "max_steps": 8}
+    data = marl_mm.collect("pretrained", dataset="marl_mm/reach/few-v0", **few)
+    card = keep_card(data)
+    assert card["made_of"]["weights"] == data.provenance.weights
+    assert rebuild("few") == (card["data_sha256"],) * 2
+    card["made_of"]["weights"] = "0" * 64
+    other = tmp_path / "card.json"
+    other.write_text(json.dumps(card))
+    with pytest.raises(DatasetError, match=r"with weights 0000.*, here"):
+        rebuild(other)
+
+
 def test_what_cannot_be_built_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
