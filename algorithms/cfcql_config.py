@@ -20,8 +20,8 @@ class CfcqlConfig(Td3Config):
     peak that actors do not leave."""
 
     penalized: int = 64
-    """Number of a batch's transitions that the conservative term is of, all in the
-    source: it takes most of an update's time."""
+    """Number of a batch's transitions that the conservative term is of, at most all, as
+    in the source: it takes most of an update's time."""
 
     samples: int = 5
     """Actions of each kind, uniform and near the policy's, that the conservative term
@@ -37,7 +37,7 @@ class CfcqlConfig(Td3Config):
 
     others: Literal["data", "policy"] = "policy"
     """Other agents' action in an actor's loss: the dataset's, as in the source's code,
-    or the one that their policy takes now."""
+    or the one that their policy takes now. A single agent has no others."""
 
     action_penalty: float = 1e-3
     """Weight of the mean square of the action in the actors' loss."""

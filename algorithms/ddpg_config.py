@@ -58,8 +58,8 @@ class DdpgConfig:
     """Share of the networks that goes into their targets per update, tau (Table 2)."""
 
     clip_targets: bool = True
-    """Whether the critic's targets are clipped at the reward of a perfect hit, which no
-    return can pass, as all other rewards are negative (Andrychowicz 2017, app. A)."""
+    """Whether the critic's targets are clipped at the task's highest return, where it
+    has one: of one goal the reward of a perfect hit (Andrychowicz 2017, app. A)."""
 
     layer_norm: bool = True
     """Whether the critic's hidden layers are normalised, so that values of actions
@@ -151,7 +151,7 @@ ALGORITHMS.add(
     "ddpg",
     Algorithm(
         title="DDPG",
-        loss="-Q(s, pi(s)) + penalty |pi(s)|^2",
+        loss="-Q(s, pi(s)) + penalty mean pi(s)^2",
         about="DDPG: one agent that sees and sets everything (paper, Algorithm 1).",
         source="paper, Algorithm 1; Lillicrap 2016",
         advice="To see what hindsight is worth; else take DDPG + HER, which needs an "
@@ -173,7 +173,7 @@ ALGORITHMS.add(
     "ddpg-her",
     Algorithm(
         title="DDPG + HER",
-        loss="-Q(s, pi(s)) + penalty |pi(s)|^2, on relabelled goals",
+        loss="-Q(s, pi(s)) + penalty mean pi(s)^2, on relabelled goals",
         about="DDPG that replays most steps with goals reached later (HER).",
         source="Andrychowicz 2017",
         advice="Without data, where one actor may see everything and chance comes to "
@@ -183,7 +183,7 @@ ALGORITHMS.add(
         "scaled by the goals that were set, in the source by exchanged ones, too. "
         "Along an axis where what is reached is more than 20 of their deviations away, "
         "both count alike: that is where all goals are at the same distance, as in "
-        "most tasks of teams.",
+        "most tasks of teams. Demonstrations do not count in the inputs' scale.",
         learner=Imported("marl_mm.algorithms.ddpg:Ddpg"),
         presets={TUNED: DdpgConfig(), PAPER: DdpgConfig(**TABLE_2)},
         online=True,

@@ -23,7 +23,7 @@ ALGORITHMS.add(
     "maddpg",
     Algorithm(
         title="MADDPG",
-        loss="-Q(s, (pi_i(o_i), a_-i)) + penalty |pi_i(o_i)|^2",
+        loss="-Q(s, (pi_i(o_i), a_-i)) + penalty mean pi_i(o_i)^2",
         about="MADDPG: decentralised actors, one centralised critic (Lowe 2017).",
         source="Lowe 2017",
         advice="To see what hindsight is worth to a team; else take MADDPG + HER.",
@@ -42,7 +42,7 @@ ALGORITHMS.add(
     "maddpg-her",
     Algorithm(
         title="MADDPG + HER",
-        loss="-Q(s, (pi_i(o_i), a_-i)) + penalty |pi_i(o_i)|^2, on relabelled goals",
+        loss="-Q(s, (pi_i(o_i), a_-i)) + penalty mean pi_i(o_i)^2, on relabelled goals",
         about="MADDPG that replays most steps with goals reached later (HER).",
         source="Lowe 2017; Andrychowicz 2017",
         advice="Without data, where agents act on their own observations: on "

@@ -60,8 +60,8 @@ class CriticConfig(CloningConfig):
     imitated."""
 
     clip_targets: bool = True
-    """Whether the critics' targets are clipped at the reward of a perfect hit, which no
-    return can pass where all other rewards are negative."""
+    """Whether the critics' targets are clipped at the task's highest return, where it
+    has one: of one goal the reward of a perfect hit."""
 
     layer_norm: bool = True
     """Whether the critics' hidden layers are normalised (Ball 2023)."""

@@ -100,7 +100,7 @@ class CriticLearner(OfflineLearner):
     def diagnose(self) -> dict[str, torch.Tensor]:
         """Values and actions on some of the data, shape (S,).
 
-        Q is the first critic's, which an actor follows; ``q/largest`` the farthest from
+        Q is the first critic's, whatever actors follow; ``q/largest`` the farthest from
         0 of any, at the actors' actions; ``q/slope`` see ``value_slope``.
         """
         state, action = self._batches.some(DIAGNOSED)

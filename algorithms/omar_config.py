@@ -23,8 +23,8 @@ class OmarConfig(CfcqlConfig):
     source's code, by dataset."""
 
     searched: int = 64
-    """Number of a batch's transitions that actions are searched for, all in the
-    source."""
+    """Number of a batch's transitions that actions are searched for, at most all, as in
+    the source."""
 
     rounds: int = 3
     """Rounds of the search."""

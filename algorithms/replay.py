@@ -195,7 +195,8 @@ class Replay:
         self._oldest, self._total = state["oldest"], state["total"]
         rows = np.arange(self._oldest, self._total) % self._capacity
         for name, array in self._arrays():
-            array[rows] = state[name].numpy()
+            older = name.removeprefix("term/")  # as checkpoints had it before
+            array[rows] = state.get(name, state.get(older)).numpy()
 
     def _arrays(self) -> list[tuple[str, np.ndarray]]:
         return [
@@ -205,7 +206,7 @@ class Replay:
             ("reward", self._reward),
             ("terminated", self._terminated),
             ("end", self._end),
-            *self._terms.items(),
+            *((f"term/{name}", array) for name, array in self._terms.items()),
         ]
 
 

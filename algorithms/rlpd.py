@@ -3,8 +3,8 @@
 Loss of E critics: (Q_j(s, a) - r - gamma (1 - terminated) min_{m in M} Q_m'(s', a'))^2,
 where M is two of the critics, others at every update, and a' is the target actors'
 action with clipped noise. Every second update each actor follows:
--mean_j Q_j(s, (pi_i(o_i), a_-i)) + c |pi_i(o_i)|^2, where a_-i is what the others would
-do now. Critics are of the joint state and action, with normalised layers.
+-mean_j Q_j(s, (pi_i(o_i), a_-i)) + c mean pi_i(o_i)^2, where a_-i is what the others
+would do now. Critics are of the joint state and action, with normalised layers.
 
 Nothing holds actors to the data: what they do elsewhere is corrected by own episodes,
 see ``fine_tune``. The source's actor is SAC's, here it is TD3's.

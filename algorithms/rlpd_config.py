@@ -41,7 +41,7 @@ ALGORITHMS.add(
     "rlpd",
     Algorithm(
         title="RLPD",
-        loss="-mean_j Q_j(s, pi(s)) + penalty |pi(s)|^2",
+        loss="-mean_j Q_j(s, pi(s)) + penalty mean pi(s)^2",
         about="RLPD: learns online with a dataset at hand, by one actor that sees all.",
         source="Ball 2023",
         advice="To compare a start from nothing, with the data at hand: going on from "
@@ -56,7 +56,7 @@ ALGORITHMS.add(
     "ma-rlpd",
     Algorithm(
         title="MA-RLPD",
-        loss="-mean_j Q_j(s, (pi_i(o_i), a_-i)) + penalty |pi_i(o_i)|^2",
+        loss="-mean_j Q_j(s, (pi_i(o_i), a_-i)) + penalty mean pi_i(o_i)^2",
         about="RLPD with joint critics and an actor for each agent.",
         source="Ball 2023; team form ours",
         advice="As RLPD, where each agent must act on what it sees itself.",

@@ -60,8 +60,8 @@ class Td3BcConfig:
     imitated."""
 
     clip_targets: bool = True
-    """Whether the critics' targets are clipped at the reward of a perfect hit, which no
-    return can pass, as all other rewards are negative."""
+    """Whether the critics' targets are clipped at the task's highest return, where it
+    has one: of one goal the reward of a perfect hit."""
 
     layer_norm: bool = True
     """Whether the critics' hidden layers are normalised (Ball 2023)."""
@@ -71,8 +71,8 @@ class Td3BcConfig:
     2018), or those of episodes that reached their goal."""
 
     imitation_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
-    """Weights of delta_x, delta_y, delta_z and alpha in the imitation error; other
-    entries weigh 1."""
+    """Weights of delta_x, delta_y, delta_z and alpha in the imitation error, relative
+    to each other and to other entries', which weigh 1: their mean is made 1."""
 
     imitation_scaled: bool = True
     """Whether the imitation error of each entry is divided by its spread in the data:
@@ -157,7 +157,8 @@ ALGORITHMS.add(
         departs="Ours shows the critics goals that an action was not meant for, "
         "imitates successes only, measures errors by how much the data vary, and "
         "bounds what critics may say: with the paper's settings they run away on good "
-        "data.",
+        "data. Exchanged goals are scaled as the data's own, and lie far outside of "
+        "them where those hardly vary.",
         learner=Imported("marl_mm.algorithms.td3_bc:Td3Bc"),
         presets=presets_of("td3-bc", Td3BcConfig()) | {PAPER: Td3BcConfig(**TABLE_3)},
     ),

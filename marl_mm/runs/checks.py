@@ -91,7 +91,7 @@ def _check_offline(training: Offline, dataset: Dataset, fresh: bool) -> None:
         others = " (and `imitate` all)" if hasattr(training.config, "imitate") else ""
         raise DatasetError(
             f"none of the {len(arrays)} episodes of {name} reaches its goal, so that "
-            "there is nothing to imitate; with `require_success=False`"
+            "there is no success to learn from; with `require_success=False`"
             f"{others} it is tried all the same"
         )
     task = task_of(training, dataset)

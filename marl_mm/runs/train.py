@@ -1,7 +1,7 @@
 """Train policies, from a dataset or from episodes of their own."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +76,8 @@ def train(
         training = with_values(training, saved, "config.json", CheckpointError)
     if config is not None:
         check_config(config, training.config)
+        values = {field.name: getattr(config, field.name) for field in fields(config)}
+        config = with_values(config, values, "config")
         training = replace(training, config=config)
     training = with_settings(algorithm, training, settings)
     if dataset is None and isinstance(training, Offline):

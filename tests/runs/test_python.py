@@ -12,6 +12,8 @@ import pytest
 import torch
 
 import marl_mm
+from marl_mm.algorithms.mabc_config import MabcConfig
+from marl_mm.algorithms.td3_bc_config import Td3BcConfig
 from marl_mm.cli import main
 from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.errors import MarlMmError, OutputExistsError, UsageError
@@ -402,6 +404,18 @@ ONE = Evaluation("pd", {}, "Reach-v0", {}, 0, [ROW])
             "no transition of a batch is a demonstration; raise it",
         ),
         (lambda: marl_mm.load_run("nowhere"), "nowhere is no run"),
+        (
+            lambda: marl_mm.train(
+                "td3-bc", "good-5k", config=Td3BcConfig(imitate=cast(Any, "hits"))
+            ),
+            "config: imitate is 'hits'",
+        ),
+        (
+            lambda: marl_mm.train(
+                "mabc", "good-5k", config=MabcConfig(batch_size=cast(Any, 1.5))
+            ),
+            "config: batch_size is 1.5",
+        ),
         (lambda: marl_mm.load_run(cast(Any, None)), "None is no folder"),
         (lambda: marl_mm.find_runs(cast(Any, 5)), "`folder` is 5, expected one with"),
         (lambda: marl_mm.export("pretrained", cast(Any, 5)), "`out` is 5, expected a"),
