@@ -302,7 +302,7 @@ CLAIMS: dict[str, tuple[Change, str]] = {
     ),
     "a claim more": (
         manifest(lambda v: v["claims"].update(transfer=0.9)),
-        "claims 'transfer', which nobody can score",
+        "claims 'transfer', which is not scored",
     ),
     "an interval narrowed": (
         manifest(lambda v: v["claims"].update(success_interval=[0.9, 0.91])),
