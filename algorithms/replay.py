@@ -195,18 +195,21 @@ class Replay:
         self._oldest, self._total = state["oldest"], state["total"]
         rows = np.arange(self._oldest, self._total) % self._capacity
         for name, array in self._arrays():
-            older = name.removeprefix("term/")  # as checkpoints had it before
-            array[rows] = state.get(name, state.get(older)).numpy()
+            array[rows] = state[name].numpy()
 
     def _arrays(self) -> list[tuple[str, np.ndarray]]:
+        own: dict[str, np.ndarray] = {
+            "state": self._state,
+            "next_state": self._next_state,
+            "action": self._action,
+            "reward": self._reward,
+            "terminated": self._terminated,
+            "end": self._end,
+        }
+        terms = self._terms.items()
         return [
-            ("state", self._state),
-            ("next_state", self._next_state),
-            ("action", self._action),
-            ("reward", self._reward),
-            ("terminated", self._terminated),
-            ("end", self._end),
-            *((f"term/{name}", array) for name, array in self._terms.items()),
+            *own.items(),
+            *((f"term/{n}" if n in own else n, array) for n, array in terms),
         ]
 
 

@@ -203,17 +203,6 @@ def test_costs_are_kept_whatever_their_names(make_episode: MakeEpisode) -> None:
     assert (ours.reward > 50).any() and (ours.reward < 50).any()
 
 
-def test_a_checkpoint_of_older_code_is_restored(make_episode: MakeEpisode) -> None:
-    replay = filled([make_episode(i, steps=5) for i in range(5)], hindsight=4)
-    state = replay.state()
-    older = {name.removeprefix("term/"): value for name, value in state.items()}
-    assert older.keys() != state.keys()
-    other = Replay(1000, 4, JUDGE, JUDGE.layout)
-    other.load_state(older)
-    ours, theirs = (r.sample(64, np.random.default_rng(3)) for r in (replay, other))
-    assert all(torch.equal(a, b) for a, b in zip(ours, theirs, strict=True))
-
-
 def test_judge_is_the_environments_own(some: list[Episode]) -> None:
     """Bit-equal to what ``compute_reward`` and ``compute_terminated`` say."""
     env = GoalEnv("SmoothReach-v0")
