@@ -16,8 +16,8 @@ class BestOfNConfig(CriticConfig):
     """Actions that the flow proposes for each state, n."""
 
     picked: int = 64
-    """Number of a batch's states, at most all, for which actions are proposed and the
-    best is cloned: it takes most of an update's time."""
+    """Number of a batch's states, at most the batch, for which actions are proposed and
+    the best is cloned: it takes most of an update's time."""
 
     expectile: float = 0.7
     """Expectile of V's loss, tau (Kostrikov 2022, Sec. 5)."""

@@ -20,8 +20,8 @@ class CfcqlConfig(Td3Config):
     peak that actors do not leave."""
 
     penalized: int = 64
-    """Number of a batch's transitions that the conservative term is of, at most all, as
-    in the source: it takes most of an update's time."""
+    """Number of a batch's transitions that the conservative term is of, at most the
+    batch; all of it in the source. It takes most of an update's time."""
 
     samples: int = 5
     """Actions of each kind, uniform and near the policy's, that the conservative term

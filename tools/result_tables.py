@@ -48,14 +48,13 @@ from marl_mm.eval.bench.tables import (
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies.alpha import worth_table as alpha_worth_table
-from marl_mm.eval.studies.benchmark import (
-    OVERALL,
-    PAIRS,
+from marl_mm.eval.studies.benchmark import OVERALL, PAIRS
+from marl_mm.eval.studies.benchmark import TABLE as BENCHMARK
+from marl_mm.eval.studies.benchmark_tables import (
     benchmark_table,
     overall_table,
     pairs_table,
 )
-from marl_mm.eval.studies.benchmark import TABLE as BENCHMARK
 from marl_mm.eval.studies.budgets import (
     BUDGETS_FIGURE,
     BUDGETS_TABLE,

@@ -12,7 +12,8 @@ from marl_mm.errors import UsageError
 from marl_mm.eval.intervals import interval_of_gain
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import write_csv
-from marl_mm.eval.studies.benchmark import WHOLE, algorithms_table, cells_of, of_cell
+from marl_mm.eval.studies.benchmark import WHOLE, cells_of, of_cell
+from marl_mm.eval.studies.benchmark_tables import algorithms_table
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.study import Study

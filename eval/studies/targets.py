@@ -25,6 +25,7 @@ from marl_mm.eval.studies import (
     separation,
     tuning,
 )
+from marl_mm.eval.studies.benchmark_tables import benchmark_table
 from marl_mm.eval.studies.engines_summary import engines_table
 from marl_mm.eval.studies.policies_plan import plan_coordination, plan_engines
 from marl_mm.eval.studies.robustness_plan import plan_robustness
@@ -116,7 +117,7 @@ COMPARISONS: Comparisons = {
         benchmark.TABLE,
         benchmark.make_benchmark,
         benchmark.draw_benchmark,
-        benchmark.benchmark_table,
+        benchmark_table,
         benchmark.AGENTS,
         in_parts=("datasets", "settings"),
     ),

@@ -21,8 +21,10 @@ from marl_mm.eval.studies.benchmark import (
     PAIRS,
     TABLE,
     BenchmarkOptions,
-    benchmark_table,
     draw_benchmark,
+)
+from marl_mm.eval.studies.benchmark_tables import (
+    benchmark_table,
     overall_table,
     pairs_table,
 )
