@@ -141,7 +141,8 @@ def missing_groups(
     for path, cells in groups.items():
         record, wanted = record_of(path), [asdict(cast(Any, c)) for c in cells]
         wanted = as_json({"cells": wanted})["cells"]
-        made = read_json(record, MarlMmError).get("cells") if record.exists() else []
+        about = read_json(record, MarlMmError) if record.exists() else {}
+        made = about.get("cells", [])
         if all(cell in made for cell in wanted):
             continue
         lost = [cell for cell in made if cell not in wanted]
