@@ -59,6 +59,7 @@ from marl_mm.runs.paper import GOOD_30K
 from marl_mm.runs.sources import Mix, Source
 from marl_mm.runs.training import Offline
 from marl_mm.runs.training import training_of as default_training
+from marl_mm.sim.config import default_engine
 from marl_mm.versions import versions
 
 WorkersOf = Callable[[int], list[psutil.Process]]
@@ -239,7 +240,8 @@ def test_a_dataset_of_other_steps_or_parts_is_another(datasets_home: Path) -> No
     few: dict[str, Any] = {"steps": 20, "max_steps": 3}
     for name, seed in (("one", 0), ("two", 1)):
         marl_mm.collect("random", dataset=f"marl_mm/reach/{name}-v0", seed=seed, **few)
-    short = Source("random", steps=20, name="one")
+    engine = default_engine()
+    short = Source("random", steps=20, name="one", engine=engine)
     with pytest.raises(UnknownDatasetError):
         Datasets().find(short)  # which has the task's 25 steps an episode
     made = Datasets()
@@ -247,7 +249,7 @@ def test_a_dataset_of_other_steps_or_parts_is_another(datasets_home: Path) -> No
     made.make(four)
     made.make(Mix("both", [(three, 10)]))
     assert made.find(Mix("both", [(three, 10)]))
-    for other in (four, Source("pd", steps=20, name="three", seed=3)):
+    for other in (four, replace(three, collector="pd")):
         with pytest.raises(UnknownDatasetError):  # of another part, or another's
             made.find(Mix("both", [(other, 10)]))
     shutil.rmtree(load_dataset("three").location.folder)
@@ -260,7 +262,7 @@ def test_a_dataset_of_other_steps_or_parts_is_another(datasets_home: Path) -> No
 
 
 def test_a_mix_of_other_data_of_ones_own_is_not_replaced(datasets_home: Path) -> None:
-    few = Source("random", steps=30, name="few")
+    few = Source("random", steps=30, name="few", engine=default_engine())
     marl_mm.mix_datasets({"good-5k": 10}, "both")
     before = load_dataset("both").fingerprint
     with pytest.raises(OutputExistsError, match="both"):
