@@ -8,14 +8,15 @@ from pathlib import Path
 from marl_mm.commands.output import show
 from marl_mm.commands.parser import Subcommand, parse_subcommand
 from marl_mm.commands.wording import as_options
-from marl_mm.errors import FailedRunsError, MarlMmError, UsageError
+from marl_mm.errors import UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import to_json
 from marl_mm.eval.studies.benchmark import BenchmarkOptions
-from marl_mm.eval.studies.checks import Check, checks_of, raise_together, states_of
+from marl_mm.eval.studies.checks import Check, checks_of, states_of
 from marl_mm.eval.studies.coordination import CoordinationOptions
 from marl_mm.eval.studies.engine import Engine
 from marl_mm.eval.studies.engines import EnginesOptions
+from marl_mm.eval.studies.make import make_tables, runs_of
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.robustness import RobustnessOptions
 from marl_mm.eval.studies.study import Study
@@ -116,7 +117,7 @@ def main(arguments: Sequence[str]) -> None:
     with progress_bars(vanish=True) as bar:
         engine = Engine(options, _notify, bar)
         if options.plan:
-            counted = studies | _agents(comparisons)
+            counted = studies | runs_of(comparisons)
             plans = [engine.plan(counted)] if counted else []
             plans += [c.plan(options, bar) for c in comparisons.values() if c.plan]
             print("\n".join(plans), end="")
@@ -124,10 +125,15 @@ def main(arguments: Sequence[str]) -> None:
         again = options.overwrite or options.resume
         for comparison in comparisons.values():
             refuse_existing(options.results / comparison.file, again)
-        tables, failures = _make(engine, studies, comparisons, quiet=options.json)
-    if options.json:
-        print(to_json(tables))
-    raise_together(failures)
+        tables: dict[str, list[Row]] = {}
+        try:
+            for name, rows, text in make_tables(engine, studies, comparisons):
+                tables[name] = rows
+                if not options.json:
+                    print(text)
+        finally:
+            if options.json and tables:
+                print(to_json(tables))
 
 
 def print_states(checks: Sequence[Check], as_json: bool) -> None:
@@ -141,35 +147,6 @@ def print_states(checks: Sequence[Check], as_json: bool) -> None:
     finally:  # also if a table is not the same
         if as_json:
             show(states)
-
-
-def _agents(comparisons: Comparisons) -> dict[str, Study]:
-    """Studies whose runs are compared."""
-    return {name: c.agents for name, c in comparisons.items() if c.agents is not None}
-
-
-def _make(
-    engine: Engine, studies: dict[str, Study], comparisons: Comparisons, quiet: bool
-) -> tuple[dict[str, list[Row]], list[MarlMmError]]:
-    """Make what is missing, and print tables as they come; failures stop no others."""
-    tables: dict[str, list[Row]] = {}
-    failures: list[MarlMmError] = []
-    try:
-        for name, table in engine.run(studies):
-            tables[name] = table.rows
-            if not quiet:
-                print(f"{table.study.about}\n\n{table.markdown()}")
-    except FailedRunsError as error:
-        failures.append(error)
-    for name, comparison in comparisons.items():
-        try:
-            engine.make_rows(_agents({name: comparison}))
-            tables[name] = comparison.make(engine.options, engine.bar)
-            if not quiet:
-                print(f"{comparison.about}\n\n{comparison.markdown(tables[name])}")
-        except FailedRunsError as error:
-            failures.append(error)
-    return tables, failures
 
 
 def _parsed(

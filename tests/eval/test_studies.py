@@ -39,6 +39,7 @@ from marl_mm.errors import (
     UnknownDatasetError,
     UsageError,
 )
+from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies import jobs as studies_jobs
 from marl_mm.eval.studies import learners
@@ -46,14 +47,21 @@ from marl_mm.eval.studies import rows as study_rows
 from marl_mm.eval.studies.cells import write_cells
 from marl_mm.eval.studies.jobs import Job, _begin, _by_process, _do, do_jobs
 from marl_mm.eval.studies.learners import Learner, training_of
+from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.paper import PAPER, reported
 from marl_mm.eval.studies.rows import RowStore
 from marl_mm.eval.studies.settings import BEST, LAST, Online, Probe, Setting
 from marl_mm.eval.studies.shown import Reported
 from marl_mm.eval.studies.study import Study, cell_name
-from marl_mm.eval.studies.targets import GROUPS, STUDIES
+from marl_mm.eval.studies.targets import (
+    COMPARISONS,
+    GROUPS,
+    STUDIES,
+    Comparison,
+    study_of,
+)
 from marl_mm.files import write_json
-from marl_mm.progress import silent_bar
+from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.making import Datasets
 from marl_mm.runs.paper import GOOD_30K
 from marl_mm.runs.sources import Mix, Source
@@ -590,6 +598,20 @@ def test_a_run_that_fails_does_not_stop_the_others(
     assert (tmp_path / "runs/results/fails-part.csv").exists()
     assert not (tmp_path / "runs/results/fails.csv").exists()
     assert main([*asked, "--settings", "width-16", "--check"]) == 2
+    both = study_of(own, "FAILS")
+
+    def draw(options: StudyOptions, bar: Bar) -> list[Row]:
+        names = (cell_name(c)[1] for c in both.cells if options.store.seeds(c))
+        return [{"kept": name} for name in names]
+
+    of_both = Comparison("Both.", "both.csv", draw, lambda *_: None, str, both)
+    monkeypatch.setitem(COMPARISONS, "both", of_both)
+    capsys.readouterr()
+    asked[1] = "both"
+    assert main([*asked, "--resume", "--json"]) == 1
+    shown = capsys.readouterr()
+    assert json.loads(shown.out) == {"both": [{"kept": "width-16"}]}
+    assert "2 of 2 runs failed" in shown.err
 
 
 @pytest.mark.slow
