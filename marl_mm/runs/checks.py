@@ -51,6 +51,7 @@ def check_training(
     """
     check_positive(curve_episodes=training.curve_episodes)
     check_workers(training.workers)
+    ALGORITHMS.get(training.algorithm).check(training.config)
     make_task(task_of(training, dataset), training.overrides)
     fresh = not all(goes_on(run, training) for run in runs.values())
     if isinstance(training, Offline):
@@ -127,7 +128,6 @@ def _check_online(
             f"`capacity` is {training.config.capacity}, expected at least an episode's "
             f"{longest} steps"
         )
-    ALGORITHMS.get(training.algorithm).check(training.config)
     weight = getattr(training.config, "imitation_weight", 0.0)
     if weight and demonstrations is None:
         raise UsageError(

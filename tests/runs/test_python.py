@@ -13,6 +13,7 @@ import torch
 
 import marl_mm
 from marl_mm.algorithms.mabc_config import MabcConfig
+from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.algorithms.td3_bc_config import Td3BcConfig
 from marl_mm.cli import main
 from marl_mm.datasets.arrays import EpisodeArrays
@@ -498,6 +499,18 @@ def test_mistakes_are_told_in_one_line(
         call()
     assert message in str(raised.value)
     assert "\n" not in str(raised.value)
+
+
+def test_an_algorithms_own_check_of_its_settings_is_asked(
+    tmp_path: Path, datasets_home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(config: MabcConfig) -> None:
+        raise UsageError(f"{config.updates} updates are too many")
+
+    own = replace(ALGORITHMS.get("mabc"), check=refuse)
+    monkeypatch.setitem(ALGORITHMS._things, "mabc", own)
+    with pytest.raises(UsageError, match="9 updates are too many"):
+        marl_mm.train("mabc", "good-5k", out=tmp_path / "run", updates=9)
 
 
 @pytest.mark.slow
