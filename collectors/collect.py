@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import count
 
+from marl_mm.collectors.registry import successes
 from marl_mm.envs.rollout import EpisodePlan, episode_seed
 from marl_mm.episode import Episode
 from marl_mm.errors import HopelessError, UsageError
@@ -89,9 +90,12 @@ def collect(
             if done >= steps:
                 return Collection(kept, tried, complete=True)
             if rejected >= _HOPELESS:
+                wanting, cure = "made nothing to keep in", "change the policy"
+                if keeps is successes:
+                    wanting = "reached no goal in"
+                    cure = f"allow more steps with `max_steps`, or {cure}"
                 raise HopelessError(
-                    f"{policy.name} reached no goal in {rejected} episodes in a row: "
-                    "allow more steps with `max_steps`, or change the policy"
+                    f"{policy.name} {wanting} {rejected} episodes in a row: {cure}"
                 )
     except KeyboardInterrupt:
         return Collection(kept, tried, complete=False)

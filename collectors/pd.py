@@ -92,7 +92,7 @@ class PdPolicy:
         config = self.config
         hand, goal = state[self._hand], state[self._goal]
         speed = np.zeros(3) if self._last_ee is None else hand - self._last_ee
-        self._last_ee = hand
+        self._last_ee = hand.copy()  # others may write into their state
         action = np.empty(4, np.float32)
         action[self._delta] = config.kp * (goal - hand) - config.kd * speed
         action[self._delta] = np.clip(action[self._delta], -1.0, 1.0)

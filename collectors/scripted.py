@@ -6,7 +6,8 @@ import numpy as np
 
 from marl_mm.collectors.registry import COLLECTORS, Collector, successes
 from marl_mm.declared import as_record
-from marl_mm.envs.task import ScriptConfig, Task
+from marl_mm.envs.task import ScriptConfig, Task, Values
+from marl_mm.errors import LayoutError
 from marl_mm.layout import Layout
 from marl_mm.layout_diff import refuse_other_layout
 
@@ -40,8 +41,22 @@ class ScriptedPolicy:
         """The expert's action, a function of the joint state."""
         layout = self._task.layout
         seen = dict(zip(layout.state_names, state.tolist(), strict=True))
-        action = self._task.expert(seen, self.config)
-        return np.array([action[name] for name in layout.action_names], np.float32)
+        return expert_action(self._task, seen, self.config).astype(np.float32)
+
+
+def expert_action(task: Task, seen: Values, script: ScriptConfig) -> np.ndarray:
+    """What the expert of a task does, shape (k,).
+
+    Raises:
+        LayoutError: If it leaves out an entry of the action.
+    """
+    action, names = task.expert(seen, script), task.layout.action_names
+    if missing := [name for name in names if name not in action]:
+        raise LayoutError(
+            f"{type(task).__name__}.expert returns no {', '.join(missing)}, which the "
+            "action has"
+        )
+    return np.array([action[name] for name in names])
 
 
 COLLECTORS.add(

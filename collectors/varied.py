@@ -4,12 +4,13 @@ Every agent acts by the expert's action in what it is shown: the state now, a st
 or without what only it sees. Then come noise, and agents that act at random.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from marl_mm.collectors.registry import COLLECTORS, Collector
+from marl_mm.collectors.scripted import expert_action
 from marl_mm.declared import as_record
 from marl_mm.envs.task import ScriptConfig, Task
 from marl_mm.errors import UsageError
@@ -58,6 +59,14 @@ class VariedConfig(ScriptConfig):
             raise UsageError(
                 f"noise_memory is {self.noise_memory}, expected 0 to below 1"
             )
+        if self.noise_memory and not self.noise:
+            raise UsageError(
+                f"noise_memory is {self.noise_memory}, but noise is 0, so that it has "
+                "no effect: leave it at 0"
+            )
+        ways = "convention", "conventions", "any_convention"
+        if len(given := [name for name in ways if getattr(self, name)]) > 1:
+            raise UsageError(f"{' and '.join(given)} are given, expected one of them")
         if self.held_alpha is not None and not 0 <= self.held_alpha <= 1:
             raise UsageError(f"held_alpha is {self.held_alpha}, expected 0 to 1")
 
@@ -86,6 +95,12 @@ class VariedPolicy:
         ):
             if name not in names:
                 raise UsageError(f"no agent {name!r}, expected {' or '.join(names)}")
+        for agent in layout.team:
+            if agent.name in config.blind_agents and not {*task.hidden} & {*agent.sees}:
+                raise UsageError(
+                    f"agent {agent.name!r} cannot be blind: it sees nothing that is "
+                    f"hidden from others in {type(task).__name__}"
+                )
         conventions = config.conventions or (config.convention,) * task.robots
         if len(conventions) != task.robots:
             raise UsageError(
@@ -94,7 +109,7 @@ class VariedPolicy:
             )
         self._conventions = conventions
         for word in conventions:
-            task.check_script(replace(config, convention=word))
+            task.check_script(self._script(word))
         if config.any_convention and not task.conventions:
             raise UsageError(f"{type(task).__name__} has no conventions to draw from")
         self._sets = [[*places(layout.action_names, a.sets)] for a in layout.team]
@@ -130,10 +145,11 @@ class VariedPolicy:
         for number, agent in enumerate(team):
             word = self._words[number * self._task.robots // len(team)]
             own = self._sets[number]
-            action[own] = self._expert(self._shown(agent.name, state), word)[own]
+            seen = self._shown(agent.name, state)
+            action[own] = expert_action(self._task, seen, self._script(word))[own]
         if config.held_alpha is not None:
             action[self._alphas] = config.held_alpha
-        self._before = state
+        self._before = state.copy()  # others may write into their state
         if config.noise:
             fresh = self._rng.normal(0.0, config.noise, len(action))
             stays = config.noise_memory
@@ -154,10 +170,9 @@ class VariedPolicy:
         seen = dict(zip(task.layout.state_names, state.tolist(), strict=True))
         return seen | dict(task.hidden) if agent in config.blind_agents else seen
 
-    def _expert(self, seen: dict[str, float], convention: str) -> np.ndarray:
-        script = replace(self.config, convention=convention)
-        action = self._task.expert(seen, script)
-        return np.array([action[name] for name in self._task.layout.action_names])
+    def _script(self, convention: str) -> ScriptConfig:
+        alpha, kp = self.config.alpha, self.config.kp
+        return ScriptConfig(alpha=alpha, convention=convention, kp=kp)
 
 
 COLLECTORS.add(

@@ -24,7 +24,7 @@ _RESERVED = (
 """Names that agents may not have: logs, checkpoints and exported files use them."""
 
 MAX_ENTRIES = 1_000
-"""Largest number of entries of a list in a layout that comes from a file."""
+"""Largest number of entries of a state, of an action, of a list in a file."""
 
 MAX_AGENTS = 8
 """Largest number of agents in a layout."""
@@ -122,6 +122,7 @@ class Layout:
 
     def __post_init__(self) -> None:
         _make_tuples(self, "state", "action", "team", "compared", "desired")
+        _check_kinds(self)
         _check_names("state", self.state_names)
         _check_names("action", self.action_names)
         _check_names("agents", [agent.name for agent in self.team])
@@ -144,7 +145,7 @@ class Layout:
                 f"{', '.join(self.action_names)} once"
             )
         for entry in self.state + self.action:
-            if not entry.unit.isprintable():
+            if not isinstance(entry.unit, str) or not entry.unit.isprintable():
                 raise LayoutError(
                     f"entry {entry.name!r} has the unit {entry.unit!a}, expected a "
                     "word without control characters"
@@ -329,6 +330,20 @@ def _make_tuples(record: Any, *names: str) -> None:
     """Turn lists into tuples, which compare equal and can be hashed."""
     for name in names:
         object.__setattr__(record, name, tuple(getattr(record, name)))
+
+
+def _check_kinds(layout: Layout) -> None:
+    """Raise for parts of other types, or with more entries than a file may have."""
+    for name, kind in (("state", Entry), ("action", Entry), ("team", Agent)):
+        for part in getattr(layout, name):
+            if not isinstance(part, kind):
+                raise LayoutError(
+                    f"{name} has {part!r:.60}, expected objects of {kind.__name__}"
+                )
+        if (found := len(getattr(layout, name))) > MAX_ENTRIES:
+            raise LayoutError(
+                f"{name} has {found:,} entries, expected at most {MAX_ENTRIES:,}"
+            )
 
 
 def _check_names(part: str, names: Sequence[str]) -> None:

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from multiprocessing import connection, parent_process
 from typing import Any, TypeVar
 
-from marl_mm.errors import UsageError, WorkerDiedError
+from marl_mm.errors import MarlMmError, UsageError, WorkerDiedError
 from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.plugins import Carried
 from marl_mm.processes import check_importable, process_context, starting
@@ -138,7 +138,14 @@ def _begin(
 
 def _call(packed: bytes) -> Any:
     function, item = pickle.loads(packed)
-    return function(item)
+    try:
+        return function(item)
+    except Exception as error:
+        try:
+            pickle.loads(pickle.dumps(error))
+        except Exception:  # it would not get out of this process
+            raise MarlMmError(f"{type(error).__name__}: {error}") from None
+        raise
 
 
 def live_in(environment: dict[str, str]) -> None:

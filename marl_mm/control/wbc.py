@@ -5,9 +5,9 @@ Variables u, shape (9,): base forward [m/s^2], base yaw [rad/s^2], seven arm joi
 priorities: 1 a stable base first, 0 an accurate hand (Eq. 4).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from importlib.util import find_spec
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -178,9 +178,12 @@ class WholeBodyController:
         reference: Reference,
         priorities: Priorities,
     ) -> tuple[Command, bool]:
-        for name, shape in _SHAPES.items():  # compiled code would read what lies behind
-            if (found := np.shape(getattr(reference, name))) != shape:
-                raise UsageError(f"{name} has shape {found}, expected {shape}")
+        hierarchies = np.size(priorities.shares)
+        of_priorities = {"matrices": (hierarchies, 4, 5), "shares": (hierarchies,)}
+        # Compiled code would read what lies behind shorter arrays.
+        state = _arrays(state, _STATE_SHAPES)
+        reference = _arrays(reference, _SHAPES)
+        priorities = _arrays(priorities, of_priorities)
         u, torque, counters = np.empty(VARIABLES), np.empty(7), np.zeros(4, np.int64)
         feasible, finite, forward, turning = tick(
             tuple(state),
@@ -228,6 +231,29 @@ _SHAPES = {
     "base_position_w": (2,),
     "posture": (7,),
 }
+"""Shapes of a reference's arrays."""
+
+_STATE_SHAPES = {"q": (11,), "v": (10,)}
+"""Shapes of a state's arrays."""
+
+_T = TypeVar("_T", bound=NamedTuple)
+
+
+def _arrays(values: _T, shapes: Mapping[str, tuple[int, ...]]) -> _T:
+    """The same with arrays of float64.
+
+    Raises:
+        UsageError: If an array has another shape.
+    """
+    arrays = {}
+    for name, shape in shapes.items():
+        array = np.ascontiguousarray(getattr(values, name), np.float64)
+        if array.shape != shape:
+            raise UsageError(f"{name} has shape {array.shape}, expected {shape}")
+        arrays[name] = array
+    return values._replace(**arrays)
+
+
 """Shapes of the arrays of a ``Reference``."""
 
 

@@ -6,7 +6,7 @@ and rewards.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -127,17 +127,16 @@ class EpisodeCore:
         attempt, task = self._begun(), self.task
         named = dict(zip(task.layout.action_names, action.tolist(), strict=True))
         orders = task.act(attempt, named)
-        if len(orders) != len(self.drives):
+        if not isinstance(orders, Sequence) or len(orders) != len(self.drives):
             raise UsageError(
-                f"{type(task).__name__}.act returned {len(orders)} orders, expected "
-                f"one for each of {len(self.drives)} robots"
+                f"{type(task).__name__}.act returned {orders!r:.60}, expected a list "
+                f"with an order for each of {len(self.drives)} robots"
             )
         try:
             motions = attempt.follow(orders, watch)
             attempt.steps += 1
             task.at_step(attempt, motions)
-            info, reason = task.measure(attempt), task.failure(attempt)
-            return self._judged(attempt, info | motion_info(motions), reason)
+            return self._judged(attempt, motion_info(motions))
         except BaseException:  # an episode that breaks off within a step cannot go on
             self.attempt = None
             raise
@@ -186,35 +185,50 @@ class EpisodeCore:
             raise UsageError(f"{what}() was called before reset()")
         return self.attempt
 
-    def _judged(self, attempt: Attempt, info: dict[str, Any], reason: str) -> Step:
+    def _judged(self, attempt: Attempt, moved: dict[str, Any]) -> Step:
         task, layout = self.task, self.task.layout
+        measured, reason = task.measure(attempt), task.failure(attempt)
+        whose = type(task).__name__
+        if not isinstance(measured, Mapping):
+            raise LayoutError(f"{whose}.measure is {measured!r:.60}, expected a dict")
+        if not isinstance(reason, str):
+            raise LayoutError(
+                f"{whose}.failure is {reason!r:.60}, expected words, or '' without one"
+            )
+        info = {**measured, **moved}
         state = self._state(attempt)
         known = dict(zip(layout.state_names, state.tolist(), strict=True)) | info
         if unknown := set(task.needs) - known.keys():
             raise LayoutError(
-                f"{type(task).__name__}.needs has {', '.join(sorted(unknown))}, which "
+                f"{whose}.needs has {', '.join(sorted(unknown))}, which "
                 "neither measure returns nor the layout's state has"
             )
         info |= {name: known[name] for name in task.needs}
         terms = {name: np.asarray(info[name]) for name in task.needs}
         terms[FAILED] = np.asarray(bool(reason))
         achieved = state[layout.achieved], attempt.goal
-        success = bool(task.reached(*achieved, terms)) and not reason
-        info["distance"] = float(task.distance(*achieved))
+        judged = task.reached(*achieved, terms), task.distance(*achieved)
+        for name, value in zip(("reached", "distance"), judged, strict=True):
+            if not _is_number(value):
+                raise LayoutError(
+                    f"{whose}.{name} is {value!r:.60}, expected one value for one goal"
+                )
+        success = bool(judged[0]) and not reason
+        info["distance"] = float(judged[1])
         info["is_success"] = success
         if task.fails:
             info["reason"] = reason
-        if missing := task.info.keys() - info.keys():
-            raise LayoutError(
-                f"{type(task).__name__}.measure returns no "
-                f"{', '.join(sorted(missing))}, which own_info has"
-            )
+        for name in task.own_info:
+            if not _is_number(info.get(name)):
+                raise LayoutError(
+                    f"{whose}.measure: {name}, which own_info has, is "
+                    f"{info.get(name)!r:.60}, expected a number"
+                )
         info = {name: info[name] for name in task.info} | info
         reward = task.reward(*achieved, terms)
         if not _is_number(reward) or not math.isfinite(reward):
             raise MarlMmError(
-                f"{type(task).__name__}.reward is {reward!r:.60}, expected a finite "
-                "number"
+                f"{whose}.reward is {reward!r:.60}, expected a finite number"
             )
         ended = success or bool(reason)
         truncated = attempt.steps >= task.max_steps and not ended
@@ -222,14 +236,16 @@ class EpisodeCore:
 
     def _state(self, attempt: Attempt) -> np.ndarray:
         layout = self.task.layout
-        seen = dict(self.task.observe(attempt))
-        if len(attempt.goal) != len(layout.desired):
+        observed = self.task.observe(attempt)
+        if np.shape(attempt.goal) != (len(layout.desired),):
             raise LayoutError(
-                f"{type(self.task).__name__}.begin set a goal of {len(attempt.goal)} "
-                f"numbers, expected {len(layout.desired)}: {', '.join(layout.desired)}"
+                f"{type(self.task).__name__}.begin set the goal {attempt.goal!r:.60}, "
+                f"expected {len(layout.desired)} numbers: {', '.join(layout.desired)}"
             )
-        seen.update(zip(layout.desired, attempt.goal, strict=True))
         whose = f"{type(self.task).__name__}.observe"
+        if not isinstance(observed, Mapping):
+            raise LayoutError(f"{whose} is {observed!r:.60}, expected a dict")
+        seen = {**observed, **dict(zip(layout.desired, attempt.goal, strict=True))}
         try:
             state = np.array([seen[name] for name in layout.state_names], np.float64)
         except KeyError as error:
@@ -288,8 +304,10 @@ def _rms(values: np.ndarray) -> float:
 
 def _is_number(value: Any) -> bool:
     """Whether a task's own value is one number, an array without axes among them."""
+    if isinstance(value, int | float):
+        return True
     try:
-        float(value)
+        array = np.asarray(value)
     except (TypeError, ValueError):
         return False
-    return np.ndim(value) == 0
+    return array.ndim == 0 and array.dtype.kind in "biuf"

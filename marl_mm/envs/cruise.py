@@ -13,7 +13,7 @@ from marl_mm.envs.intervals import Interval
 from marl_mm.envs.order import Order
 from marl_mm.envs.task import Attempt, Task, Values
 from marl_mm.envs.terms import goal_distance
-from marl_mm.errors import UsageError
+from marl_mm.errors import LayoutError, UsageError
 from marl_mm.layout import Entry
 from marl_mm.sim.config import RATE
 from marl_mm.sim.scene import Mark, Scene
@@ -129,6 +129,13 @@ class CruiseTask(Task, ABC):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if type(self).act is CruiseTask.act and hasattr(self, "layout"):
+            needed = {*names(*DELTA, ALPHA)} - {*self.layout.action_names}
+            if needed:
+                raise LayoutError(
+                    f"the action of {type(self).__name__} has no "
+                    f"{', '.join(sorted(needed))}: its class needs an `act` of its own"
+                )
         check_positive(self, "action_scale", "cruise")
         check_not_negative(self, "standing", "heading_limit")
         for name in ("stand_off", "heading_gain"):
@@ -168,7 +175,7 @@ class CruiseTask(Task, ABC):
         """
         longest = self.action_scale * steps
         for axis, interval, start, more_to in (
-            ("x", x, HAND_X, more),
+            ("x", x, self.stand_off, more),
             ("y", y, HAND_Y, min(more, 0.0)),
         ):
             way = max(abs(end - start) for end in interval) + more_to

@@ -11,7 +11,7 @@ from marl_mm.declared import check_positive
 from marl_mm.envs.cruise import GOAL, CruiseTask, Targets, names
 from marl_mm.envs.intervals import Interval, check_intervals
 from marl_mm.envs.load import check_reach
-from marl_mm.envs.task import Attempt, ScriptConfig, Terms
+from marl_mm.envs.task import Attempt, ScriptConfig, Task, Terms
 from marl_mm.episode import FAILED
 from marl_mm.errors import UsageError
 from marl_mm.sim.scene import Mark
@@ -82,6 +82,10 @@ class HazardTask(RiskyTask):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.halves and type(self).expert is Task.expert:
+            raise UsageError(
+                f"halves is True, but {type(self).__name__} has no expert to go them"
+            )
         check_intervals(self, "goal_x", "goal_y", "goal_z")
         check_reach("goal_", self.goal_y, self.goal_z)
         near = -self.success_distance

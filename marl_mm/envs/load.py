@@ -114,7 +114,7 @@ class StandConfig(LoadConfig):
         half = self.stand_edge / 2
         places = zip((self.stand_x, self.stand_y), BODY_SIZE[:2], strict=True)
         if all(
-            high - half < side / 2 and low + half > -side / 2  # wherever it is drawn
+            low - half < side / 2 and high + half > -side / 2  # some place
             for (low, high), side in places
         ):
             raise UsageError(

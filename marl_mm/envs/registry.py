@@ -1,5 +1,6 @@
 """The registry of tasks, and tasks with some fields replaced."""
 
+import inspect
 import re
 import sys
 from collections.abc import Mapping
@@ -47,6 +48,7 @@ def register_task(name: str, task: Task) -> None:
         raise UsageError(f"task {name!r}: expected a version, such as {name}-v0")
     if isinstance(task, Task):
         defaults(type(task))
+        _refuse_untyped(type(task))
         if not isinstance(getattr(task, "layout", None), Layout):
             raise UsageError(f"task {name!r}: {type(task).__name__} has no layout")
         if taken := sorted(_RESERVED & set(task.own_info)):
@@ -61,6 +63,31 @@ def register_task(name: str, task: Task) -> None:
         entry_point="marl_mm.envs.goal_env:GoalEnv",
         kwargs={"task": name},
     )
+
+
+def _refuse_untyped(kind: type[Task]) -> None:
+    """Raise for what is written like a field of a class, but is none or not a new one.
+
+    Raises:
+        UsageError: Naming the class and what to write.
+    """
+    known = {item.name for item in fields(kind)}
+    for base in kind.__mro__:
+        if not issubclass(base, Task):
+            continue
+        typed = inspect.get_annotations(base)
+        own = [name for name, of in typed.items() if "ClassVar" not in str(of)]
+        if own and "__dataclass_fields__" not in vars(base):
+            raise UsageError(
+                f"{base.__name__}.{own[0]} has no effect: write "
+                f"@dataclass(frozen=True, kw_only=True) above class {base.__name__}"
+            )
+        if untyped := sorted(known & vars(base).keys() - typed.keys()):
+            name, value = untyped[0], vars(base)[untyped[0]]
+            raise UsageError(
+                f"{base.__name__}.{name} has no effect without a type: write "
+                f"{name}: {type(value).__name__} = {value!r:.60}"
+            )
 
 
 def kind_of(name: str) -> str:
@@ -160,9 +187,13 @@ def _like(current: Any, value: Any, name: str) -> Any:
     Raises:
         UsageError: If it is of another type, or not finite.
     """
+    if current is None:
+        return value
     if isinstance(current, tuple):
-        if not isinstance(value, list | tuple) or len(value) != len(current):
+        if not isinstance(value, list | tuple) or len(current) not in (0, len(value)):
             raise UsageError(f"{name} is {value!r}, expected {len(current)} numbers")
+        if not current:
+            return tuple(value)
         return tuple(_like(*pair, name) for pair in zip(current, value, strict=True))
     truth = isinstance(value, bool)
     if isinstance(current, float) and isinstance(value, int | float) and not truth:

@@ -3,6 +3,10 @@
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
+from marl_mm.errors import UsageError
+
 
 @dataclass(frozen=True)
 class Block:
@@ -46,6 +50,14 @@ class Mark:
 
     color: Color = RED
     """Colour."""
+
+    def __post_init__(self) -> None:
+        sizes = np.shape(self.size)
+        if np.shape(self.position_w) != (3,) or sizes not in ((1,), (3,)):
+            raise UsageError(
+                f"a mark is at {self.position_w} with size {self.size}, expected "
+                "three numbers, and one or three"
+            )
 
 
 Grasp = Literal["friction", "weld"]

@@ -266,6 +266,34 @@ def test_tasks_need_defaults_and_a_layout() -> None:
     assert "Undecided-v0" not in TASKS
 
 
+@dataclass(frozen=True, kw_only=True)
+class Untyped(Reach):
+    """A number that has no type is no field."""
+
+    max_steps = 40
+
+
+class Undecorated(Reach):
+    """Nor is one of a class that is no dataclass."""
+
+    width: float = 2.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "complaint"),
+    [
+        (Untyped, "Untyped.max_steps has no effect without a type: .* max_steps: int"),
+        (Undecorated, r"Undecorated.width has no effect: write @dataclass\("),
+    ],
+)
+def test_what_looks_like_a_field_of_a_task_is_one(
+    kind: type[Reach], complaint: str
+) -> None:
+    with pytest.raises(UsageError, match=complaint):
+        register_task("Untyped-v0", kind())
+    assert "Untyped-v0" not in TASKS
+
+
 @pytest.mark.parametrize("name", ["Reach", "Mine", "Mine-v01", "Mine-v", None])
 def test_tasks_are_named_with_a_version(name: Any) -> None:
     """Gymnasium would refuse some of these, or call them otherwise."""

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from marl_mm.cli import main
-from marl_mm.errors import UsageError, WorkerDiedError
+from marl_mm.errors import MarlMmError, UsageError, WorkerDiedError
 from marl_mm.workers import Workers, apart, available_cores
 
 
@@ -53,6 +53,14 @@ def test_workers_live_in_the_environment_of_when_they_are_begun(
         monkeypatch.setenv("MARL_MM_TEST", value)
         with Workers(2) as pool:
             assert list(pool.map(os.getenv, ["MARL_MM_TEST"] * 4)) == [value] * 4
+
+
+def test_an_error_that_cannot_leave_its_process_is_told_in_words() -> None:
+    raising = "import urllib.error; raise urllib.error.ContentTooShortError('half', 0)"
+    with Workers(2) as pool:
+        with pytest.raises(MarlMmError, match=r"ContentTooShortError: .*half"):
+            list(pool.map(exec, [raising]))
+        assert list(pool.map(abs, [-1])) == [1]
 
 
 def test_workers_are_of_the_package_that_began_them(tmp_path: Path) -> None:

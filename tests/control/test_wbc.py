@@ -114,9 +114,20 @@ def test_arrays_of_another_shape_are_refused(
         priorities = priorities._replace(**{field: value})
     with pytest.raises(UsageError, match=f"{field} has shape"):
         controller.along(track, priorities)
-    with pytest.raises(UsageError, match="posture has shape"):
-        wrong = reference._replace(posture=np.zeros(6))
-        controller.solve(state, terms, wrong, controller.priorities(0.5))
+    both = controller.priorities(0.5)
+    for wrong in (
+        (state, reference._replace(posture=np.zeros(6)), both),
+        (state._replace(q=state.q[:7]), reference, both),
+        (state, reference, both._replace(shares=both.shares[:1])),
+        (state, reference, both._replace(matrices=both.matrices[..., :4])),
+    ):
+        with pytest.raises(UsageError, match="has shape"):
+            controller.solve(wrong[0], terms, *wrong[1:])
+    lists = reference._replace(posture=reference.posture.tolist())
+    right, again = (
+        controller.solve(state, terms, each, both) for each in (reference, lists)
+    )
+    np.testing.assert_array_equal(right.torque, again.torque)
 
 
 def test_blend_is_the_mix_of_the_two_ends(situation: Draw, limits: RobotLimits) -> None:

@@ -100,6 +100,14 @@ def test_late_and_blind_agents_act_by_less() -> None:
         ("Reach-v0", {"any_convention": True}, "Reach has no conventions"),
         ("Bar-v0", {"conventions": ("over",)}, "one for each of 2 robots"),
         ("Bar-v0", {"conventions": ("over", "ovr")}, "'ovr', expected over or under"),
+        ("Reach-v0", {"noise_memory": 0.5}, "but noise is 0, so that it has no effect"),
+        (
+            "Bar-v0",
+            {"convention": "over", "any_convention": True},
+            "convention and any_convention are given, expected one of them",
+        ),
+        ("Reach-v0", {"blind_agents": ("balance",)}, "'balance' cannot be blind"),
+        ("QuietZone-v0", {"blind_agents": ("end_effector",)}, "cannot be blind"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(

@@ -330,6 +330,10 @@ def test_loads_that_make_no_sense_are_refused(
             r"load.stand_x is \(0.2, 0.4\) .* expected beside the base",
         ),
         (
+            {"stand_x": (0.1, 0.8), "stand_y": (0.0, 0.52)},  # beside it, or not
+            "expected beside the base",
+        ),
+        (
             {"hold_ticks": 10**5},
             "load.hold_ticks is 100000, expected at most an episode's 4800",
         ),

@@ -164,6 +164,38 @@ def test_an_entry_that_is_no_number_is_named(seen: Any) -> None:
     core.close()
 
 
+@pytest.mark.parametrize(
+    ("function", "returned", "complaint"),
+    [
+        ("act", None, "act returned None, expected a list with an order for each of 1"),
+        ("observe", None, r"observe is None, expected a dict"),
+        ("measure", None, r"measure is None, expected a dict"),
+        ("measure", {"d_mm": "far", "d_mp": 0.0}, "measure: d_mm, .* is 'far', exp"),
+        (
+            "measure",
+            {"d_mm": np.zeros(3), "d_mp": 0.0},
+            "measure: d_mm, which own_info",
+        ),
+        ("measure", {}, "needs has d_mm, d_mp, which neither measure returns nor"),
+        ("failure", True, "failure is True, expected words, or '' without one"),
+        (
+            "reached",
+            np.zeros(3, bool),
+            "reached is array.*, expected one value for one",
+        ),
+    ],
+)
+def test_a_function_of_a_task_that_returns_something_odd_is_named(
+    function: str, returned: Any, complaint: str
+) -> None:
+    odd = type("Odd", (Reach,), {function: lambda self, *arguments: returned})
+    core = EpisodeCore(odd(max_steps=2))
+    with pytest.raises(MarlMmError, match=rf"Odd\.{complaint}"):
+        core.reset(np.random.default_rng(0))
+        core.step(np.zeros(4))
+    core.close()
+
+
 def test_bad_render_modes_and_early_states_are_refused() -> None:
     for make in (GoalEnv, parallel_env):
         with pytest.raises(UsageError, match="expected rgb_array or None"):

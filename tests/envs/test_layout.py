@@ -194,6 +194,12 @@ def test_every_agent_acts_on_what_it_sees_alone(layout: Layout, seed: int) -> No
         ({"state": (*REACH.state, Entry("x", "m", 1.0, 0.0))}, "expected low < high"),
         ({"action": (*REACH.action[:3], Entry("alpha"))}, "expected finite low < high"),
         ({"state": (*REACH.state, Entry("x", "a\nb"))}, r"'x' has the unit 'a\\nb'"),
+        ({"state": (*REACH.state, Entry("x", 0.0, 1.0))}, "'x' has the unit 0.0, exp"),  # type: ignore[arg-type]
+        ({"team": ("hand", BALANCE)}, "team has 'hand', expected objects of Agent"),
+        (
+            {"state": (*REACH.state, *(Entry(f"beam_{i}") for i in range(1000)))},
+            "state has 1,010 entries, expected at most 1,000",
+        ),
     ],
 )
 def test_layouts_that_make_no_sense_are_refused(

@@ -5,7 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from marl_mm.envs.registry import make_task
+from marl_mm.envs.registry import TASKS, make_task
+from marl_mm.envs.task import Task
+from marl_mm.envs.tasks.gate import Gate
 from marl_mm.envs.tasks.reach import Reach
 from marl_mm.envs.terms import goal_distance
 from marl_mm.errors import UsageError
@@ -145,3 +147,25 @@ def test_unknown_names_and_bad_values_are_refused(
 def test_a_task_of_odd_numbers_is_refused(fields: Any, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         Reach(**fields)
+
+
+def test_numbers_of_a_task_are_pythons_whoever_wrote_them() -> None:
+    task = Reach(max_steps=np.int64(9), goal_reward=20, goal_x_forward=[1, 1.5])  # type: ignore[arg-type]
+    assert task == Reach(max_steps=9, goal_reward=20.0, goal_x_forward=(1.0, 1.5))
+    assert [*map(type, (task.max_steps, task.goal_reward))] == [int, float]
+
+
+def test_a_start_elsewhere_is_where_ways_begin() -> None:
+    """A hand that starts 0.2 m further ahead is that much nearer to what is ahead."""
+    ahead = TASKS.get("Gate-v0").stand_off + 0.2  # type: ignore[attr-defined]
+    with pytest.raises(UsageError, match=r"a way of 1.20 m, expected at most 1.1 m"):
+        make_task("Gate-v0", {"max_steps": 11})
+    assert make_task("Gate-v0", {"max_steps": 11, "stand_off": ahead})
+    with pytest.raises(UsageError, match="is not between the start at 1.4 m"):
+        make_task("Gate-v0", {"stand_off": 1.4})
+
+
+def test_halves_need_an_expert() -> None:
+    blind = type("Blind", (Gate,), {"expert": Task.expert})
+    with pytest.raises(UsageError, match="Blind has no expert to go them"):
+        blind(halves=True)

@@ -24,7 +24,6 @@ from marl_mm.envs.cruise import (
     BASE,
     DELTA,
     HAND,
-    HAND_X,
     HAND_Y,
     MODE,
     CruiseTask,
@@ -181,7 +180,7 @@ class Bar(RiskyTask):
             check_within(name, getattr(self, name), (0.0, HIGH), "what a hand reaches")
         near = -self.success_distance
         self.check_way("goal_", self.goal_x, near, self.max_steps)
-        near, far = HAND_X - self.beam_size, self.goal_x[1] + self.beam_size
+        near, far = self.stand_off - self.beam_size, self.goal_x[1] + self.beam_size
         if not near > self.beam_x[1] >= self.beam_x[0] > far:
             low, high = self.beam_x
             raise UsageError(

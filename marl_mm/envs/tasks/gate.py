@@ -24,7 +24,6 @@ from marl_mm.envs.cruise import (
     DELTA,
     GOAL,
     HAND,
-    HAND_X,
     HAND_Y,
     MODE,
     Targets,
@@ -95,7 +94,7 @@ class Gate(HazardTask):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_positive(self, "quiet_limit")
-        near, end, start = self.wall.x[0], self.wall.end, HAND_X
+        near, end, start = self.wall.x[0], self.wall.end, self.stand_off
         if not start + self.quiet_until < near <= end < self.goal_x[0]:
             raise UsageError(
                 f"a wall at {near:g} to {end:g} m is not between the start at "
@@ -106,7 +105,7 @@ class Gate(HazardTask):
     def _check_detour(self) -> None:
         """Refuse a window so far aside that no hand gets through it to the goal."""
         near, wall_y = self.wall.x[1], self.wall.y
-        there = max(near - HAND_X, *(abs(y - HAND_Y) for y in wall_y))
+        there = max(near - self.stand_off, *(abs(y - HAND_Y) for y in wall_y))
         aside = max(abs(goal - window) for goal in self.goal_y for window in wall_y)
         way = there + max(self.goal_x[1] - near, aside) - self.success_distance
         if way > (longest := self.action_scale * self.max_steps):

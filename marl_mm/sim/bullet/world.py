@@ -206,7 +206,7 @@ class BulletWorld:
             camera.target_w, camera.distance, camera.yaw, camera.pitch, 0, 2
         )
         projection = pybullet.computeProjectionMatrixFOV(
-            45, camera.width / camera.height, 0.1, 10
+            45, camera.width / camera.height, 0.1, max(10, 2 * camera.distance)
         )
         _, _, pixels, _, _ = pybullet.getCameraImage(
             camera.width,
