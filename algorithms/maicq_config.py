@@ -33,8 +33,8 @@ ALGORITHMS.add(
         about="MAICQ: in-sample critics, and agents improved one after the other.",
         source="Yang 2021",
         advice="Made for data of mixed quality; later agents suit what earlier ones "
-        "have learnt. It stays near the data's actions. In the benchmark MABC kept "
-        "conventions better.",
+        "have learnt. It stays near the data's actions. In the benchmark it is with "
+        "the best from most data; MABC kept conventions better.",
         departs="Critics learn from one step's reward, in the source from returns of "
         "several (TD(lambda), 0.8), and their targets follow, in the source they are "
         "copied. The softmax weight multiplies the critics' loss, in the source the "
