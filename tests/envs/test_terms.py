@@ -161,7 +161,7 @@ def test_a_start_elsewhere_is_where_ways_begin() -> None:
     with pytest.raises(UsageError, match=r"a way of 1.20 m, expected at most 1.1 m"):
         make_task("Gate-v0", {"max_steps": 11})
     assert make_task("Gate-v0", {"max_steps": 11, "stand_off": ahead})
-    with pytest.raises(UsageError, match="is not between the start at 1.4 m"):
+    with pytest.raises(UsageError, match=r"is not between the start at 1.4 m"):
         make_task("Gate-v0", {"stand_off": 1.4})
 
 
