@@ -87,7 +87,7 @@ def write_actors(
 
 
 def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
-    """The shipped agent.
+    """The shipped agent, or one whose weights were written as its are.
 
     Raises:
         CheckpointError: If its files are missing or damaged.
@@ -115,7 +115,10 @@ def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
     except (*DAMAGE, OSError, SafetensorError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise CheckpointError(f"{folder} is damaged ({reason:.80})") from error
-    return LearnedPolicy(NAME, agents, layout, NAME)
+    if folder == FOLDER:
+        return LearnedPolicy(NAME, agents, layout, NAME)
+    name = str(config.get("algorithm", folder.name))
+    return LearnedPolicy(name, agents, layout, str(folder))
 
 
 def _check_header(path: Path) -> None:

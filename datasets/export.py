@@ -36,7 +36,7 @@ class DatasetForm:
     of one file."""
 
     holds: tuple[str, ...] = ()
-    """Patterns of the names of all that lies in that folder; empty for any."""
+    """Patterns of the paths of all files in that folder; empty for any."""
 
     packages: tuple[str, ...] = ()
     """Modules that it needs, of the optional extra of its name."""

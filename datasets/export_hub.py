@@ -3,7 +3,7 @@
 import hashlib
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,9 @@ from marl_mm.errors import DatasetError
 from marl_mm.files import write_json
 
 _SUMS = "SHA256SUMS"
+
+_EDITED = "LICENSE", "README.md", "croissant.json"
+"""Files that a licence comes into, if the data are not ours."""
 
 _TYPES = {
     ".hdf5": "application/x-hdf5",
@@ -68,9 +71,10 @@ def _hub(dataset: Dataset, path: Path) -> None:
     front = "\n".join(f"{key}: {json.dumps(v)}" for key, v in _front(values, ours))
     page = f"---\n{front}\n---\n\n{card_markdown(values)}{_READ}"
     (path / "README.md").write_text(page, "utf-8")
-    croissant = _croissant(dataset, values, ours, _sums(path))
+    edited = () if ours else _EDITED
+    croissant = _croissant(dataset, values, ours, _sums(path, edited))
     write_json(path / "croissant.json", croissant)
-    lines = [f"{digest}  {name}\n" for name, digest in _sums(path).items()]
+    lines = [f"{digest}  {name}\n" for name, digest in _sums(path, edited).items()]
     (path / _SUMS).write_text("".join(lines), "utf-8")
 
 
@@ -111,9 +115,10 @@ def _front(values: Mapping[str, Any], ours: bool) -> list[tuple[str, Any]]:
     ]
 
 
-def _sums(path: Path) -> dict[str, str]:
-    """SHA-256 of the files in a folder, in hex digits, by path."""
-    files = sorted(file for file in path.rglob("*") if file.is_file())
+def _sums(path: Path, edited: Collection[str]) -> dict[str, str]:
+    """SHA-256 of the files in a folder, in hex digits, by path; of edited ones none."""
+    every = (file for file in path.rglob("*") if file.is_file())
+    files = sorted(file for file in every if file.name not in edited)
     return {
         file.relative_to(path).as_posix(): hashlib.sha256(file.read_bytes()).hexdigest()
         for file in files
@@ -176,6 +181,6 @@ DATASET_FORMS.add(
         about="Folder for the Hugging Face Hub: data, card, licence, Croissant, sums.",
         write=_hub,
         mark=(_SUMS, f"  data/{FILE}\n"),
-        holds=("data", "*.md", "*.json", "card.png", "LICENSE", _SUMS),
+        holds=(f"data/{FILE}", "data/metadata.json", *_EDITED, "card.png", _SUMS),
     ),
 )

@@ -174,7 +174,7 @@ DATASET_FORMS.add(
         about="LeRobot's version 3, in float32; actions are named AGENT.ENTRY.",
         write=_lerobot,
         mark=(_MARK, '"form": "lerobot"'),
-        holds=("data", "meta"),
+        holds=("data/*", "meta/*"),
         packages=("pyarrow",),
     ),
 )

@@ -108,7 +108,7 @@ DATASET_FORMS.add(
         about="Vault of flashbax as in OG-MARL: agents stacked, filled with zeros.",
         write=_vault,
         mark=(_MARK, '"form": "flashbax"'),
-        holds=("d", "*.ocdbt", "*.ocdbt.*", _MARK),
+        holds=("d/*", "*.ocdbt*", _MARK),
         packages=("tensorstore",),
     ),
 )

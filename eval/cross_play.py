@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from marl_mm.errors import UsageError
 from marl_mm.eval.disturbances import Mixed
 from marl_mm.eval.evaluate import Evaluation, Setup
 from marl_mm.eval.tables import (
@@ -44,7 +45,17 @@ class CrossPlay:
     """Title of the table."""
 
     def team(self, agent: str, own: int, other: int) -> Team:
-        """The team of a run in which an agent is that of another run."""
+        """The team of a run in which an agent is that of another run.
+
+        Raises:
+            UsageError: If there is no such agent or run.
+        """
+        last = len(self.policies) - 1
+        if agent not in self.agents or not {own, other} <= {*range(last + 1)}:
+            raise UsageError(
+                f"no team of {agent!r} of runs {own} and {other}, expected "
+                f"{' or '.join(self.agents)}, and 0 to {last}"
+            )
         return tuple(other if name == agent else own for name in self.agents)
 
     def difference(

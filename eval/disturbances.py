@@ -57,7 +57,7 @@ class Disturbed:
         """The joint action, by what the agent is shown and does."""
         seen = state.copy()
         seen[self._sees] = self._shown(state[self._sees])
-        action = self._policy.act(seen).copy()
+        action = np.array(self._policy.act(seen))
         action[self._sets] = self._done(action[self._sets])
         return action
 
@@ -145,9 +145,9 @@ class Mixed:
 
     def act(self, state: np.ndarray) -> np.ndarray:
         """The policy's action, with the replaced agents' parts from the others."""
-        action = self._policy.act(state).copy()
+        action = np.array(self._policy.act(state))
         for places, other in self._parts:
-            action[places] = other.act(state)[places]
+            action[places] = np.asarray(other.act(state))[places]
         return action
 
 

@@ -165,15 +165,23 @@ def film_both_ways(
         result.episodes.append(episode)
         result.frames.extend(frames)
         label = f"{direction}: {len(episode)} steps"
-        result.strips.append((label, pictures_of(frames, fps)))
+        per_step = fps * config.seconds_per_step
+        result.strips.append((label, pictures_of(frames, per_step)))
     return result
 
 
 def pictures_of(
-    frames: Sequence[np.ndarray], fps: int, count: int = 5
+    frames: Sequence[np.ndarray], per_step: float, count: int = 5
 ) -> list[tuple[str, np.ndarray]]:
-    """Pictures of an episode at even times, with their steps, for ``film_strip``."""
-    return [(f"step {i // fps}", frames[i]) for i in _evenly(len(frames) - 1, count)]
+    """Pictures of an episode at even times, with their steps, for ``film_strip``.
+
+    Args:
+        frames: Frames of the episode.
+        per_step: Number of frames in a step.
+        count: Number of pictures.
+    """
+    numbers = _evenly(len(frames) - 1, count)
+    return [(f"step {int(i / per_step + 1e-9)}", frames[i]) for i in numbers]
 
 
 def _evenly(last: int, count: int) -> list[int]:
@@ -197,7 +205,8 @@ def strips_both_ways(config: Task, policy: Policy, seed: int) -> Strips:
         wanted = _evenly(math.ceil(steps * config.ticks_per_step / RATE), 5)
         _, frames = film_episode(config, policy, plan, Camera(), 1, wanted=wanted)
         taken = dict(zip(sorted({*wanted}), frames, strict=True))
-        pictures = [(f"step {number}", taken[number]) for number in wanted]
+        length = config.seconds_per_step
+        pictures = [(f"step {int(n / length + 1e-9)}", taken[n]) for n in wanted]
         strips.append((f"{direction}: {steps} steps", pictures))
     return strips
 

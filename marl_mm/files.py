@@ -101,7 +101,7 @@ def refuse_foreign(
         folder: Folder to write.
         overwrite: Whether it may be replaced.
         mark: Name of a file that it then has, and a text in that.
-        holds: Patterns of all names that it then has; empty for any.
+        holds: Patterns of the paths of all files in it then; empty for any.
 
     Raises:
         UsageError: If it may not be written.
@@ -115,9 +115,10 @@ def refuse_foreign(
             f"{folder} has no {name} of marl-mm and is not replaced: choose another "
             "name"
         )
-    listed = sorted(os.listdir(folder)) if holds and folder.exists() else []
-    for inner in listed:
-        if not any(fnmatch(inner, pattern) for pattern in holds):
+    within = folder.rglob("*")
+    files = (path for path in within if not (path.is_dir() and any(path.iterdir())))
+    for inner in sorted(path.relative_to(folder).as_posix() for path in files):
+        if holds and not any(fnmatch(inner, pattern) for pattern in holds):
             raise UsageError(
                 f"{folder} holds {inner}, which is not of marl-mm, and is not "
                 "replaced: move that, or choose another name"

@@ -78,6 +78,19 @@ def main(
     policy = default_policy(task or DEFAULT) if policy is None else policy
     (config,) = configs_of([policy], settings)
     asked = {k: v for k, v in vars(camera).items() if v != vars(_CAMERA)[k]}
+    of_episodes = {
+        "--task": task,
+        "--engine": engine,
+        "--max-steps": max_steps,
+        "--direction": direction,
+    }
+    given = [name for name, value in of_episodes.items() if value is not None]
+    if policy in DEMOS and given:
+        raise UsageError(f"{' and '.join(given)}: {policy} has no task")
+    if policy not in DEMOS and motion != _MOTION:
+        raise UsageError(f"{policy} has no such motion: {' and '.join(DEMOS)} have")
+    if gui and video is not None:
+        raise UsageError("--gui opens a window: leave out --video")
     if gui or (video is None and strip is not None):
         video = None
     else:

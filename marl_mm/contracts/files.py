@@ -31,8 +31,15 @@ from marl_mm.datasets.verify import verify
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import CheckpointError, DatasetError, UsageError
 from marl_mm.eval.rows import read_rows
-from marl_mm.received import refuse_links_out
-from marl_mm.runs.folder import CONFIG, EVALUATION, read_config, read_evaluation
+from marl_mm.received import read_json, refuse_links_out
+from marl_mm.runs.folder import (
+    BEST_EVALUATION,
+    CONFIG,
+    EVALUATION,
+    as_evaluation,
+    read_config,
+    read_evaluation,
+)
 from marl_mm.runs.submission import MANIFEST
 from marl_mm.runs.submission_checks import read_submission
 
@@ -135,7 +142,7 @@ def _read_submission(path: Path) -> Any:
 
 
 def _read_run(path: Path) -> Any:
-    results = sorted(path.glob("eval*.json"))
+    results = [path / EVALUATION, path / BEST_EVALUATION]
     names = (CONFIG, FILE, BEST, *(result.name for result in results))
     refuse_links_out(path, names, CheckpointError)
     config = read_config(path)
@@ -168,9 +175,12 @@ def _read_journal(path: Path) -> Any:
 
 
 def _read_record(path: Path) -> Any:
-    if path.name.startswith(Path(EVALUATION).stem):
-        evaluation = read_evaluation(path)
-        return evaluation and evaluation.to_json()
+    values = read_json(path, CheckpointError)
+    if isinstance(values, list):  # what was evaluated together
+        each = (as_evaluation(v, f"{path}, {i}") for i, v in enumerate(values))
+        return [evaluation.to_json() for evaluation in each]
+    if isinstance(values, dict) and "episodes" in values:
+        return as_evaluation(values, str(path)).to_json()
     return read_config(path).to_json()
 
 

@@ -108,7 +108,7 @@ def board(
     if not isinstance(folders, Iterable):
         raise UsageError(f"{folders!r:.80} is no submission, expected folders")
     found = [
-        each if isinstance(each, Submission) else read_submission(each)
+        read_submission(each.folder if isinstance(each, Submission) else each)
         for each in folders
         if not str(each).endswith(VERIFIED)
     ]
@@ -116,7 +116,7 @@ def board(
         raise UsageError("no submission given, expected folders of marl-mm submit")
     target = as_path(out, "out")
     mark = PAGE, "<title>marl_mm: board<"
-    refuse_foreign(target, overwrite, mark, (PAGE, "rows", "films"))
+    refuse_foreign(target, overwrite, mark, (PAGE, "rows/*.csv", "films/*.mp4"))
     refuse_input(target, [submission.folder for submission in found])
     known: dict[str, Submission] = {}
     for submission in found:

@@ -11,6 +11,7 @@ from marl_mm.errors import UsageError
 from marl_mm.files import refuse_existing
 from marl_mm.runs.run import Run
 from marl_mm.runs.settings import as_path
+from marl_mm.runs.submission import EPISODES
 
 
 def export(
@@ -30,7 +31,8 @@ def export(
     Args:
         run: Run, its folder, checkpoint file, or ``pretrained``.
         out: File; default RUN/policy or RUN/AGENT with .ts or .onnx, of RUN/best.pt
-            RUN/best-policy or RUN/best-AGENT, for ``pretrained`` in this folder.
+            RUN/best-policy or RUN/best-AGENT, for ``pretrained`` and what was submitted
+            in this folder.
         format: ``torchscript``, ``onnx``, or a plug-in's.
         agent: One decentralised actor on its own observation; default the joint action
             at the joint state.
@@ -48,10 +50,15 @@ def export(
     source = str(run.folder if isinstance(run, Run) else run)
     policy, path = load_policy(source), Path(source)
     best = "best-" if path.is_file() and path.name == BEST else ""
-    name = f"{best}{agent or 'policy'}{POLICY_FORMATS.get(format).suffix}"
-    default = (path if path.is_dir() else path.parent) / name
+    suffix = POLICY_FORMATS.get(format).suffix
+    name = f"{best}{agent or 'policy'}{suffix}"
+    submitted = (path / EPISODES).exists()  # nothing is added to that
+    default = Path() if submitted else path if path.is_dir() else path.parent
+    default /= name
     file = default if out is None else as_path(out, "out", "a file")
     if file.is_dir():
         raise UsageError(f"`out` {file} is a folder, expected a file: {file}/{name}")
+    if file.suffix != suffix:
+        raise UsageError(f"`out` is {file}, expected a file that ends in {suffix}")
     refuse_existing(file, overwrite)
     return {"file": str(file), **export_policy(policy, file, format, agent)}

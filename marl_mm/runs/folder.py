@@ -24,7 +24,7 @@ from marl_mm.eval.evaluate import Evaluation
 from marl_mm.eval.metrics import EvaluationRow
 from marl_mm.files import is_there, refuse_existing, write_json
 from marl_mm.plugins import record
-from marl_mm.received import check_kind, damage_named, read_json
+from marl_mm.received import check_kind, damage_named, read_json, refuse_links_out
 from marl_mm.runs.settings import check_seeds
 from marl_mm.runs.training import SWITCHES, Offline, Online, Training
 from marl_mm.sim.config import default_engine
@@ -247,6 +247,7 @@ def read_config(path: Path) -> RunConfig:
         CheckpointError: If it cannot be read.
     """
     file = path / CONFIG if path.is_dir() else path
+    refuse_links_out(file.parent, [file.name], CheckpointError)
     values = read_json(file, CheckpointError)
     check_kind(values, dict[str, Any], str(file), CheckpointError)
     return RunConfig.from_json(values)
@@ -258,17 +259,26 @@ def read_evaluation(path: Path) -> Evaluation | None:
     Raises:
         CheckpointError: If it cannot be read.
     """
+    refuse_links_out(path.parent, [path.name], CheckpointError)
     if not path.exists():
         return None
-    values = read_json(path, CheckpointError)
-    check_kind(values, dict[str, Any], str(path), CheckpointError)
+    return as_evaluation(read_json(path, CheckpointError), str(path))
+
+
+def as_evaluation(values: Any, where: str) -> Evaluation:
+    """An evaluation of a file's values.
+
+    Raises:
+        CheckpointError: If they are none.
+    """
+    check_kind(values, dict[str, Any], where, CheckpointError)
     for name, kind in _EVALUATION.items():
-        check_kind(values.get(name), kind, f"{path}: {name}", CheckpointError)
+        check_kind(values.get(name), kind, f"{where}: {name}", CheckpointError)
     if not values["episodes"]:
-        raise CheckpointError(f"{path} has no episodes, expected at least one")
+        raise CheckpointError(f"{where} has no episodes, expected at least one")
     for number, row in enumerate(values["episodes"]):
-        _check_row(row, f"{path}, episode {number}")
-    with damage_named(str(path), CheckpointError):
+        _check_row(row, f"{where}, episode {number}")
+    with damage_named(where, CheckpointError):
         evaluation = Evaluation.from_json(values)
         _ = evaluation.summary
     return evaluation

@@ -81,7 +81,8 @@ class Film:
         check_strip(Path(path))
         refuse_existing(Path(path), overwrite, file=True)
         label = f"{self.task}: {len(self.episode)} steps"
-        film_strip(Path(path), [(label, pictures_of(self.frames, self.fps, _STRIP))])
+        per_step = self.fps * make_task(self.task).seconds_per_step
+        film_strip(Path(path), [(label, pictures_of(self.frames, per_step, _STRIP))])
 
     def _check_drawn(self) -> None:
         if not self.frames:

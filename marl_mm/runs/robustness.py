@@ -119,12 +119,14 @@ def cross_play(
         LayoutError: If a run is made for another layout than the task has.
         CheckpointError: If a run's checkpoint is damaged.
     """
-    if not isinstance(policies, Iterable):
+    if not isinstance(policies, Iterable) or isinstance(policies, str):
         raise UsageError(f"{policies!r:.80} are no policies, expected 2 or more")
     policies = list(policies)
     if len(policies) < 2:
         raise UsageError(f"cross-play of {len(policies)} policy, expected 2 or more")
     setup = setup_of(policies, episodes, seed, task, max_steps, engine, workers)
+    if not isinstance(configs, Sequence | None):
+        raise UsageError(f"`configs` is {configs!r:.40}, expected a list of settings")
     settings = configs or [None] * len(policies)
     if len(settings) != len(policies):
         raise UsageError(

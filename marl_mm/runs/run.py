@@ -141,7 +141,7 @@ def load_run(folder: str | Path) -> Run:
 
 
 def find_runs(folder: str | Path) -> list[Run]:
-    """All runs below a folder, by name.
+    """All runs below a folder, by name; folders that are links are not followed.
 
     Raises:
         UsageError: If there is no such folder.

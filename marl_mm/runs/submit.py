@@ -31,6 +31,7 @@ from marl_mm.runs.run import Run, load_run
 from marl_mm.runs.settings import as_path, check_positive, check_seed
 from marl_mm.runs.submission import (
     EPISODES,
+    FILES,
     FORMAT,
     MANIFEST,
     MEANS,
@@ -84,6 +85,7 @@ def submit(
     """
     check_positive(episodes=episodes, workers=workers)
     check_seed(seed)
+    seed = int(seed)
     if episodes > MOST_GOALS:
         raise UsageError(f"`episodes` is {episodes}, expected at most {MOST_GOALS:,}")
     listed = [runs] if isinstance(runs, Run | str | Path) else runs
@@ -96,7 +98,8 @@ def submit(
     for run in found:
         _ = run.evaluated  # refuses one that is not trained to its end
     target = as_path(out, "out")
-    refuse_foreign(target, overwrite, (MANIFEST, FORMAT), (MANIFEST, "[0-9]*"))
+    holds = MANIFEST, *(f"[0-9]*/{name}" for name in FILES)
+    refuse_foreign(target, overwrite, (MANIFEST, FORMAT), holds)
     refuse_input(target, [run.folder for run in found])
     if (target.absolute().parent / MANIFEST).exists():
         raise UsageError(f"{target} lies in another submission: choose another place")

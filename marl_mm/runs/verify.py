@@ -60,10 +60,12 @@ def verify(
     if seed is None:
         seed = int(np.random.default_rng().integers(2**32))
     check_seed(seed)
+    seed = int(seed)
     begun = time.monotonic()
-    submission = folder if isinstance(folder, Submission) else read_submission(folder)
+    named = folder.folder if isinstance(folder, Submission) else folder
+    submission = read_submission(named)  # as its files are now
     file = verification_file(submission.folder)
-    refuse_existing(file, overwrite=True)
+    refuse_existing(file, overwrite=True, file=True)
     earlier = None
     with suppress(SubmissionError):  # a damaged one is replaced
         earlier = read_verification(submission)

@@ -188,6 +188,7 @@ def test_a_file_that_acts_otherwise_is_not_written(
         (["nowhere"], "no checkpoint at nowhere"),
         (["pretrained", "--agent", "balance"], "no agent 'balance', expected joint"),
         (["pretrained", "--out", "."], "is a folder, expected a file"),
+        (["pretrained", "--out", "p.onnx"], "p.onnx, expected a file that ends in .ts"),
     ],
 )
 def test_bad_requests(

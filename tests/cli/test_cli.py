@@ -165,6 +165,12 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         ),
         (["play", "pd", "--strip", "x.gif"], "film strip x.gif ends in"),
         (["play", "arm-reach", "--strip", "x.png"], "--strip is for films of episodes"),
+        (
+            ["play", "arm-reach", "--task", "Gate-v0", "--max-steps", "3"],
+            "--task and --max-steps: arm-reach has no task",
+        ),
+        (["play", "pd", "--angle", "20"], "pd has no such motion: arm-reach and base-"),
+        (["play", "pd", "--gui", "--video", "x.mp4"], "window: leave out --video"),
         (["bench", "control", "--steps", "-1"], "--steps is -1"),
         (["bench", "abuse", "--ticks", "0"], "--ticks is 0"),
         (["bench", "train", "--seeds", "0"], "--seeds is 0"),

@@ -140,9 +140,9 @@ def test_an_exported_policy_is_whole_or_not_there(
 
 
 def test_a_policy_that_cannot_be_written_is_one_line(capsys: Output) -> None:
-    assert main(["export", "pretrained", "--out", "/proc/x.pt"]) == 1
+    assert main(["export", "pretrained", "--out", "/proc/x.ts"]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert "/proc/x.pt" in line
+    assert "/proc/x.ts" in line
 
 
 @pytest.mark.parametrize("room", [400, 8_000])  # the complaint has to fit, too

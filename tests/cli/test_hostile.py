@@ -304,6 +304,37 @@ def test_a_run_whose_checkpoint_lacks_a_part_is_not_resumed(
     assert "is damaged" in error and error.strip().count("\nmarl-mm") == 0
 
 
+@pytest.mark.slow
+def test_records_of_a_run_are_no_links_out_of_it(
+    good: Path, tmp_path: Path, capsys: Output
+) -> None:
+    run = Path(shutil.copytree(good / "offline/0", tmp_path / "run"))
+    for name in ("eval.json", "config.json"):
+        (run / name).rename(tmp_path / name)
+        (run / name).symlink_to(tmp_path / name)
+        with pytest.raises(CheckpointError, match=f"{name} is a link out of its fold"):
+            _ = marl_mm.load_run(run).evaluation, marl_mm.load_run(run).config
+        assert main(["check", str(run)]) == 1
+        assert "is a link out of its folder" in capsys.readouterr().out
+        (run / name).unlink()
+        (tmp_path / name).rename(run / name)
+
+
+@pytest.mark.slow
+def test_what_eval_writes_is_a_record(
+    good: Path, tmp_path: Path, capsys: Output
+) -> None:
+    run = Path(shutil.copytree(good / "offline/0", tmp_path / "run"))
+    rows = run / "eval_two.json"
+    few = ["--episodes", "2", "--max-steps", "2", "--out", str(rows)]
+    assert main(["eval", str(run), "random", *few]) == 0
+    assert main(["check", str(rows)]) == main(["check", str(run)]) == 0
+    rows.write_text(rows.read_text().replace('"success"', '"succes"'))
+    capsys.readouterr()
+    assert main(["check", str(rows)]) == 1
+    assert "lacks 'success'" in capsys.readouterr().out
+
+
 def test_the_shipped_agents_weights_have_a_hash(good: Path, tmp_path: Path) -> None:
     copy = tmp_path / "agent"
     shutil.copytree(good / "shipped", copy)

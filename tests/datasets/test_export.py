@@ -296,12 +296,13 @@ def test_hub_folders_are_datasets_with_card_licence_and_sums(
     path = written(dataset, "hub", tmp_path)
     lines = (path / "SHA256SUMS").read_text().splitlines()
     sums = {line[66:]: line[:64] for line in lines}
-    files = {name: data for name, data in contents(path).items() if name in sums}
-    assert {*contents(path)} == {*sums, "SHA256SUMS"}
-    assert {k: hashlib.sha256(v).hexdigest() for k, v in files.items()} == sums
+    files = contents(path)
+    edited = {"LICENSE", "README.md", "croissant.json"}  # a licence comes into them
+    assert {*files} == {*sums, "SHA256SUMS", *edited}
+    assert {k: hashlib.sha256(files[k]).hexdigest() for k in sums} == sums
     croissant = json.loads(files["croissant.json"])
     listed = {item["contentUrl"]: item["sha256"] for item in croissant["distribution"]}
-    assert listed == {name: sums[name] for name in sums if name != "croissant.json"}
+    assert listed == sums
     assert load_dataset(str(path)).fingerprint == dataset.fingerprint
     yaml = pytest.importorskip("yaml")
     front = yaml.safe_load((path / "README.md").read_text().split("---\n")[1])
@@ -326,6 +327,8 @@ def test_data_of_the_package_have_its_licence(
     path = written(load_dataset("good-5k"), "hub", tmp_path)
     assert (path / "LICENSE").read_text().startswith("MIT License")
     assert '\nlicense: "mit"\n' in (path / "README.md").read_text()
+    lines = (path / "SHA256SUMS").read_text().splitlines()
+    assert {*contents(path)} == {*(line[66:] for line in lines), "SHA256SUMS"}
 
 
 def test_data_that_are_only_called_like_the_packages_have_not(

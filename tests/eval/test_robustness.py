@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -27,6 +27,7 @@ from marl_mm.eval.disturbances import (
 from marl_mm.eval.evaluate import Evaluation, Setup
 from marl_mm.eval.intervals import paired_interval
 from marl_mm.eval.suite import ROBUSTNESS, conditions
+from marl_mm.layout import Layout
 from marl_mm.progress import Advance, Bar
 from marl_mm.sim.config import is_installed
 
@@ -224,6 +225,32 @@ def test_the_matrix_has_a_row_per_agent_and_run(runs: dict[str, Path]) -> None:
     differences = result.to_json()["differences"]
     assert len(differences) == 2 * 6 and differences[1]["difference"] == change
     assert "from 3" in result.markdown() and "<table>" in result._repr_html_()
+    for agent, other in (("end-effector", 1), ("balance", 5)):
+        with pytest.raises(
+            UsageError, match=r"no team of .*, expected end_effector or"
+        ):
+            result.difference(agent, 0, other)
+
+
+class Lists:
+    """A policy whose actions are lists."""
+
+    name = "lists"
+
+    def describe(self) -> dict[str, Any]:
+        return {}
+
+    def begin(self, rng: np.random.Generator, layout: Layout) -> None:
+        pass
+
+    def act(self, state: np.ndarray) -> Any:
+        return [0.5, 0.0, 0.0, 1.0]
+
+
+def test_actions_may_be_lists() -> None:
+    result = marl_mm.robustness(Lists(), disturbances=["late"], **FEW)
+    assert result.clean.rows and len(result.disturbed) == 6
+    assert len(marl_mm.cross_play([Lists(), "pd"], **FEW).evaluations) == 4
 
 
 def test_collectors_among_partners_have_their_settings() -> None:
@@ -317,6 +344,11 @@ def test_mistakes_are_one_line(
             "no disturbance 'dizzy', expected some of late, dropped",
         ),
         (lambda: marl_mm.cross_play(["pd"], **FEW), "expected 2 or more"),
+        (lambda: marl_mm.cross_play("pd", **FEW), "'pd' are no policies, expected 2"),
+        (
+            lambda: marl_mm.cross_play(["pd", "random"], configs=cast(Any, 3), **FEW),
+            "`configs` is 3, expected a list",
+        ),
         (lambda: marl_mm.robustness("pd", episodes=0), "`episodes` is 0"),
     ],
 )

@@ -166,6 +166,10 @@ def test_the_same_submission_twice_is_refused(
     (tmp_path / "mine").mkdir()
     with pytest.raises(UsageError, match=r"has no index\.html of marl-mm and"):
         marl_mm.board(submissions[:1], out=tmp_path / "mine", overwrite=True)
+    board = marl_mm.board(submissions[:1], out=tmp_path / "page")
+    (board.page.parent / "rows/notes.md").touch()
+    with pytest.raises(UsageError, match=r"holds rows/notes\.md, which is not of"):
+        marl_mm.board(submissions[:1], out=tmp_path / "page", overwrite=True)
 
 
 def test_verdicts_among_the_folders_are_left_out_and_these_are_kept(
@@ -178,7 +182,7 @@ def test_verdicts_among_the_folders_are_left_out_and_these_are_kept(
     assert sum(map(len, board.sections)) == 1
     shutil.copytree(mine, here / "page/mine")
     for folder, out in ((mine, mine / "page"), (here / "page/mine", here / "page")):
-        with pytest.raises(UsageError, match=r"over or into|holds mine, which is not"):
+        with pytest.raises(UsageError, match=r"over or into|holds mine/.*, which is"):
             marl_mm.board(read_submission(folder), out=out, overwrite=True)
 
 

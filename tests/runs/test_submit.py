@@ -6,16 +6,23 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import marl_mm
 from marl_mm.cli import main
-from marl_mm.errors import MarlMmError, OutputExistsError, UsageError
+from marl_mm.errors import (
+    MarlMmError,
+    OutputExistsError,
+    SubmissionError,
+    UsageError,
+)
 from marl_mm.eval.metrics import METRICS, Metric
 from marl_mm.runs import submission_checks
 from marl_mm.runs.comparison import beyond_chance
 from marl_mm.runs.folder import EVALUATION
 from marl_mm.runs.submission import EPISODES, MANIFEST, Scored
+from marl_mm.runs.submission_checks import read_submission
 from marl_mm.runs.verification import verification_file
 from tests.runs.tampering import (
     CLAIMS,
@@ -78,6 +85,31 @@ def test_scoring_again_is_equal_to_the_bit(copy: Path) -> None:
     assert {p: p.read_bytes() for p in copy.rglob("*") if p.is_file()} == before
     kept = json.loads(verification_file(copy).read_text())
     assert kept["fingerprint"] == result.fingerprint
+    assert marl_mm.verify(copy, seed=np.int64(3)).equal == result.equal  # type: ignore[arg-type]
+
+
+def test_what_submit_returned_is_looked_at_as_its_files_are_now(copy: Path) -> None:
+    before = read_submission(copy)
+    with (copy / "0/policy.safetensors").open("ab") as file:
+        file.write(b"x")
+    for look in (marl_mm.verify, lambda it: marl_mm.board(it, out=copy / "board")):
+        with pytest.raises(SubmissionError, match=r"policy\.safetensors' is not the"):
+            look(before)
+
+
+def test_a_submitted_policy_has_its_own_name_and_is_not_written_into(
+    copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert marl_mm.load_policy(copy / "0").name == "mabc"
+    monkeypatch.chdir(copy.parent)
+    assert marl_mm.export(copy / "0")["file"] == "policy.ts"
+    assert marl_mm.verify(copy, minutes=1e-6).verdict == "equal to the bit"
+
+
+def test_a_folder_in_the_verdicts_place_is_refused_before_any_work(copy: Path) -> None:
+    verification_file(copy).mkdir()
+    with pytest.raises(UsageError, match="is a folder"):
+        marl_mm.verify(copy)
 
 
 def test_a_submission_follows_from_its_runs(honest: Path, runs: Path) -> None:
@@ -259,6 +291,12 @@ def test_nothing_is_overwritten_unasked_and_never_another_folder(
     with pytest.raises(UsageError, match=r"holds \.git, which is not of marl-mm"):
         marl_mm.submit([runs / "long/0"], out=copy, episodes=2, overwrite=True)
     (copy / ".git").rmdir()
+    notes = copy / "2024-notes/n.txt"
+    notes.parent.mkdir()
+    notes.touch()
+    with pytest.raises(UsageError, match=r"holds 2024-notes/n\.txt, which is not"):
+        marl_mm.submit([runs / "long/0"], out=copy, episodes=2, overwrite=True)
+    shutil.rmtree(notes.parent)
     made = marl_mm.submit([runs / "long/0"], out=copy, episodes=2, overwrite=True)
     assert sorted(path.name for path in copy.iterdir()) == ["0", MANIFEST]
     assert "1 seed:" in repr(made)
