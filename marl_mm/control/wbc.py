@@ -113,11 +113,19 @@ class WholeBodyController:
             priorities: Priorities of the tasks.
 
         Raises:
-            NonFiniteStateError: If the state holds, or the solution would hold, a NaN.
-            UsageError: If an array of the reference has another shape.
+            NonFiniteStateError: If the command would not be finite.
+            UsageError: If an array of state, reference or priorities has another shape,
+                or ``limits.zmp`` is on and the terms have no wrench. Shapes of the
+                terms are not checked.
         """
         if self._limits.zmp:
             self._check_wrench(terms)
+        hierarchies = np.size(priorities.shares)
+        of_priorities = {"matrices": (hierarchies, 4, 5), "shares": (hierarchies,)}
+        # Compiled code would read what lies behind shorter arrays.
+        state = _arrays(state, _STATE_SHAPES)
+        reference = _arrays(reference, _REFERENCE_SHAPES)
+        priorities = _arrays(priorities, of_priorities)
         if self.config.solver == "active-set":
             command, finite = self._compiled(state, terms, reference, priorities)
         else:
@@ -178,12 +186,6 @@ class WholeBodyController:
         reference: Reference,
         priorities: Priorities,
     ) -> tuple[Command, bool]:
-        hierarchies = np.size(priorities.shares)
-        of_priorities = {"matrices": (hierarchies, 4, 5), "shares": (hierarchies,)}
-        # Compiled code would read what lies behind shorter arrays.
-        state = _arrays(state, _STATE_SHAPES)
-        reference = _arrays(reference, _SHAPES)
-        priorities = _arrays(priorities, of_priorities)
         u, torque, counters = np.empty(VARIABLES), np.empty(7), np.zeros(4, np.int64)
         feasible, finite, forward, turning = tick(
             tuple(state),
@@ -225,7 +227,7 @@ class WholeBodyController:
         )
 
 
-_SHAPES = {
+_REFERENCE_SHAPES = {
     "ee_position_w": (3,),
     "ee_rotation_w": (3, 3),
     "base_position_w": (2,),
@@ -240,7 +242,7 @@ _T = TypeVar("_T", bound=NamedTuple)
 
 
 def _arrays(values: _T, shapes: Mapping[str, tuple[int, ...]]) -> _T:
-    """The same with arrays of float64.
+    """Copy of a tuple whose named arrays are of float64.
 
     Raises:
         UsageError: If an array has another shape.
@@ -252,9 +254,6 @@ def _arrays(values: _T, shapes: Mapping[str, tuple[int, ...]]) -> _T:
             raise UsageError(f"{name} has shape {array.shape}, expected {shape}")
         arrays[name] = array
     return values._replace(**arrays)
-
-
-"""Shapes of the arrays of a ``Reference``."""
 
 
 def no_command_error(
