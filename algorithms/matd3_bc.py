@@ -33,14 +33,14 @@ class Matd3Bc(Td3Bc):
     ) -> dict[str, torch.Tensor]:
         """One gradient step of every actor."""
         losses = {}
-        with torch.no_grad():
-            now = self.actors.joint(state)
+        policies = self.config.others == "policy"
+        with torch.no_grad():  # before any agent's step: their order does not matter
+            others = self.actors.joint(state) if policies else batch.action
         for number, agent in enumerate(self.layouts):
             entries = columns(agent.action)
             pair = number if self.config.critics == "own" else 0
-            output = self.actors.action(agent.name, state)
-            action = (now if self.config.others == "policy" else batch.action).clone()
-            action[..., entries] = output
+            action = others.clone()
+            action[..., entries] = self.actors.action(agent.name, state)
             value = self.critics.first(state, action, pair)
             error = self._imitation.error(action, state, batch, value, entries, pair)
             loss = error - self._lambda(value) * value.mean(dim=1)

@@ -41,11 +41,12 @@ class OfflineBatch(NamedTuple):
     """Joint states after the steps or chunks, shape (S, B, d)."""
 
     next_action: torch.Tensor
-    """Joint actions of the next steps, shape (S, B, k); of an episode's last step, its
-    own."""
+    """Joint actions of the steps after the first ones, of chunks too, shape (S, B, k);
+    of an episode's last step, its own."""
 
     terminated: torch.Tensor
-    """1 where the episode ended, for good or ill, shape (S, B)."""
+    """1 where the last step reached its goal or failed, 0 elsewhere, also where steps
+    ran out, shape (S, B)."""
 
     discount: torch.Tensor
     """Discount of the value after the step or chunk, shape (S, B)."""
@@ -263,9 +264,9 @@ class OfflineBatches:
         return np.where(rng.random(count) < self._kept, given, own)
 
     def _ahead(self, rows: np.ndarray) -> np.ndarray:
-        """Steps of chunks that begin at some, shapes (n,) to (n, h).
+        """Rows of the chunks that begin at ``rows``, shapes (n,) to (n, h).
 
-        None is later than its episode's last.
+        Beyond an episode's end they are its last row.
         """
         last = self._steps["end"][rows] - 1
         ahead = rows[:, None] + np.arange(self._chunk)

@@ -72,7 +72,8 @@ class Batch(NamedTuple):
     """Joint states after the steps, shape (n, d)."""
 
     terminated: torch.Tensor
-    """1 where the episode ended, for good or ill, shape (n,)."""
+    """1 where the step reached its goal or failed, 0 elsewhere, also where steps ran
+    out, shape (n,)."""
 
     def split(self, size: int) -> list["Batch"]:
         """Batches of ``size`` transitions each."""

@@ -1,9 +1,9 @@
 """TD3+BC (paper, Algorithm 2; Fujimoto & Gu 2021): one actor that sees and sets all.
 
 Loss of the twin critics: (Q_j(s, a) - r - gamma (1 - terminated) min_j Q_j'(s', a'))^2,
-where a' is the target actor's action with clipped noise. Every second update the actor
-follows: -lambda Q_1(s, pi(s)) + MSE(a, pi(s)), where lambda = c / mean |Q_1(s, pi(s))|.
-Our additions to that stand in ``td3_bc_additions``.
+where a' is the target actor's action with clipped noise. Every ``policy_delay`` updates
+the actor follows: -lambda Q_1(s, pi(s)) + MSE(a, pi(s)), where lambda =
+c / mean |Q_1(s, pi(s))|. Our additions to that stand in ``td3_bc_additions``.
 """
 
 from collections.abc import Sequence
@@ -43,7 +43,7 @@ class Td3Bc(Td3Learner):
         """Weight of the value against imitation, shape (S,)."""
         return q_weight(self.config, self.step) / value.detach().abs().mean(dim=1)
 
-    # --- Networks ------------------------------------------------------------
+    # --- Parts ---------------------------------------------------------------
 
     def __init__(
         self,

@@ -45,6 +45,7 @@ def resampled(
     scores: Sequence[np.ndarray],
     number: int = 0,
     goals_of: Sequence[int] | None = None,
+    places: Sequence[int] | None = None,
 ) -> list[Means]:
     """Means of all seeds, and of seeds and goals that are drawn anew.
 
@@ -54,11 +55,14 @@ def resampled(
             are the same.
         goals_of: Number of each dataset's set of goals, which are drawn alike for all
             that share it; default one of its own.
+        places: Number of each dataset, so that draws are the same whichever others
+            there are; default its place in ``scores``.
     """
     means = []
-    for place, of_dataset in enumerate(scores):
+    places = range(len(scores)) if places is None else places
+    for place, same, of_dataset in zip(places, goals_of or places, scores, strict=True):
         seeds, goals = of_dataset.shape
-        rng = np.random.default_rng((goals_of[place] if goals_of else place, goals))
+        rng = np.random.default_rng((same, goals))
         shares = rng.multinomial(goals, np.full(goals, 1 / goals), RESAMPLES) / goals
         rng = np.random.default_rng((place, seeds, number))
         picks = rng.integers(seeds, size=(RESAMPLES, seeds - 1))

@@ -126,7 +126,7 @@ def robustness(
     names: Sequence[str] = tuple(ROBUSTNESS),
     spread: np.ndarray | None = None,
 ) -> Iterator[Robustness]:
-    """What is known of a policy after the clean run, and after each condition.
+    """Evaluate a policy clean, and then under each condition.
 
     Args:
         setup: Task and goals.
@@ -137,8 +137,11 @@ def robustness(
         spread: Spread of the joint state's entries, shape (n,), in their units; default
             their standard deviation over the clean run.
 
+    Yields:
+        The results so far, after each evaluation; the last has all.
+
     Raises:
-        UsageError: If there is no such disturbance.
+        UsageError: Before the first, if there is no such disturbance.
     """
     listed, left_out = conditions(setup.task, setup.overrides, names)
     agents = {agent.name: agent for agent in setup.made.layout.agents}

@@ -59,12 +59,12 @@ DATASETS = (
 )
 """Names of their recipes; none is of the tuning."""
 
-TESTED = {
+EVALUATED_ON = {
     "quiet-zone-narrow": "QuietZone-v0",
     "quiet-zone-stitch": "QuietZone-v0",
     "gate-stitch": "Gate-v0",
 }
-"""Tasks of the evaluations that are not the data's, by the name of the recipe."""
+"""Tasks that policies are evaluated on where it is not the data's, by recipe."""
 
 
 def cells_of(
@@ -84,7 +84,7 @@ def cells_of(
     return tuple(
         (
             RECIPES.get(name).source,
-            _setting(algorithm, TESTED.get(name), updates, prefix),
+            _setting(algorithm, EVALUATED_ON.get(name), updates, prefix),
         )
         for name, algorithm in product(names, algorithms)
     )
@@ -109,7 +109,7 @@ Scores = dict[str, np.ndarray]
 """Success by algorithm on a dataset, by seed and goal, shape (seeds, goals)."""
 
 
-AGENTS = Study(
+STUDY = Study(
     "Table: the benchmark's runs.", cells_of(DATASETS, UPDATES), seeds=WHOLE[0]
 )
 """Study whose runs are compared: of algorithms that are tuned."""
@@ -125,7 +125,7 @@ class BenchmarkOptions(StudyOptions):
     stand in the tables whenever they are registered."""
 
     @property
-    def agents(self) -> Study:
+    def study(self) -> Study:
         """Study whose runs are compared.
 
         Raises:
@@ -140,7 +140,7 @@ class BenchmarkOptions(StudyOptions):
                     "that learns from a dataset"
                 )
         every = tuple(dict.fromkeys((*ALGORITHM_NAMES, *self.own)))
-        return replace(AGENTS, cells=cells_of(DATASETS, UPDATES, algorithms=every))
+        return replace(STUDY, cells=cells_of(DATASETS, UPDATES, algorithms=every))
 
 
 def _others() -> list[str]:
@@ -150,7 +150,7 @@ def _others() -> list[str]:
 
 
 def make_benchmark(options: StudyOptions, bar: Bar) -> list[Row]:
-    """Draw the tables from the rows of ``AGENTS`` that are there.
+    """Draw the tables from the rows of ``STUDY`` that are there.
 
     Returns:
         Rows of the table of datasets and algorithms.
@@ -162,7 +162,14 @@ def make_benchmark(options: StudyOptions, bar: Bar) -> list[Row]:
 
 
 def draw_benchmark(results: Path, folder: Path) -> list[Row]:
-    """Write the tables into a folder, from rows in another; likewise."""
+    """Write the tables into ``folder``, from the rows below ``results``.
+
+    Returns:
+        Rows of the table of datasets and algorithms.
+
+    Raises:
+        UsageError: If there are no rows.
+    """
     store, rows = RowStore(results / "rows"), list[Row]()
     scores: list[Scores] = []
     every = cells_of(DATASETS, UPDATES, algorithms=(*ALGORITHM_NAMES, *_others()))
@@ -172,7 +179,7 @@ def draw_benchmark(results: Path, folder: Path) -> list[Row]:
             continue
         of_source = [of_cell(store, cell, seeds) for cell, seeds in there]
         store.refuse_mixed([cell for cell, _ in there])
-        reached = {  # of a single seed nobody knows how another does
+        reached = {  # a single seed says nothing of the spread over seeds
             row["algorithm"]: success for row, success in of_source if row["seeds"] > 1
         }
         groups = dict(zip(reached, tie_groups([*reached.values()]), strict=True))
@@ -217,9 +224,11 @@ def of_cell(store: RowStore, cell: Cell, seeds: list[int]) -> tuple[Row, np.ndar
 
 
 def _write_overall(folder: Path, rows: list[Row], scores: list[Scores]) -> None:
-    """Tables over the datasets that all of the benchmark's algorithms have learnt from.
+    """Write the tables over datasets, and of pairs of algorithms.
 
-    With several seeds; of other algorithms over those of these that they have.
+    Datasets count from which every one of the benchmark's algorithms that has rows
+    anywhere has learnt with several seeds. Other algorithms are averaged over those of
+    these datasets that they have learnt from.
     """
     there = {name for of_dataset in scores for name in of_dataset}
     ours = there & {*ALGORITHM_NAMES} or there
@@ -231,11 +240,10 @@ def _write_overall(folder: Path, rows: list[Row], scores: list[Scores]) -> None:
     engine = ", ".join(sorted({row["engine"] for some, _ in whole for row in some}))
     means = {}
     for number, name in enumerate(in_order({*ALGORITHM_NAMES, *names})):
-        # Draws are of a dataset's place, whichever datasets an algorithm has.
-        drawn = resampled(
-            [of.get(name, next(iter(of.values()))) for _, of in whole], number, goals_of
-        )
-        means[name] = {k: drawn[k] for k, (_, of) in enumerate(whole) if name in of}
+        has = [k for k, (_, of) in enumerate(whole) if name in of]
+        scores_of = [whole[k][1][name] for k in has]
+        drawn = resampled(scores_of, number, [goals_of[k] for k in has], has)
+        means[name] = dict(zip(has, drawn, strict=True))
     groups = [[row["algorithm"] for row in some if row["first"]] for some, _ in whole]
     overall = [
         {

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import marl_mm
 from marl_mm.errors import FailedRunsError, MarlMmError
-from marl_mm.eval.studies.engine import Engine, compare
 from marl_mm.eval.studies.options import StudyOptions
+from marl_mm.eval.studies.runner import StudyRunner, compare
 from marl_mm.eval.studies.study import Study
 from marl_mm.eval.studies.sweep import draw_sweep
 from marl_mm.eval.studies.targets import STUDIES, Comparisons
@@ -28,9 +28,9 @@ def checks_of(
     committed = not (moved or options.small)
     if committed and _COMMITTED.exists():
         options = replace(options, out=_COMMITTED / "studies")
-    results, engine = options.results, Engine(options)
+    results, runner = options.results, StudyRunner(options)
     checks: list[Check] = [
-        (results, partial(engine.draw, name, study))
+        (results, partial(runner.draw, name, study))
         for name, study in studies.items()
         if len(studies) == 1 or (results / f"{name}.csv").exists()
     ]

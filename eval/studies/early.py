@@ -45,12 +45,12 @@ _EARLY = tuple(
 
 _LATE = cells_of(DATASETS, chosen.UPDATES)
 
-AGENTS = Study("Table: the runs of both lengths.", (*_EARLY, *_LATE), seeds=WHOLE[0])
+STUDY = Study("Table: the runs of both lengths.", (*_EARLY, *_LATE), seeds=WHOLE[0])
 """Study whose runs are compared."""
 
 
 def make_early(options: StudyOptions, bar: Bar) -> list[Row]:
-    """Draw the table from the rows of ``AGENTS`` that are there.
+    """Draw the table from the rows of ``STUDY`` that are there.
 
     Returns:
         Rows of the table.
@@ -62,7 +62,11 @@ def make_early(options: StudyOptions, bar: Bar) -> list[Row]:
 
 
 def draw_early(results: Path, folder: Path) -> list[Row]:
-    """Write the table into a folder, from rows in another; likewise."""
+    """Write the table into ``folder``, from the rows below ``results``.
+
+    Raises:
+        UsageError: If there are no rows of both lengths.
+    """
     store, rows = RowStore(results / "rows"), list[Row]()
     for early, late in zip(_EARLY, _LATE, strict=True):
         seeds = sorted({*store.seeds(early)} & {*store.seeds(late)})

@@ -5,13 +5,13 @@ from collections.abc import Iterator, Mapping
 from marl_mm.errors import FailedRunsError, MarlMmError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.studies.checks import raise_together
-from marl_mm.eval.studies.engine import Engine
+from marl_mm.eval.studies.runner import StudyRunner
 from marl_mm.eval.studies.study import Study
 from marl_mm.eval.studies.targets import Comparisons
 
 
 def make_tables(
-    engine: Engine, studies: Mapping[str, Study], comparisons: Comparisons
+    runner: StudyRunner, studies: Mapping[str, Study], comparisons: Comparisons
 ) -> Iterator[tuple[str, list[Row], str]]:
     """Make what is missing, and draw what there is; failures stop no others.
 
@@ -24,18 +24,18 @@ def make_tables(
     """
     failures: list[MarlMmError] = []
     try:
-        for name, table in engine.run(studies):
+        for name, table in runner.run(studies):
             yield name, table.rows, f"{table.study.about}\n\n{table.markdown()}"
     except FailedRunsError as error:
         failures.append(error)
     for name, comparison in comparisons.items():
         failed = len(failures)
         try:
-            engine.make_rows(runs_of({name: comparison}))
+            runner.make_rows(runs_of({name: comparison}))
         except FailedRunsError as error:
             failures.append(error)
         try:
-            rows = comparison.make(engine.options, engine.bar)
+            rows = comparison.make(runner.options, runner.bar)
             yield name, rows, f"{comparison.about}\n\n{comparison.markdown(rows)}"
         except MarlMmError as error:  # there may be none of the others
             if len(failures) == failed and not isinstance(error, FailedRunsError):
@@ -46,4 +46,4 @@ def make_tables(
 
 def runs_of(comparisons: Comparisons) -> dict[str, Study]:
     """Studies whose runs are compared."""
-    return {name: c.agents for name, c in comparisons.items() if c.agents is not None}
+    return {name: c.study for name, c in comparisons.items() if c.study is not None}

@@ -50,7 +50,7 @@ from marl_mm.sim.config import engine_overrides
 ABOUT = "Teams against joint actors under disturbances."
 """Title."""
 
-AGENTS = Study(
+STUDY = Study(
     "Table: teams and joint actors before they are disturbed.",
     tuple(
         (
@@ -89,9 +89,9 @@ class RobustnessOptions(StudyOptions):
         check_positive(goals=self.goals)
 
     @property
-    def agents(self) -> Study:
+    def study(self) -> Study:
         """Runs that are disturbed."""
-        return AGENTS.part(self.datasets, None)
+        return STUDY.part(self.datasets, None)
 
 
 @dataclass(frozen=True)
@@ -182,9 +182,9 @@ def cells_of(
     goals = 2 if options.small else goals
     overrides = _overrides(source, max_steps)
     listed, _ = conditions(source.task, overrides, _names(options))
-    words, seeds = tuple(map(str, listed)), options.seeds_of(AGENTS)
+    words, seeds = tuple(map(str, listed)), options.seeds_of(STUDY)
     runs = [Actor(setting, seed) for seed in seeds]
-    of_data = [s for name, s in map(cell_name, AGENTS.cells) if name == dataset]
+    of_data = [s for name, s in map(cell_name, STUDY.cells) if name == dataset]
     (form,) = (names for names in SETTINGS if setting in names)
     alike = [name for name in of_data if name in form and name != setting]
     return [
@@ -235,7 +235,7 @@ def _with_weights(
 
 def _folder(options: StudyOptions, dataset: str, actor: Actor) -> Path:
     names = dataset, actor.setting
-    (cell,) = (cell for cell in AGENTS.cells if cell_name(cell) == names)
+    (cell,) = (cell for cell in STUDY.cells if cell_name(cell) == names)
     return options.run_folder(cell, actor.seed)
 
 
@@ -296,7 +296,7 @@ def _goal(
 
 
 def make_robustness(options: RobustnessOptions, bar: Bar) -> list[Row]:
-    """Disturb the runs of ``AGENTS`` where that is missing, and draw the table.
+    """Disturb the runs of ``STUDY`` where that is missing, and draw the table.
 
     Returns:
         Rows of the table.
@@ -309,7 +309,7 @@ def make_robustness(options: RobustnessOptions, bar: Bar) -> list[Row]:
     # Processes of a cluster start in other folders.
     options = replace(options, runs=options.runs_folder.absolute(), out=options.results)
     groups = {}
-    for dataset, setting in map(cell_name, options.agents.cells):
+    for dataset, setting in map(cell_name, options.study.cells):
         path = rows_path(options, dataset, setting)
         cells = cells_of(options, dataset, setting)
         groups[path] = _with_weights(options, path, cells)

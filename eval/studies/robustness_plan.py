@@ -26,7 +26,7 @@ def plan_robustness(options: RobustnessOptions, bar: Bar) -> str:
     """
     options.check_settings()
     lines, goal_times = [], GoalTimes()
-    names = [cell_name(cell) for cell in options.agents.cells]
+    names = [cell_name(cell) for cell in options.study.cells]
     advance = bar("measuring", len(names))
     for dataset, setting in names:
         cells = cells_of(options, dataset, setting)

@@ -130,8 +130,8 @@ class Study:
             FailedRunsError: If runs failed.
             KeyboardInterrupt: After Ctrl-C; ``resume=True`` goes on.
         """
-        from marl_mm.eval.studies.engine import Engine
         from marl_mm.eval.studies.options import StudyOptions
+        from marl_mm.eval.studies.runner import StudyRunner
 
         paths = {"out": out, "runs": options.pop("runs", None)}
         options |= {key: Path(path) for key, path in paths.items() if path is not None}
@@ -139,7 +139,7 @@ class Study:
             check_seeds(options["seeds"])
             options["seeds"] = tuple(map(int, options["seeds"]))
         chosen = with_settings("study", StudyOptions(), options)
-        return dict(Engine(chosen, bar=progress).run({name: self}))[name]
+        return dict(StudyRunner(chosen, bar=progress).run({name: self}))[name]
 
 
 def _check_cell(cell: Any) -> None:

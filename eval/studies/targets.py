@@ -65,7 +65,7 @@ class Comparison:
     markdown: Callable[[list[Row]], str]
     """Function of the rows that returns the table as Markdown."""
 
-    agents: Study | None = None
+    study: Study | None = None
     """Study whose runs are compared, and are trained first."""
 
     in_parts: tuple[str, ...] = ()
@@ -108,7 +108,7 @@ COMPARISONS: Comparisons = {
         robustness.make_robustness,
         robustness_summary.draw_robustness,
         robustness_summary.robustness_table,
-        robustness.AGENTS,
+        robustness.STUDY,
         in_parts=("datasets",),
         plan=plan_robustness,
     ),
@@ -118,7 +118,7 @@ COMPARISONS: Comparisons = {
         benchmark.make_benchmark,
         benchmark.draw_benchmark,
         benchmark_table,
-        benchmark.AGENTS,
+        benchmark.STUDY,
         in_parts=("datasets", "settings"),
     ),
     "early": Comparison(
@@ -127,7 +127,7 @@ COMPARISONS: Comparisons = {
         early.make_early,
         early.draw_early,
         early.early_table,
-        early.AGENTS,
+        early.STUDY,
         in_parts=("datasets", "settings"),
     ),
     "tuning": Comparison(
@@ -166,9 +166,9 @@ def part_of(
         UsageError: If the target has no such parts, or a name is unknown.
     """
     for name, comparison in comparisons.items():
-        if not studies and comparison.agents and {*part} <= {*comparison.in_parts}:
-            agents = comparison.agents.part(**part)
-            return studies, {name: replace(comparison, agents=agents)}
+        if not studies and comparison.study and {*part} <= {*comparison.in_parts}:
+            cut = comparison.study.part(**part)
+            return studies, {name: replace(comparison, study=cut)}
     if len(studies) != 1:
         asked = " and ".join(f"`{word}`" for word in part)
         raise UsageError(f"{asked} are for a study, not {target}")

@@ -14,11 +14,11 @@ from marl_mm.eval.rows import to_json
 from marl_mm.eval.studies.benchmark import BenchmarkOptions
 from marl_mm.eval.studies.checks import Check, checks_of, states_of
 from marl_mm.eval.studies.coordination import CoordinationOptions
-from marl_mm.eval.studies.engine import Engine
 from marl_mm.eval.studies.engines import EnginesOptions
 from marl_mm.eval.studies.make import make_tables, runs_of
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.robustness import RobustnessOptions
+from marl_mm.eval.studies.runner import StudyRunner
 from marl_mm.eval.studies.study import Study
 from marl_mm.eval.studies.targets import (
     COMPARISONS,
@@ -52,9 +52,8 @@ class Ablate(StudyOptions):
     """Runs at once; the result does not depend on their number."""
 
     plan: bool = False
-    """Only print which runs are missing, or policies of engines, and about how long
-    they will take. Datasets that are missing, too, are named; to collect them is not
-    counted."""
+    """Only print which runs are missing, for engines which policies, and about how long
+    they will take. Missing datasets are named; collecting them is not counted."""
 
     check: bool = False
     """Only say whether tables in OUT, in a clone by default the committed ones, are
@@ -111,14 +110,14 @@ def main(arguments: Sequence[str]) -> None:
         print_states(checks_of(options, studies, comparisons), options.json)
         return
     if isinstance(options, BenchmarkOptions):
-        comparisons = {target: replace(comparisons[target], agents=options.agents)}
+        comparisons = {target: replace(comparisons[target], study=options.study)}
     if part:
         studies, comparisons = part_of(target, studies, comparisons, part)
     with progress_bars(vanish=True) as bar:
-        engine = Engine(options, _notify, bar)
+        runner = StudyRunner(options, _notify, bar)
         if options.plan:
             counted = studies | runs_of(comparisons)
-            plans = [engine.plan(counted)] if counted else []
+            plans = [runner.plan(counted)] if counted else []
             plans += [c.plan(options, bar) for c in comparisons.values() if c.plan]
             print("\n".join(plans), end="")
             return
@@ -127,7 +126,7 @@ def main(arguments: Sequence[str]) -> None:
             refuse_existing(options.results / comparison.file, again)
         tables: dict[str, list[Row]] = {}
         try:
-            for name, rows, text in make_tables(engine, studies, comparisons):
+            for name, rows, text in make_tables(runner, studies, comparisons):
                 tables[name] = rows
                 if not options.json:
                     print(text)

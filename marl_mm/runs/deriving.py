@@ -9,7 +9,14 @@ from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.importing import read_foreign
 from marl_mm.datasets.location import Location, locate, text_of
 from marl_mm.datasets.provenance import Origin, Provenance
-from marl_mm.datasets.recipe import Condition, Part, filtered, mix, split, write_mix
+from marl_mm.datasets.selection import (
+    Condition,
+    Part,
+    filtered,
+    mix,
+    split,
+    write_selection,
+)
 from marl_mm.datasets.storage import refuse_foreign, write_alone
 from marl_mm.envs.registry import make_task
 from marl_mm.episode import IMPORTED
@@ -55,7 +62,7 @@ def mix_datasets(
         check_positive(**{f"steps of {named}": steps})
     read = [Part(_read(dataset), steps) for dataset, steps in drawn]
     location = _free(out, overwrite, *(part.dataset.location.folder for part in read))
-    write_mix(location, mix(read, seed), overwrite)
+    write_selection(location, mix(read, seed), overwrite)
     return _kept(location)
 
 
@@ -88,7 +95,7 @@ def split_dataset(
     names = [f"{stem}-{part}-v0" for part in ("first", "rest")]
     first, rest = (_free(name, overwrite, source.location.folder) for name in names)
     for location, recipe in zip((first, rest), split(source, share, seed), strict=True):
-        write_mix(location, recipe, overwrite)
+        write_selection(location, recipe, overwrite)
     return _kept(first), _kept(rest)
 
 
@@ -128,7 +135,7 @@ def filter_dataset(
     condition = with_settings("filter", Condition(), asked)
     source = _read(dataset)
     location = _free(out, overwrite, source.location.folder)
-    write_mix(location, filtered(source, condition), overwrite)
+    write_selection(location, filtered(source, condition), overwrite)
     return _kept(location)
 
 

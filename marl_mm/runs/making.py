@@ -7,7 +7,7 @@ from pathlib import Path
 from marl_mm.datasets.dataset import Dataset, load_dataset, unpack
 from marl_mm.datasets.location import SHIPPED, Location, locate
 from marl_mm.datasets.provenance import Provenance
-from marl_mm.datasets.recipe import Part, mix, write_mix
+from marl_mm.datasets.selection import Part, mix, write_selection
 from marl_mm.errors import (
     DatasetError,
     OtherConfigError,
@@ -148,7 +148,9 @@ class Datasets:
 
     def _mix(self, data: Mix, location: Location) -> None:
         parts = [Part(self.find(s), self._steps(steps)) for s, steps in data.parts]
-        write_mix(location, mix(parts, data.seed), self._gives_way(data, location))
+        write_selection(
+            location, mix(parts, data.seed), self._gives_way(data, location)
+        )
 
     def _gives_way(self, data: Mix, location: Location) -> bool:
         """Whether a mix that is there may be replaced: it is of no more steps."""

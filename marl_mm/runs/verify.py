@@ -38,9 +38,9 @@ def verify(
 ) -> Verification:
     """Score a submission again, and keep the verdict in a file beside its folder.
 
-    Goals are taken in random order until all are done, or time is up. An earlier
-    verdict "not equal", or of more episodes, is replaced by one of all episodes only,
-    or by "not equal".
+    Goals are taken in random order until all are done, or time is up. An earlier record
+    that says "not equal", or scored more episodes, is kept unless this verdict is "not
+    equal" or of all episodes. Notes of what is returned say where it was kept.
 
     Args:
         folder: Folder of the submission, or what ``submit`` returned.
@@ -77,21 +77,21 @@ def verify(
     )
     equal = [c.sha256 == a.sha256 for c, a in every]
     differences = (*other_recipe(submission), *differing(submission, pairs))
-    within: Verdict = "equal to the bit" if all(equal) else "equal within intervals"
+    verdict: Verdict = "equal to the bit" if all(equal) else "equal within intervals"
     result = Verification(
-        submission.fingerprint,
-        "not equal" if differences else within,
-        differences,
-        tuple(notes(submission, equal, every)),
-        len(equal),
-        submission.scores("success").size,
-        sum(equal),
-        claimed,
-        again,
-        seed,
-        time.monotonic() - begun,
-        versions(),
-        machine(),
+        fingerprint=submission.fingerprint,
+        verdict="not equal" if differences else verdict,
+        differences=differences,
+        notes=tuple(notes(submission, equal, every)),
+        scored=len(equal),
+        episodes=submission.scores("success").size,
+        equal=sum(equal),
+        claimed=claimed,
+        success=again,
+        seed=seed,
+        seconds=time.monotonic() - begun,
+        packages=versions(),
+        machine=machine(),
     )
     if earlier is not None and stands(earlier, result):
         kept = f"{earlier['verdict']}, {earlier['scored']} scored before"

@@ -28,9 +28,9 @@ from marl_mm.datasets import cache
 from marl_mm.datasets.convert import read_apart  # noqa: F401
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import locate
-from marl_mm.datasets.recipe import Part, mix, write_mix
+from marl_mm.datasets.selection import Part, mix, write_selection
 from marl_mm.eval.studies import Setting, Source, Study
-from marl_mm.eval.studies.engine import Engine  # noqa: F401
+from marl_mm.eval.studies.runner import StudyRunner  # noqa: F401
 from marl_mm.files import write_json
 
 torch.set_num_threads(1)
@@ -84,7 +84,7 @@ def study() -> None:
 
 def mixed() -> None:
     parts = [Part(load_dataset(name), 30) for name in (DATA, OTHER)]
-    write_mix(locate("./mix"), mix(parts, 0), overwrite=True)
+    write_selection(locate("./mix"), mix(parts, 0), overwrite=True)
 
 
 def cached() -> None:

@@ -14,11 +14,11 @@ from marl_mm.errors import OtherConfigError, UsageError
 from marl_mm.eval.rows import read_rows, write_csv
 from marl_mm.eval.studies import early
 from marl_mm.eval.studies.benchmark import (
-    AGENTS,
     ALGORITHM_NAMES,
     DATASETS,
     OVERALL,
     PAIRS,
+    STUDY,
     TABLE,
     BenchmarkOptions,
     draw_benchmark,
@@ -38,7 +38,7 @@ RESULTS = Path(__file__).resolve().parents[2] / "eval" / "results" / "studies"
 
 FIRST, SECOND = (RECIPES.get(name).source.name for name in DATASETS[:2])
 FIRST_EARLY = RECIPES.get(early.DATASETS[0]).source.name
-FEW = [cell for cell in early.AGENTS.cells if cell[1].name.startswith("early-")]
+FEW = [cell for cell in early.STUDY.cells if cell[1].name.startswith("early-")]
 
 
 def write(
@@ -47,7 +47,7 @@ def write(
     algorithm: str,
     rate: float,
     seeds: int = 5,
-    cells: Iterable[Cell] = AGENTS.cells,
+    cells: Iterable[Cell] = STUDY.cells,
 ) -> None:
     """Write the rows of a cell: of 40 goals for each seed."""
     tested = {cell_name(c): c[1].algorithm for c in cells}
@@ -166,7 +166,7 @@ def test_other_algorithms_stand_last_and_change_no_row_of_the_benchmarks(
     draw_benchmark(tmp_path, tmp_path)
     before = read_rows(tmp_path / OVERALL), read_rows(tmp_path / PAIRS)
     for name in options.own:
-        write(tmp_path, FIRST, name, 0.7, cells=options.agents.cells)
+        write(tmp_path, FIRST, name, 0.7, cells=options.study.cells)
     rows = draw_benchmark(tmp_path, tmp_path)
     assert [row["algorithm"] for row in rows] == ["bc", "mabc", "cfcql", "rebrac"]
     assert [row["group"] for row in rows] == ["3", "1", "2", "2"]
@@ -185,7 +185,7 @@ def test_what_others_have_learnt_from_is_no_matter_of_an_own_algorithm(
             write(tmp_path, dataset, name, rate)
     draw_benchmark(tmp_path, tmp_path)
     before = read_rows(tmp_path / OVERALL), read_rows(tmp_path / PAIRS)
-    write(tmp_path, SECOND, "cfcql", 0.6, cells=options.agents.cells)
+    write(tmp_path, SECOND, "cfcql", 0.6, cells=options.study.cells)
     draw_benchmark(tmp_path, tmp_path)
     *overall, own = read_rows(tmp_path / OVERALL)
     pairs = {(r["algorithm"], r["other"]): r for r in read_rows(tmp_path / PAIRS)}
@@ -228,9 +228,9 @@ def test_an_own_algorithm_is_an_offline_one() -> None:
         ("bcc", "did you mean"),
     ):
         with pytest.raises(UsageError, match=complaint):
-            _ = BenchmarkOptions(own=(name,)).agents
-    cells = BenchmarkOptions(own=("mabc",)).agents.cells
-    assert cells == AGENTS.cells  # which has it
+            _ = BenchmarkOptions(own=(name,)).study
+    cells = BenchmarkOptions(own=("mabc",)).study.cells
+    assert cells == STUDY.cells  # which has it
 
 
 def test_without_rows_there_is_no_table(tmp_path: Path) -> None:
@@ -276,7 +276,7 @@ def test_what_is_committed_is_of_the_settings_that_are_compared(
     datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Nothing of a whole dataset is missing, and no record names another setting."""
-    rows = [row for row in read_rows(RESULTS / TABLE) if row["seeds"] == AGENTS.seeds]
+    rows = [row for row in read_rows(RESULTS / TABLE) if row["seeds"] == STUDY.seeds]
     algorithms = Counter(row["dataset"] for row in rows)
     whole = [name for name, n in algorithms.items() if n == len(ALGORITHM_NAMES)]
     words = ["ablate", "benchmark", "--plan", "--datasets", *whole]

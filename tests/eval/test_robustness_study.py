@@ -14,7 +14,7 @@ from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows, write_csv
 from marl_mm.eval.studies import robustness
 from marl_mm.eval.studies.robustness import (
-    AGENTS,
+    STUDY,
     RobustCell,
     RobustnessOptions,
     cells_of,
@@ -38,12 +38,12 @@ def test_both_forms_learn_with_the_same_settings() -> None:
             values = [getattr(config, name, None) for config in settings]
             assert values[0] == values[1], (joint, team, name)
     tuned = [form for form in FORMS if {*form} <= CHOSEN.keys()]
-    assert len(AGENTS.cells) == 2 * len(tuned) * len(SOURCES)
+    assert len(STUDY.cells) == 2 * len(tuned) * len(SOURCES)
 
 
 def test_no_other_study_has_its_runs() -> None:
     others = {setting.name for study in STUDIES.values() for _, setting in study.cells}
-    assert not others & {setting.name for _, setting in AGENTS.cells}
+    assert not others & {setting.name for _, setting in STUDY.cells}
 
 
 def rows(setting: str, reached: Any) -> Any:
@@ -133,8 +133,8 @@ def test_it_is_trained_disturbed_once_and_checked(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    part = AGENTS.part([next(iter(SOURCES))], ["robust-bc", "robust-mabc"])
-    monkeypatch.setattr(robustness, "AGENTS", part)
+    part = STUDY.part([next(iter(SOURCES))], ["robust-bc", "robust-mabc"])
+    monkeypatch.setattr(robustness, "STUDY", part)
     comparison = replace(COMPARISONS["robustness"], agents=part)
     monkeypatch.setitem(COMPARISONS, "robustness", comparison)
     ran: list[str] = []
@@ -171,7 +171,7 @@ def test_a_part_has_its_datasets_runs_and_fewer_goals_of_long_tasks(
     name: str, goals: int
 ) -> None:
     options = RobustnessOptions(datasets=(name,))
-    cells = [cell_name(cell) for cell in options.agents.cells]
-    assert len(cells) == len(AGENTS.cells) / 2
+    cells = [cell_name(cell) for cell in options.study.cells]
+    assert len(cells) == len(STUDY.cells) / 2
     made = [cell for names in cells for cell in cells_of(options, *names)]
     assert {(SOURCES[cell.dataset], cell.goals) for cell in made} == {(name, goals)}

@@ -16,7 +16,7 @@ from marl_mm.errors import DivergedError, UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows, write_csv
 from marl_mm.eval.studies import tuning, tuning_cells
-from marl_mm.eval.studies.benchmark import AGENTS
+from marl_mm.eval.studies.benchmark import STUDY
 from marl_mm.eval.studies.tuning import (
     DATASETS,
     TABLE,
@@ -113,7 +113,7 @@ def test_what_is_chosen_is_what_the_committed_table_says() -> None:
     for name, changes in CHOSEN.items():
         made = with_settings(name, preset(name), {**changes, "updates": 20_000})
         assert preset(name, BENCHMARK) == made
-    for _, setting in AGENTS.cells:
+    for _, setting in STUDY.cells:
         assert setting.config == preset(setting.algorithm, BENCHMARK)
 
 

@@ -85,7 +85,7 @@ class Gate(HazardTask):
     """Intervals of the wall and its window."""
 
     quiet_until: float = 0.1
-    """Distance of the end-effector to the wall up to which the floor is quiet [m]."""
+    """Distance to the wall along x beyond which the floor is quiet [m]."""
 
     quiet_limit: float = 0.25
     """Largest commanded acceleration of the base where the floor is quiet [m/s^2]; to
@@ -104,10 +104,11 @@ class Gate(HazardTask):
 
     def _check_detour(self) -> None:
         """Refuse a window so far aside that no hand gets through it to the goal."""
-        near, wall_y = self.wall.x[1], self.wall.y
-        there = max(near - self.stand_off, *(abs(y - HAND_Y) for y in wall_y))
+        far, wall_y = self.wall.x[1], self.wall.y
+        # A step moves each axis by up to action_scale: the longest one sets the time.
+        there = max(far - self.stand_off, *(abs(y - HAND_Y) for y in wall_y))
         aside = max(abs(goal - window) for goal in self.goal_y for window in wall_y)
-        way = there + max(self.goal_x[1] - near, aside) - self.success_distance
+        way = there + max(self.goal_x[1] - far, aside) - self.success_distance
         if way > (longest := self.action_scale * self.max_steps):
             raise UsageError(
                 f"wall.y is {wall_y[0]:g} to {wall_y[1]:g} m, a way of {way:.2f} m "
@@ -116,7 +117,7 @@ class Gate(HazardTask):
             )
 
     def draw(self, rng: np.random.Generator) -> Window:
-        """The window."""
+        """Draw the window of an episode."""
         return self.wall.draw(rng)
 
     def marks(self, hazard: Window) -> list[Mark]:
@@ -131,18 +132,18 @@ class Gate(HazardTask):
         return {**seen, **own}
 
     def harm(self, targets: Targets, motion: "Motion") -> tuple[str, dict[str, float]]:
-        """An acceleration on the quiet floor, or a touch of the wall."""
+        """An acceleration on the quiet floor that is too large, or a touch of the wall."""
         window: Window = targets.drawn
-        before = motion.hand_w[:, 0] < window.x - self.quiet_until
-        felt = np.abs(motion.base_acceleration[before]).max(initial=0.0)
+        quiet = motion.hand_w[:, 0] < window.x - self.quiet_until
+        largest = np.abs(motion.base_acceleration[quiet]).max(initial=0.0)
         error = window.error(motion.hand_w, self.wall.thickness)
         reason = ""
-        if felt > self.quiet_limit:
+        if largest > self.quiet_limit:
             reason = "the base was not quiet before the wall"
         elif error > self.wall.clearance:
             reason = "the hand touched the wall"
         return reason, {
-            "floor_acceleration": float(felt),
+            "floor_acceleration": float(largest),
             "window_error": error,
         }
 
@@ -154,7 +155,7 @@ class Gate(HazardTask):
         )
         window = Window(*(state[name] for name in names(*GATE)))
         beyond = hand[0] > window.x + self.wall.thickness
-        before = goal[0] < window.x  # half way
+        before = goal[0] < window.x  # the goal of a first half, see ``halves``
         way = goal - hand
         if not (beyond or before):
             way = window.way(hand, self.action_scale)

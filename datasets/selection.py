@@ -30,8 +30,8 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """Episodes that were chosen from datasets."""
+class Selection:
+    """Episodes chosen from datasets, and how."""
 
     arrays: EpisodeArrays
     """Arrays of the chosen episodes."""
@@ -40,7 +40,7 @@ class Recipe:
     """Provenance of the episodes, with the way in which they were chosen."""
 
 
-def mix(parts: Sequence[Part], seed: int) -> Recipe:
+def mix(parts: Sequence[Part], seed: int) -> Selection:
     """Draw episodes with so many steps from each dataset, in the order of the parts.
 
     The episodes of a part are shuffled. The shortest beginning with at least the part's
@@ -51,10 +51,10 @@ def mix(parts: Sequence[Part], seed: int) -> Recipe:
         seed: Seed of the draw.
 
     Raises:
-        UsageError: If a part has too few steps or is named twice, the tasks differ, or
-            two parts hold the same episode.
+        UsageError: If a part has too few steps or is named twice, tasks or engines
+            differ, two datasets share a name, or two parts hold the same episode.
     """
-    _refuse_unequal([part.dataset for part in parts])
+    _refuse_incompatible([part.dataset for part in parts])
     chosen = []
     for number, part in enumerate(parts):
         arrays, name = part.dataset.arrays, part.dataset.metadata["dataset_id"]
@@ -69,10 +69,12 @@ def mix(parts: Sequence[Part], seed: int) -> Recipe:
     _refuse_twins(chosen, parts)
     asked = {part.dataset.metadata["dataset_id"]: plain(part.steps) for part in parts}
     recipe = {"kind": "mix", "seed": plain(seed), "steps": asked}
-    return Recipe(joined(chosen), _described([part.dataset for part in parts], recipe))
+    return Selection(
+        joined(chosen), _provenance([part.dataset for part in parts], recipe)
+    )
 
 
-def split(dataset: Dataset, share: float, seed: int) -> tuple[Recipe, Recipe]:
+def split(dataset: Dataset, share: float, seed: int) -> tuple[Selection, Selection]:
     """Split a dataset into a random share of its episodes, and all others.
 
     Args:
@@ -92,13 +94,12 @@ def split(dataset: Dataset, share: float, seed: int) -> tuple[Recipe, Recipe]:
     first = min(max(round(share * count), 1), count - 1)
     order = np.random.default_rng(seed).permutation(count)
     recipe = {"kind": "split", "seed": plain(seed), "share": plain(share)}
-    return tuple(  # type: ignore[return-value]
-        Recipe(
-            dataset.arrays.select(np.sort(numbers)),
-            _described([dataset], recipe | {"part": part}),
-        )
-        for part, numbers in (("first", order[:first]), ("rest", order[first:]))
-    )
+
+    def part(name: str, numbers: np.ndarray) -> Selection:
+        described = _provenance([dataset], recipe | {"part": name})
+        return Selection(dataset.arrays.select(np.sort(numbers)), described)
+
+    return part("first", order[:first]), part("rest", order[first:])
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ class Condition:
     """Upper bound of the return, a sum of rewards; None for no bound."""
 
 
-def filtered(dataset: Dataset, condition: Condition) -> Recipe:
+def filtered(dataset: Dataset, condition: Condition) -> Selection:
     """Choose the episodes that meet a condition, in order.
 
     Raises:
@@ -150,15 +151,19 @@ def filtered(dataset: Dataset, condition: Condition) -> Recipe:
         )
     asked = {key: plain(value) for key, value in asked.items()}
     recipe = {"kind": "filter", "condition": asked}
-    return Recipe(arrays.select(np.flatnonzero(keep)), _described([dataset], recipe))
+    return Selection(
+        arrays.select(np.flatnonzero(keep)), _provenance([dataset], recipe)
+    )
 
 
-def write_mix(location: Location, recipe: Recipe, overwrite: bool = False) -> None:
-    """Write the episodes of a recipe as a dataset; see ``write_alone``."""
-    write_alone(location, recipe.arrays, recipe.provenance, overwrite)
+def write_selection(
+    location: Location, chosen: Selection, overwrite: bool = False
+) -> None:
+    """Write chosen episodes as a dataset; see ``write_alone``."""
+    write_alone(location, chosen.arrays, chosen.provenance, overwrite)
 
 
-def _refuse_unequal(datasets: Sequence[Dataset]) -> None:
+def _refuse_incompatible(datasets: Sequence[Dataset]) -> None:
     folders: dict[str, Path] = {}
     for dataset in datasets:
         name, folder = dataset.metadata["dataset_id"], dataset.location.folder
@@ -198,7 +203,7 @@ def _refuse_twins(chosen: Sequence[EpisodeArrays], parts: Sequence[Part]) -> Non
                 )
 
 
-def _described(datasets: Sequence[Dataset], recipe: dict[str, Any]) -> Provenance:
+def _provenance(datasets: Sequence[Dataset], recipe: dict[str, Any]) -> Provenance:
     """Provenance of episodes that were chosen from these datasets.
 
     Raises:
@@ -218,6 +223,7 @@ def _described(datasets: Sequence[Dataset], recipe: dict[str, Any]) -> Provenanc
         raise UsageError(
             f"the datasets are of engines {' and '.join(engines)}: choose those of one"
         )
+    # Replays and lengths are checked against what the longest episodes were allowed.
     longest = max(source.overrides.get("max_steps", 0) for source in sources)
     steps = {"max_steps": longest} if longest else {}
     return Provenance(

@@ -14,13 +14,13 @@ from marl_mm.datasets.card import card, card_text
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import locate
 from marl_mm.datasets.provenance import Origin, Provenance
-from marl_mm.datasets.recipe import (
+from marl_mm.datasets.selection import (
     Condition,
     Part,
     filtered,
     mix,
     split,
-    write_mix,
+    write_selection,
 )
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.datasets.verify import verify
@@ -74,7 +74,7 @@ def test_a_mix_has_its_steps_and_says_whose_they_are(
 ) -> None:
     first, second = make("one"), make("two", first=50)
     recipe = mix([Part(first, 10), Part(second, 7)], seed=0)
-    write_mix(locate("marl_mm/reach/mix-v0"), recipe)
+    write_selection(locate("marl_mm/reach/mix-v0"), recipe)
     mixed = load_dataset("mix")
     arrays = mixed.arrays
     for part, steps in ((first, 10), (second, 7)):
@@ -96,7 +96,7 @@ def test_a_mix_has_its_steps_and_says_whose_they_are(
 def test_numbers_of_numpy_are_as_good(make: Callable[..., Dataset]) -> None:
     three: Any = np.int64(3)
     recipe = mix([Part(make("pd"), three)], three)
-    write_mix(locate("marl_mm/reach/mine-v0"), recipe)
+    write_selection(locate("marl_mm/reach/mine-v0"), recipe)
     told = load_dataset("mine").provenance.recipe
     assert told is not None and told["seed"] == 3
     assert Source(steps=three, seed=three) == Source(steps=3, seed=3)
@@ -112,10 +112,12 @@ def test_the_engines_version_comes_along_where_it_is_one(
     ):
         other = make(f"from-{first}", first, packages={"pybullet": version})
         recipe = mix([Part(one, 10), Part(other, 10)], seed=0)
-        write_mix(locate(f"mix-{first}"), recipe)
+        write_selection(locate(f"mix-{first}"), recipe)
         mixed = load_dataset(f"mix-{first}")
         assert card(mixed)["engine"] == text
-        write_mix(locate(f"ahead-{first}"), filtered(mixed, Condition(success=True)))
+        write_selection(
+            locate(f"ahead-{first}"), filtered(mixed, Condition(success=True))
+        )
         assert card(load_dataset(f"ahead-{first}"))["engine"] == text
 
 
@@ -128,7 +130,7 @@ def test_a_mix_depends_on_its_seed_alone(make: Callable[..., Dataset]) -> None:
 
 
 def test_provenance_survives_two_generations(make: Callable[..., Dataset]) -> None:
-    write_mix(locate("marl_mm/reach/a-v0"), mix([Part(make("one"), 20)], seed=0))
+    write_selection(locate("marl_mm/reach/a-v0"), mix([Part(make("one"), 20)], seed=0))
     first, _ = split(load_dataset("a"), 0.5, seed=0)
     assert set(first.arrays.origins) == {"marl_mm/reach/one-v0"}
     assert set(first.provenance.origins) == {"marl_mm/reach/one-v0"}
@@ -204,7 +206,9 @@ def test_a_part_with_shorter_names_is_as_it_should_be(
     make: Callable[..., Dataset],
 ) -> None:
     short_name, long_name = make("one"), make("a-much-longer-name", first=50)
-    write_mix(locate("both"), mix([Part(short_name, 10), Part(long_name, 10)], seed=0))
+    write_selection(
+        locate("both"), mix([Part(short_name, 10), Part(long_name, 10)], seed=0)
+    )
     both = load_dataset("both")
     short = both.arrays.select(
         np.flatnonzero(both.arrays.origins == short_name.location.id)
@@ -215,7 +219,7 @@ def test_a_part_with_shorter_names_is_as_it_should_be(
 
 def test_the_card_tells_the_recipe(make: Callable[..., Dataset]) -> None:
     location = locate("ahead")
-    write_mix(location, filtered(make("one"), Condition(direction="forward")))
+    write_selection(location, filtered(make("one"), Condition(direction="forward")))
     text = card_text(card(load_dataset(location)))
     assert "condition (direction: forward)" in text
     assert "forward 60 % of 5, backward - of 0" in text

@@ -36,7 +36,7 @@ _DECLARED = {source.name: source for source in (*PAPER, *offline.OTHER_TASKS)}
 
 
 @dataclass(frozen=True)
-class Engine:
+class StudyRunner:
     """Runs studies.
 
     Raises:
