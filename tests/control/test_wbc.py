@@ -104,7 +104,7 @@ def test_arrays_of_another_shape_are_refused(
     field: str, value: Any, situation: Draw, limits: RobotLimits
 ) -> None:
     """Compiled code would read what lies behind them."""
-    state, terms, reference = situation(np.random.default_rng(0))
+    _, _, reference = situation(np.random.default_rng(0))
     (target_w, rotation_w, point, _, speed, posture) = reference
     track = Track(target_w, rotation_w, point[None], 0.5, 0.3, 1.0, speed, posture)
     controller = WholeBodyController(limits, ControllerConfig())

@@ -135,7 +135,7 @@ def test_it_is_trained_disturbed_once_and_checked(
 ) -> None:
     part = STUDY.part([next(iter(SOURCES))], ["robust-bc", "robust-mabc"])
     monkeypatch.setattr(robustness, "STUDY", part)
-    comparison = replace(COMPARISONS["robustness"], agents=part)
+    comparison = replace(COMPARISONS["robustness"], study=part)
     monkeypatch.setitem(COMPARISONS, "robustness", comparison)
     ran: list[str] = []
 
