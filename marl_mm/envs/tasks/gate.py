@@ -132,7 +132,7 @@ class Gate(HazardTask):
         return {**seen, **own}
 
     def harm(self, targets: Targets, motion: "Motion") -> tuple[str, dict[str, float]]:
-        """An acceleration on the quiet floor that is too large, or a touch of the wall."""
+        """Too large an acceleration on the quiet floor, or a touch of the wall."""
         window: Window = targets.drawn
         quiet = motion.hand_w[:, 0] < window.x - self.quiet_until
         largest = np.abs(motion.base_acceleration[quiet]).max(initial=0.0)
