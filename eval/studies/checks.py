@@ -4,14 +4,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import marl_mm
 from marl_mm.errors import FailedRunsError, MarlMmError
 from marl_mm.eval.studies.options import StudyOptions
-from marl_mm.eval.studies.runner import StudyRunner, compare
+from marl_mm.eval.studies.runner import StudyRunner
 from marl_mm.eval.studies.study import Study
 from marl_mm.eval.studies.sweep import draw_sweep
 from marl_mm.eval.studies.targets import STUDIES, Comparisons
+from marl_mm.received import damage_named
 
 _COMMITTED = Path(marl_mm.__file__).parent / "eval" / "results"
 """Folder of the committed results, in a clone."""
@@ -46,7 +48,7 @@ def checks_of(
 
 
 def states_of(checks: Sequence[Check]) -> Iterator[tuple[Path, str]]:
-    """Each table, and whether it is what its rows give; see ``compare``.
+    """Each table, and whether it is what its rows give; see ``compared_tables``.
 
     Raises:
         MarlMmError: After the last one, if one is not the same.
@@ -54,7 +56,7 @@ def states_of(checks: Sequence[Check]) -> Iterator[tuple[Path, str]]:
     failures: list[MarlMmError] = []
     for folder, draw in checks:
         try:
-            for path, state in compare(folder, draw).items():
+            for path, state in compared_tables(folder, draw).items():
                 yield path, state
                 if state != "the same":
                     why = "not what the rows there give; draw again with --overwrite"
@@ -62,6 +64,31 @@ def states_of(checks: Sequence[Check]) -> Iterator[tuple[Path, str]]:
         except MarlMmError as error:
             failures.append(error)
     raise_together(failures)
+
+
+def compared_tables(results: Path, draw: Callable[[Path], object]) -> dict[Path, str]:
+    """Whether tables are what is drawn now: ``the same``, ``another`` or ``missing``.
+
+    Figures are drawn again at will, and not compared.
+
+    Args:
+        results: Folder of the tables.
+        draw: Draws them into another folder, from the rows in ``results``.
+
+    Raises:
+        UsageError: If rows are missing.
+    """
+    with TemporaryDirectory() as folder:
+        with damage_named(f"{results}, rows", MarlMmError):
+            draw(Path(folder))
+        states = {}
+        for drawn in sorted(Path(folder).glob("*.csv")):
+            table = results / drawn.name
+            states[table] = "missing"
+            if table.exists():
+                same = table.read_bytes() == drawn.read_bytes()
+                states[table] = "the same" if same else "another"
+    return states
 
 
 def raise_together(failures: Sequence[MarlMmError]) -> None:

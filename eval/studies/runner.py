@@ -1,9 +1,8 @@
 """Runs studies: what is missing is trained, its rows are kept, and tables are drawn."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from marl_mm.errors import FailedRunsError, MarlMmError
 from marl_mm.eval.rows import write_csv
@@ -75,7 +74,7 @@ class StudyRunner:
         except FailedRunsError as error:
             failed = error
         for name, study in studies.items():
-            if failed is None or not self._missing({name: study}):
+            if failed is None or not self._jobs({name: study}):
                 yield name, self.draw(name, study, self.options.results)
         if failed is not None:
             raise failed
@@ -86,7 +85,7 @@ class StudyRunner:
         Raises:
             OtherConfigError: If rows there were made with something else.
         """
-        jobs = self._missing(studies, plan=True)
+        jobs = self._jobs(studies, plan=True)
         if not self.options.small:
             jobs = estimated(jobs, self.bar)
         return plan_table(jobs, self.options.workers, not self.options.small)
@@ -123,10 +122,10 @@ class StudyRunner:
             KeyboardInterrupt: After Ctrl-C, saying how to go on.
         """
         options = self.options
-        lacking: list[str] = []
-        planned = replace(self, notify=lacking.append)._missing(studies, plan=True)
+        lacking: list[str] = []  # what a plan says of datasets that are not there
+        planned = replace(self, notify=lacking.append)._jobs(studies, plan=True)
         seconds = self._announce(planned) if lacking else {}
-        jobs = self._missing(studies)  # which collects what is lacking
+        jobs = self._jobs(studies)  # which collects what is lacking
         of_cells = {cell_name(group[0].cell): group for group in by_cell(jobs)}
 
         def keep_if_done(job: Job) -> None:
@@ -171,35 +170,11 @@ class StudyRunner:
             self.notify(f"{text}; after Ctrl-C, go on with `resume=True`")
         return {job.run: job.seconds for job in left}
 
-    def _missing(self, studies: Studies, plan: bool = False) -> list[Job]:
+    def _jobs(self, studies: Studies, plan: bool = False) -> list[Job]:
+        """Runs without rows; their datasets are made, or with ``plan`` looked for."""
         options = self.options
         small = options.runs_folder / "datasets" if options.small else None
         pool = options.workers, options.executor
         tools = *pool, self.notify, self.bar, _DECLARED
         datasets = Datasets(small, *tools, plan=plan, engine=options.engine)
         return missing_jobs(options, studies.values(), datasets)
-
-
-def compare(results: Path, draw: Callable[[Path], object]) -> dict[Path, str]:
-    """Whether tables are what is drawn now: ``the same``, ``another`` or ``missing``.
-
-    Figures are drawn again at will, and not compared.
-
-    Args:
-        results: Folder of the tables.
-        draw: Draws them into another folder, from the rows in ``results``.
-
-    Raises:
-        UsageError: If rows are missing.
-    """
-    with TemporaryDirectory() as folder:
-        with damage_named(f"{results}, rows", MarlMmError):
-            draw(Path(folder))
-        states = {}
-        for drawn in sorted(Path(folder).glob("*.csv")):
-            table = results / drawn.name
-            states[table] = "missing"
-            if table.exists():
-                same = table.read_bytes() == drawn.read_bytes()
-                states[table] = "the same" if same else "another"
-    return states

@@ -129,7 +129,7 @@ class EpisodeCore:
         orders = task.act(attempt, named)
         if not isinstance(orders, Sequence) or len(orders) != len(self.drives):
             raise UsageError(
-                f"{type(task).__name__}.act returned {orders!r:.60}, expected a list "
+                f"{self._name}.act returned {orders!r:.60}, expected a list "
                 f"with an order for each of {len(self.drives)} robots"
             )
         try:
@@ -182,67 +182,90 @@ class EpisodeCore:
     def _begun(self, what: str = "step") -> Attempt:
         self.check_open()
         if self.attempt is None:
-            raise UsageError(f"{what}() was called before reset()")
+            raise UsageError(
+                f"{what}() was called before reset(), or after a step that raised"
+            )
         return self.attempt
 
     def _judged(self, attempt: Attempt, moved: dict[str, Any]) -> Step:
+        """The step's result; ``moved`` has the numbers of ``MOTION_INFO``."""
         task, layout = self.task, self.task.layout
-        measured, reason = task.measure(attempt), task.failure(attempt)
-        whose = type(task).__name__
-        if not isinstance(measured, Mapping):
-            raise LayoutError(f"{whose}.measure is {measured!r:.60}, expected a dict")
-        if not isinstance(reason, str):
-            raise LayoutError(
-                f"{whose}.failure is {reason!r:.60}, expected words, or '' without one"
-            )
-        info = {**measured, **moved}
+        measured, reason = self._measured(attempt)
         state = self._state(attempt)
-        known = dict(zip(layout.state_names, state.tolist(), strict=True)) | info
-        if unknown := set(task.needs) - known.keys():
-            raise LayoutError(
-                f"{whose}.needs has {', '.join(sorted(unknown))}, which "
-                "neither measure returns nor the layout's state has"
-            )
-        info |= {name: known[name] for name in task.needs}
+        info = self._with_needs(measured | moved, state)
         terms = {name: np.asarray(info[name]) for name in task.needs}
         terms[FAILED] = np.asarray(bool(reason))
-        achieved = state[layout.achieved], attempt.goal
-        judged = task.reached(*achieved, terms), task.distance(*achieved)
-        for name, value in zip(("reached", "distance"), judged, strict=True):
-            if not _is_number(value):
-                raise LayoutError(
-                    f"{whose}.{name} is {value!r:.60}, expected one value for one goal"
-                )
-        success = bool(judged[0]) and not reason
-        info["distance"] = float(judged[1])
-        info["is_success"] = success
+        achieved, goal = state[layout.achieved], attempt.goal
+        reached = self._number("reached", task.reached(achieved, goal, terms))
+        success = bool(reached) and not reason
+        distance = self._number("distance", task.distance(achieved, goal))
+        info |= {"distance": distance, "is_success": success}
         if task.fails:
             info["reason"] = reason
-        for name in task.own_info:
-            if not _is_number(info.get(name)):
-                raise LayoutError(
-                    f"{whose}.measure: {name}, which own_info has, is "
-                    f"{info.get(name)!r:.60}, expected a number"
-                )
-        info = {name: info[name] for name in task.info} | info
-        reward = task.reward(*achieved, terms)
+        info = {name: info[name] for name in task.info} | info  # declared ones first
+        reward = task.reward(achieved, goal, terms)
         if not _is_number(reward) or not math.isfinite(reward):
             raise MarlMmError(
-                f"{whose}.reward is {reward!r:.60}, expected a finite number"
+                f"{self._name}.reward is {reward!r:.60}, expected a finite number"
             )
         ended = success or bool(reason)
         truncated = attempt.steps >= task.max_steps and not ended
         return Step(state, float(reward), ended, truncated, info)
+
+    def _measured(self, attempt: Attempt) -> tuple[dict[str, Any], str]:
+        """The task's step numbers, and the reason of a failure, empty without one."""
+        measured, reason = self.task.measure(attempt), self.task.failure(attempt)
+        if not isinstance(measured, Mapping):
+            raise LayoutError(
+                f"{self._name}.measure is {measured!r:.60}, expected a dict"
+            )
+        if not isinstance(reason, str):
+            raise LayoutError(
+                f"{self._name}.failure is {reason!r:.60}, expected words, or '' if "
+                "there is none"
+            )
+        return dict(measured), reason
+
+    def _with_needs(self, info: dict[str, Any], state: np.ndarray) -> dict[str, Any]:
+        """Step numbers with the state's entries that rewards depend on."""
+        names = self.task.layout.state_names
+        known = dict(zip(names, state.tolist(), strict=True)) | info
+        if unknown := set(self.task.needs) - known.keys():
+            raise LayoutError(
+                f"{self._name}.needs has {', '.join(sorted(unknown))}, which neither "
+                "measure returns nor the layout's state has"
+            )
+        info = info | {name: known[name] for name in self.task.needs}
+        for name in self.task.own_info:
+            if not _is_number(info.get(name)):
+                raise LayoutError(
+                    f"{self._name}.measure: {name}, which own_info has, is "
+                    f"{info.get(name)!r:.60}, expected a number"
+                )
+        return info
+
+    def _number(self, function: str, value: Any) -> float:
+        """What a function of the task returned for one goal."""
+        if not _is_number(value):
+            raise LayoutError(
+                f"{self._name}.{function} is {value!r:.60}, expected one value for one "
+                "goal"
+            )
+        return float(value)
+
+    @property
+    def _name(self) -> str:
+        return type(self.task).__name__
 
     def _state(self, attempt: Attempt) -> np.ndarray:
         layout = self.task.layout
         observed = self.task.observe(attempt)
         if np.shape(attempt.goal) != (len(layout.desired),):
             raise LayoutError(
-                f"{type(self.task).__name__}.begin set the goal {attempt.goal!r:.60}, "
+                f"{self._name}.begin set the goal {attempt.goal!r:.60}, "
                 f"expected {len(layout.desired)} numbers: {', '.join(layout.desired)}"
             )
-        whose = f"{type(self.task).__name__}.observe"
+        whose = f"{self._name}.observe"
         if not isinstance(observed, Mapping):
             raise LayoutError(f"{whose} is {observed!r:.60}, expected a dict")
         seen = {**observed, **dict(zip(layout.desired, attempt.goal, strict=True))}

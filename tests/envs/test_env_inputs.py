@@ -177,7 +177,7 @@ def test_an_entry_that_is_no_number_is_named(seen: Any) -> None:
             "measure: d_mm, which own_info",
         ),
         ("measure", {}, "needs has d_mm, d_mp, which neither measure returns nor"),
-        ("failure", True, "failure is True, expected words, or '' without one"),
+        ("failure", True, "failure is True, expected words, or '' if there is"),
         (
             "reached",
             np.zeros(3, bool),
