@@ -172,24 +172,25 @@ def draw_benchmark(results: Path, folder: Path) -> list[Row]:
     """
     store, rows = RowStore(results / "rows"), list[Row]()
     scores: list[Scores] = []
-    every = cells_of(DATASETS, UPDATES, algorithms=(*ALGORITHM_NAMES, *_others()))
-    for _, cells in groupby(every, lambda cell: cell_name(cell)[0]):
-        there = [(cell, seeds) for cell in cells if (seeds := store.seeds(cell))]
-        if not there:
+    cells = cells_of(DATASETS, UPDATES, algorithms=(*ALGORITHM_NAMES, *_others()))
+    for _, of_dataset in groupby(cells, lambda cell: cell_name(cell)[0]):
+        seeds_of = [(cell, store.seeds(cell)) for cell in of_dataset]
+        finished = [(cell, seeds) for cell, seeds in seeds_of if seeds]
+        if not finished:
             continue
-        of_source = [of_cell(store, cell, seeds) for cell, seeds in there]
-        store.refuse_mixed([cell for cell, _ in there])
-        reached = {  # a single seed says nothing of the spread over seeds
-            row["algorithm"]: success for row, success in of_source if row["seeds"] > 1
+        results_of = [of_cell(store, cell, seeds) for cell, seeds in finished]
+        store.refuse_mixed([cell for cell, _ in finished])
+        success_of = {  # a single seed says nothing of the spread over seeds
+            row["algorithm"]: success for row, success in results_of if row["seeds"] > 1
         }
-        groups = dict(zip(reached, tie_groups([*reached.values()]), strict=True))
-        best = max(reached, key=lambda name: reached[name].mean(), default="")
-        for row, _ in of_source:
+        groups = dict(zip(success_of, tie_groups([*success_of.values()]), strict=True))
+        best = max(success_of, key=lambda name: success_of[name].mean(), default="")
+        for row, _ in results_of:
             own = groups.get(row["algorithm"], ())
             tied = {*own} & {*groups.get(best, ())} != set()
             row |= {"group": " ".join(map(str, own)), "first": int(tied)}
             rows.append(row)
-        scores.append(reached)
+        scores.append(success_of)
     if not rows:
         raise UsageError(
             f"{store.folder} has no rows of the benchmark: run marl-mm ablate benchmark"
@@ -230,21 +231,21 @@ def _write_overall(folder: Path, rows: list[Row], scores: list[Scores]) -> None:
     anywhere has learnt with several seeds. Other algorithms are averaged over those of
     these datasets that they have learnt from.
     """
-    there = {name for of_dataset in scores for name in of_dataset}
-    ours = there & {*ALGORITHM_NAMES} or there
-    each = zip(grouped(rows, "dataset").values(), scores, strict=True)
-    whole = [(some, of) for some, of in each if there and of.keys() >= ours]
-    names = in_order({name for _, of in whole for name in of})
-    tasks = [some[0]["task"] for some, _ in whole]
+    compared = {name for success_of in scores for name in success_of}
+    needed = compared & {*ALGORITHM_NAMES} or compared
+    tables = zip(grouped(rows, "dataset").values(), scores, strict=True)
+    whole = [(table, s) for table, s in tables if compared and s.keys() >= needed]
+    names = in_order({name for _, success_of in whole for name in success_of})
+    tasks = [table[0]["task"] for table, _ in whole]
     goals_of = [tasks.index(task) for task in tasks]  # a task has the same for all
-    engine = ", ".join(sorted({row["engine"] for some, _ in whole for row in some}))
+    engine = ", ".join(sorted({row["engine"] for table, _ in whole for row in table}))
     means = {}
     for number, name in enumerate(in_order({*ALGORITHM_NAMES, *names})):
-        has = [k for k, (_, of) in enumerate(whole) if name in of]
-        scores_of = [whole[k][1][name] for k in has]
-        drawn = resampled(scores_of, number, [goals_of[k] for k in has], has)
-        means[name] = dict(zip(has, drawn, strict=True))
-    groups = [[row["algorithm"] for row in some if row["first"]] for some, _ in whole]
+        places = [k for k, (_, success_of) in enumerate(whole) if name in success_of]
+        success = [whole[k][1][name] for k in places]
+        drawn = resampled(success, number, [goals_of[k] for k in places], places)
+        means[name] = dict(zip(places, drawn, strict=True))
+    firsts = [[row["algorithm"] for row in t if row["first"]] for t, _ in whole]
     overall = [
         {
             "algorithm": name,
@@ -252,18 +253,18 @@ def _write_overall(folder: Path, rows: list[Row], scores: list[Scores]) -> None:
             "engine": engine,
             **_estimated("iqm", interquartile([*means[name].values()])),
             **_estimated("mean", mean([*means[name].values()])),
-            "first": sum(name in group for group in groups),
-            "first_alone": groups.count([name]),
+            "first": sum(name in first for first in firsts),
+            "first_alone": firsts.count([name]),
         }
         for name in names
     ]
     pairs = []
     for name, other in combinations(names, 2):
-        both = sorted(means[name].keys() & means[other].keys())
-        if both:
-            of_each = ([means[one][k] for k in both] for one in (name, other))
+        shared = sorted(means[name].keys() & means[other].keys())
+        if shared:
+            of_both = ([means[each][k] for k in shared] for each in (name, other))
             row = {"algorithm": name, "other": other, "engine": engine}
-            pairs.append(row | _estimated("improvement", improvement(*of_each)))
+            pairs.append(row | _estimated("improvement", improvement(*of_both)))
     write_csv(folder / OVERALL, overall)
     write_csv(folder / PAIRS, pairs)
 
