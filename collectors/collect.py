@@ -6,7 +6,7 @@ steps is the shortest sequence of whole kept episodes with at least N steps, so 
 longer dataset begins with a shorter one.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import count
 
@@ -17,8 +17,9 @@ from marl_mm.errors import HopelessError, UsageError
 from marl_mm.policy import Policy
 from marl_mm.progress import Advance, silent
 
-RunEpisodes = Callable[[Policy, Iterable[EpisodePlan]], Iterator[Episode]]
-"""Function that runs episodes and yields each when it is finished, in any order."""
+RunEpisodes = Callable[[Policy, Iterable[EpisodePlan]], Generator[Episode, None, None]]
+"""Function that runs episodes and yields each when it is finished, in any order; what
+it returns is closed when there are enough."""
 
 _HOPELESS = 200
 """Number of rejected attempts in a row after which the loop gives up."""
@@ -100,7 +101,7 @@ def collect(
     except KeyboardInterrupt:
         return Collection(kept, tried, complete=False)
     finally:
-        attempts.close()  # type: ignore[attr-defined]
+        attempts.close()
     raise AssertionError("plans are endless")
 
 

@@ -15,13 +15,16 @@ AlphaRule = Literal["constant", "direction", "room"]
 
 @dataclass(frozen=True)
 class PdConfig:
-    """Settings of the PD collector: a = kp (goal - hand) - kd v_hand, clipped."""
+    """Settings of the PD collector.
+
+    a = kp (goal - hand) - kd (hand - hand a step ago), clipped.
+    """
 
     kp: float = 10.0
     """Gain from distance to action [1/m]; 10 asks for the goal itself within 0.1 m."""
 
     kd: float = 1.0
-    """Gain from the hand's displacement over the last step to action [s/m]."""
+    """Gain from the hand's displacement over the last step to action [1/m]."""
 
     alpha_rule: AlphaRule = "constant"
     """Rule of alpha. "constant": always ``alpha``. "direction": 1 for goals ahead,
@@ -91,10 +94,10 @@ class PdPolicy:
         """The PD action, a function of the episode's states so far."""
         config = self.config
         hand, goal = state[self._hand], state[self._goal]
-        speed = np.zeros(3) if self._last_ee is None else hand - self._last_ee
+        moved = np.zeros(3) if self._last_ee is None else hand - self._last_ee
         self._last_ee = hand.copy()  # others may write into their state
         action = np.empty(4, np.float32)
-        action[self._delta] = config.kp * (goal - hand) - config.kd * speed
+        action[self._delta] = config.kp * (goal - hand) - config.kd * moved
         action[self._delta] = np.clip(action[self._delta], -1.0, 1.0)
         action[self._alpha_place] = self._alpha(hand, state[self._base], goal)
         return action

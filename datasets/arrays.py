@@ -19,7 +19,7 @@ from marl_mm.layout_diff import layout_diff
 from marl_mm.received import most_unpacked
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EpisodeArrays:
     """Arrays of E episodes with n steps in all, one after the other."""
 

@@ -112,7 +112,7 @@ class Key:
 
 
 def cached(key: Key) -> EpisodeArrays | None:
-    """The arrays of a dataset; None if they are not there, or damaged, or 0 GB may be.
+    """The arrays of a dataset; None if the cache is off, or they are not whole there.
 
     Raises:
         UsageError: If ``$MARL_MM_CACHE_GB`` is no number.
@@ -123,9 +123,10 @@ def cached(key: Key) -> EpisodeArrays | None:
     try:
         check_regular(path, DatasetError)
         arrays = load_arrays(path, key.layout)
-        os.utime(path)
     except (DatasetError, OSError):  # it is made again
         return None
+    with suppress(OSError):  # somebody else's cache
+        os.utime(path)
     return arrays
 
 

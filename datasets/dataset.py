@@ -25,7 +25,7 @@ from marl_mm.errors import UsageError
 from marl_mm.layout import columns
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Transitions:
     """The n steps of all episodes, one after the other."""
 
@@ -72,7 +72,7 @@ class Transitions:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Dataset:
     """Episodes with their metadata."""
 

@@ -300,7 +300,7 @@ def _values(node: Any) -> np.ndarray:
 
 
 def checked(path: Path, group: Any, wanted: tuple[Field, ...]) -> dict[str, np.ndarray]:
-    """Arrays of a group by key, all as long as ``rewards``.
+    """Arrays of a group by key: a row per entry of ``rewards``, and ``extra`` more.
 
     Args:
         path: The file, for messages.

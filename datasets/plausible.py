@@ -70,6 +70,7 @@ def problems_of_task(
 def _sizes(arrays: EpisodeArrays) -> list[str]:
     parts = {
         "states": arrays.states,
+        "actions": arrays.actions,
         "rewards": arrays.rewards[:, None],
         "starts": arrays.starts,
     }
@@ -77,7 +78,10 @@ def _sizes(arrays: EpisodeArrays) -> list[str]:
         name: int((np.abs(values) > _LARGEST).any(axis=1).sum())
         for name, values in parts.items()
     }
-    return [f"{n} {name} beyond {_LARGEST:g}" for name, n in counts.items() if n]
+    too_large = [f"{n} {name} beyond {_LARGEST:g}" for name, n in counts.items() if n]
+    del parts["starts"]  # nobody knows those of imported episodes
+    of_nan = {name: np.isnan(v).any(axis=1).sum() for name, v in parts.items()}
+    return too_large + [f"{n} {name} with a NaN" for name, n in of_nan.items() if n]
 
 
 def _seeds(arrays: EpisodeArrays) -> list[str]:

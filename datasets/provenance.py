@@ -128,7 +128,8 @@ class Provenance:
             texts = {source.get("engine", engine) for source in self.sources}
             return texts.pop() if len(texts) == 1 else engine
         known = self.collector != IMPORTED and not self.recipe
-        return engine_text(engine, self.packages or {} if known else {})
+        packages = (self.packages or {}) if known else {}
+        return engine_text(engine, packages)
 
     @property
     def own_origin(self) -> Origin:

@@ -21,6 +21,7 @@ from marl_mm.datasets.metadata import (
     OWN_FILES,
     layout_in,
     new_metadata,
+    read_metadata,
     sign_metadata,
 )
 from marl_mm.datasets.plausible import problems_of, problems_of_record
@@ -167,6 +168,8 @@ def read_arrays(
     _refuse_problems(problems_of_record(metadata, None), about)
     digest = file_digest(path, DatasetError)
     if digest != record["data_sha256"]:
+        if read_metadata(location) != metadata:
+            raise DatasetError(f"{path} was replaced while it was read: read it again")
         raise DatasetError(
             f"{path} is damaged: its {path.stat().st_size} bytes are not those that "
             f"were written; delete it with marl-mm datasets delete {location.name} and "

@@ -102,7 +102,7 @@ def directions(states: np.ndarray, layout: Layout) -> np.ndarray | None:
     return np.asarray(states[:, layout.state_names.index("goal_x")] > 0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Episode:
     """One episode of T steps."""
 

@@ -234,15 +234,17 @@ def only_here(folder: Path, *, wait: bool = False) -> Iterator[None]:
     try:
         while descriptor < 0:
             descriptor = _opened(folder)
-            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            except BlockingIOError:
+                raise UsageError(
+                    f"another process is writing {folder}: wait for it, or choose "
+                    "another"
+                ) from None
             if not _is_open_at(descriptor, folder):  # the last owner removed it
                 os.close(descriptor)
                 descriptor = -1
         yield
-    except BlockingIOError:
-        raise UsageError(
-            f"another process is writing {folder}: wait for it, or choose another"
-        ) from None
     finally:
         if descriptor >= 0:
             os.close(descriptor)

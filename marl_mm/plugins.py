@@ -64,6 +64,7 @@ def load(source: str | Path) -> Plugin:
     if not is_file and not all(map(str.isidentifier, text.split("."))):
         raise UsageError(f"no plug-in {text}: expected FILE.py, or a module's name")
     name = Path(text).name if is_file else text
+    digest = ""
     if is_file:
         if not Path(text).is_file():
             raise UsageError(f"no plug-in {text}: expected a file, or a module's name")
@@ -82,7 +83,8 @@ def load(source: str | Path) -> Plugin:
         _check_unchanged(before)
         return before
     module = _run(name, text, is_file)
-    _loaded[name] = Plugin(name, text, _digest(module))
+    # Of the bytes before they ran: that they have changed since is then noticed.
+    _loaded[name] = Plugin(name, text, digest or _digest(module))
     return _loaded[name]
 
 

@@ -141,11 +141,16 @@ def _call(packed: bytes) -> Any:
     try:
         return function(item)
     except Exception as error:
-        try:
-            pickle.loads(pickle.dumps(error))
-        except Exception:  # it would not get out of this process
-            raise MarlMmError(f"{type(error).__name__}: {error}") from None
-        raise
+        raise transferable(error) from None
+
+
+def transferable(error: Exception) -> Exception:
+    """An error, or one of its text where pickling would lose or break it."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return MarlMmError(f"{type(error).__name__}: {error}")
+    return error
 
 
 def live_in(environment: dict[str, str]) -> None:

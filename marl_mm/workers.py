@@ -21,6 +21,7 @@ from marl_mm.pools import (
     live_in,
     opened,
     submit,
+    transferable,
 )
 from marl_mm.processes import (
     check_importable,
@@ -260,6 +261,7 @@ def apart(
     finally:
         process.kill()
         process.join()
+        receiver.close()
     if succeeded:
         return cast(R, value)
     raise value
@@ -281,4 +283,4 @@ def _send(
     except MemoryError:
         sender.send((False, WorkerDiedError("it needs more memory than it may have")))
     except Exception as error:
-        sender.send((False, error))
+        sender.send((False, transferable(error)))

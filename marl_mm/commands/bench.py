@@ -55,7 +55,7 @@ class BenchControl(_Bench):
         choice = {"form": self.form, "solver": self.solver}
         on_bullet = {"simulation": {"engine": "bullet"}}
         task = make_task("Reach-v0", {"controller": choice, **on_bullet})
-        check_engine("bullet", otherwise="")
+        check_engine("bullet", advice="")
         advance = bar("bench control", self.steps)
         return bench_control(task, self.steps, self.seed, advance)
 

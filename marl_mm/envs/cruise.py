@@ -68,7 +68,7 @@ class BasePlan(NamedTuple):
 
 @dataclass
 class Targets:
-    """Targets of hand and base."""
+    """What a task remembers of an episode: targets, plan, draws, failure, numbers."""
 
     rotation_w: np.ndarray
     """Rotation of the end-effector at the start, which it keeps, shape (3, 3)."""
@@ -267,13 +267,13 @@ class CruiseTask(Task, ABC):
         targets: Targets = attempt.memory
         plan, ticks = targets.plan, self.ticks_per_step
         track = Track(
-            targets.target_w,
-            targets.rotation_w,
-            plan.points(ticks),
-            self.heading_gain,
-            self.heading_limit,
-            plan.direction,
-            plan.advance * RATE / ticks,
-            np.array(self.robot.initial_joints),
+            target_w=targets.target_w,
+            rotation_w=targets.rotation_w,
+            points=plan.points(ticks),
+            heading_gain=self.heading_gain,
+            heading_limit=self.heading_limit,
+            direction=plan.direction,
+            speed=plan.advance * RATE / ticks,
+            posture=np.array(self.robot.initial_joints),
         )
         return Order(track, attempt.drives[0].controller.priorities(targets.alpha))

@@ -107,7 +107,10 @@ class TeamVector:
         Raises:
             InvalidActionError: If an agent is missing, or actions have another shape or
                 are not finite; no environment has acted then.
-            UsageError: As ``TaskVector.step``.
+            UsageError: If there was no ``reset()`` before, or none since a step that
+                raised another error; or after ``close()``.
+            MarlMmError: If the simulation diverged, or a number of the task is not
+                finite.
             WorkerDiedError: If a worker process died; the vector is closed then.
         """
         self.vector.check_open()

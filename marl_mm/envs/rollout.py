@@ -5,7 +5,7 @@ draws from its own seed, and results are returned in the order of the plans.
 """
 
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -146,7 +146,7 @@ class Rollouts:
 
     def completed(
         self, policy: Policy, plans: Iterable[EpisodePlan]
-    ) -> Iterator[Episode]:
+    ) -> Generator[Episode, None, None]:
         """Run episodes and yield each as soon as it is finished."""
         if self._pool is None:
             yield from self.run(policy, plans)

@@ -118,7 +118,7 @@ class Slots(Protocol):
         """End simulators, threads and processes; closing twice is harmless."""
 
 
-class Here:
+class LocalSlots:
     """Environments in this process, in some threads.
 
     Args:
@@ -131,7 +131,7 @@ class Here:
     def __init__(self, task: Task, number: int, threads: int, visual: bool) -> None:
         self.states = np.zeros((number, len(task.layout.state)))
         self._slots = [Slot(task, visual, state) for state in self.states]
-        self._number = threads
+        self._thread_count = threads
         self._threads = ThreadPoolExecutor(threads) if threads > 1 else None
 
     def call(self, name: str, arguments: Sequence[tuple[Any, ...] | None]) -> list[Any]:
@@ -140,13 +140,13 @@ class Here:
         if self._threads is None:
             return [call() for call in calls]
         results: list[Any] = [None] * len(calls)
-        left = iter(enumerate(calls))  # of all threads
+        remaining = iter(enumerate(calls))  # which the threads share
 
         def work() -> None:
-            for i, call in left:
+            for i, call in remaining:
                 results[i] = call()
 
-        gathered([self._threads.submit(work) for _ in range(self._number)])
+        gathered([self._threads.submit(work) for _ in range(self._thread_count)])
         return results
 
     def close(self) -> None:
@@ -157,7 +157,7 @@ class Here:
             slot.close()
 
 
-class Apart:
+class ProcessSlots:
     """Environments in other processes, several in each; states are in shared memory.
 
     Args:

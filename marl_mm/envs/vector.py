@@ -20,10 +20,10 @@ from marl_mm.envs.goal_env import GoalObservation, goal_observation
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.envs.slots import (
     BACKENDS,
-    Apart,
     Backend,
-    Here,
+    LocalSlots,
     Outcome,
+    ProcessSlots,
     Slots,
     threads_serve,
 )
@@ -311,5 +311,5 @@ def _opened(
         )
     check_engine(task.simulation.engine)
     if workers == 1 or backend == "threads":
-        return Here(task, n, workers, visual)
-    return Apart(task, n, workers, visual)
+        return LocalSlots(task, n, workers, visual)
+    return ProcessSlots(task, n, workers, visual)

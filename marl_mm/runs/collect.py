@@ -53,27 +53,28 @@ def collect(
         OtherConfigError: If the dataset to resume was collected otherwise.
         KeyboardInterrupt: After Ctrl-C; the dataset holds the episodes until then.
     """
-    own = COLLECTORS.get(collector).config()
+    defaults = COLLECTORS.get(collector).config()
     name = default_dataset(task or DEFAULT, collector) if dataset is None else dataset
     if not isinstance(name, str | Path):
         raise UsageError(f"`dataset` is {name!r:.80}, expected an id or a path")
     name = text_of(name)
     saved = begun_settings(name, collector) if settings.get("resume") else {}
-    record = f"the record of {name}", DatasetError
-    config = with_values(own, saved, *record) if config is None else config
-    check_config(config, own)
+    record = f"the record of {name}"
+    if config is None:
+        config = with_values(defaults, saved, record, DatasetError)
+    check_config(config, defaults)
     asked = {} if task is None else {"task": task}
-    collecting = with_values(Collecting(), saved, *record)
+    collecting = with_values(Collecting(), saved, record, DatasetError)
     collecting = with_settings("collect", collecting, asked)
     collector_values = {k: v for k, v in settings.items() if not hasattr(collecting, k)}
-    known = [*setting_names(collecting), *setting_names(own)]
+    known = [*setting_names(collecting), *setting_names(defaults)]
     refuse_unknown(f"collect with {collector}", collector_values, known)
-    rest = {k: v for k, v in settings.items() if k not in collector_values}
+    common_values = {k: v for k, v in settings.items() if k not in collector_values}
     data, complete = collect_into(
         name,
         collector,
         with_settings(f"collector {collector}", config, collector_values),
-        with_settings("collect", collecting, rest),
+        with_settings("collect", collecting, common_values),
         progress,
     )
     if not complete:

@@ -43,32 +43,32 @@ _LISTED = 5
 
 def differing(submission: Submission, pairs: Sequence[Pairs]) -> Iterator[str]:
     """What differs beyond the last bits of another processor, in words."""
-    rest: Pairs = []
-    every = [claimed.sha256 == again.sha256 for own in pairs for claimed, again in own]
-    repeats = (equal := sum(every)) >= _REPEATED * len(every)
-    for run, own in zip(submission.runs, pairs, strict=True):
+    unexplained: Pairs = []
+    equal = [c.sha256 == a.sha256 for of_run in pairs for c, a in of_run]
+    same_machine = sum(equal) >= _REPEATED * len(equal)
+    for run, of_run in zip(submission.runs, pairs, strict=True):
         name = f"seed {run.config.seed}"
-        same = [(c, a) for c, a in own if c.sha256 == a.sha256]
-        other = [(c, a) for c, a in own if c.sha256 != a.sha256]
-        if false := [(c, a) for c, a in same if _forged(c, a)]:
-            odd = sorted({key for pair in false for key in _forged(*pair)})
+        repeated = [(c, a) for c, a in of_run if c.sha256 == a.sha256]
+        changed = [(c, a) for c, a in of_run if c.sha256 != a.sha256]
+        if forged := [pair for pair in repeated if _forged(*pair)]:
+            keys = sorted({key for pair in forged for key in _forged(*pair)})
             yield (
-                f"{name}: rows of goals {_goals(false)} do not follow from their "
-                f"episodes, by {', '.join(odd)}"
+                f"{name}: rows of goals {_goals(forged)} do not follow from their "
+                f"episodes, by {', '.join(keys)}"
             )
-        if strange := [(c, a) for c, a in other if not _alike(c, a)]:
+        if strange := [pair for pair in changed if not _alike(*pair)]:
             yield (
                 f"{name}: first actions of goals {_goals(strange)}, or goals, are "
                 "others: these weights did not make these rows"
             )
-        elif other and repeats:
+        elif changed and same_machine:
             yield (
-                f"{name}: episodes of goals {_goals(other)} are others, while {equal} "
-                f"of all {len(every)} are equal to the bit on this machine"
+                f"{name}: episodes of goals {_goals(changed)} are others, while "
+                f"{sum(equal)} of all {len(equal)} are equal to the bit on this machine"
             )
             continue
-        rest += other
-    yield from beyond_chance(rest)
+        unexplained += changed
+    yield from beyond_chance(unexplained)
 
 
 def _goals(pairs: Pairs) -> str:
@@ -82,7 +82,9 @@ def _forged(claimed: Scored, again: Scored) -> set[str]:
     """Keys by which a row is not that of the same episode; plug-ins add others."""
     there, here = dict(claimed.row), dict(again.row)
     both = {k: (there[k], here[k]) for k in there.keys() & here.keys()}
-    odd = {k for k, (c, a) in both.items() if c != a and (c == c or a == a)}  # no NaN
+    odd = {
+        k for k, (c, a) in both.items() if c != a and (c == c or a == a)
+    }  # NaN is NaN
     odd |= {
         name
         for name in here.keys() - there.keys()
@@ -113,13 +115,13 @@ def beyond_chance(pairs: Pairs) -> Iterator[str]:
         )
     for name, margin in _MARGINS.items():
         rows = [(float(c.row[name]), float(a.row[name])) for c, a in pairs]  # type: ignore[literal-required]
-        raised = np.array([claimed - again for claimed, again in rows])
-        if len(raised) == 0 or abs(mean := float(raised.mean())) <= margin:
+        differences = np.array([claimed - again for claimed, again in rows])
+        if len(differences) == 0 or abs(mean := float(differences.mean())) <= margin:
             continue
         low, high = mean, mean
-        if len(raised) > 1:
-            low, high = mean_interval(raised, _CONFIDENCE)
-        if len(raised) > 1 and name == "return":
+        if len(differences) > 1:
+            low, high = mean_interval(differences, _CONFIDENCE)
+        if len(differences) > 1 and name == "return":
             # No wider than for other goals: one row could widen it to any width.
             spread = np.sqrt(2 / len(rows)) * np.std(np.array(rows)[:, 1], ddof=1)
             most = stdtrit(len(rows) - 1, (1 + _CONFIDENCE) / 2) * float(spread)

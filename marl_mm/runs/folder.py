@@ -184,21 +184,22 @@ def begin_run(run: Path, config: RunConfig, training: Training) -> None:
     if not goes_on(run, training):
         start_run(run, config)
         return
-    names = training.continued
-    settings = {n: config.settings[n] for n in names if n in config.settings}
+    settings = config.settings
+    continued = {n: settings[n] for n in training.continued if n in settings}
     before = read_config(run)
-    further = before.continued(config.plugins, settings)
-    if further != before:  # what was made of where it ended before goes
+    now = before.continued(config.plugins, continued)
+    if now != before:  # evaluations and exports of its earlier end
         _remove(run, *_MADE)
-    names = ("eval_episodes", *SWITCHES)
-    noted = {n: config.settings[n] for n in names if n in config.settings}
-    further = further.continued(config.plugins, noted)
-    if further != before:
-        write_json(run / CONFIG, further.to_json())
+    switches = ("eval_episodes", *SWITCHES)
+    now = now.continued(
+        config.plugins, {n: settings[n] for n in switches if n in settings}
+    )
+    if now != before:
+        write_json(run / CONFIG, now.to_json())
 
 
 def start_run(run: Path, config: RunConfig) -> None:
-    """A run folder with its config; what an older run left there goes."""
+    """Make a run's folder with its config; delete what an older run left there."""
     run.mkdir(parents=True, exist_ok=True)
     _remove(run, FILE, BEST, METRICS, CURVE, SB3_BEST, *LOGGED, *_MADE)
     write_json(run / CONFIG, config.to_json())

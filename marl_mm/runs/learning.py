@@ -90,7 +90,8 @@ def algorithm_of(
         judge = make_task(dataset.provenance.task)
         return learner(training.config, dataset.arrays, judge, seeds, training.device)
     task = make_task(task_of(training, dataset), training.overrides)
-    (seed,), episodes = seeds, () if dataset is None else dataset.episodes
+    (seed,) = seeds
+    episodes = () if dataset is None else dataset.episodes
     return learner(training.config, task, seed, episodes, task.layout)
 
 
@@ -99,7 +100,8 @@ def begin_runs(
 ) -> None:
     """Make the folders of runs, or note in them what they go on with."""
     for seed, run in runs.items():
-        config, start = run_config(training, dataset, seed), None
+        config = run_config(training, dataset, seed)
+        start = None
         if isinstance(training, Offline) and not goes_on(run, training):
             start = training.start and start_of(training.start, seed)
         if not start:
@@ -130,7 +132,7 @@ def train_runs(
 ) -> list[Path]:
     """Train runs that have begun, side by side, then evaluate one after the other.
 
-    Online there is a single run. Arguments are those of ``train_seeds``.
+    Online there is a single run. For the arguments see ``seeds.train_seeds``.
     """
     algorithm, folders = algorithm_of(training, dataset, [*runs]), [*runs.values()]
     if any((run / FILE).exists() for run in folders):
@@ -149,11 +151,16 @@ def train_runs(
             rollouts: Rollouts = rollouts,
             advance: Advance = silent,
         ) -> CurvePoint:
-            goals = training.curve_episodes, training.eval_seed + 1  # of their own
-            overrides = training.overrides
-            return curve_point(
-                evaluate_with(rollouts, policy, *goals, name, overrides, advance)
+            evaluation = evaluate_with(
+                rollouts,
+                policy,
+                training.curve_episodes,
+                training.eval_seed + 1,  # other goals than those of the last evaluation
+                name,
+                training.overrides,
+                advance,
             )
+            return curve_point(evaluation)
 
         if isinstance(training, Offline):
             train(
@@ -198,7 +205,7 @@ def train_runs(
 def _beside(
     task: Task, workers: int, point: Callable[[LearnedPolicy, Rollouts, Advance], T]
 ) -> Iterator[Callable[[LearnedPolicy], Future[T]] | None]:
-    """Beginner of evaluations beside updates, which leave all cores but one idle.
+    """A function that begins an evaluation in a thread while the updates go on.
 
     None where threads do not serve: processes of its own would take longer to start.
     """

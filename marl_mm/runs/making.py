@@ -22,7 +22,7 @@ from marl_mm.sim.config import RECORDED_ENGINE, Engine
 from marl_mm.workers import Executor
 
 FEW = 30
-"""Steps of a source where hardly anything is trained."""
+"""Largest number of steps of a source in ``small``."""
 
 Notify = Callable[[str], None]
 """Callback for messages to the user."""
@@ -49,6 +49,7 @@ class Datasets:
     """Callback for messages to the user."""
 
     bar: Bar = silent_bar
+    """Factory of progress bars."""
 
     declared: Mapping[str, Source | Mix] = field(default_factory=dict)
     """Declared sources by the word that an id is short for."""
@@ -60,7 +61,7 @@ class Datasets:
     """Replace what is damaged, of another declaration or of more steps."""
 
     plan: bool = False
-    """Whether nothing is made: the dataset that ships counts for what could be."""
+    """Whether nothing is made: the dataset that ships stands in for what is missing."""
 
     engine: Engine | None = None
     """Engine of sources that name none."""
@@ -91,7 +92,7 @@ class Datasets:
         location = self._location(data)
         if not self._whole(data, location):
             raise UnknownDatasetError(
-                f"no dataset {data.name}: {self._deed(data)} first"
+                f"no dataset {data.name}: {self._in_words(data)} first"
             )
         return load_dataset(location)
 
@@ -113,8 +114,10 @@ class Datasets:
         with only_here(location.folder.parent, wait=True):  # others may make it, too
             if not self._whole(data, location):
                 begun = location.folder.exists() or location.working.exists()
-                state = "is not whole, or another" if begun else "is not there"
-                self.notify(f"dataset {data.name} {state}: {self._deed(data)}")
+                state = (
+                    "is not complete, or is another one" if begun else "is not there"
+                )
+                self.notify(f"dataset {data.name} {state}: {self._in_words(data)}")
                 if isinstance(data, Source):
                     self._collect(data, location, begun)
                 else:
@@ -132,9 +135,11 @@ class Datasets:
             resume=begun,
         )
         first = next(map(self._location, self._made_of(source)), None)
-        what = location, source.collector, source.config
+        collector = source.collector, source.config
         try:
-            collection = collect_dataset(*what, collecting, first, self.bar)
+            collection = collect_dataset(
+                location, *collector, collecting, first, self.bar
+            )
         except (UsageError, DatasetError) as error:
             if isinstance(error, OtherConfigError) and not self.overwrite:
                 advice = f"move or delete {location.folder} first"
@@ -142,7 +147,7 @@ class Datasets:
             if not (begun and self.overwrite):
                 raise
             anew = replace(collecting, resume=False, overwrite=True)
-            collection = collect_dataset(*what, anew, first, self.bar)
+            collection = collect_dataset(location, *collector, anew, first, self.bar)
         if not collection.complete:
             raise KeyboardInterrupt(f"stopped in {source.name}; the same call goes on")
 
@@ -196,7 +201,7 @@ class Datasets:
         now = load_dataset(location).fingerprint
         return self._whole(source, location) and drawn.get(location.id) == now
 
-    def _deed(self, data: Source | Mix) -> str:
+    def _in_words(self, data: Source | Mix) -> str:
         if isinstance(data, Mix):
             names = ", ".join(source.name for source, _ in data.parts)
             return f"it is mixed of {names}"

@@ -38,7 +38,7 @@ _STRIP = 6
 """Pictures of a film strip."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Film:
     """A filmed episode."""
 

@@ -206,7 +206,9 @@ def _check_rows(submission: Submission) -> None:
             )
         rows = [(row["index"], row["seed"]) for row in own.rows]
         if rows != goals:
-            wrong = [*map(tuple.__ne__, rows, goals), True].index(True)
+            pairs = enumerate(zip(rows, goals, strict=False))
+            unlike = (number for number, (row, goal) in pairs if row != goal)
+            wrong = next(unlike, min(len(rows), len(goals)))
             raise SubmissionError(
                 f"{run.folder}: row {wrong} is not of goal {wrong} of seed {own.seed}, "
                 f"expected {len(goals)} goals, each once and in order"

@@ -122,8 +122,8 @@ def repeat(
         )
     if start := settings.get("start"):
         settings["start"] = getattr(start, "folder", start)
-    record = settings_of(config), "config.json", CheckpointError
-    training = with_values(training_of(config.algorithm), *record)
+    default = training_of(config.algorithm)
+    training = with_values(default, settings_of(config), "config.json", CheckpointError)
     training = with_settings(config.algorithm, training, settings)
     if not {"start", "resume"} & settings.keys():
         refuse_changed_start(config)

@@ -172,16 +172,14 @@ def open_world(
     return BulletWorld(robot, config, visual, gui)
 
 
-def check_engine(
-    engine: Engine, otherwise: str = ", or choose another `engine`"
-) -> None:
-    """Refuse an engine that is not installed, and say where MuJoCo takes its place.
+def check_engine(engine: Engine, advice: str = ", or choose another `engine`") -> None:
+    """Raise for an engine that is not installed; log where MuJoCo stands in.
 
-    It says so on stderr, once in a process, and not in workers.
+    The warning of the logger ``marl_mm`` comes once in a process, and not in workers.
 
     Args:
         engine: The engine.
-        otherwise: End of the message: what else there is to do, if anything.
+        advice: End of the message: what else there is to do, if anything.
 
     Raises:
         UsageError: If the engine is not installed.
@@ -191,9 +189,10 @@ def check_engine(
         wheels = " (wheels: up to Python 3.11)" if engine == "bullet" else ""
         raise UsageError(
             f"engine {engine!r} needs the package {package}, which is not installed: "
-            f"pip install {package}{wheels}{otherwise}"
+            f"pip install {package}{wheels}{advice}"
         )
-    if engine == default_engine() != "bullet" and parent_process() is None:
+    stands_in = engine == "mujoco" and default_engine() == "mujoco"
+    if stands_in and parent_process() is None:
         _say_fallback()
 
 

@@ -235,6 +235,8 @@ def test_one_process_at_a_time_is_in_a_folder(tmp_path: Path) -> None:
     holder.communicate()
     with only_here(folder):
         assert folder.is_dir()
+    with pytest.raises(BlockingIOError, match="no more processes"), only_here(folder):
+        raise BlockingIOError("no more processes")  # which is none of the lock
 
 
 def test_who_waits_comes_in_when_the_other_leaves(tmp_path: Path) -> None:

@@ -317,6 +317,14 @@ def test_a_file_that_changes_after_it_was_loaded_is_told(tmp_path: Path) -> None
             make_vec("Reach-v0", 2, 2, backend="processes").reset(seed=0)
 
 
+def test_a_file_that_changes_while_it_runs_is_noticed(tmp_path: Path) -> None:
+    file = tmp_path / "itself.py"
+    file.write_text("open(__file__, 'a').write('# saved')")
+    plugins.load(file)
+    with pytest.raises(PluginError, match=r"itself\.py has changed, or is gone"):
+        plugins.load(file)
+
+
 @pytest.mark.slow
 def test_what_a_script_registers_works_in_workers(tmp_path: Path) -> None:
     """A guarded script of one's own, which workers import as their main module."""

@@ -61,6 +61,8 @@ def test_an_error_that_cannot_leave_its_process_is_told_in_words() -> None:
         with pytest.raises(MarlMmError, match=r"ContentTooShortError: .*half"):
             list(pool.map(exec, [raising]))
         assert list(pool.map(abs, [-1])) == [1]
+    with pytest.raises(MarlMmError, match=r"ContentTooShortError: .*half"):
+        apart(exec, raising, seconds=60)
 
 
 def test_workers_are_of_the_package_that_began_them(tmp_path: Path) -> None:

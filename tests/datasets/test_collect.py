@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable
 from dataclasses import fields, make_dataclass
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,9 @@ from marl_mm.runs.collecting import Collecting
 def runs(task: Task, workers: int = 1) -> RunEpisodes:
     """Runs attempts and yields each when it is finished."""
 
-    def run(policy: Policy, plans: Iterable[EpisodePlan]) -> Iterator[Episode]:
+    def run(
+        policy: Policy, plans: Iterable[EpisodePlan]
+    ) -> Generator[Episode, None, None]:
         with Rollouts(task, workers) as rollouts:
             yield from rollouts.completed(policy, plans)
 

@@ -15,11 +15,13 @@ import pytest
 
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm.cli import main
+from marl_mm.datasets import storage
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.cache import FOLDER_VARIABLE, cache_folder
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import find, known_ids, locate
+from marl_mm.datasets.metadata import read_metadata
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.datasets.verify import verify
@@ -331,6 +333,39 @@ def test_the_cache_is_only_a_cache(
     write(ID, episodes[1:], overwrite=True)
     assert len(load_dataset(ID).episodes) == len(episodes) - 1
     assert len([*own_cache.iterdir()]) == 2 and not (written / "cache").exists()
+
+
+@pytest.mark.slow
+def test_a_cache_of_somebody_else_is_read(
+    written: Path, own_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError
+
+    first = load_dataset(ID)
+    monkeypatch.setattr(os, "utime", refuse)
+    monkeypatch.setattr(storage, "read_apart", refuse)  # the slow way
+    assert load_dataset(ID).fingerprint == first.fingerprint
+    assert load_dataset(ID) != first, "arrays are not compared"
+
+
+def test_data_that_are_replaced_while_they_are_read_are_not_called_damaged(
+    written: Path, episodes: list[Episode]
+) -> None:
+    metadata = read_metadata(locate(ID))
+    write(ID, episodes[1:], overwrite=True)
+    with pytest.raises(DatasetError, match="was replaced while it was read"):
+        storage.read_arrays(locate(ID), metadata)
+
+
+@pytest.mark.parametrize("name", ["states", "actions", "rewards"])
+def test_a_nan_is_not_written(
+    datasets_home: Path, episodes: list[Episode], name: str
+) -> None:
+    getattr(episodes[0], name).flat[0] = np.nan
+    with pytest.raises(DatasetError, match=f"1 {name} with a NaN"):
+        write(ID, episodes)
+    assert not (datasets_home / ID).exists()
 
 
 def test_views_share_memory_with_the_whole(written: Path) -> None:

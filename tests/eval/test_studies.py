@@ -944,7 +944,7 @@ def test_what_there_is_no_data_for_is_collected_first(
     with pytest.raises(UnknownDatasetError, match="60 steps of pd in Reach-v0 are"):
         made.find(tiny)
     assert made.make(tiny).arrays.steps >= 60
-    assert "tiny is not whole, or another: 60 steps" in messages.pop()
+    assert "tiny is not complete, or is another one: 60 steps" in messages.pop()
     assert made.find(tiny).fingerprint == made.make(tiny).fingerprint and not messages
     shutil.rmtree(load_dataset("tiny").location.folder)
     assert main(["collect", "pd", "--steps", "30", "--dataset", "tiny"]) == 0
