@@ -2,9 +2,9 @@
 
 As CFCQL and CQL, see ``cfcql``, but in the conservative term the value of an action
 near the policy's counts as max(Q_j(s, u), V(s)), where V(s) is the discounted return of
-the rest of the step's episode; of one that was cut off it is not known, and bounds
-nothing. A value that is lower already is not pressed further, so
-that own episodes, which earn what they earn, meet values of the right size.
+the episode from that step on. So the term does not push values below the data's
+returns, and the first episodes online do not have to correct them. The return of an
+episode that was cut off is not known, and bounds nothing.
 """
 
 from typing import ClassVar

@@ -38,9 +38,9 @@ from marl_mm.episode import Episode
 from marl_mm.layout import AgentLayout, Layout
 
 _FAR = 20.0
-"""Root mean square distance of what is reached from the mean goal along an axis, in
-standard deviations of the goals, from which it counts for that axis' scale: before
-learning up to 5 in Reach-v0 and its kin, 37 to 300 where all goals are as far ahead."""
+"""Least distance at which what is reached widens an axis' scale: its root mean square
+distance from the mean goal, in standard deviations of the goals. Before learning it is
+at most 5 in Reach-v0 and its kin, and 37 to 300 where all goals are as far ahead."""
 
 
 class Ddpg:
@@ -215,7 +215,7 @@ class Ddpg:
             agent.actor.normalizer.set(mean[entries], std[entries])
 
     def _scale_by(
-        self, other: RunningStatistics, mean: torch.Tensor, std: torch.Tensor
+        self, reached: RunningStatistics, mean: torch.Tensor, std: torch.Tensor
     ) -> None:
         """Scale goals by what is reached, too, along axes where that is far from them.
 
@@ -223,16 +223,17 @@ class Ddpg:
         where goals hardly differ. Ours; Andrychowicz 2017 scales all exchanged goals.
 
         Args:
-            other: Statistics of what is reached.
+            reached: Statistics of what is reached.
             mean: Means of the inputs, which change.
             std: Standard deviations of the inputs, which change.
         """
         goal = self.layout.goal
-        gap, spread = other.mean - mean[goal], std[goal].square()
-        far = other.std.square() + gap.square() > _FAR**2 * spread
-        both = (spread + other.std.square()) / 2 + (gap / 2).square()
+        gap, variance = reached.mean - mean[goal], std[goal].square()
+        far = reached.std.square() + gap.square() > _FAR**2 * variance
+        # Variance of an equal mixture of goals and of what is reached.
+        mixed = (variance + reached.std.square()) / 2 + (gap / 2).square()
         mean[goal] = torch.where(far, mean[goal] + gap / 2, mean[goal])
-        std[goal] = torch.where(far, both.sqrt(), std[goal])
+        std[goal] = torch.where(far, mixed.sqrt(), std[goal])
 
     @torch.no_grad()
     def diagnose(self) -> dict[str, float]:

@@ -24,7 +24,7 @@ def imitation_errors(
 
     Args:
         now: The actors' actions in [-1, 1], shape (S, n, k).
-        action: Actions of the data, likewise.
+        action: Actions of the data in [-1, 1], shape (S, n, k).
         layout: Layout of the actions.
     """
     errors = (now - action).square().mean(dim=1)
@@ -42,10 +42,10 @@ def value_slope(
     action: torch.Tensor,
     layout: Layout,
 ) -> dict[str, torch.Tensor]:
-    """Value of going to the goal less that of going away from it, along x.
+    """Value of the largest step towards the goal less that of one away, along x.
 
-    Below 0 the critic has learnt the opposite. It is there where the layout has
-    ``delta_x`` and ``goal_x``.
+    Other entries of the action are the data's. Below 0 the critic has learnt the
+    opposite.
 
     Args:
         critics: Critics, whose first is asked.
@@ -53,14 +53,17 @@ def value_slope(
         inputs: The same normalised, shape (S, n, d).
         action: Actions of the data in [-1, 1], shape (S, n, k).
         layout: Layout of states and actions.
+
+    Returns:
+        ``q/slope``, shape (S,); empty where the layout lacks ``delta_x`` or ``goal_x``.
     """
     if "delta_x" not in layout.action_names or "goal_x" not in layout.desired:
         return {}
-    here = layout.compared[layout.desired.index("goal_x")]
-    goal, place = (layout.state_names.index(name) for name in ("goal_x", here))
-    towards = torch.sign(state[..., goal] - state[..., place])
+    compared = layout.compared[layout.desired.index("goal_x")]
+    goal, position = (layout.state_names.index(name) for name in ("goal_x", compared))
+    direction = torch.sign(state[..., goal] - state[..., position])
     along = layout.action_names.index("delta_x")
-    there, back = action.clone(), action.clone()
-    there[..., along], back[..., along] = towards, -towards
-    slope = critics.first(inputs, there) - critics.first(inputs, back)
+    towards, away = action.clone(), action.clone()
+    towards[..., along], away[..., along] = direction, -direction
+    slope = critics.first(inputs, towards) - critics.first(inputs, away)
     return {"q/slope": slope.mean(dim=1)}

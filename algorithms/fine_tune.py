@@ -20,7 +20,12 @@ from marl_mm.algorithms.online import RunEpisodes, of_episodes
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.algorithms.runlog import RunLog, is_best
 from marl_mm.algorithms.speed import small_networks
-from marl_mm.algorithms.train import Evaluate, each_seeds, refuse_odd_values, updated
+from marl_mm.algorithms.train import (
+    Evaluate,
+    refuse_divergence,
+    rows_by_seed,
+    update_to,
+)
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.episode import Episode
 from marl_mm.errors import DivergedError
@@ -59,6 +64,8 @@ def fine_tune(
         KeyboardInterrupt: After Ctrl-C, saying which checkpoint there is.
         DivergedError: If a logged metric is not finite or beyond its bound; the last
             checkpoint is left as it is.
+        CheckpointError: If the rows are damaged, or end before the checkpoint.
+        UsageError: If a logger is unknown or cannot start.
     """
     saved = algorithm.own[1]
     advance(min(saved, settings.online_steps), "")
@@ -74,7 +81,7 @@ def fine_tune(
                     algorithm, settings, run_episodes, end, advance, stop_diverging
                 )
                 row |= _point(algorithm, evaluate)
-                row |= fared([*log.rows, row]) | {"online/kept": settings.kept}
+                row |= online_summary([*log.rows, row]) | {"online/kept": settings.kept}
                 with deaf_to_interrupts():
                     if is_best(row, log.rows):
                         save_seeds_policy(run / BEST, algorithm, 0)
@@ -98,34 +105,37 @@ def _epoch(
     stop_diverging: bool,
 ) -> Row:
     """Episodes up to own env step ``end``, the updates between them, and their row."""
-    listed: list[Episode] = []
-    kept: list[Row] = []
+    episodes: list[Episode] = []
+    metrics: list[Row] = []
     policy = LearnedPolicy(algorithm.name, algorithm.agents(0), algorithm.layout)
-    while (own := algorithm.own)[1] < end:
+    own_episodes, own_steps = algorithm.own
+    while own_steps < end:
         explorer = Explorer(policy, settings.online_noise, 0.0)
-        numbers = range(own[0], own[0] + settings.online_cycle)
-        episodes = list(run_episodes(explorer, numbers))
-        algorithm.observe(arrays_of(episodes, "own"), settings.kept)
-        listed += episodes
-        steps = algorithm.own[1] - own[1]
-        measured = updated(
+        numbers = range(own_episodes, own_episodes + settings.online_cycle)
+        cycle = list(run_episodes(explorer, numbers))
+        algorithm.observe(arrays_of(cycle, "own"), settings.kept)
+        episodes += cycle
+        before = own_steps
+        own_episodes, own_steps = algorithm.own
+        steps = own_steps - before
+        measured = update_to(
             algorithm, algorithm.step + settings.updates_per_step * steps
         )
         measured |= algorithm.diagnose()
-        refuse_odd_values(algorithm, measured, stop_diverging)
-        kept += each_seeds(algorithm, measured)
+        refuse_divergence(algorithm, measured, stop_diverging)
+        metrics += rows_by_seed(algorithm, measured)
         policy = LearnedPolicy(algorithm.name, algorithm.agents(0), algorithm.layout)
-        advance(steps, f"reached {100 * np.mean([e.success for e in listed]):.0f} %")
-    names = dict.fromkeys(name for row in kept for name in row)
+        advance(steps, f"reached {100 * np.mean([e.success for e in episodes]):.0f} %")
+    names = dict.fromkeys(name for row in metrics for name in row)
     values = {  # a cycle of one update may leave the actors alone
-        name: float(np.mean([row[name] for row in kept if name in row]))
+        name: float(np.mean([row[name] for row in metrics if name in row]))
         for name in names
     }
     return {
         "step": algorithm.step,
-        "env_steps": algorithm.own[1],
-        "episodes": algorithm.own[0],
-        **of_episodes(listed),
+        "env_steps": own_steps,
+        "episodes": own_episodes,
+        **of_episodes(episodes),
         **values,
     }
 
@@ -135,13 +145,13 @@ def _point(algorithm: FineTunable, evaluate: Evaluate) -> Row:
     return dict(evaluate(policy))
 
 
-def fared(rows: Sequence[Row]) -> Row:
-    """How a run fared online, by its evaluations up to now.
+def online_summary(rows: Sequence[Row]) -> Row:
+    """Summary of a run's evaluations online so far.
 
     Returns:
-        ``dip``: largest success lost since the first; ``regret``: mean share of goals
-        missed; ``steps_to_95``: own env steps at the first with 95 % that no worse one
-        follows, if any.
+        ``online/dip``: largest loss of success since the first; ``online/regret``: mean
+        share of goals missed; ``online/steps_to_95``: own env steps at the first
+        evaluation from which on all reach 95 %, absent if the last does not.
     """
     online = [row for row in rows if "env_steps" in row]
     success = [row["success/all"] for row in online]

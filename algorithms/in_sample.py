@@ -30,30 +30,6 @@ class InSampleLearner(CriticLearner):
         extra: Entries of noise that batches have beside the usual.
     """
 
-    def _learn_values(
-        self, state: torch.Tensor, batch: OfflineBatch
-    ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-        """One gradient step of values and critics.
-
-        Returns:
-            Advantages of the data's actions, shape (S, B); losses, each of shape (S,).
-        """
-        config, action = self.config, batch.action
-        next_state, nothing = self.normalizer(batch.next_observation), action[..., :0]
-
-        with torch.no_grad():
-            taken = self._target_critics.least(state, action)[:, 0]
-        advantage = taken - self.values.first(state, nothing)
-        weight = (config.expectile - (advantage < 0).float()).abs()
-        value_loss = (weight * advantage.square()).mean(dim=1)
-        self.values.descend(value_loss)
-
-        with torch.no_grad():
-            target = self._target(batch, self.values.first(next_state, nothing))
-        losses = self._learn_critics(state, batch, target[:, None])
-        self._target_critics.follow(self.critics, config.target_rate)
-        return advantage.detach(), losses | {"value": value_loss}
-
     def __init__(
         self,
         config: Any,
@@ -77,3 +53,27 @@ class InSampleLearner(CriticLearner):
             twins=1,
         )
         self._parts |= {"values": self.values}
+
+    def _learn_values(
+        self, state: torch.Tensor, batch: OfflineBatch
+    ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+        """One gradient step of values and critics.
+
+        Returns:
+            Advantages of the data's actions, shape (S, B); losses, each of shape (S,).
+        """
+        config, action = self.config, batch.action
+        next_state, no_action = self.normalizer(batch.next_observation), action[..., :0]
+
+        with torch.no_grad():
+            taken = self._target_critics.least(state, action)[:, 0]
+        advantage = taken - self.values.first(state, no_action)
+        weight = (config.expectile - (advantage < 0).float()).abs()
+        value_loss = (weight * advantage.square()).mean(dim=1)
+        self.values.descend(value_loss)
+
+        with torch.no_grad():
+            target = self._target(batch, self.values.first(next_state, no_action))
+        losses = self._learn_critics(state, batch, target[:, None])
+        self._target_critics.follow(self.critics, config.target_rate)
+        return advantage.detach(), losses | {"value": value_loss}

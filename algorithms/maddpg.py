@@ -1,7 +1,7 @@
 """MADDPG, with and without hindsight (Lowe 2017): DDPG with an actor per agent.
 
 Actors see their own observations only; the critic, in training only, sees the joint
-state and action. The agents share their reward, so one critic and one batch serve both:
+state and action. The agents share their reward, so one critic and one batch serve all:
 actor loss of agent i: -Q(s, (pi_i(o_i), a_-i)), where a_-i is what the others would do
 now or, as in the source, what they did.
 """
@@ -42,6 +42,6 @@ class Maddpg(Ddpg):
         action[:, list(agent.layout.action)] = output
         value = self.critic(batch.observation, action)
         loss: torch.Tensor = -value.mean()
-        # Together as much as of all at once.
+        # Shares add up to 1: all together weigh as much as one of the joint action.
         share = output.shape[-1] / len(self.layout.action)
         return loss + self.config.action_penalty * share * output.square().mean()

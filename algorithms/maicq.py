@@ -5,8 +5,9 @@ min_j Q_j'(s', a'))^2, where a' is the data's next action, and w(s', a') the sof
 over the batch of (Q'(s', a') - Q'(s', pi(s'))) / alpha_Q, times its size. Loss of each
 actor, one after the other: w_i(s, a) MSE(a_i, pi_i(o_i)), with w_i the same of
 A_i / alpha: A_i = Q(s, (pi_<i, a_i, a_>i)) - Q(s, (pi_<i, pi_i, a_>i)). Agents before i
-act as they have just learnt to, those after it as in the data. But for the steps just
-made, these advantages add up to that of the joint action.
+act by their updated actors, those after it as in the data; apart from these updates the
+A_i add up to the joint action's advantage. Where a step terminated the critics'
+advantage counts as 0.
 
 What departs: the source multiplies the target's Q'(s', a') by w, of Q itself. Its mean
 over the batch is 1, but over a state's actions it is not: where rewards are below 0, a
@@ -29,8 +30,8 @@ from marl_mm.algorithms.offline_critics import CriticLearner
 from marl_mm.layout import columns
 
 _NOT_IMITATED = -1e9
-"""Advantage over the temperature of steps without weight; finite, for batches of none
-else."""
+"""Scaled advantage of steps that are not imitated; finite, so that a batch of nothing
+else has no NaN."""
 
 
 class Maicq(CriticLearner):
@@ -50,8 +51,8 @@ class Maicq(CriticLearner):
         with torch.no_grad():
             value = self._target_critics.least(next_state, batch.next_action)[:, 0]
             target = self._target(batch, value)
-            now = self.actors.joint(next_state)
-            gain = value - self._target_critics.least(next_state, now)[:, 0]
+            policy = self.actors.joint(next_state)
+            gain = value - self._target_critics.least(next_state, policy)[:, 0]
             gain = gain * (1 - batch.terminated)
             weight = softmax_weights(gain / config.critic_temperature)
         errors = self.critics.values(state, action) - target[:, None, None]

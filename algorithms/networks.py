@@ -80,7 +80,7 @@ class Form:
         observed: torch.Tensor,
         noise: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """Actions in [-1, 1] of a network, shape (..., k).
+        """Actions in [-1, 1] of a network, shape (..., h k): h of them in a row.
 
         A flow's network is a velocity at an action and a time, from noise at 0 to the
         action at 1 (Lipman 2023).
@@ -88,7 +88,7 @@ class Form:
         Args:
             network: The network.
             observed: Normalised observations, shape (..., d).
-            noise: Noise, shape (..., k), if the form is noisy.
+            noise: Standard normal noise, shape (..., h k), if the form is noisy.
         """
         if noise is None:
             return torch.tanh(network(observed))
@@ -131,7 +131,7 @@ class Actor(nn.Module):
     def forward(
         self, observation: torch.Tensor, noise: torch.Tensor | None = None
     ) -> torch.Tensor:
-        """Actions in [-1, 1], shapes (..., d) and (..., k) to (..., k)."""
+        """Actions in [-1, 1], shapes (..., d) and (..., h k) to (..., h k)."""
         return self.form.act(self.layers, self.normalizer(observation), noise)
 
 
@@ -168,7 +168,7 @@ class Critic(nn.Module):
 
 
 def perceptron(widths: Sequence[int], *, layer_norm: bool = False) -> list[nn.Module]:
-    """Linear layers between these widths, ReLU between them."""
+    """Linear layers of these widths; hidden ones with ReLU, and LayerNorm before it."""
     layers: list[nn.Module] = []
     for width, following in pairwise(widths[:-1]):
         layers.append(nn.Linear(width, following))
@@ -198,7 +198,7 @@ class ActionScale:
 class Adam:
     """Adam of some parameters, with the state of ``torch.optim.Adam``.
 
-    That one takes longer around a step than for it, and a second to be imported.
+    It has less overhead per step than that one, and saves a second of import.
 
     Args:
         parameters: Parameters of networks, changed in place.

@@ -42,8 +42,18 @@ class CriticLearner(OfflineLearner):
     ) -> None:
         shares = config.future, config.elsewhere
         actors_rate, rate = rates or (config.learning_rate, config.learning_rate)
-        rest = actors_rate, shares, form, extra, config.discount
-        super().__init__(config, arrays, judge, seeds, device, *rest)
+        super().__init__(
+            config,
+            arrays,
+            judge,
+            seeds,
+            device,
+            rate=actors_rate,
+            shares=shares,
+            form=form,
+            extra=extra,
+            discount=config.discount,
+        )
         self.critics = SeededCritics(
             len(self.layout.state) + form.chunk * len(self.layout.action),
             self._pairs(),

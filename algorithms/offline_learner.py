@@ -56,9 +56,16 @@ class OfflineLearner:
         self.layouts = self._layouts()
         """Layouts of the actors."""
 
-        several = extra, form.chunk, discount
         self._batches = OfflineBatches(
-            arrays, config.batch_size, shares, judge, seeds, device, *several
+            arrays,
+            config.batch_size,
+            shares,
+            judge,
+            seeds,
+            device,
+            extra=extra,
+            chunk=form.chunk,
+            discount=discount,
         )
         states = torch.from_numpy(arrays.states).float()
         self.normalizer = Normalizer.of(states, config.std_floor).to(device)

@@ -44,13 +44,19 @@ class Omar(Cfcql):
         output: torch.Tensor,
     ) -> torch.Tensor:
         """Loss of an agent's actions, shape (S,); see ``Cfcql``."""
-        action, some = others.clone(), slice(self.config.searched)
+        searched = slice(self.config.searched)
+        action = others.clone()
         action[..., columns(agent.action)] = output
         value = self.critics.first(state, action)
-        noise = batch.extra[:, some, super()._noise(self.config) * others.shape[-1] :]
-        now = action[:, some].detach(), value[:, some].detach()
-        best = self._best(agent, state[:, some], *now, noise)
-        error = (output[:, some] - best).square().mean(dim=(1, 2))
+        of_critics = super()._noise(self.config) * others.shape[-1]
+        best = self._best(
+            agent,
+            state[:, searched],
+            action[:, searched].detach(),
+            value[:, searched].detach(),
+            batch.extra[:, searched, of_critics:],
+        )
+        error = (output[:, searched] - best).square().mean(dim=(1, 2))
         mix = self.config.mix
         return mix * error - (1 - mix) * value.mean(dim=1)
 
@@ -59,7 +65,7 @@ class Omar(Cfcql):
         self,
         agent: AgentLayout,
         state: torch.Tensor,
-        now: torch.Tensor,
+        action: torch.Tensor,
         value: torch.Tensor,
         noise: torch.Tensor,
     ) -> torch.Tensor:
@@ -68,25 +74,26 @@ class Omar(Cfcql):
         Args:
             agent: The agent.
             state: Normalised joint states, shape (S, b, d).
-            now: Joint actions by the actors, shape (S, b, k).
+            action: Joint actions by the actors, shape (S, b, k).
             value: Values of these, shape (S, b).
             noise: Standard normal noise, shape (S, b, rounds candidates k).
         """
         config, own = self.config, columns(agent.action)
-        shape = config.rounds, config.candidates, now.shape[-1]
-        noise = noise.reshape(*now.shape[:2], *shape)[..., own].movedim(1, 3)
-        found, values = now[:, None, :, own], value[:, None]
+        shape = config.rounds, config.candidates, action.shape[-1]
+        noise = noise.reshape(*action.shape[:2], *shape)[..., own].movedim(1, 3)
+        found, values = action[:, None, :, own], value[:, None]
         mean = torch.zeros_like(found)
         spread = torch.full_like(found, config.search_spread)
         states = state[:, None].expand(-1, config.candidates, -1, -1).flatten(1, 2)
         for number in range(config.rounds):
-            drawn = (mean + spread * noise[:, number]).clamp_(-1, 1)
-            asked = now[:, None].repeat(1, config.candidates, 1, 1)
-            asked[..., own] = drawn
-            worth = self.critics.first(states, asked.flatten(1, 2)).view(
-                drawn.shape[:3]
+            candidates = (mean + spread * noise[:, number]).clamp_(-1, 1)
+            joint = action[:, None].repeat(1, config.candidates, 1, 1)
+            joint[..., own] = candidates
+            worths = self.critics.first(states, joint.flatten(1, 2)).view(
+                candidates.shape[:3]
             )
-            found, values = torch.cat([found, drawn], 1), torch.cat([values, worth], 1)
+            found = torch.cat([found, candidates], dim=1)
+            values = torch.cat([values, worths], dim=1)
             values, rank = values.topk(config.elites, dim=1)
             found = found.take_along_dim(rank[..., None], dim=1)
             mean = found.mean(dim=1, keepdim=True)
@@ -97,6 +104,6 @@ class Omar(Cfcql):
 
     @staticmethod
     def _noise(config: CfcqlConfig) -> int:
-        """Numbers of extra noise for each entry of the action."""
+        """Number of normal draws for each entry of the action."""
         assert isinstance(config, OmarConfig)
         return Cfcql._noise(config) + config.rounds * config.candidates

@@ -109,17 +109,21 @@ def train_online(
         schedule: Times of checkpoints and evaluations.
         advance: Progress callback, called with episodes.
         loggers: Names of the loggers beside ``metrics.jsonl``, see ``LOGGERS``.
-        begin: Beginner of an evaluation that runs beside the next epoch; row and
-            checkpoint follow after it. None: they are all between epochs.
+        begin: Function that starts an evaluation, which runs during the next epoch; row
+            and checkpoint are written when it ends. None: evaluations run between
+            epochs.
 
     Raises:
         KeyboardInterrupt: After Ctrl-C, saying which checkpoint there is.
-        DivergedError: If a loss is not finite; the last checkpoint is left as it is.
+        DivergedError: If a loss is not finite; the checkpoint of the last whole epoch
+            is kept.
+        CheckpointError: If the rows are damaged, or end before the checkpoint.
+        UsageError: If a logger is unknown or cannot start.
     """
     total = algorithm.config.episodes
     advance(algorithm.episodes, "")
     with RunLog(run, "episode", algorithm.episodes, loggers) as log:
-        waiting: list[_Epoch] = []
+        waiting: list[_PendingEpoch] = []
         end = saved = algorithm.episodes
 
         def keep() -> None:
@@ -148,7 +152,7 @@ def train_online(
                 elif due:
                     evaluated = partial(evaluate, policy)
                 files = policy_checkpoint(algorithm), checkpoint(algorithm)
-                waiting.append(_Epoch(row, evaluated, *files))
+                waiting.append(_PendingEpoch(row, evaluated, *files))
                 if last or not due or begin is None:
                     keep()
         except KeyboardInterrupt:
@@ -162,14 +166,14 @@ def train_online(
 
 
 @dataclass(frozen=True)
-class _Epoch:
-    """What is kept of an epoch as soon as its evaluation is there."""
+class _PendingEpoch:
+    """Row and files of an epoch, to be written once its evaluation has ended."""
 
     row: Row
     """Metrics of its episodes and updates."""
 
-    evaluated: Callable[[], CurvePoint]
-    """Result of the evaluation, empty if none is due."""
+    evaluation: Callable[[], CurvePoint]
+    """Function that waits for the evaluation; empty if none is due."""
 
     policy: memoryview
     """File of the policy."""
@@ -179,7 +183,7 @@ class _Epoch:
 
     def keep(self, log: RunLog) -> None:
         """Write row and checkpoint, and the policy if it is the best so far."""
-        row = self.row | self.evaluated()
+        row = self.row | self.evaluation()
         if is_best(row, log.rows):
             write_bytes(log.run / BEST, self.policy)
         log.add(row)

@@ -1,8 +1,8 @@
 """Replay of whole episodes, with goals exchanged in hindsight (Andrychowicz 2017).
 
-The goal of a transition drawn for relabelling becomes where the end-effector was at the
-end of a later step of its own episode (strategy ``future``), and reward and termination
-are computed anew.
+The goal of a transition drawn for relabelling becomes what was achieved at the end of
+that step or of a later one of its episode (strategy ``future``), and reward and
+termination are computed anew.
 """
 
 import math
@@ -42,7 +42,7 @@ def highest_target(judge: Judge, clip: bool) -> float:
 
     Args:
         judge: The task.
-        clip: Whether there is a bound, as nothing but a perfect hit is worth as much
+        clip: Whether to bound targets; no return is higher than that of a perfect hit
             (Andrychowicz 2017, appendix A).
     """
     highest = judge.highest_return if clip else None

@@ -1,7 +1,7 @@
 """RLPD (Ball 2023): online learning whose batches are half a dataset's.
 
 Loss of E critics: (Q_j(s, a) - r - gamma (1 - terminated) min_{m in M} Q_m'(s', a'))^2,
-where M is two of the critics, others at every update, and a' is the target actors'
+where M is a random pair of critics, drawn at every update, and a' is the target actors'
 action with clipped noise. Every second update each actor follows:
 -mean_j Q_j(s, (pi_i(o_i), a_-i)) + c mean pi_i(o_i)^2, where a_-i is what the others
 would do now. Critics are of the joint state and action, with normalised layers.
@@ -37,9 +37,10 @@ class Rlpd(Td3Learner):
     ) -> torch.Tensor:
         """Lower value of the next state by two critics, shape (S, 1, B)."""
         values = self._target_critics.values(state, action).flatten(1, 2)
-        chosen = batch.extra[:, 0].topk(TWINS, dim=1).indices
-        each = torch.arange(len(values), device=values.device)[:, None]
-        return values[each, chosen].amin(dim=1, keepdim=True)
+        # Ranks of independent noise: a random pair of different critics.
+        pair = batch.extra[:, 0].topk(TWINS, dim=1).indices
+        seed = torch.arange(len(values), device=values.device)[:, None]
+        return values[seed, pair].amin(dim=1, keepdim=True)
 
     def _improve(
         self, state: torch.Tensor, batch: OfflineBatch

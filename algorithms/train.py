@@ -67,6 +67,8 @@ def train(
         KeyboardInterrupt: After Ctrl-C, saying which checkpoint there is.
         DivergedError: If a logged metric is not finite or beyond its bound; the last
             checkpoint is left as it is.
+        CheckpointError: If the rows are damaged, or end before the checkpoint.
+        UsageError: If a logger is unknown or cannot start.
     """
     total, saved = algorithm.config.updates, algorithm.step
     advance(min(saved, total), "")
@@ -82,17 +84,17 @@ def train(
 
         try:
             if saved == 0 and not all(log.rows for log in logs):
-                points = _evaluated(algorithm, evaluate)
+                points = _evaluate_seeds(algorithm, evaluate)
                 _keep_best(algorithm, points, logs)
                 keep(0, points)
             while saved < total:
                 step = min(_after(saved, LOG_EVERY), _after(saved, evaluate_every))
                 step = min(step, total)
-                measured = updated(algorithm, step) | algorithm.diagnose()
-                refuse_odd_values(algorithm, measured, stop_diverging)
-                rows = each_seeds(algorithm, measured)
+                measured = update_to(algorithm, step) | algorithm.diagnose()
+                refuse_divergence(algorithm, measured, stop_diverging)
+                rows = rows_by_seed(algorithm, measured)
                 if step % evaluate_every == 0 or step == total:
-                    points = _evaluated(algorithm, evaluate)
+                    points = _evaluate_seeds(algorithm, evaluate)
                     rows = [a | b for a, b in zip(rows, points, strict=True)]
                     _keep_best(algorithm, rows, logs)
                 keep(step, rows)
@@ -113,8 +115,8 @@ def _after(step: int, every: int) -> int:
     return (step // every + 1) * every
 
 
-def updated(algorithm: OfflineAlgorithm, step: int) -> dict[str, torch.Tensor]:
-    """Update up to a step; means of the metrics, shape (S,)."""
+def update_to(algorithm: OfflineAlgorithm, step: int) -> dict[str, torch.Tensor]:
+    """Make updates up to number ``step``; means of their metrics, shape (S,)."""
     sums: dict[str, torch.Tensor] = {}
     counts: dict[str, int] = {}
     with matrix_products(algorithm.config.precision):
@@ -125,30 +127,37 @@ def updated(algorithm: OfflineAlgorithm, step: int) -> dict[str, torch.Tensor]:
     return {key: value / counts[key] for key, value in sums.items()}
 
 
-def refuse_odd_values(
+def refuse_divergence(
     algorithm: OfflineAlgorithm,
     measured: Mapping[str, torch.Tensor],
     stop_diverging: bool,
 ) -> None:
     """Raise for a metric that is not finite, or beyond its bound.
 
+    Args:
+        algorithm: Algorithm, with the bounds of its metrics.
+        measured: Metrics by name, shape (S,).
+        stop_diverging: Whether bounds count, too.
+
     Raises:
         DivergedError: Naming the metric.
     """
     limits = algorithm.bounds if stop_diverging else {}
-    for key, value in measured.items():
+    switches = "clip_targets", "layer_norm"
+    bounded = all(hasattr(algorithm.config, name) for name in switches)
+    advice = "leave on `clip_targets` and `layer_norm`, " if bounded else ""
+    for key, values in measured.items():
         limit = limits.get(key, math.inf)
-        for seed, number in zip(algorithm.seeds, value.tolist(), strict=True):
-            if not (abs(number) <= limit and math.isfinite(number)):
-                excess = f", more than {limit:.3g}" if math.isfinite(number) else ""
-                bounds = ("clip_targets", "layer_norm")
-                has = all(hasattr(algorithm.config, name) for name in bounds)
-                bounded = "leave on `clip_targets` and `layer_norm`, " if has else ""
-                raise DivergedError(
-                    f"{key} is {number:.3g}{excess} with seed {seed} after "
-                    f"{algorithm.step} updates: lower the learning rate, {bounded}or "
-                    "look for odd values with marl-mm datasets verify"
-                )
+        for seed, value in zip(algorithm.seeds, values.tolist(), strict=True):
+            finite = math.isfinite(value)
+            if finite and abs(value) <= limit:
+                continue
+            excess = f", more than {limit:.3g}" if finite else ""
+            raise DivergedError(
+                f"{key} is {value:.3g}{excess} with seed {seed} after "
+                f"{algorithm.step} updates: lower the learning rate, {advice}or look "
+                "for odd values with marl-mm datasets verify"
+            )
 
 
 def _note(measured: Mapping[str, torch.Tensor]) -> str:
@@ -158,13 +167,15 @@ def _note(measured: Mapping[str, torch.Tensor]) -> str:
         for key, value in measured.items()
         if key.count("/") == 1 and key.startswith("loss/") and "imitation" not in key
     }
-    shared = ("critic", "value", "conservative", "flow")
-    text = [f"{n} {losses.pop(f'loss/{n}')}" for n in shared if f"loss/{n}" in losses]
-    # The rest are the agents', for whose names there is no room.
-    return ", ".join([*text, *([f"actor {' '.join(losses.values())}"] * bool(losses))])
+    networks = ("critic", "value", "conservative", "flow")
+    shared = [name for name in networks if f"loss/{name}" in losses]
+    parts = [f"{name} {losses.pop(f'loss/{name}')}" for name in shared]
+    if losses:  # the agents', for whose names there is no room
+        parts.append(f"actor {' '.join(losses.values())}")
+    return ", ".join(parts)
 
 
-def each_seeds(
+def rows_by_seed(
     algorithm: OfflineAlgorithm, values: Mapping[str, torch.Tensor]
 ) -> list[Row]:
     """A row of metrics per seed."""
@@ -175,7 +186,7 @@ def each_seeds(
     ]
 
 
-def _evaluated(algorithm: OfflineAlgorithm, evaluate: Evaluate) -> list[Row]:
+def _evaluate_seeds(algorithm: OfflineAlgorithm, evaluate: Evaluate) -> list[Row]:
     policies = (
         LearnedPolicy(algorithm.name, algorithm.agents(number), algorithm.layout)
         for number in range(len(algorithm.seeds))
@@ -226,27 +237,30 @@ def resume_seeds(
         OtherConfigError: If one is of another config.
     """
     states = [_state(algorithm, run, ignored) for run in runs]
-    with _damage_named(runs[0]):
-        steps = [int(state["step"]) for state in states]
+    steps = []
+    for number, (run, state) in enumerate(zip(runs, states, strict=True)):
+        with _damage_named(run):
+            steps.append(int(state["step"]))
+            check_types(state, algorithm.state(number))
     if len(set(steps)) > 1:
         raise CheckpointError(
             f"the runs stand at updates {', '.join(map(str, steps))}: resume them one "
             "by one"
         )
-    with _damage_named(runs[0]):
-        for number, state in enumerate(states):
-            check_types(state, algorithm.state(number))
+    with _damage_named(*runs):
         algorithm.load_states(states)
 
 
 @contextmanager
-def _damage_named(run: Path) -> Iterator[None]:
+def _damage_named(*runs: Path) -> Iterator[None]:
+    """Turn errors of a state that does not fit into one that names the files."""
     try:
         yield
     except DAMAGE as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
+        files = " or ".join(str(run / FILE) for run in runs)
         raise CheckpointError(
-            f"{run / FILE} is damaged ({reason:.80}): start anew with `overwrite=True`"
+            f"{files} is damaged ({reason:.80}): start anew with `overwrite=True`"
         ) from error
 
 

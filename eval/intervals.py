@@ -34,13 +34,11 @@ def paired_interval(
 ) -> tuple[float, float]:
     """95 % interval of the difference of two success rates on the same goals.
 
-    Wald's with a goal added to each way in which the two differ (Bonett and Price
-    2012): other than a bootstrap's it has a width where they agree on every goal.
+    Wald's, with a goal added to each way in which the two can differ (Bonett and Price
+    2012): unlike a bootstrap's it has a width where they agree on every goal.
     """
-    better, worse = (
-        1 + sum(first > second for first, second in zip(*pair, strict=True))
-        for pair in ((successes, others), (others, successes))
-    )
+    first, second = np.asarray(successes, bool), np.asarray(others, bool)
+    better, worse = 1 + np.sum(first & ~second), 1 + np.sum(second & ~first)
     goals = len(successes) + 2
     difference = (better - worse) / goals
     variance = ((better + worse) / goals - difference**2) / goals
@@ -88,7 +86,7 @@ def difference_interval(
 ) -> tuple[float, float]:
     """Welch's 95 % interval of the difference of two means of few values.
 
-    Values that do not vary on either side say nothing of it: nan.
+    nan if neither side varies.
     """
     if np.ptp(values) == np.ptp(others) == 0:
         return np.nan, np.nan
@@ -118,6 +116,8 @@ def interval_of_mean(values: np.ndarray) -> tuple[float, float]:
     """95 % interval of a mean: on each side the wider of two.
 
     One is Student's over seeds, the other a bootstrap over goals of the seeds' means.
+    Their variances are not added. With five seeds Student's factor makes up for that;
+    with 20 that vary as much as goals do, 89 % of the intervals hold the mean.
 
     Args:
         values: Values by seed and goal, shape (seeds, goals).
@@ -126,7 +126,7 @@ def interval_of_mean(values: np.ndarray) -> tuple[float, float]:
 
 
 def interval_of_gain(gain: np.ndarray) -> tuple[float, float]:
-    """95 % interval of a mean difference of successes: likewise.
+    """95 % interval of a mean difference of successes; see ``interval_of_mean``.
 
     For the bootstrap a goal is added to each way in which two can differ, as in
     ``paired_interval``, so that it has a width where they agree on every goal.

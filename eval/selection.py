@@ -70,12 +70,12 @@ def scores(
     states = torch.as_tensor(arrays.states, dtype=torch.float32)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        chosen = (_actions(policy, states) - low) / (high - low) * 2 - 1
-        before = torch.as_tensor(~arrays.is_last_state())
-        done = (torch.as_tensor(arrays.actions) - low) / (high - low) * 2 - 1
-        distance = (chosen[before] - done).square().mean()
-        joint, *each = _fitted(arrays, states, chosen, done, updates)
-    return Scores(joint, float(np.mean(each)), -float(distance))
+        by_policy = (_actions(policy, states) - low) / (high - low) * 2 - 1
+        has_action = torch.as_tensor(~arrays.is_last_state())
+        taken = (torch.as_tensor(arrays.actions) - low) / (high - low) * 2 - 1
+        distance = (by_policy[has_action] - taken).square().mean()
+        joint, *by_agent = _fitted(arrays, states, by_policy, taken, updates)
+    return Scores(joint, float(np.mean(by_agent)), -float(distance))
 
 
 @torch.no_grad()
@@ -93,34 +93,34 @@ def _actions(policy: LearnedPolicy, states: torch.Tensor) -> torch.Tensor:
 def _fitted(
     arrays: EpisodeArrays,
     states: torch.Tensor,
-    chosen: torch.Tensor,
-    done: torch.Tensor,
+    by_policy: torch.Tensor,
+    taken: torch.Tensor,
     updates: int,
 ) -> list[float]:
     """Mean values of first states, of the joint critic and then of each agent's."""
     first = torch.as_tensor(arrays.is_first_state())
     last = torch.as_tensor(arrays.is_last_state())
     states = Normalizer.of(states, _FLOOR)(states)
-    here = torch.cat([states[~last], done], dim=1)
-    after = torch.cat([states[~first], chosen[~first]], dim=1)
-    begin = torch.cat([states[first], chosen[first]], dim=1)
+    inputs = torch.cat([states[~last], taken], dim=1)
+    next_inputs = torch.cat([states[~first], by_policy[~first]], dim=1)
+    first_inputs = torch.cat([states[first], by_policy[first]], dim=1)
     reward = torch.as_tensor(arrays.rewards, dtype=torch.float32)
-    going_on = DISCOUNT * (1 - torch.as_tensor(arrays.terminated).float())
+    discount = DISCOUNT * (1 - torch.as_tensor(arrays.terminated).float())
     masks = _masks(arrays)
-    widths = here.shape[1], *HIDDEN, 1
+    widths = inputs.shape[1], *HIDDEN, 1
     members = [nn.Sequential(*perceptron(widths, layer_norm=True)) for _ in masks]
     critics = Ensemble(members)
     targets, learner = critics.copy(), Learner(critics, RATE)
     for _ in range(updates):
-        picked = torch.randint(len(here), (BATCH,))
+        picked = torch.randint(len(inputs), (BATCH,))
         with torch.no_grad():
-            value = targets(masks * after[picked])[..., 0]
-            wanted = reward[picked] + going_on[picked] * value
-        error = critics(masks * here[picked])[..., 0] - wanted
+            value = targets(masks * next_inputs[picked])[..., 0]
+            target = reward[picked] + discount[picked] * value
+        error = critics(masks * inputs[picked])[..., 0] - target
         learner.descend(error.square().mean(dim=1).sum())
         targets.follow(critics, TARGET_RATE)
     with torch.no_grad():
-        values = critics(masks * begin)[..., 0].mean(dim=1)
+        values = critics(masks * first_inputs)[..., 0].mean(dim=1)
     return [float(value) for value in values]
 
 

@@ -8,8 +8,8 @@ import scipy  # its stats take half a second, and come when they are used
 
 from marl_mm.eval.intervals import CONFIDENCE
 
-_NONE = 1e-12
-"""Variance of a mean below which there is none."""
+_NO_VARIANCE = 1e-12
+"""Variance of a mean below which it counts as 0."""
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
@@ -27,8 +27,8 @@ def p_of_difference(scores: np.ndarray, others: np.ndarray) -> float:
     Seeds are each result's own; goals are the same for both. The difference's variance
     is that over seeds and that over goals, less what is counted twice, or the larger of
     the two where that is more (two-way clusters, Cameron, Gelbach and Miller 2011). Its
-    degrees of freedom are Welch's. A single seed or goal can be told apart from
-    nothing: 1.
+    degrees of freedom are Welch's. With a single seed or goal it cannot be estimated,
+    and the p-value is 1.
 
     Args:
         scores: Scores by seed and goal, shape (seeds, goals).
@@ -39,12 +39,12 @@ def p_of_difference(scores: np.ndarray, others: np.ndarray) -> float:
         return 1.0
     difference = scores.mean(axis=0) - others.mean(axis=0)
     clusters = [*(values.mean(axis=1) for values in both), difference]
-    parts = np.array([np.var(some, ddof=1) / len(some) for some in clusters])
-    free = [len(some) - 1 for some in clusters]
+    parts = np.array([np.var(means, ddof=1) / len(means) for means in clusters])
+    free = [len(means) - 1 for means in clusters]
     seeds, goals = parts[:2].sum(), parts[2]
     twice = sum(_residual(values) for values in both)
     mean, variance = difference.mean(), max(seeds, goals, seeds + goals - twice)
-    if variance < _NONE:  # means differ, or they do not
+    if variance < _NO_VARIANCE:  # means differ, or they do not
         return float(np.isclose(mean, 0.0))
     errors = abs(mean) / np.sqrt(variance)
     return float(2 * scipy.stats.t.sf(errors, variance**2 / np.sum(parts**2 / free)))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from marl_mm.algorithms.fine_tune import fared
+from marl_mm.algorithms.fine_tune import online_summary
 from marl_mm.eval.bench import SB3
 from marl_mm.eval.grouping import grouped
 from marl_mm.eval.intervals import (
@@ -172,7 +172,7 @@ def fine_tuning_table(store: RowStore, summary: Sequence[Row]) -> str:
             ]
             for rows in grouped(curves, "seed").values()
         ]
-        fared_each = [fared(rows) for rows in online]
+        fared_each = [online_summary(rows) for rows in online]
         steps = [seed.get("online/steps_to_95", math.inf) for seed in fared_each]
         reached = [f"{some:,.0f}" for some in sorted(steps) if some < math.inf]
         middle = float(np.median(steps))

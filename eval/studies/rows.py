@@ -81,8 +81,8 @@ class RowStore:
             _refuse_unlike(path, f"probes.{name}", record["probes"][name], ways[name])
         if "source" in record:  # which older ones lack
             _refuse_unlike(path, "source", record["source"], _declared(cell))
-        recorded = dict(made_of) if "algorithm" in record else {}  # of some unknown
-        if recorded:  # what is recorded where it is set only
+        recorded = dict(made_of) if "algorithm" in record else {}  # older ones lack it
+        if recorded:  # these stand there only where they are not the default
             usual = {"max_steps": None, **asdict(FineTuning())}
             recorded = {k: v for k, v in usual.items() if k in record} | recorded
         begun, current = (with_added(of, settings) for of in (record, recorded))
@@ -104,32 +104,33 @@ class RowStore:
     def engines(
         self, cells: Sequence[Cell], asked: Engine | None
     ) -> dict[tuple[str, str], Engine]:
-        """Engines of cells, by their names.
+        """Engine of each cell, by the cell's names.
 
-        They are what a cell's source names; of the others what is asked for, or else
-        that of the rows there, or the default.
+        A cell whose source names an engine has that one. All others share one: what is
+        asked for, else that of their rows, else the default.
 
         Raises:
-            UsageError: If a cell's rows are of another engine than that; if those of
-                several cells that name none are of two.
+            UsageError: If a cell has rows of another engine, or the others' rows are of
+                several.
         """
         named = {cell_name(cell): _engine_named(cell[0]) for cell in cells}
-        there = {cell_name(cell): self._engine(cell) for cell in cells}
-        free = sorted({e for name, e in there.items() if e if not named[name]})
-        if asked is None and len(free) > 1:
+        recorded = {cell_name(cell): self._engine(cell) for cell in cells}
+        unnamed = sorted({e for name, e in recorded.items() if e if not named[name]})
+        if asked is None and len(unnamed) > 1:
             raise UsageError(
-                f"{self.folder} has rows of engines {' and '.join(free)}, expected one "
-                f"in a table: choose it with `engine`, and {_ADVICE}"
+                f"{self.folder} has rows of engines {' and '.join(unnamed)}, expected "
+                f"one in a table: choose it with `engine`, and {_ADVICE}"
             )
-        rest = asked or (free[0] if free else default_engine())
+        shared = asked or (unnamed[0] if unnamed else default_engine())
         for cell in cells:
-            engine, wanted = there[cell_name(cell)], named[cell_name(cell)] or rest
+            name = cell_name(cell)
+            engine, wanted = recorded[name], named[name] or shared
             if engine not in (None, wanted):
                 raise UsageError(
                     f"{self._path(cell, '.csv.xz')} is of engine {engine}, expected "
                     f"{wanted}: {_ADVICE}, or the rows' engine with `engine`"
                 )
-        return {name: named[name] or rest for name in there}
+        return {name: named[name] or shared for name in recorded}
 
     def engine_text(self, cell: Cell, engine: Engine) -> str:
         """An engine with its version when a cell was made; empty in older rows."""
@@ -257,7 +258,7 @@ class RowStore:
         return rows
 
     def curves(self, cell: Cell, seeds: Sequence[int]) -> list[Row]:
-        """A row per seed and point of its learning curve; likewise."""
+        """A row per seed and point of its learning curve; a UsageError if some lack."""
         rows = [r for r in self._rows(cell, _CURVES) if r["seed"] in seeds]
         if {row["seed"] for row in rows} != set(seeds):
             raise self._lacking(cell, _CURVES, seeds)
@@ -325,7 +326,7 @@ def _engine_named(source: Data | Online) -> Engine | None:
 
 
 def _filled(rows: Sequence[Row]) -> str:
-    """Rows in words, without cells that are empty once they are read; nan is nan."""
+    """Text of rows without their empty cells, in which nan equals nan."""
     return repr([{n: v for n, v in row.items() if v != ""} for row in rows])
 
 

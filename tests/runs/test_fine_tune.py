@@ -12,7 +12,7 @@ import torch
 
 import marl_mm
 from marl_mm.algorithms.checkpoint import FILE, read_checkpoint
-from marl_mm.algorithms.fine_tune import fared
+from marl_mm.algorithms.fine_tune import online_summary
 from marl_mm.algorithms.matd3_bc import Matd3Bc
 from marl_mm.algorithms.offline_batches import OfflineBatches
 from marl_mm.algorithms.offline_learner import OfflineLearner
@@ -380,13 +380,14 @@ def test_how_a_run_fares() -> None:
     success = [0.8, 0.5, 0.9, 0.96, 0.94]
     rows: list[Any] = [{"success/all": 0.1}]
     rows += [{"env_steps": 10 * i, "success/all": s} for i, s in enumerate(success)]
-    measured = fared(rows)
+    measured = online_summary(rows)
     assert measured["online/dip"] == pytest.approx(0.3)
     assert measured["online/regret"] == pytest.approx(1 - np.mean(success))
     assert "online/steps_to_95" not in measured
-    assert fared(rows[:5])["online/steps_to_95"] == 30
-    assert fared([*rows, rows[4] | {"env_steps": 50}])["online/steps_to_95"] == 50
-    assert fared(rows[4:5])["online/steps_to_95"] == 30
+    assert online_summary(rows[:5])["online/steps_to_95"] == 30
+    later = [*rows, rows[4] | {"env_steps": 50}]
+    assert online_summary(later)["online/steps_to_95"] == 50
+    assert online_summary(rows[4:5])["online/steps_to_95"] == 30
 
 
 @pytest.mark.slow
