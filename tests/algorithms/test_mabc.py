@@ -243,14 +243,17 @@ def test_resume_refuses_another_config(arrays: EpisodeArrays, tmp_path: Path) ->
 def test_resume_refuses_numbers_of_another_type(
     arrays: EpisodeArrays, tmp_path: Path
 ) -> None:
-    """Half of the digits would be gone."""
-    train(Mabc(CONFIG, arrays, JUDGE, [0]), [tmp_path], no_evaluation, 1000)
-    checkpoint = torch.load(tmp_path / FILE, weights_only=True)
+    """Half of the digits would be gone; the seed is named."""
+    runs = [tmp_path / str(seed) for seed in (0, 1)]
+    for run in runs:
+        run.mkdir()
+    train(Mabc(CONFIG, arrays, JUDGE, [0, 1]), runs, no_evaluation, 1000)
+    checkpoint = torch.load(runs[1] / FILE, weights_only=True)
     actor = checkpoint["state"]["actors"]["balance"]
     actor["layers.0.bias"] = actor["layers.0.bias"].half()
-    torch.save(checkpoint, tmp_path / FILE)
-    with pytest.raises(CheckpointError, match=r"layers\.0\.bias has torch\.float16"):
-        resume_seeds(Mabc(CONFIG, arrays, JUDGE, [0]), [tmp_path])
+    torch.save(checkpoint, runs[1] / FILE)
+    with pytest.raises(CheckpointError, match=r"1/checkpoint.*bias has torch\.float16"):
+        resume_seeds(Mabc(CONFIG, arrays, JUDGE, [0, 1]), runs)
 
 
 def test_a_checkpoint_of_another_algorithm_is_named(
