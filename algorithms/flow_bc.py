@@ -72,10 +72,17 @@ class FlowBc(OfflineLearner):
         seeds: Sequence[int],
         device: str = "cpu",
     ) -> None:
-        shares, rate = (config.future, 0.0), config.learning_rate
-        form = Form(noisy=True, flow_steps=config.flow_steps)
-        rest = seeds, device, rate, shares, form
-        super().__init__(config, arrays, judge, *rest, extra=1)
+        super().__init__(
+            config,
+            arrays,
+            judge,
+            seeds,
+            device,
+            rate=config.learning_rate,
+            shares=(config.future, 0.0),
+            form=Form(noisy=True, flow_steps=config.flow_steps),
+            extra=1,
+        )
 
 
 class MaFlowBc(FlowBc):

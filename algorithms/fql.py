@@ -101,6 +101,7 @@ class Fql(CriticLearner):
         form = Form(noisy=True, chunk=chunk)
         extra = 2 * chunk * len(arrays.layout.action) + 1
         super().__init__(config, arrays, judge, seeds, device, form=form, extra=extra)
-        rest = config, seeds, device, chunk
-        self.flow = JointFlow(self.layout, self.normalizer, *rest)
+        self.flow = JointFlow(
+            self.layout, self.normalizer, config, seeds, device, chunk
+        )
         self._parts |= {"flow": self.flow}

@@ -34,9 +34,15 @@ class JointFlow(SeededActors):
         chunk: int = 1,
     ) -> None:
         self._joint = layout.joint
-        form = Form(noisy=True, flow_steps=config.flow_steps, chunk=chunk)
-        rest = config.hidden, config.learning_rate, seeds, device, form
-        super().__init__((self._joint,), normalizer, *rest)
+        super().__init__(
+            (self._joint,),
+            normalizer,
+            config.hidden,
+            config.learning_rate,
+            seeds,
+            device,
+            Form(noisy=True, flow_steps=config.flow_steps, chunk=chunk),
+        )
 
     def imitate(
         self,

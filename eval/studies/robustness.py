@@ -1,9 +1,9 @@
 """What several agents are good for: teams against joint actors under disturbances.
 
 Every algorithm that has both forms, and is tuned in both, is trained in each from the
-same data. Goal by goal it is compared what a form reaches under a disturbance, or with
-an agent of another run, and what that is less than without: a form that reaches few
-goals has few to lose.
+same data. Forms are compared goal by goal: by their success under a disturbance, or beside
+an agent of another run, and by what they lose against the undisturbed run. A form that
+reaches few goals can lose few.
 """
 
 import math
@@ -64,7 +64,7 @@ STUDY = Study(
 )
 """Study whose runs are disturbed."""
 
-_FEWER = {"Bar-v0": 4}
+_GOALS_DIVISOR = {"Bar-v0": 4}
 """What the number of a task's goals is divided by."""
 
 
@@ -95,8 +95,8 @@ class RobustnessOptions(StudyOptions):
 
 
 @dataclass(frozen=True)
-class Actor:
-    """A run of a dataset."""
+class TrainedRun:
+    """A trained run: its setting, seed and weights."""
 
     setting: str
     """Name of the setting."""
@@ -115,10 +115,10 @@ class RobustCell:
     dataset: str
     """Name of the dataset."""
 
-    run: Actor
+    run: TrainedRun
     """The run."""
 
-    partners: tuple[Actor, ...]
+    partners: tuple[TrainedRun, ...]
     """Runs whose agents replace the run's, one agent at a time."""
 
     goals: int
@@ -178,12 +178,12 @@ def cells_of(
     """
     source = RECIPES.get(SOURCES[dataset]).source
     max_steps = fewest_steps(source.task, 4) if options.small else None
-    goals = math.ceil(options.goals / _FEWER.get(source.task, 1))
+    goals = math.ceil(options.goals / _GOALS_DIVISOR.get(source.task, 1))
     goals = 2 if options.small else goals
     overrides = _overrides(source, max_steps)
     listed, _ = conditions(source.task, overrides, _names(options))
     words, seeds = tuple(map(str, listed)), options.seeds_of(STUDY)
-    runs = [Actor(setting, seed) for seed in seeds]
+    runs = [TrainedRun(setting, seed) for seed in seeds]
     of_data = [s for name, s in map(cell_name, STUDY.cells) if name == dataset]
     (form,) = (names for names in SETTINGS if setting in names)
     alike = [name for name in of_data if name in form and name != setting]
@@ -193,7 +193,7 @@ def cells_of(
             run,
             (
                 *(*runs[number + 1 :], *runs[:number]),
-                *(Actor(name, run.seed) for name in alike),
+                *(TrainedRun(name, run.seed) for name in alike),
             ),
             goals,
             words,
@@ -206,7 +206,9 @@ def cells_of(
 def _with_weights(
     options: StudyOptions, path: Path, cells: Sequence[RobustCell]
 ) -> list[RobustCell]:
-    """Cells with the fingerprints of their runs; of those that are gone, of the rows.
+    """Cells with the fingerprints of their runs' weights.
+
+    Where a run is gone, they are those recorded with its rows.
 
     Raises:
         UsageError: If there is neither run nor row.
@@ -214,37 +216,39 @@ def _with_weights(
     record = record_of(path)
     made = read_json(record, MarlMmError).get("cells", []) if record.exists() else []
     made = [cell for cell in made if "partners" in cell]  # which older ones lack
-    actors = [actor for cell in made for actor in (cell["run"], *cell["partners"])]
-    kept = {(each["setting"], each["seed"]): Actor(**each) for each in actors}
+    records = [record for cell in made for record in (cell["run"], *cell["partners"])]
+    kept = {(each["setting"], each["seed"]): TrainedRun(**each) for each in records}
 
-    def weighed(dataset: str, actor: Actor) -> Actor:
-        recorded = kept.get((actor.setting, actor.seed))
-        if recorded and not (_folder(options, dataset, actor) / FILE).exists():
+    def with_fingerprint(dataset: str, run: TrainedRun) -> TrainedRun:
+        recorded = kept.get((run.setting, run.seed))
+        if recorded and not (_folder(options, dataset, run) / FILE).exists():
             return recorded
-        return replace(actor, weights=_run(options, dataset, actor).policy.fingerprint)
+        return replace(run, weights=_run(options, dataset, run).policy.fingerprint)
 
     return [
         replace(
             cell,
-            run=weighed(cell.dataset, cell.run),
-            partners=tuple(weighed(cell.dataset, each) for each in cell.partners),
+            run=with_fingerprint(cell.dataset, cell.run),
+            partners=tuple(
+                with_fingerprint(cell.dataset, partner) for partner in cell.partners
+            ),
         )
         for cell in cells
     ]
 
 
-def _folder(options: StudyOptions, dataset: str, actor: Actor) -> Path:
-    names = dataset, actor.setting
+def _folder(options: StudyOptions, dataset: str, trained: TrainedRun) -> Path:
+    names = dataset, trained.setting
     (cell,) = (cell for cell in STUDY.cells if cell_name(cell) == names)
-    return options.run_folder(cell, actor.seed)
+    return options.run_folder(cell, trained.seed)
 
 
-def _run(options: StudyOptions, dataset: str, actor: Actor) -> Run:
-    run = Run(_folder(options, dataset, actor))
+def _run(options: StudyOptions, dataset: str, trained: TrainedRun) -> Run:
+    run = Run(_folder(options, dataset, trained))
     if not (run.folder / FILE).exists():
         raise UsageError(
             f"{run.folder} is gone, and {options.store.folder} has its evaluations: "
-            f"delete those of {actor.setting}, or bring the run back"
+            f"delete those of {trained.setting}, or bring the run back"
         )
     return run
 
@@ -254,33 +258,44 @@ def run_cell(options: RobustnessOptions, cell: RobustCell) -> list[Row]:
     run = _run(options, cell.dataset, cell.run)
     data = dataset_of(run.config)
     assert data is not None
-    about = cell.label, silent_bar, _names(options), data.arrays.states.std(axis=0)
-    *_, result = robustness(cell.setup, run.policy, *about)
+    *_, result = robustness(
+        cell.setup,
+        run.policy,
+        cell.label,
+        silent_bar,
+        names=_names(options),
+        spread=data.arrays.states.std(axis=0),
+    )
     head = {
         "dataset": cell.dataset,
         "setting": cell.run.setting,
         "engine": result.clean.engine,
         "seed": cell.run.seed,
     }
-    rows = [head | _goal(CLEAN, "", 0, row) for row in result.clean.rows]
+    rows = [head | _goal_row(CLEAN, "", 0, row) for row in result.clean.rows]
     for condition, evaluation in result.disturbed.items():
-        of = condition.disturbance, condition.agent, condition.strength
-        rows += [head | _goal(*of, row) for row in evaluation.rows]
+        name, agent = condition.disturbance, condition.agent
+        strength = condition.strength
+        rows += [
+            head | _goal_row(name, agent, strength, row) for row in evaluation.rows
+        ]
     agents = [agent.name for agent in cell.setup.made.layout.team]
     with cell.setup.rollouts() as rollouts:
         for (number, other), agent in product(enumerate(cell.partners, 1), agents):
             partner = _run(options, cell.dataset, other)
             mixed = Mixed(run.policy, {agent: partner.policy})
             algorithm = partner.config.algorithm
-            own = algorithm == run.config.algorithm  # another seed, by its number
-            why = OTHER_SEED if own else OTHER_ALGORITHM
-            amount = number if own else algorithm
+            same = algorithm == run.config.algorithm  # another seed, by its number
+            kind = OTHER_SEED if same else OTHER_ALGORITHM
+            amount = number if same else algorithm
             evaluation = cell.setup.run(rollouts, mixed)
-            rows += [head | _goal(why, agent, amount, row) for row in evaluation.rows]
+            rows += [
+                head | _goal_row(kind, agent, amount, row) for row in evaluation.rows
+            ]
     return rows
 
 
-def _goal(
+def _goal_row(
     disturbance: str, agent: str, strength: float | str, row: EvaluationRow
 ) -> Row:
     return {
@@ -314,10 +329,15 @@ def make_robustness(options: RobustnessOptions, bar: Bar) -> list[Row]:
         cells = cells_of(options, dataset, setting)
         groups[path] = _with_weights(options, path, cells)
     missing = missing_groups(groups, options.overwrite)
-    every = [cell for cells in missing.values() for cell in cells]
-    folder, run = options.runs_folder / "robustness", partial(run_cell, options)
-    pool = options.workers, (bar, "robustness"), options.executor
-    run_cells(run, every, folder, *pool, missing)
+    run_cells(
+        partial(run_cell, options),
+        [cell for cells in missing.values() for cell in cells],
+        options.runs_folder / "robustness",
+        options.workers,
+        (bar, "robustness"),
+        options.executor,
+        missing,
+    )
     return draw_robustness(options.results, options.results)
 
 
