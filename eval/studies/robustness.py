@@ -1,9 +1,9 @@
 """What several agents are good for: teams against joint actors under disturbances.
 
 Every algorithm that has both forms, and is tuned in both, is trained in each from the
-same data. Forms are compared goal by goal: by their success under a disturbance, or beside
-an agent of another run, and by what they lose against the undisturbed run. A form that
-reaches few goals can lose few.
+same data. Forms are compared goal by goal: by their success under a disturbance, or
+beside an agent of another run, and by what they lose against the undisturbed run. A
+form that reaches few goals can lose few.
 """
 
 import math
