@@ -132,7 +132,7 @@ def test_only_what_is_printed_is_blamed_on_standard_output(
 def test_an_exported_policy_is_whole_or_not_there(
     tmp_path: Path, capsys: Output, form: str
 ) -> None:
-    path = tmp_path / "policy"
+    path = tmp_path / f"policy{'.ts' if form == 'torchscript' else '.onnx'}"
     words = "export", "pretrained", "--format", form, "--out", path
     with room_for(16_000):
         assert refused(capsys, *words) == f"marl-mm: {FULL}: {path}"

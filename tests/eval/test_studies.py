@@ -949,7 +949,7 @@ def test_what_there_is_no_data_for_is_collected_first(
     shutil.rmtree(load_dataset("tiny").location.folder)
     assert main(["collect", "pd", "--steps", "30", "--dataset", "tiny"]) == 0
     assert made.make(tiny).arrays.steps >= 60
-    assert "tiny is not whole" in messages.pop()
+    assert "tiny is not complete" in messages.pop()
     with pytest.raises(OtherConfigError, match=r"seed.*: move or delete"):
         made.make(Source(steps=90, seed=1, name="tiny"))
     shutil.rmtree(load_dataset("tiny").location.folder)
