@@ -115,10 +115,10 @@ def refuse_foreign(
             f"{folder} has no {name} of marl-mm and is not replaced: choose another "
             "name"
         )
-    within = folder.rglob("*")
+    within = folder.rglob("*") if holds else ()
     files = (path for path in within if not (path.is_dir() and any(path.iterdir())))
     for inner in sorted(path.relative_to(folder).as_posix() for path in files):
-        if holds and not any(fnmatch(inner, pattern) for pattern in holds):
+        if not any(fnmatch(inner, pattern) for pattern in holds):
             raise UsageError(
                 f"{folder} holds {inner}, which is not of marl-mm, and is not "
                 "replaced: move that, or choose another name"

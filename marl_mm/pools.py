@@ -141,7 +141,9 @@ def _call(packed: bytes) -> Any:
     try:
         return function(item)
     except Exception as error:
-        raise transferable(error) from None
+        if (sent := transferable(error)) is not error:
+            raise sent from None
+        raise
 
 
 def transferable(error: Exception) -> Exception:

@@ -9,7 +9,8 @@ from marl_mm.collectors.scripted import ScriptedPolicy
 from marl_mm.collectors.varied import VariedConfig, VariedPolicy
 from marl_mm.envs.registry import TASKS
 from marl_mm.envs.task import ScriptConfig
-from marl_mm.errors import UsageError
+from marl_mm.envs.tasks.gate import Gate
+from marl_mm.errors import LayoutError, UsageError
 
 
 def acts(task: str, states: np.ndarray, seed: int = 0, **settings: Any) -> np.ndarray:
@@ -88,6 +89,17 @@ def test_late_and_blind_agents_act_by_less() -> None:
     assert len(set(blind[:, 3].tolist())) == 1
     held = acts(task, states, held_alpha=0.25)
     np.testing.assert_array_equal(held[:, 3], 0.25)
+
+
+@pytest.mark.parametrize("policy", [ScriptedPolicy, VariedPolicy])
+def test_an_expert_that_leaves_out_an_entry_is_named(policy: Any) -> None:
+    task = type("Bare", (Gate,), {"expert": lambda *_: {"delta_x": 1.0}})()
+    actor = policy(VariedConfig(), task)
+    actor.begin(np.random.default_rng(0), task.layout)
+    with pytest.raises(
+        LayoutError, match=r"Bare\.expert returns no delta_y, delta_z, a"
+    ):
+        actor.act(np.zeros(len(task.layout.state)))
 
 
 @pytest.mark.parametrize(

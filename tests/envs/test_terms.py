@@ -1,5 +1,6 @@
 """Reward and success, worked by hand and vectorised."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,9 +9,11 @@ import pytest
 from marl_mm.envs.registry import TASKS, make_task
 from marl_mm.envs.task import Task
 from marl_mm.envs.tasks.gate import Gate
+from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.envs.tasks.reach import Reach
 from marl_mm.envs.terms import goal_distance
-from marl_mm.errors import UsageError
+from marl_mm.errors import LayoutError, UsageError
+from marl_mm.sim.scene import Mark
 
 
 def terms(shape: tuple[int, ...] = (), **values: float) -> dict[str, np.ndarray]:
@@ -163,6 +166,19 @@ def test_a_start_elsewhere_is_where_ways_begin() -> None:
     assert make_task("Gate-v0", {"max_steps": 11, "stand_off": ahead})
     with pytest.raises(UsageError, match=r"is not between the start at 1.4 m"):
         make_task("Gate-v0", {"stand_off": 1.4})
+
+
+def test_a_hand_without_an_alpha_needs_an_act_of_its_own() -> None:
+    hand, _ = REACH.team
+    alone = replace(REACH, action=REACH.action[:3], team=(hand,))
+    with pytest.raises(LayoutError, match="action of Alone has no alpha: its class"):
+        type("Alone", (Reach,), {"layout": alone})()
+
+
+@pytest.mark.parametrize("size", [(), (0.1, 0.1), 0.05])
+def test_marks_have_a_place_and_a_size(size: Any) -> None:
+    with pytest.raises(UsageError, match="expected three numbers, and one or three"):
+        Mark((0.0, 0.0, 0.0), size)
 
 
 def test_halves_need_an_expert() -> None:

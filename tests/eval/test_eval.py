@@ -27,6 +27,7 @@ from marl_mm.eval.video import (
     film_both_ways,
     film_episode,
     film_strip,
+    pictures_of,
     strips_both_ways,
     write_video,
 )
@@ -190,6 +191,10 @@ def test_a_film_has_the_frames_of_the_episode(tmp_path: Path, name: str) -> None
     count, _ = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / name))
     assert count == len(frames)
     assert [path.name for path in tmp_path.iterdir()] == [name]
+    at_half_seconds = pictures_of([*frames[:1]] * 11, 10 * 0.5)  # at 10 frames a second
+    assert [name for name, _ in at_half_seconds] == [
+        f"step {n}" for n in (0, 0, 1, 1, 2)
+    ]
     film_strip(tmp_path / "strip.png", [("pd", [("step 0", frames[0])])])
     assert (tmp_path / "strip.png").exists()
 
