@@ -1,5 +1,6 @@
 """marl-mm collect: episodes of a policy into a Minari dataset."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any
@@ -65,11 +66,11 @@ def main(arguments: Sequence[str]) -> None:
     text = f"{data.location.folder}: {summary['steps']} steps, {_successes(summary)}"
     show(summary, text, command.json)
     if not complete:
-        named = f" --dataset {command.dataset}" if command.dataset else ""
-        elsewhere = f" --task {command.task}" if not named else ""
+        named = command.dataset
+        words = ("--dataset", named) if named else ("--task", command.task)
         raise KeyboardInterrupt(
             "stopped; the dataset holds the episodes until then: go on with marl-mm "
-            f"collect {kind}{named or elsewhere} --resume"
+            f"collect {kind} {shlex.join(words)} --resume"
         )
 
 

@@ -102,12 +102,14 @@ def main(arguments: Sequence[str]) -> None:
         if not start and "--resume" not in arguments:
             refuse_changed_start(repeated)
         commands[word] = _subcommand(word, TUNED, settings_of(repeated))
-    elif "--resume" in arguments and word in commands and not named:
+    elif "--resume" in arguments and word in commands:
         from marl_mm.runs.folder import saved_settings
 
         default = f"runs/{word}-online" if start else f"runs/{word}"
         out = Path(value_of(arguments, "--out", default))
-        commands[word] = _subcommand(word, TUNED, saved_settings(out))
+        saved = saved_settings(out)
+        if named in ("", saved.get("preset")):
+            commands[word] = _subcommand(word, TUNED, saved)
     elif start and word in offline and not named:
         from marl_mm.runs.starts import started_settings
 

@@ -108,7 +108,7 @@ def test_more_updates_go_on_as_if_they_had_been_asked_for_at_once(
     out = ["--out", str(tmp_path / "runs"), "--workers", "1"]
     short = [word if word != "300" else "100" for word in SMALL]
     assert main(["train", *short, *out]) == 0
-    further = ["train", "td3-bc", *out, "--resume", "--updates"]
+    further = ["train", "td3-bc", "--preset", "tuned", *out, "--resume", "--updates"]
     assert main([*further, "300", "--eval-episodes", "2"]) == 0
     run = tmp_path / "runs" / "0"
     assert (run / FILE).read_bytes() == (alone / "0" / FILE).read_bytes()

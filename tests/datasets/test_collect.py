@@ -229,15 +229,15 @@ def test_ctrl_c_leaves_the_episodes_until_then(
     datasets_home: Path, workers: int
 ) -> None:
     """A real interrupt of the real command: a valid dataset, a prefix of the whole."""
-    arguments = ["collect", "pd", "--steps", "100000", "--seed", "2"]
+    place = datasets_home / "of pd"
+    words = "--steps", "100000", "--seed", "2", "--dataset", str(place)
     terminal, stderr = pty.openpty()
     process = subprocess.Popen(
-        [sys.executable, "-m", "marl_mm.cli", *arguments, "--workers", str(workers)],
-        env={
-            **os.environ,
-            "MINARI_DATASETS_PATH": str(datasets_home),
-            "COLUMNS": "120",
-        },
+        [
+            *(sys.executable, "-m", "marl_mm.cli", "collect", "pd"),
+            *(*words, "--workers", str(workers)),
+        ],
+        env={**os.environ, "COLUMNS": "120"},
         stdout=subprocess.DEVNULL,
         stderr=stderr,
         preexec_fn=listen_to_ctrl_c,
@@ -252,7 +252,8 @@ def test_ctrl_c_leaves_the_episodes_until_then(
     assert process.wait(timeout=60) == 130, shown
     assert "Traceback" not in shown
     assert "stopped; the dataset holds the episodes until then" in shown
-    dataset = load_dataset("marl_mm/reach/pd-v0")
+    assert f"collect pd --dataset '{place}' --resume" in shown
+    dataset = load_dataset(place)
     assert dataset.metadata["marl_mm"]["complete"] is False
     assert dataset.metadata["total_episodes"] == len(dataset.episodes) > 0
     task = make_task("Reach-v0", {"max_steps": 50})
