@@ -39,9 +39,9 @@ ALGORITHMS.add(
         about="Best-of-n students: agents clone the best of n samples of a joint flow.",
         source="ours",
         advice="Use it where the data mix several ways of a team and rewards tell them "
-        "apart, be it a little. Where all of the data are good, the best of n follows "
-        "the critics' errors: clone. An update takes several times as long as IQL's; "
-        "acting is as fast as MABC.",
+        "apart, be it a little. Where all of the data are good and of one way, the "
+        "best of n follows the critics' errors: clone. An update takes two to three "
+        "times as long as IQL's; acting is as fast as MABC.",
         learner=Imported("marl_mm.algorithms.best_of_n:BestOfN"),
         presets=presets_of("best-of-n", BestOfNConfig()),
     ),

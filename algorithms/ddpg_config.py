@@ -178,7 +178,7 @@ ALGORITHMS.add(
         source="Andrychowicz 2017",
         advice="Without data, where one actor may see everything and chance comes to "
         "goals of some kind: it comes to 95 % of those of `Reach-v0` in about a "
-        "hundred episodes. With its presets it grasps nothing.",
+        "hundred episodes. With its preset it grasps nothing.",
         departs="As DDPG: of its numbers only the shorter warm-up counts. Inputs are "
         "scaled by the goals that were set, in the source by exchanged ones, too. "
         "Along an axis where what is reached is more than 20 of their deviations away, "

@@ -28,9 +28,9 @@ ALGORITHMS.add(
         about="Flow-matching cloning: a joint actor that draws among the data's ways.",
         source="Lipman 2023",
         advice="Where the data show several ways of which a mean is none, as with two "
-        "conventions of a team, and one actor may see everything. From data of one way "
-        "take BC, whose action takes one pass of the network in place of ten. Flow "
-        "BC imitates failures as well.",
+        "conventions of a team, and one actor may see everything; it takes many "
+        "updates. From data of one way take BC, whose action takes one pass of the "
+        "network in place of ten. Flow BC imitates failures as well.",
         departs="The source makes images; cloning by it, with ten Euler steps, is as "
         "in Park 2025. Actions end at their bounds.",
         learner=Imported("marl_mm.algorithms.flow_bc:FlowBc"),

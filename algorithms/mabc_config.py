@@ -23,9 +23,8 @@ ALGORITHMS.add(
         loss="MSE(a, pi(s))",
         about="Behaviour cloning with one actor that sees and sets everything.",
         source="paper, Sec. 4.4",
-        advice="The joint counterpart of MABC, which reaches more on both datasets of "
-        "the benchmark though its agents see less. Both aim at the mean where the data "
-        "show several ways.",
+        advice="The joint counterpart of MABC; which of the two reaches more depends "
+        "on the data. Both aim at the mean where the data show several ways.",
         departs="The paper clones with an actor for each agent only.",
         learner=Imported("marl_mm.algorithms.mabc:Bc"),
         presets=presets_of("bc", MabcConfig()),

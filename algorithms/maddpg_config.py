@@ -46,8 +46,8 @@ ALGORITHMS.add(
         about="MADDPG that replays most steps with goals reached later (HER).",
         source="Lowe 2017; Andrychowicz 2017",
         advice="Without data, where agents act on their own observations: on "
-        "`Reach-v0` it needs hardly more episodes than DDPG + HER, and its alpha is "
-        "worth as much. On grasping it was not tried.",
+        "`Reach-v0` it needs hardly more episodes than DDPG + HER, and on "
+        "`SmoothReach-v0` its alpha is worth as much. On grasping it was not tried.",
         departs="The agents share one reward, hence one critic, of which the source "
         "has one for each agent. Otherwise as DDPG + HER.",
         learner=Imported("marl_mm.algorithms.maddpg:Maddpg"),

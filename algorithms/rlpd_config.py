@@ -45,7 +45,8 @@ ALGORITHMS.add(
         about="RLPD: learns online with a dataset at hand, by one actor that sees all.",
         source="Ball 2023",
         advice="To compare a start from nothing, with the data at hand: going on from "
-        "MATD3+BC did better on all three datasets of the fine-tuning study. Say "
+        "MATD3+BC reached more on all three datasets of the fine-tuning study, on two "
+        "of them with intervals apart. Say "
         "`online_steps`; without own episodes it imitates nothing and fails.",
         departs=_DEPARTS,
         learner=Imported("marl_mm.algorithms.rlpd:Rlpd"),

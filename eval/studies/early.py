@@ -30,7 +30,7 @@ UPDATES = 5_000
 
 DATASETS = (
     *("quiet-zone-narrow", "quiet-zone-stitch"),
-    *("gate-expert", "gate-stitch", "bar-conventions"),
+    *("gate-expert", "gate-stitch", "bar-conventions", "moving-reach-explore"),
 )
 """Names of their recipes."""
 
