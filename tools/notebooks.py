@@ -41,6 +41,7 @@ def small_code(code: str) -> str:
     for name, steps in (("train", 4), ("play", 2)):
         call = rf"(marl_mm\.{name}\({inside}),?\s*\)"
         code = re.sub(call, rf"\g<1>, max_steps={steps})", code)
+    code = re.sub(r'("curve_goals": \d+)', r'\g<1>, "max_steps": 4', code)
     return re.sub(r"(\b[a-z]+-[a-z]+:)\d+", rf"\g<1>{SMALL['steps']}", code)
 
 

@@ -25,7 +25,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
 
 FEW = ["--eval-episodes", "2", "--curve-episodes", "1", "--workers", "1"]
 SMALL = [*FEW, "--updates", "20", "--curve-every", "20", "--hidden", "8"]
-SMALL += ["--max-steps", "2"]
+SMALL += ["--max-steps", "2", "--engine", "mujoco"]  # the faster one
 
 
 pytestmark = pytest.mark.usefixtures("registries")
@@ -207,7 +207,7 @@ def test_two_layouts_of_equal_width_never_pass_for_each_other(
     for task in ("TimedReach-v0", "PacedReach-v0"):
         data[task] = str(tmp_path / f"{task[:-3]}-v0")
         words: list[object] = ["collect", "pd", "--task", task, "--steps", "8"]
-        words += ["--dataset", data[task]]
+        words += ["--dataset", data[task], "--engine", "mujoco"]
         assert run(*words, "--workers", 1, *own) == 0
     train = ["train", "mabc", "--dataset", data["TimedReach-v0"], *SMALL, *own]
     assert run(*train, "--out", tmp_path / "run") == 0

@@ -28,7 +28,7 @@ LIBRARIES = (
 BLOCK = re.compile(r"^```(python|bash)(?: title=\"(.*?)\")?\n(.*?)^```$", re.M | re.S)
 
 SMALL = {
-    "steps": "60",
+    "steps": "20",
     "episodes": "2",
     "updates": "60",
     "max_steps": "2",
@@ -42,7 +42,7 @@ FEW = {
     "eval": "--max-steps 2 --workers 1",
     "play": "--max-steps 2 --fps 2",
     "ablate": "--workers 1",
-    "bench": "--turns 1 --steps 2 --vector 2",
+    "bench": "--turns 1 --steps 1 --vector 2 --workers 1",
     "submit": "--episodes 2 --workers 1",
     "verify": "--workers 1",
 }

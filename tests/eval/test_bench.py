@@ -17,7 +17,7 @@ from marl_mm.datasets.shipped import shipped_arrays
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import MarlMmError, UsageError
 from marl_mm.eval.bench import data as storing
-from marl_mm.eval.bench import learning, online, side_by_side, train
+from marl_mm.eval.bench import learning, offline, online, side_by_side, train
 from marl_mm.eval.bench.abuse import abuse
 from marl_mm.eval.bench.acting import bench_acting
 from marl_mm.eval.bench.control import bench_control
@@ -58,7 +58,7 @@ def test_parts_of_a_tick_belong_together() -> None:
 @pytest.mark.slow
 def test_engines_are_timed_in_turns() -> None:
     engines: tuple[Engine, ...] = ("bullet", "mujoco")
-    result = bench_env("Reach-v0", engines, 1, 3, 0, 2, 2, silent_bar)
+    result = bench_env("Reach-v0", engines, 1, 1, 0, 2, 2, silent_bar)
     loop = "mujoco, loop in Python"
     for label in ("random alpha", "alpha 1"):
         speeds = result[f"{label}: steps/s"]
@@ -239,15 +239,16 @@ def test_storage_is_timed_with_a_cache_of_its_own(
 def test_bench_seeds_runs_the_command(
     monkeypatch: pytest.MonkeyPatch, datasets_home: Path
 ) -> None:
+    monkeypatch.setattr(offline, "SHIPPED", "quiet-zone-noisy")  # on the faster engine
     counts: list[int] = []
-    result = bench_seeds(100, 2, 1, lambda done, note: counts.append(done))
+    result = bench_seeds(20, 2, 1, lambda done, note: counts.append(done))
     assert counts == [1, 2]
     assert min(result["one_memory_mib"], result["several_memory_mib"]) > 100
     expected = result["several_s"] / result["one_s"]
     assert result["cost_over_one"] == pytest.approx(expected)
     monkeypatch.setenv("MINARI_DATASETS_PATH", "/proc/nowhere")
     with pytest.raises(MarlMmError, match=r"train td3-bc .* failed: marl-mm: "):
-        bench_seeds(100, 2, 1)
+        bench_seeds(20, 2, 1)
 
 
 def test_side_by_side_counts_all_seeds(monkeypatch: pytest.MonkeyPatch) -> None:

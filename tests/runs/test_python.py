@@ -32,6 +32,7 @@ FEW: dict[str, Any] = {
     "eval_episodes": 2,
     "curve_episodes": 2,
     "max_steps": 2,
+    "engine": "mujoco",  # the faster one
 }
 ONLINE = FEW | {"episodes": 4, "warm_up": 4, "epoch": 2, "updates_per_episode": 2}
 del ONLINE["updates"]
@@ -195,7 +196,8 @@ def test_what_was_stopped_goes_on_with_what_it_began_with(
     weights = [(out / "5" / "checkpoint.pt").read_bytes() for out in (part, whole)]
     assert weights[0] == weights[1]
 
-    short = marl_mm.collect("pd", dataset=tmp_path / "d", steps=8, seed=4, alpha=0.5)
+    began: dict[str, Any] = {"seed": 4, "alpha": 0.5, "engine": "mujoco"}
+    short = marl_mm.collect("pd", dataset=tmp_path / "d", steps=8, **began)
     longer = marl_mm.collect("pd", dataset=tmp_path / "d", steps=30, resume=True)
     assert longer.provenance.seed == 4
     first = short.arrays.steps
@@ -211,11 +213,12 @@ def test_an_interrupted_collection_is_a_valid_dataset(tmp_path: Path) -> None:
 
         return advance
 
+    more: dict[str, Any] = {"steps": 30, "engine": "mujoco"}
     with pytest.raises(KeyboardInterrupt, match="resume=True"):
-        marl_mm.collect("pd", dataset=tmp_path / "d", steps=30, progress=bar)
+        marl_mm.collect("pd", dataset=tmp_path / "d", progress=bar, **more)
     assert main(["datasets", "verify", str(tmp_path / "d")]) == 0
-    whole = marl_mm.collect("pd", dataset=tmp_path / "d", steps=30, resume=True)
-    uninterrupted = marl_mm.collect("pd", dataset=tmp_path / "e", steps=30)
+    whole = marl_mm.collect("pd", dataset=tmp_path / "d", resume=True, **more)
+    uninterrupted = marl_mm.collect("pd", dataset=tmp_path / "e", **more)
     assert whole.fingerprint == uninterrupted.fingerprint
 
 
@@ -282,9 +285,10 @@ def test_a_run_is_repeated_from_its_record(
         repeat(run, out=tmp_path / "n", preset="paper")
     with pytest.raises(UsageError, match="`out` is '', expected a folder"):
         repeat(run.folder, out="")
-    marl_mm.collect("pd", dataset=tmp_path / "d", steps=8)
+    eight: dict[str, Any] = {"dataset": tmp_path / "d", "steps": 8, "engine": "mujoco"}
+    marl_mm.collect("pd", **eight)
     (own,) = marl_mm.train("mabc", tmp_path / "d", out=tmp_path / "e", **FEW)
-    marl_mm.collect("pd", dataset=tmp_path / "d", steps=8, seed=1, overwrite=True)
+    marl_mm.collect("pd", seed=1, overwrite=True, **eight)
     with pytest.raises(UsageError, match="the run learnt from"):
         repeat(own.config, out=tmp_path / "f")
     capfd.readouterr()

@@ -129,7 +129,7 @@ def test_a_study_takes_the_datasets_that_ship() -> None:
 
 
 def test_a_card_names_the_agent_that_acted(datasets_home: Path, tmp_path: Path) -> None:
-    few: dict[str, Any] = {"steps": 20, "max_steps": 8}
+    few: dict[str, Any] = {"steps": 20, "max_steps": 8, "engine": "mujoco"}
     data = marl_mm.collect("pretrained", dataset="marl_mm/reach/few-v0", **few)
     card = keep_card(data)
     assert card["made_of"]["weights"] == data.provenance.weights
