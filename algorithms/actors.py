@@ -157,8 +157,12 @@ def _hidden_and_form(
     agent: AgentLayout, state: Mapping[str, torch.Tensor]
 ) -> tuple[list[int], Form]:
     """Units of an actor's hidden layers, and its form, from its state."""
-    weights = [v for k, v in state.items() if k.startswith("layers.") and v.dim() == 2]
-    *hidden, outputs = (weight.shape[0] for weight in weights)
+    weights = {
+        int(key.split(".")[1]): value  # files have names in the order of the alphabet
+        for key, value in state.items()
+        if key.startswith("layers.") and value.dim() == 2
+    }
+    *hidden, outputs = (weights[number].shape[0] for number in sorted(weights))
     steps = int(state.get("flow_steps", torch.tensor(0)))
     if not 0 <= steps <= MOST_FLOW_STEPS:
         raise ValueError(f"flow_steps {steps} of {agent.name}")

@@ -2,9 +2,10 @@
 
 As CFCQL and CQL, see ``cfcql``, but in the conservative term the value of an action
 near the policy's counts as max(Q_j(s, u), V(s)), where V(s) is the discounted return of
-the episode from that step on. So the term does not push values below the data's
-returns, and the first episodes online do not have to correct them. The return of an
-episode that was cut off is not known, and bounds nothing.
+the episode from that step on. So the term does not push values of what the
+policy does below the data's returns, and the first episodes online do not have to
+correct them; values of uniform actions have no bound, as in the source. The return of
+an episode that was cut off is not known, and bounds nothing.
 """
 
 from typing import ClassVar

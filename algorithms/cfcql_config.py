@@ -15,9 +15,9 @@ class CfcqlConfig(Td3Config):
     """Hyper-parameters: the source's code's where it names them."""
 
     conservatism: float = 5.0
-    """Weight of the conservative term, alpha, for values of about 10; 0.5 to 5 in the
-    source's code, by dataset. Where it outweighs the rewards, each way of the data is a
-    peak that actors do not leave."""
+    """Weight of the conservative term, alpha, for values of about 10; by dataset 0.1 to
+    5 in CFCQL's code and 0.5 to 5 in OMAR's. Where it outweighs the rewards, each way
+    of the data is a peak that actors do not leave."""
 
     penalized: int = 64
     """Number of a batch's transitions that the conservative term is of, at most the
@@ -25,7 +25,8 @@ class CfcqlConfig(Td3Config):
 
     samples: int = 5
     """Actions of each kind, uniform and near the policy's, that the conservative term
-    draws for each transition and agent; 10 of each of three kinds in the source."""
+    draws for each transition and agent; 10 of each of three kinds in CFCQL's and OMAR's
+    code for robots, 10 uniform ones in that for particles."""
 
     sample_noise: float = 0.2
     """Standard deviation of actions drawn near the policy's, in halves of their
@@ -36,8 +37,8 @@ class CfcqlConfig(Td3Config):
     term, tau; 0: all shares are the same. A single agent has all of it."""
 
     others: Literal["data", "policy"] = "policy"
-    """Other agents' action in an actor's loss: the dataset's, as in the source's code,
-    or the one that their policy takes now. A single agent has no others."""
+    """Other agents' action in an actor's loss: the dataset's, as in CFCQL's code, or
+    the one that their policy takes now. A single agent has no others."""
 
     action_penalty: float = 1e-3
     """Weight of the mean square of the action in the actors' loss."""

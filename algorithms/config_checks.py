@@ -13,13 +13,17 @@ Precision = Literal["auto", "highest", "medium"]
 LARGEST = 1_000_000_000
 """Largest whole number that a setting can be: beyond it there is no end."""
 
-LARGEST_BATCH = 1_000_000
-"""Largest number of transitions in a batch."""
+LARGEST_BATCH = 100_000
+"""Largest number of transitions in a batch; 40 batches are drawn at once."""
 
 MOST_FLOW_STEPS = 1_000
 """Largest number of Euler steps of a flow."""
 
-_LARGEST = {"batch_size": LARGEST_BATCH, "flow_steps": MOST_FLOW_STEPS}
+_LARGEST = {
+    "batch_size": LARGEST_BATCH,
+    "flow_steps": MOST_FLOW_STEPS,
+    **dict.fromkeys(("samples", "candidates", "rounds", "critics"), 1_000),
+}
 """Largest numbers of settings for which ``LARGEST`` is too many."""
 
 MOST_WEIGHTS = 100_000_000
@@ -35,7 +39,7 @@ def check_ranges(
 ) -> None:
     """Raise for the first field outside of its range, or hidden layers of no width.
 
-    Batches and hidden layers are of a size that memory can hold. Arguments are those of
+    Batches and hidden layers have largest sizes. Arguments are those of
     ``check_numbers``, of a dataclass that has ``hidden`` as well.
 
     Raises:
@@ -78,10 +82,12 @@ def check_numbers(
             raise UsageError(f"{name} is {value}, expected at most {most:,}")
     for name in positive:
         if not 0 < getattr(config, name) < math.inf:
-            raise UsageError(f"{name} is {getattr(config, name)}, expected > 0")
+            raise UsageError(f"{name} is {getattr(config, name)}, expected > 0, finite")
     for name in not_negative:
         if not 0 <= getattr(config, name) < math.inf:
-            raise UsageError(f"{name} is {getattr(config, name)}, expected >= 0")
+            raise UsageError(
+                f"{name} is {getattr(config, name)}, expected >= 0, finite"
+            )
     for name in shares:
         if not 0 <= getattr(config, name) <= 1:
             raise UsageError(f"{name} is {getattr(config, name)}, expected 0 to 1")

@@ -151,7 +151,7 @@ class Ddpg:
         self._reached: RunningStatistics | None = None
         if config.hindsight:
             self._reached = RunningStatistics(len(layout.desired), config.std_floor)
-        with torch.random.fork_rng():
+        with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.critic = Critic(
                 Normalizer.blank(len(layout.state)),

@@ -23,8 +23,9 @@ def imitation_errors(
     """Mean square difference to actions of the data by entry, and saturation.
 
     Args:
-        now: The actors' actions in [-1, 1], shape (S, n, k).
-        action: Actions of the data in [-1, 1], shape (S, n, k).
+        now: The actors' actions in [-1, 1], shape (S, n, k), or (S, n, h k) of chunks,
+            whose first action the errors are of.
+        action: Actions of the data in [-1, 1], likewise.
         layout: Layout of the actions.
     """
     errors = (now - action).square().mean(dim=1)

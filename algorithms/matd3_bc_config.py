@@ -14,7 +14,7 @@ class Matd3BcConfig(Td3BcConfig):
 
     critics: Literal["shared", "own"] = "shared"
     """Whether each agent has a pair of critics of its own, as in the source: they learn
-    from the same reward."""
+    from the same reward. Ours see the joint state and action."""
 
     others: Literal["data", "policy"] = "policy"
     """Other agents' action in an actor's loss: the dataset's (as in Lowe 2017), or the
@@ -32,9 +32,10 @@ ALGORITHMS.add(
         "for long tasks with a grasp, where MABC does far better; where the data show "
         "several conventions, it imitates their mean.",
         departs="As TD3+BC; and as the agents share one reward, they share one pair "
-        "of critics.",
+        "of critics, of the joint state and action: in the source's code each agent's "
+        "are of its own observation and action.",
         learner=Imported("marl_mm.algorithms.matd3_bc:Matd3Bc"),
         presets=presets_of("matd3-bc", Matd3BcConfig())
-        | {PAPER: Matd3BcConfig(**TABLE_3, critics="own", others="data")},  # Pan 2022
+        | {PAPER: Matd3BcConfig(**TABLE_3, critics="own", others="data")},
     ),
 )

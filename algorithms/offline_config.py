@@ -53,7 +53,8 @@ class CriticConfig(CloningConfig):
     """Discount of rewards per step, gamma."""
 
     target_rate: float = 0.005
-    """Rate of the target networks per update, tau."""
+    """Share of the networks that goes into their targets, tau: at each update, or at
+    each of the actors where these have a policy_delay."""
 
     elsewhere: float = 0.0
     """Share of transitions relabelled with the goal of any other step. They are not
@@ -82,7 +83,7 @@ class Td3Config(CriticConfig):
     """Hyper-parameters of algorithms that learn as TD3 does."""
 
     policy_delay: int = 2
-    """Updates of the critics per update of the actors (Fujimoto 2018)."""
+    """Updates of the critics per update of actors and targets (Fujimoto 2018)."""
 
     target_noise: float = 0.2
     """Standard deviation of the noise on the target's action, in halves of its

@@ -102,7 +102,8 @@ class LearnedPolicy:
         """Each agent's action at its own observation, as PettingZoo wants them.
 
         Raises:
-            UsageError: If one joint actor sees and sets everything.
+            UsageError: If one joint actor sees and sets everything, there is no such
+                agent, or an observation has another shape.
         """
         if JOINT_NAME in self.agents:
             raise UsageError(
@@ -111,6 +112,13 @@ class LearnedPolicy:
                 "policy.act of its state(), and its layout"
             )
         own = self.agents
+        for name, observation in observations.items():
+            if name not in own:
+                raise UsageError(
+                    f"{self.name} has no agent {name!r}, expected {', '.join(own)}"
+                )
+            width = len(own[name].layout.observation)
+            _check_shape(f"observation of {name}", observation, width)
         return {name: self._next(own[name], o) for name, o in observations.items()}
 
 
@@ -119,10 +127,19 @@ def joint_state(
 ) -> np.ndarray:
     """Joint state, shape (n,), from either form of observation."""
     if isinstance(observation, Mapping):
-        return layout.state_of(observation["observation"], observation["desired_goal"])
+        goal = len(layout.desired)
+        widths = {"observation": len(layout.state) - goal, "desired_goal": goal}
+        for name, width in widths.items():
+            _check_shape(name, observation.get(name), width)
+        return layout.state_of(*(np.asarray(observation[name]) for name in widths))
     state = np.asarray(observation)
     layout.check_state(state)
     return state
+
+
+def _check_shape(name: str, value: Any, width: int) -> None:
+    if np.shape(value) != (width,):
+        raise UsageError(f"{name} has shape {np.shape(value)}, expected ({width},)")
 
 
 def load_policy(path: str | Path) -> LearnedPolicy:

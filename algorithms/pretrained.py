@@ -92,9 +92,10 @@ def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
     Raises:
         CheckpointError: If its files are missing or damaged.
     """
+    shipped = folder.resolve() == FOLDER.resolve()
     try:
         config = read_json(folder / "config.json", CheckpointError, _CONFIG_BYTES)
-        expected = config.get("weights_sha256", _SHIPPED if folder == FOLDER else None)
+        expected = config.get("weights_sha256", _SHIPPED if shipped else None)
         check_regular(folder / WEIGHTS, CheckpointError, _WEIGHTS_BYTES)
         digest = file_digest(folder / WEIGHTS, CheckpointError)
         _check_header(folder / WEIGHTS)
@@ -115,7 +116,7 @@ def load_pretrained(folder: Path = FOLDER) -> LearnedPolicy:
     except (*DAMAGE, OSError, SafetensorError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise CheckpointError(f"{folder} is damaged ({reason:.80})") from error
-    if folder == FOLDER:
+    if shipped:
         return LearnedPolicy(NAME, agents, layout, NAME)
     name = str(config.get("algorithm", folder.name))
     return LearnedPolicy(name, agents, layout, str(folder))
@@ -130,5 +131,5 @@ def _check_header(path: Path) -> None:
         size = int.from_bytes(file.read(8), "little")
     if size > _HEADER_BYTES:
         raise ValueError(
-            f"{WEIGHTS} has a header of {size:,} bytes, expected {_HEADER_BYTES:,}"
+            f"{WEIGHTS} has a header of {size:,} bytes, over {_HEADER_BYTES:,}"
         )

@@ -33,8 +33,11 @@ METRICS_BYTES = 100_000_000
 _LINE_BYTES = 100_000
 """Largest size of a row [bytes]."""
 
-_ROWS, _VALUES, _NAMES = 100_000, 1_500_000, 1_000
-"""Largest numbers of rows, of values and of their names in the record."""
+MOST_ROWS = 100_000
+"""Largest number of rows in the record."""
+
+_VALUES, _NAMES = 1_500_000, 1_000
+"""Largest numbers of values and of their names in the record."""
 
 CurvePoint = TypedDict(
     "CurvePoint",
@@ -140,10 +143,11 @@ def read_metrics(run: Path, clock: str | None = None) -> list[Row]:
         values += len(row)
         names |= row.keys()
         empty = not row or (clock is not None and clock not in row)
-        if empty or len(rows) > _ROWS or values > _VALUES or len(names) > _NAMES:
+        if empty or len(rows) > MOST_ROWS or values > _VALUES or len(names) > _NAMES:
             raise CheckpointError(
                 f"{path} is damaged: it has a row without {clock or 'values'}, or more "
-                f"than {_ROWS:,} rows, {_VALUES:,} values or {_NAMES:,} names of them"
+                f"than {MOST_ROWS:,} rows, {_VALUES:,} values or {_NAMES:,} names of "
+                "them"
             )
     return rows
 

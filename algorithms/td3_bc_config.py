@@ -34,7 +34,8 @@ class Td3BcConfig:
     """Discount per step, gamma (Table 3)."""
 
     target_rate: float = 0.005
-    """Share of the networks that goes into their targets per update, tau (Table 3)."""
+    """Share of the networks that goes into their targets at each update of the actor,
+    tau (Table 3)."""
 
     q_weight: float = 0.5
     """Weight of the value against imitation, c; 2.5 in Fujimoto & Gu 2021."""
@@ -43,7 +44,7 @@ class Td3BcConfig:
     """Weight c at the last update, reached in a straight line; by default c stays."""
 
     policy_delay: int = 2
-    """Updates of the critics per update of the actor (Fujimoto 2018)."""
+    """Updates of the critics per update of actor and targets (Fujimoto 2018)."""
 
     target_noise: float = 0.2
     """Standard deviation of the noise on the target's action, in halves of its

@@ -68,7 +68,7 @@ def scores(
         for end in ("low", "high")
     )
     states = torch.as_tensor(arrays.states, dtype=torch.float32)
-    with torch.random.fork_rng():
+    with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         by_policy = (_actions(policy, states) - low) / (high - low) * 2 - 1
         has_action = torch.as_tensor(~arrays.is_last_state())

@@ -9,7 +9,8 @@ from marl_mm.algorithms.fine_tuning import FineTuning
 from marl_mm.algorithms.offline_batches import refuse_missing_terms, refuse_odd_values
 from marl_mm.algorithms.online import is_flat
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
-from marl_mm.algorithms.runlog import read_metrics
+from marl_mm.algorithms.runlog import METRICS, MOST_ROWS, read_metrics
+from marl_mm.algorithms.train import LOG_EVERY
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import DatasetError, UsageError
@@ -80,7 +81,14 @@ def check_training(
 def _check_offline(training: Offline, dataset: Dataset, fresh: bool) -> None:
     check_positive(curve_every=training.curve_every)
     online_steps = training.fine_tuning.online_steps
-    if training.config.updates + online_steps == 0:
+    updates = training.config.updates
+    rows = updates // LOG_EVERY + updates // training.curve_every
+    if rows > MOST_ROWS:
+        raise UsageError(
+            f"`updates` is {updates:,} and `curve_every` {training.curve_every:,}, "
+            f"which make {rows:,} rows of {METRICS}, expected at most {MOST_ROWS:,}"
+        )
+    if updates + online_steps == 0:
         raise UsageError(
             f"`updates` is 0 and `online_steps` too, expected one of them > 0: "
             f"{training.algorithm} has nothing to learn from otherwise"

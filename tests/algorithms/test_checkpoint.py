@@ -9,16 +9,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
 from marl_mm.algorithms import pretrained
 from marl_mm.algorithms.actors import blank_actor
 from marl_mm.algorithms.checkpoint import FILE, check_types
-from marl_mm.algorithms.policy import load_policy
+from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.archives import PICKLE_BYTES
 from marl_mm.envs.registry import make_task
-from marl_mm.errors import CheckpointError
+from marl_mm.errors import CheckpointError, UsageError
 
 REACH = make_task("Reach-v0").layout
 
@@ -137,6 +138,37 @@ def test_tensors_of_other_types_are_found_in_lists_too() -> None:
     other = {"seeds": [states["seeds"][0], {"critic": torch.ones(2).double()}]}
     with pytest.raises(ValueError, match=r"critic has torch.float64, expected"):
         check_types(other, states)
+
+
+def test_deep_actors_are_read_back_from_a_submission(tmp_path: Path) -> None:
+    """Files have layers.10 before layers.2."""
+    agents = {agent.name: blank_actor(agent, (4, 5) * 6) for agent in REACH.agents}
+    states = {name: agent.actor.state_dict() for name, agent in agents.items()}
+    checkpoint = {"state": {"actors": states}, "layout": REACH}
+    pretrained.write_actors(tmp_path, checkpoint, {"algorithm": "mabc"})
+    policy = load_policy(tmp_path)
+    assert policy.name == "mabc"
+    for name, state in states.items():
+        check_types(policy.agents[name].actor.state_dict(), state)
+
+
+def test_observations_of_other_shapes_are_refused() -> None:
+    agents = {agent.name: blank_actor(agent, (4,)) for agent in REACH.agents}
+    policy = LearnedPolicy("mabc", agents, REACH)
+    goal_env = {"observation": np.zeros(7), "desired_goal": np.zeros(1)}
+    with pytest.raises(UsageError, match=r"desired_goal has shape \(1,\), expec"):
+        policy.act(goal_env)
+    with pytest.raises(UsageError, match="observation has shape"):
+        policy.act({"desired_goal": np.zeros(3)})
+    with pytest.raises(UsageError, match="no agent 'hand', expected end_effector, bal"):
+        policy.act_agents({"hand": np.zeros(9)})
+    with pytest.raises(UsageError, match=r"of balance has shape \(3,\), expected"):
+        policy.act_agents({"balance": np.zeros(3)})
+
+
+def test_the_shipped_agent_is_known_by_any_path_to_it() -> None:
+    for folder in (pretrained.FOLDER, pretrained.FOLDER.resolve()):
+        assert load_policy(folder).name == "pretrained"
 
 
 def test_shipped_policies_with_huge_records_are_refused(tmp_path: Path) -> None:

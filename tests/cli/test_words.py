@@ -24,7 +24,7 @@ Output = pytest.CaptureFixture[str]
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((*MABC, "--batch-size", "99999999999"), "at most 1,000,000"),
+        ((*MABC, "--batch-size", "99999999999"), "at most 100,000"),
         ((*MABC, "--updates", "99999999999"), "at most 1,000,000,000"),
         ((*MABC, "--hidden", "1000000", "1000000"), "at most 100,000,000 weights"),
         ((*MABC, "--seeds", "99999999999999999999"), "expected below"),
@@ -77,7 +77,7 @@ def test_python_is_told_the_same(tmp_path: Path) -> None:
 @pytest.mark.parametrize("config", [MabcConfig, Td3BcConfig, DdpgConfig])
 def test_sizes_have_bounds(config: type[MabcConfig]) -> None:
     config(batch_size=LARGEST_BATCH, hidden=(10_000, 9_000))
-    with pytest.raises(UsageError, match="batch_size is 1000001, expected at most"):
+    with pytest.raises(UsageError, match="batch_size is 100001, expected at most"):
         config(batch_size=LARGEST_BATCH + 1)
     with pytest.raises(UsageError, match=r"hidden is \(10001, 10000\)"):
         config(hidden=(10_001, 10_000))
