@@ -18,6 +18,7 @@ from marl_mm.errors import DatasetError, UsageError
 from marl_mm.files import home, new_file
 from marl_mm.layout import Layout
 from marl_mm.received import check_regular
+from marl_mm.temporary import remove_left
 
 FOLDER_VARIABLE = "MARL_MM_CACHE"
 """Environment variable with the folder of the cache."""
@@ -31,6 +32,10 @@ _SIZE = 5.0
 _FORM = 2
 """Version of the entries, and of the checks before they are stored; those of other
 versions are not found."""
+
+
+_PART = ".part.npz"
+"""Ending of an entry that is being written."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +87,11 @@ def entries() -> list[Entry]:
 
 
 def clear() -> None:
-    """Delete all entries; other files are left alone."""
+    """Delete all entries, and what killed processes left of some."""
     for entry in entries():
         entry.path.unlink(missing_ok=True)
+    for path in cache_folder().glob(f".*{_PART}"):
+        remove_left(path.parent, path.name[1:].split(".")[0], _PART)
 
 
 @dataclass(frozen=True)

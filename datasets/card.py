@@ -25,6 +25,9 @@ _BINS = 10
 _CELL = 0.1
 """Edge of the cells that coverage counts [m]."""
 
+SUMS = "SHA256SUMS"
+"""File with the sums of an exported folder's files."""
+
 LATER = {"made_of", "data_sha256", "engine"}
 """Keys that cards of version 1 lack, or some of them."""
 
@@ -109,11 +112,14 @@ def coverage(arrays: EpisodeArrays) -> dict[str, float]:
 def keep_card(dataset: "Dataset") -> dict[str, Any]:
     """Write a dataset's card into its folder as JSON, Markdown and figure; return it.
 
-    Without room or permission, nothing is written.
+    Without room or permission, and to a folder with sums of its files, nothing is
+    written.
     """
     values = card(dataset)
     kept = _without_path(values)
     folder = dataset.location.folder
+    if (folder / SUMS).exists():  # of an export
+        return values
     path = folder / "card.json"
     if all((folder / f"card.{kind}").exists() for kind in ("json", "md", "png")):
         with suppress(DatasetError):

@@ -17,6 +17,7 @@ from marl_mm.datasets.storage import refuse_foreign
 from marl_mm.errors import MarlMmError, UnknownDatasetError, UsageError
 from marl_mm.files import only_here
 from marl_mm.sim.config import RECORDED_ENGINE
+from marl_mm.temporary import remove
 
 _BEGUN = "being collected, or stopped: go on with `marl_mm.collect(..., resume=True)`"
 
@@ -87,5 +88,8 @@ def delete(location: Location) -> None:
         if location.folder.is_symlink():
             location.folder.unlink()
         elif location.folder.exists():
-            shutil.rmtree(location.folder)
+            for path in location.folder.iterdir():
+                if path != location.data:
+                    remove(path)
+            shutil.rmtree(location.folder)  # by its data it is known until the end
         shutil.rmtree(location.working)

@@ -11,15 +11,13 @@ from typing import Any
 import numpy as np
 
 from marl_mm.datasets import shipped
-from marl_mm.datasets.card import card_markdown, kept_card
+from marl_mm.datasets.card import SUMS, card_markdown, kept_card
 from marl_mm.datasets.dataset import Dataset
 from marl_mm.datasets.export import DATASET_FORMS, DatasetForm
 from marl_mm.datasets.hdf5 import FILE
 from marl_mm.datasets.named import RECORD, name_of
 from marl_mm.errors import DatasetError
 from marl_mm.files import write_json
-
-_SUMS = "SHA256SUMS"
 
 _EDITED = "LICENSE", "README.md", "croissant.json"
 """Files that a licence comes into, if the data are not ours."""
@@ -75,7 +73,7 @@ def _hub(dataset: Dataset, path: Path) -> None:
     croissant = _croissant(dataset, values, ours, _sums(path, edited))
     write_json(path / "croissant.json", croissant)
     lines = [f"{digest}  {name}\n" for name, digest in _sums(path, edited).items()]
-    (path / _SUMS).write_text("".join(lines), "utf-8")
+    (path / SUMS).write_text("".join(lines), "utf-8")
 
 
 def _is_ours(dataset: Dataset, values: Mapping[str, Any]) -> bool:
@@ -180,7 +178,7 @@ DATASET_FORMS.add(
     DatasetForm(
         about="Folder for the Hugging Face Hub: data, card, licence, Croissant, sums.",
         write=_hub,
-        mark=(_SUMS, f"  data/{FILE}\n"),
-        holds=(f"data/{FILE}", "data/metadata.json", *_EDITED, "card.png", _SUMS),
+        mark=(SUMS, f"  data/{FILE}\n"),
+        holds=(f"data/{FILE}", "data/metadata.json", *_EDITED, "card.png", SUMS),
     ),
 )

@@ -55,7 +55,7 @@ class Location:
 def datasets_root() -> Path:
     """``$MINARI_DATASETS_PATH``, or Minari's default in the home folder."""
     root = os.environ.get("MINARI_DATASETS_PATH")
-    return Path(root).resolve() if root else home() / ".minari" / "datasets"
+    return (Path(root) if root else home() / ".minari" / "datasets").resolve()
 
 
 def text_of(name: str | Path) -> str:
@@ -71,17 +71,20 @@ def locate(text: str) -> Location:
 
     Raises:
         UsageError: If the text is empty, has a line break or another control
-            character, or is an id of ours without a version.
+            character, or begins like an id of ours and is none.
     """
     if not text:
         raise UsageError("the dataset's name is empty, expected an id or a path")
     refuse_control_characters("the dataset's name", text)
     if _WORD.fullmatch(text):
         text = named_ids().get(text) or f"marl_mm/reach/{_versioned(text)}"
-    if ID.fullmatch(text):
-        return Location(text, datasets_root() / text)
+    if ID.fullmatch(name := text.rstrip("/")):
+        return Location(name, datasets_root() / name)
     if text.startswith("marl_mm/"):
-        raise UsageError(f"{text!r} looks like an id without its version, as in -v0")
+        raise UsageError(
+            f"{text!r} is no id, expected marl_mm/FOLDER/NAME-v0 of letters, digits, _ "
+            "and -, and two or more of them in FOLDER"
+        )
     try:
         folder = _absolute(Path(text).expanduser())
     except RuntimeError as error:  # such as of ~nobody
@@ -102,7 +105,7 @@ def find(text: str) -> Location:
     """Location of a dataset to read; a word may also name a folder in this one.
 
     Raises:
-        UsageError: If the text is empty, or an id of ours without a version.
+        UsageError: If the text is empty, or begins like an id of ours and is none.
     """
     location = locate(text)
     here = Path(text, "data", "metadata.json")

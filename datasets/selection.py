@@ -144,10 +144,14 @@ def filtered(dataset: Dataset, condition: Condition) -> Selection:
     if condition.max_return is not None:
         keep &= arrays.returns() <= condition.max_return
     if not keep.any():
+        reached = {True: "reached", False: "missed"}
+        words = [
+            f"`outcome` {reached[value]}" if key == "success" else f"`{key}` {value}"
+            for key, value in asked.items()
+        ]
         raise UsageError(
-            f"none of the {len(arrays)} episodes has "
-            f"{', '.join(f'{key} {value}' for key, value in asked.items())}: nothing "
-            "to write"
+            f"none of the {len(arrays)} episodes has {', '.join(words)}: nothing to "
+            "write"
         )
     asked = {key: plain(value) for key, value in asked.items()}
     recipe = {"kind": "filter", "condition": asked}

@@ -15,7 +15,7 @@ from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import read_arrays
 from marl_mm.episode import IMPORTED
 from marl_mm.errors import DatasetError
-from marl_mm.received import read_json
+from marl_mm.received import check_kind, read_json
 
 
 def verify(location: Location) -> list[str]:
@@ -74,6 +74,7 @@ def _card(dataset: Dataset) -> list[str]:
     again = f"marl-mm datasets show {dataset.location.name} writes it again"
     try:
         kept = read_json(path, DatasetError)
+        check_kind(kept, dict[str, Any], str(path), DatasetError)
     except DatasetError as error:
         return [f"{error}: {again}"]
     expected = kept_card(dataset)

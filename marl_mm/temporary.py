@@ -41,6 +41,14 @@ def named_errors(path: Path, temporary: Path | None = None) -> Iterator[None]:
         raise
 
 
+def remove_left(folder: Path, name: str, ending: str) -> None:
+    """Delete what killed processes left in a folder; see ``claimed``."""
+    for other in os.listdir(folder):
+        writer = other.removeprefix(f".{name}.").removesuffix(ending)
+        if other == f".{name}.{writer}{ending}" and _WRITER.fullmatch(writer):
+            _remove_if_left(folder / other, writer[:8])
+
+
 @contextmanager
 def claimed(
     path: Path, name: str, ending: str, make: Callable[[Path], None]
@@ -55,10 +63,7 @@ def claimed(
         ending: Ending of its name.
         make: Function that makes it.
     """
-    for other in os.listdir(path.parent):
-        writer = other.removeprefix(f".{name}.").removesuffix(ending)
-        if other == f".{name}.{writer}{ending}" and _WRITER.fullmatch(writer):
-            _remove_if_left(path.with_name(other), writer[:8])
+    remove_left(path.parent, name, ending)
     descriptor = -1
     try:
         while descriptor < 0:

@@ -83,6 +83,18 @@ class Pool(Protocol):
         """Results in the order in which they are ready; see ``Workers.map``."""
 
 
+def check_place(executor: Executor, workers: int) -> None:
+    """Raise for processes that cannot be had where they are asked for.
+
+    Raises:
+        UsageError: If this machine cannot have as many, or Ray is not installed.
+    """
+    if executor == "local":
+        check_workers(workers)
+    elif find_spec("ray") is None:
+        raise UsageError("ray is missing: pip install -e '.[ray]'")
+
+
 def open_pool(
     executor: Executor,
     workers: int,
@@ -94,10 +106,9 @@ def open_pool(
     Raises:
         UsageError: If ``workers`` is not positive, or Ray is not installed.
     """
+    check_place(executor, workers)
     if executor == "local":
         return Workers(workers, initializer, arguments)
-    if find_spec("ray") is None:
-        raise UsageError("ray is missing: pip install -e '.[ray]'")
     from marl_mm.ray_workers import RayWorkers
 
     return RayWorkers(workers, initializer, arguments)

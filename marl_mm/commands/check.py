@@ -138,6 +138,8 @@ def _file(what: str) -> Path | None:
     if path.exists():
         return None if package else path
     folder = existing(what).folder
+    if not folder.exists() and "/" in what:
+        raise UsageError(f"there is no {what}, expected a file, a dataset or a plug-in")
     return folder if folder.exists() else None
 
 

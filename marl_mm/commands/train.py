@@ -174,11 +174,9 @@ def _without_config(
         raise UsageError(
             f"--config takes the algorithm of its run: leave out {arguments[0]!r}"
         )
-    from marl_mm.runs.folder import CONFIG, read_config
+    from marl_mm.runs.folder import existing_config
 
-    file, first = value_of(arguments, "--config", ""), places[0]
-    if not Path(file, CONFIG).exists() and not Path(file).is_file():
-        raise UsageError(f"there is no {file!r}, expected a run or its config.json")
-    config = read_config(Path(file))
+    config = existing_config(Path(value_of(arguments, "--config", "")))
+    first = places[0]
     behind = first + (1 if "=" in arguments[first] else 2)
     return config, (config.algorithm, *arguments[:first], *arguments[behind:])

@@ -1,5 +1,6 @@
 """Collect a dataset."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,7 @@ def collect(
         task: Registered name of the task; default Reach-v0, or when resuming that of
             the dataset.
         dataset: Id below ``$MINARI_DATASETS_PATH``, or path; default
-            ``marl_mm/TASK/COLLECTOR-v0``.
+            ``marl_mm/TASK/COLLECTOR-v0``, of ``pretrained`` ``marl_mm/TASK/good-v0``.
         config: Settings of the collector; default its own, or when resuming those that
             the dataset was begun with.
         progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
@@ -120,4 +121,5 @@ def default_dataset(task: str, collector: str) -> str:
     """
     TASKS.get(task)
     name = COLLECTORS.get(collector).dataset or collector
+    name = re.sub(r"[^a-zA-Z0-9_-]", "-", name)
     return f"marl_mm/{task_folder(task)}/{name}-v0"

@@ -37,8 +37,9 @@ from marl_mm.progress import Bar, silent_bar
 from marl_mm.received import check_kind
 from marl_mm.runs.settings import check_positive, check_seed, refuse_both
 from marl_mm.sim.config import RECORDED_ENGINE, Engine, engine_overrides
+from marl_mm.sim.world import check_engine
 from marl_mm.versions import versions
-from marl_mm.workers import Executor
+from marl_mm.workers import Executor, check_place
 
 _STEPS = 10_000
 
@@ -138,6 +139,8 @@ class _Collector:
         overrides = {"max_steps": max_steps, **engine_overrides(options.engine)}
         self.location, self.options, self.keeps = location, options, collector.keeps
         self.task = make_task(options.task, overrides)
+        check_engine(self.task.simulation.engine)
+        check_place(options.executor, options.workers)
         self._refuse_existing()
         self.policy = collector.policy(config, self.task)
         self.about = Origin(
@@ -300,7 +303,8 @@ class _Collector:
         if collection.complete:
             return
         if not collection.episodes:
-            raise KeyboardInterrupt("stopped before an episode was kept")
+            kept = ": go on with `resume=True`" if collection.attempts else ""
+            raise KeyboardInterrupt(f"stopped before an episode was kept{kept}")
         if not folder.exists():
             return
         before = read_metadata(self.location)["marl_mm"]["episodes"]

@@ -22,7 +22,7 @@ from marl_mm.envs.registry import make_task
 from marl_mm.episode import IMPORTED
 from marl_mm.errors import UsageError
 from marl_mm.files import refuse_existing, refuse_input
-from marl_mm.runs.settings import check_positive, check_seed, with_settings
+from marl_mm.runs.settings import check_seed, is_whole, with_settings
 from marl_mm.sim.config import ENGINES, RECORDED_ENGINE, Engine, engine_overrides
 
 Named = Dataset | str | Path
@@ -59,7 +59,11 @@ def mix_datasets(
         raise UsageError(f"`parts` is {parts!r:.80}, expected datasets and their steps")
     for dataset, steps in drawn:
         named = dataset.location.name if isinstance(dataset, Dataset) else dataset
-        check_positive(**{f"steps of {named}": steps})
+        if not is_whole(steps) or steps < 1:
+            raise UsageError(
+                f"{steps!r:.40} steps of {named} are asked for, expected a whole "
+                "number >= 1"
+            )
     read = [Part(_read(dataset), steps) for dataset, steps in drawn]
     location = _free(out, overwrite, *(part.dataset.location.folder for part in read))
     write_selection(location, mix(read, seed), overwrite)
@@ -89,7 +93,9 @@ def split_dataset(
     """
     check_seed(seed)
     source = _read(dataset)
-    stem = text_of(out or source.location.name).removesuffix("-v0")
+    if not isinstance(out, str | Path | None):
+        raise UsageError(f"`out` is {out!r:.80}, expected the beginning of a name")
+    stem = text_of(source.location.name if out is None else out).removesuffix("-v0")
     if stem.split("/")[-1] in ("", ".", ".."):
         raise UsageError(f"`out` is {out!r}, expected the beginning of a name")
     names = [f"{stem}-{part}-v0" for part in ("first", "rest")]

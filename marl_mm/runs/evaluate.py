@@ -122,4 +122,4 @@ def task_overrides(
     if max_steps is None:
         return overrides
     check_positive(max_steps=max_steps)
-    return {"max_steps": max_steps, **overrides}
+    return {"max_steps": int(max_steps), **overrides}

@@ -92,7 +92,12 @@ def check_run(
         stopped_at_once = run.is_dir() and not any(run.iterdir())
         refuse_existing(run, training.overwrite or stopped_at_once)
         return
-    if not ((run / FILE).exists() or (run / EVALUATION).exists()):
+    if not (run / FILE).exists():
+        if (run / EVALUATION).exists():
+            raise UsageError(
+                f"{run} has an {EVALUATION} but no {FILE} to go on from: choose "
+                "another `out` or add `overwrite=True`"
+            )
         return  # stopped before its first checkpoint, or before its turn
     refuse_other_plugins(run, config, training.allow_changed_plugin)
     _refuse_first_online(run, config)
@@ -190,10 +195,8 @@ def begin_run(run: Path, config: RunConfig, training: Training) -> None:
     now = before.continued(config.plugins, continued)
     if now != before:  # evaluations and exports of its earlier end
         _remove(run, *_MADE)
-    switches = ("eval_episodes", *SWITCHES)
-    now = now.continued(
-        config.plugins, {n: settings[n] for n in switches if n in settings}
-    )
+    switches = {*settings, *now.settings} & {"eval_episodes", *SWITCHES}
+    now = now.continued(config.plugins, {n: getattr(training, n) for n in switches})
     if now != before:
         write_json(run / CONFIG, now.to_json())
 
@@ -232,9 +235,10 @@ def saved_settings(out: Path) -> dict[str, Any]:
 
 def settings_of(config: RunConfig) -> dict[str, Any]:
     """The settings of a run by name; see ``saved_settings``."""
-    dataset = (config.dataset or {}).get("path")
-    values = {"seeds": [config.seed], "dataset": dataset, "demonstrations": dataset}
-    settings = config.to_json() | values
+    settings = config.to_json() | {"seeds": [config.seed]}
+    del settings["dataset"]
+    if path := (config.dataset or {}).get("path"):
+        settings |= {"dataset": path, "demonstrations": path}
     if settings.get("start"):
         settings["start"] = Path(settings["start"])
     del settings["algorithm"]  # what goes on from the run may not be of it, and is told
@@ -252,6 +256,17 @@ def read_config(path: Path) -> RunConfig:
     values = read_json(file, CheckpointError)
     check_kind(values, dict[str, Any], str(file), CheckpointError)
     return RunConfig.from_json(values)
+
+
+def existing_config(path: Path) -> RunConfig:
+    """The record of a run that somebody named; see ``read_config``.
+
+    Raises:
+        UsageError: If there is none.
+    """
+    if not (path / CONFIG).exists() and not path.is_file():
+        raise UsageError(f"there is no {str(path)!r}, expected a run or its {CONFIG}")
+    return read_config(path)
 
 
 def read_evaluation(path: Path) -> Evaluation | None:

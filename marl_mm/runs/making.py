@@ -142,7 +142,7 @@ class Datasets:
             )
         except (UsageError, DatasetError) as error:
             if isinstance(error, OtherConfigError) and not self.overwrite:
-                advice = f"move or delete {location.folder} first"
+                advice = f"marl-mm datasets delete {location.name} makes room"
                 raise OtherConfigError(error.difference, advice) from error
             if not (begun and self.overwrite):
                 raise

@@ -11,13 +11,14 @@ from marl_mm.datasets.card import kept_card
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import ID, Location
 from marl_mm.datasets.metadata import read_metadata
-from marl_mm.envs.registry import make_task
-from marl_mm.errors import DatasetError, UsageError
+from marl_mm.envs.registry import TASKS, make_task
+from marl_mm.errors import DatasetError, UnknownDatasetError, UsageError
+from marl_mm.plugins import record
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.received import check_kind, read_json
 from marl_mm.runs.collecting import Collecting, collect_dataset
 from marl_mm.runs.settings import check_positive, check_seed, flat, with_settings
-from marl_mm.sim.config import ENGINES, RECORDED_ENGINE
+from marl_mm.sim.config import ENGINES, RECORDED_ENGINE, engine_overrides
 from marl_mm.versions import versions
 
 _MADE_OF: Mapping[str, Any] = {
@@ -82,6 +83,8 @@ def read_card(card: str | Path) -> Card:
         DatasetError: If the card is not of a collection, or says what makes no sense.
     """
     path = Path(card)
+    if path.suffix == ".json" and not path.exists():
+        raise UnknownDatasetError(f"there is no {card}, expected a card or a dataset")
     if path.suffix == ".json" or path.is_file():
         values = read_json(path, DatasetError)
     else:
@@ -141,6 +144,7 @@ def rebuild(
         KeyboardInterrupt: After Ctrl-C.
     """
     card = card if isinstance(card, Card) else read_card(card)
+    _refuse_others(card)
     with TemporaryDirectory() as folder:
         location = Location(card.id, Path(folder, "rebuilt"))
         collecting = replace(card.collecting, workers=workers)
@@ -152,13 +156,22 @@ def rebuild(
                 "stopped before the data were whole: nothing is kept"
             )
         made = read_metadata(location)["marl_mm"]
+    return card.data_sha256, str(made["data_sha256"])
+
+
+def _refuse_others(card: Card) -> None:
+    """Raise a DatasetError for a card whose agent or plug-in is another here."""
+    collecting = card.collecting
+    task = make_task(collecting.task, engine_overrides(collecting.engine))
+    policy = COLLECTORS.get(card.collector).policy(card.config, task)
+    origins = COLLECTORS.origin(card.collector), TASKS.origin(collecting.task)
+    here = {"weights": policy.describe().get("weights"), "plugins": record(*origins)}
     for name, value in card.acted.items():
-        if made.get(name) != value:
+        if here[name] != value:
             raise DatasetError(
-                f"{card.id} was collected with {name} {value}, here {made.get(name)}: "
+                f"{card.id} was collected with {name} {value}, here {here[name]}: "
                 "that agent or plug-in is another"
             )
-    return card.data_sha256, str(made["data_sha256"])
 
 
 def _collecting(made_of: Mapping[str, Any], where: str) -> Collecting:

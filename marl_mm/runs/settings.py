@@ -132,7 +132,7 @@ def as_path(value: object, name: str, expected: str = "a folder") -> Path:
 def check_positive(**values: int) -> None:
     """Raise a UsageError for the first number that is not whole, below 1 or endless."""
     for name, value in values.items():
-        if not _is_whole(value):
+        if not is_whole(value):
             raise UsageError(f"`{name}` is {value!r:.40}, expected a whole number")
         if value < 1:
             raise UsageError(f"`{name}` is {value}, expected >= 1")
@@ -163,7 +163,7 @@ def check_seeds(seeds: Sequence[int]) -> None:
 
 def check_seed(seed: int, number: int = SEEDS) -> None:
     """Raise a UsageError for a seed that is negative, or not below their number."""
-    if not _is_whole(seed):
+    if not is_whole(seed):
         raise UsageError(f"the seed is {seed!r:.40}, expected a whole number")
     if seed < 0:
         raise UsageError(f"the seed is {seed}, expected >= 0")
@@ -171,7 +171,8 @@ def check_seed(seed: int, number: int = SEEDS) -> None:
         raise UsageError(f"the seed is {seed}, expected below {number:,}")
 
 
-def _is_whole(value: Any) -> bool:
+def is_whole(value: Any) -> bool:
+    """Whether a value is a whole number, of Python's or of NumPy's."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 

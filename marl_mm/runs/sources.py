@@ -26,7 +26,9 @@ from marl_mm.sim.config import (
 def task_folder(task: str) -> str:
     """Folder of a task's datasets, such as quiet-zone-hard of QuietZone-hard-v0."""
     name = task.removesuffix("-v0")
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", name).lower()
+    name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", name).lower()
+    name = re.sub(r"[^a-z0-9_-]", "-", name)
+    return name if len(name) > 1 else f"{name}-task"  # as ids have folders
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,12 @@ class Source:
         for name in ("steps", "seed"):
             object.__setattr__(self, name, plain(getattr(self, name)))
         make_task(self.task, engine_overrides(self.engine))
+        if not isinstance(self.settings, Mapping):
+            raise UsageError(
+                f"settings is {self.settings!r:.60}, expected values by name"
+            )
+        if not isinstance(self.first, Source | None):
+            raise UsageError(f"first is {self.first!r:.60}, expected a Source")
         check_positive(steps=self.steps)
         check_seed(self.seed)
         _ = self.config
@@ -146,8 +154,18 @@ class Mix:
         """Refuse a mix of nothing, and take numbers of NumPy's."""
         if not self.parts:
             raise UsageError(f"mix {self.name!r} has no parts, expected at least one")
-        parts = ((source, plain(steps)) for source, steps in self.parts)
-        object.__setattr__(self, "parts", tuple(parts))
+        try:
+            parts = tuple((source, plain(steps)) for source, steps in self.parts)
+        except (TypeError, ValueError):
+            parts = ()
+        if not parts or not all(isinstance(source, Source) for source, _ in parts):
+            raise UsageError(
+                f"mix {self.name!r} is of {self.parts!r:.80}, expected pairs of a "
+                "Source and steps"
+            )
+        for _, steps in parts:
+            check_positive(steps=steps)
+        object.__setattr__(self, "parts", parts)
         object.__setattr__(self, "seed", plain(self.seed))
         check_seed(self.seed)
         if len(engines := {source.engine for source, _ in self.parts}) > 1:

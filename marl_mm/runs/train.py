@@ -12,7 +12,7 @@ from marl_mm.errors import CheckpointError, UsageError
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.folder import (
     check_runs,
-    read_config,
+    existing_config,
     saved_settings,
     settings_of,
 )
@@ -50,7 +50,8 @@ def train(
             with "-online" if it starts from another.
         seeds: Seeds of the runs; default 0, or when resuming those that exist, or
             those of the runs that it starts from.
-        preset: Preset of hyper-parameters, tuned, benchmark or paper; default tuned.
+        preset: Preset of hyper-parameters, tuned, benchmark or paper; default tuned,
+            or when resuming the runs' own.
         config: Hyper-parameters in place of the preset's.
         progress: Factory of progress bars, see ``marl_mm.progress.Bar``.
         **settings: Fields of ``Offline`` or ``Online`` (``eval_episodes``, ``workers``,
@@ -72,7 +73,7 @@ def train(
         saved = saved_settings(folder)
     elif start:
         saved = started_settings(settings["start"])
-    if preset is None:
+    if preset is None or (settings.get("resume") and preset == saved.get("preset")):
         training = with_values(training, saved, "config.json", CheckpointError)
     if config is not None:
         check_config(config, training.config)
@@ -109,13 +110,13 @@ def repeat(
         **settings: Settings in place of the run's, by name.
 
     Raises:
-        UsageError: If the run's dataset, or the checkpoint that it started from, is
-            gone or another, or the new run exists.
+        UsageError: If there is no such run, its dataset or the checkpoint that it
+            started from is gone or another, or the new run exists.
     """
     folder = as_path(out, "out")
     if not isinstance(config, RunConfig):
         record_of = config.folder if isinstance(config, Run) else config
-        config = read_config(as_path(record_of, "config", "a run or its folder"))
+        config = existing_config(as_path(record_of, "config", "a run or its folder"))
     if "preset" in settings:
         raise UsageError(
             "`preset` is of another run: a repeated one has its own hyper-parameters"
@@ -142,6 +143,11 @@ def dataset_of(config: RunConfig) -> Dataset | None:
     """
     if config.dataset is None:
         return None
+    if "path" not in config.dataset:  # as of a submission
+        raise UsageError(
+            f"the record does not say where {config.dataset['id']} lies: name the "
+            "`dataset`"
+        )
     data = load_dataset(config.dataset["path"])
     if data.fingerprint != config.dataset["fingerprint"]:
         raise UsageError(

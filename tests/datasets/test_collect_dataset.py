@@ -250,6 +250,20 @@ def test_resuming_takes_what_is_left_out_from_the_collection(
     assert main([*words, "--kd", "0.7"]) == 2
 
 
+def test_a_refused_overwrite_keeps_what_was_begun(
+    datasets_home: Path, make_episode: MakeEpisode
+) -> None:
+    location = locate("begun")
+    with Journal(location.working) as journal:
+        journal.begin({"task": "Reach-v0", "seed": 3})
+        journal.add(make_episode(0))
+    for workers in (0, 10_000):
+        with pytest.raises(UsageError, match="workers"):
+            marl_mm.collect("pd", dataset="begun", overwrite=True, workers=workers)
+    with Journal(location.working) as journal:
+        assert len(journal) == 1
+
+
 @pytest.mark.slow
 def test_a_hopeless_collector_leaves_nothing(
     datasets_home: Path, capsys: pytest.CaptureFixture[str]

@@ -15,6 +15,7 @@ import pytest
 from marl_mm import collect, versions
 from marl_mm.cli import main
 from marl_mm.datasets.arrays import arrays_of
+from marl_mm.datasets.card import keep_card
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.export import DATASET_FORMS, DatasetForm, export
 from marl_mm.datasets.hdf5 import FILE
@@ -309,6 +310,8 @@ def test_hub_folders_are_datasets_with_card_licence_and_sums(
     assert front["license"] == "other" and front["size_categories"] == ["n<1K"]
     assert "No licence is stated" in files["LICENSE"].decode()
     assert str(tmp_path).encode() not in b"".join(files.values())
+    assert keep_card(load_dataset(str(path)))["steps"] == dataset.arrays.steps
+    assert contents(path) == files
 
 
 def test_no_hub_folder_is_made_of_data_that_were_replaced(

@@ -43,11 +43,25 @@ def test_a_path_below_the_root_is_its_id(datasets_home: Path) -> None:
         locate(str(folder)) == locate("pd") == Location("marl_mm/reach/pd-v0", folder)
     )
     assert locate(str(datasets_home / "pd")).id == "marl_mm/local/pd-v0"
+    assert locate("marl_mm/reach/pd-v0/") == locate("pd")
 
 
-@pytest.mark.parametrize("text", ["", "/", "marl_mm/reach/pd", "marl_mm/"])
+def test_a_path_below_a_linked_root_is_its_id(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("MINARI_DATASETS_PATH", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "disk").mkdir()
+    (tmp_path / ".minari").symlink_to(tmp_path / "disk")
+    below = "~/.minari/datasets/marl_mm/reach/pd-v0"
+    assert locate(below) == locate("pd") and locate("pd").name == locate("pd").id
+
+
+@pytest.mark.parametrize(
+    "text", ["", "/", "marl_mm/reach/pd", "marl_mm/", "marl_mm/a/pd-v0"]
+)
 def test_no_name_and_half_an_id_are_refused(text: str) -> None:
-    with pytest.raises(UsageError, match=r"expected an id or a path|without its ver"):
+    with pytest.raises(UsageError, match=r"expected an id or a path|expected marl_mm/"):
         locate(text)
 
 

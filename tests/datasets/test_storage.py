@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 
 import marl_mm  # noqa: F401  registers the environments
+from marl_mm import temporary
 from marl_mm.cli import main
-from marl_mm.datasets import storage
+from marl_mm.datasets import catalogue, storage
 from marl_mm.datasets.arrays import arrays_of
-from marl_mm.datasets.cache import FOLDER_VARIABLE, cache_folder
+from marl_mm.datasets.cache import FOLDER_VARIABLE, cache_folder, clear
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import Journal
 from marl_mm.datasets.location import find, known_ids, locate
@@ -81,6 +82,9 @@ def test_a_card_that_was_cut_off_is_named_and_made_again(written: Path) -> None:
     path.write_bytes(path.read_bytes()[:100])
     assert [line.split(" is damaged")[0] for line in verify(locate(ID))] == [str(path)]
     assert main(["datasets", "show", ID]) == 0 and verify(locate(ID)) == []
+    path.write_text("[]")
+    (problem,) = verify(locate(ID))
+    assert problem.startswith(f"{path}: list is not a dict")
 
 
 def test_minari_reads_it_without_us(written: Path, episodes: list[Episode]) -> None:
@@ -333,6 +337,28 @@ def test_the_cache_is_only_a_cache(
     write(ID, episodes[1:], overwrite=True)
     assert len(load_dataset(ID).episodes) == len(episodes) - 1
     assert len([*own_cache.iterdir()]) == 2 and not (written / "cache").exists()
+    machine = temporary._machine()
+    left = own_cache / f".{entry.stem}.{machine}01234567.part.npz"
+    for path in (left, own_cache / "mine.txt"):
+        path.touch()
+    clear()
+    assert [path.name for path in own_cache.iterdir()] == ["mine.txt"]
+
+
+def test_a_deletion_that_was_cut_off_can_be_made_again(
+    written: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (written / "card.json").touch()
+
+    def stop(path: Path) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(shutil, "rmtree", stop)
+        catalogue.delete(locate(ID))
+    assert not (written / "card.json").exists()
+    catalogue.delete(locate(ID))
+    assert not written.exists()
 
 
 @pytest.mark.slow

@@ -226,6 +226,11 @@ def test_what_is_committed_was_made_as_declared(
             "expected cells that learn online",
         ),
         (lambda: Mix("x", []), "mix 'x' has no parts"),
+        (lambda: Mix("x", [("good-5k", 9)]), "expected pairs of a Source and"),  # type: ignore[list-item]
+        (lambda: Mix("x", [Source()]), "expected pairs of a Source and"),  # type: ignore[list-item]
+        (lambda: Mix("x", [(Source(), 0)]), "`steps` is 0"),
+        (lambda: Source(settings=3), "settings is 3, expected values"),  # type: ignore[arg-type]
+        (lambda: Source(first="x"), "first is 'x', expected a Source"),  # type: ignore[arg-type]
         (lambda: Study("x", ["good-5k"]), "expected pairs of a source"),  # type: ignore[list-item]
         (lambda: Study("x", [("a", OURS), ("a", OURS)]), "twice"),
         (lambda: Study("x", [("a", OURS)], (LAST, LAST)), "twice"),
@@ -962,7 +967,7 @@ def test_what_there_is_no_data_for_is_collected_first(
     assert main(["collect", "pd", "--steps", "30", "--dataset", "tiny"]) == 0
     assert made.make(tiny).arrays.steps >= 60
     assert "tiny is not complete" in messages.pop()
-    with pytest.raises(OtherConfigError, match=r"seed.*: move or delete"):
+    with pytest.raises(OtherConfigError, match=r"seed.*: marl-mm datasets delete "):
         made.make(Source(steps=90, seed=1, name="tiny"))
     shutil.rmtree(load_dataset("tiny").location.folder)
     capsys.readouterr()

@@ -192,6 +192,10 @@ def test_what_was_stopped_goes_on_with_what_it_began_with(
     marl_mm.train("mabc", "good-5k", out=part, seeds=(5,), **{**FEW, "updates": 20})
     (run,) = marl_mm.train("mabc", out=part, resume=True, updates=40)
     assert run.config.settings["hidden"] == [16, 16]
+    same: dict[str, Any] = {"resume": True, "preset": "tuned"}
+    (run,) = marl_mm.train("mabc", out=part, **same)
+    assert run.config.settings["hidden"] == [16, 16]
+    assert run.config.settings["updates"] == 40
     marl_mm.train("mabc", "good-5k", out=whole, seeds=(5,), **FEW)
     weights = [(out / "5" / "checkpoint.pt").read_bytes() for out in (part, whole)]
     assert weights[0] == weights[1]
@@ -264,6 +268,14 @@ def test_switches_that_are_off_stay_off_where_a_run_goes_on(
     for each in (more, again, further):
         assert off.items() <= each.config.settings.items()
     assert further.config.settings["start"] == str(tmp_path / "a/0")
+    on: dict[str, Any] = {"stop_diverging": True, "resume": True}
+    (more,) = marl_mm.train("td3-bc", out="a", **on)
+    assert more.config.settings["stop_diverging"]
+    (more.folder / "checkpoint.pt").unlink()
+    kept = contents(more.folder)
+    with pytest.raises(UsageError, match=r"has an eval.json but no checkpoint.pt"):
+        marl_mm.train("td3-bc", out="a", resume=True)
+    assert contents(more.folder) == kept
 
 
 @pytest.mark.slow
@@ -281,6 +293,10 @@ def test_a_run_is_repeated_from_its_record(
     assert others == [first, first]
     moved = repeat(run, out=tmp_path / "m", dataset="good-5k")
     assert moved.config == run.config
+    assert run.config.dataset is not None
+    sent = replace(run.config, dataset={k: run.config.dataset[k] for k in ("id",)})
+    with pytest.raises(UsageError, match="does not say where marl_mm/reach/good-5k"):
+        repeat(sent, out=tmp_path / "s")
     with pytest.raises(UsageError, match="`preset` is of another run"):
         repeat(run, out=tmp_path / "n", preset="paper")
     with pytest.raises(UsageError, match="`out` is '', expected a folder"):
@@ -454,7 +470,7 @@ ONE = Evaluation("pd", {}, "Reach-v0", {}, 0, [ROW])
         (lambda: marl_mm.mix_datasets(cast(Any, 3), "x"), "`parts` is 3, expected"),
         (
             lambda: marl_mm.mix_datasets({"good-5k": cast(Any, "9")}, "x"),
-            "`steps of good-5k` is '9', expected a whole",
+            "'9' steps of good-5k are asked for, expected a whole",
         ),
         (
             lambda: marl_mm.mix_datasets({"good-5k": 10**6}, "x"),
@@ -478,6 +494,19 @@ ONE = Evaluation("pd", {}, "Reach-v0", {}, 0, [ROW])
             lambda: marl_mm.split_dataset("good-5k", share=cast(Any, "a")),
             "the share is 'a', expected",
         ),
+        (
+            lambda: marl_mm.split_dataset("good-5k", out=cast(Any, 3)),
+            "`out` is 3, expected the beginning of a name",
+        ),
+        (
+            lambda: marl_mm.filter_dataset("good-5k", "x", outcome="missed"),
+            "has `outcome` missed: nothing to write",
+        ),
+        (
+            lambda: marl_mm.train("mabc", "good-5k", updates=10**8),
+            "make 1,050,000 rows of metrics.jsonl, expected at most 100,000",
+        ),
+        (lambda: marl_mm.repeat("nowhere", out="x"), "there is no 'nowhere', expected"),
         (lambda: marl_mm.play(camera=cast(Any, "x")), "`camera` is 'x', expected a"),
         (
             lambda: marl_mm.train("ddpg", demonstration_share=0.9),

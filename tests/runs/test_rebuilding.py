@@ -135,7 +135,7 @@ def test_what_is_no_card_is_refused(
     datasets_home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name, says in (
-        (str(tmp_path / "none.json"), "No such file"),
+        (str(tmp_path / "none.json"), "none.json, expected a card or a dataset"),
         ("gate-noisy", "make it with marl-mm datasets build gate-noisy"),
     ):
         assert main(["datasets", "rebuild", name]) > 0
