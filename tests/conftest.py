@@ -13,6 +13,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # read where a library starts its
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from pkgutil import resolve_name
 from types import ModuleType
 from typing import Any
 
@@ -20,6 +21,7 @@ import gymnasium
 import numpy as np
 import psutil
 import pytest
+from PIL import Image
 
 from marl_mm import plugins
 from marl_mm.algorithms.registry import ALGORITHMS
@@ -127,6 +129,32 @@ def ships_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(shipped, "install", copied)
         yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def blank(request: pytest.FixtureRequest) -> Iterator[dict[str, Any]]:
+    """Figures of datasets and runs are a pixel where many are made: few are looked at.
+
+    Returns what draws them, by its place.
+    """
+    places = ["datasets.card_figure.draw_card"]
+    places += ["eval.figures.learning_curve", "eval.figures.online_curve"]
+    drawing: dict[str, Any] = {}
+    if any(item.get_closest_marker("slow") for item in request.session.items):
+        drawing = {f"marl_mm.{p}": resolve_name(f"marl_mm.{p}") for p in places}
+    with pytest.MonkeyPatch.context() as patch:
+        for place in drawing:
+            patch.setattr(
+                place, lambda *given: Image.new("L", (1, 1)).save(given[-1], "png")
+            )
+        yield drawing
+
+
+@pytest.fixture
+def drawn(blank: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures of datasets and runs are as a user has them."""
+    for place, draw in blank.items():
+        monkeypatch.setattr(place, draw)
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ WIDTH = 900
 SMALL = {
     **dict.fromkeys(("steps", "updates", "curve_every"), 40),
     **dict.fromkeys(("goals", "episodes", "eval_episodes"), 2),
-    **dict.fromkeys(("curve_goals", "curve_episodes", "fps"), 1),
+    **dict.fromkeys(("curve_goals", "curve_episodes", "fps", "workers"), 1),
 }
 """How long things take in a check."""
 

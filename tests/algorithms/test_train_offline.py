@@ -1,12 +1,10 @@
 """Several seeds in one command: in processes, stopped, resumed."""
 
 import json
+import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -22,13 +20,15 @@ from marl_mm.datasets.location import locate
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.episode import Episode
+from tests.forks import Fork
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 MakeEpisode = Callable[..., Episode]
 
 SMALL = (
     "td3-bc --dataset good-5k --updates 300 --hidden 8 8 --batch-size 16 "
-    "--curve-every 200 --curve-episodes 1 --eval-episodes 2 --max-steps 5"
+    "--curve-every 200 --curve-episodes 1 --eval-episodes 2 --max-steps 5 "
+    "--engine mujoco"
 ).split()
 KEPT = ("metrics.jsonl", FILE)
 
@@ -37,28 +37,11 @@ def evaluated(run: Path) -> object:
     return json.loads((run / "eval.json").read_text())["episodes"]
 
 
-@contextmanager
-def started(words: list[str]) -> Iterator[subprocess.Popen[str]]:
-    """The command in a process of its own, which does not outlive the test."""
-    code = (  # shells let jobs in the background ignore Ctrl-C
-        "import signal, sys; from marl_mm.cli import main;"
-        "signal.signal(signal.SIGINT, signal.default_int_handler);"
-        "sys.exit(main(sys.argv[1:]))"
-    )
-    command = [sys.executable, "-c", code, *words]
-    job = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    try:
-        yield job
-    finally:
-        job.kill()
-        job.wait()
-
-
-def wait_for(path: Path, job: subprocess.Popen[str]) -> None:
+def wait_for(path: Path, job: Fork) -> None:
     end = time.monotonic() + 120
     while not path.exists():
         time.sleep(0.05)
-        assert job.poll() is None and time.monotonic() < end
+        assert job.running() and time.monotonic() < end
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -86,12 +69,11 @@ def test_interrupted_processes_go_on_to_the_same_end(
     """As seeds one after the other do: a real Ctrl-C, then ``--resume``, no more."""
     out = ["--out", str(tmp_path), "--workers", "2"]
     words = ["train", *SMALL, "--seeds", "0", "1", "2", *out]
-    with started(words) as job:
+    with Fork(*words) as job:
         wait_for(tmp_path / "0" / FILE, job)
-        job.send_signal(signal.SIGINT)
-        _, complaint = job.communicate(timeout=60)
-    assert job.returncode == 130
-    assert complaint.strip().endswith("go on with --resume")
+        os.kill(job.pid, signal.SIGINT)
+        assert job.wait() == 130
+        assert job.complaint.strip().endswith("go on with --resume")
     assert not (tmp_path / "2" / "eval.json").exists()
     assert main(["train", "td3-bc", "--resume", "--eval-episodes", "2", *out]) == 0
     for seed in "012":
@@ -128,15 +110,15 @@ def test_a_killed_process_ends_the_command_and_leaves_checkpoints(
 ) -> None:
     out = ["--out", str(tmp_path), "--seeds", "0", "1", "--workers", "2"]
     long = [word if word != "300" else "1000000" for word in SMALL]
-    with started(["train", *long, *out]) as job:
+    with Fork("train", *long, *out) as job:
         for seed in "01":
             wait_for(tmp_path / seed / FILE, job)
         assert main(["train", *long, *out, "--overwrite"]) == 2
         assert "another process is writing" in capsys.readouterr().err
         learners = workers_of(job.pid)
         learners[0].kill()
-        _, complaint = job.communicate(timeout=60)
-    assert job.returncode == 1
+        assert job.wait() == 1
+        complaint = job.complaint
     assert "a worker process died" in complaint
     assert complaint.strip().endswith("go on with --resume")
     _, alive = psutil.wait_procs(learners, timeout=10)

@@ -20,6 +20,7 @@ from marl_mm.envs import make_task, make_vec, parallel_env
 from marl_mm.envs.registry import TASKS
 from marl_mm.errors import PluginError, UsageError
 from marl_mm.eval.evaluate import evaluate
+from tests.forks import Fork
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
 
@@ -92,30 +93,25 @@ def test_a_changed_plugin_is_refused_unless_allowed(
     mine = Path(shutil.copy(EXAMPLES / "awac.py", tmp_path / "awac.py"))
     words = ["train", "awac", "--dataset", "good-5k", *SMALL, "--out", tmp_path / "r"]
 
-    def fresh(*more: object) -> "subprocess.CompletedProcess[str]":
+    def fresh(*more: object) -> tuple[int, str]:
         """In a process of its own, as a changed file needs."""
-        arguments = [str(word) for word in (*words, *more)]
-        return subprocess.run(
-            [sys.executable, "-m", "marl_mm", *arguments],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        with Fork(*words, *more) as job:
+            return job.wait(), job.complaint
 
     assert run(*words, "--plugin", mine) == 0
     further = ["--updates", "40", "--resume"]
     renamed = Path(shutil.copy(mine, tmp_path / "same.py"))
-    same = fresh("--updates", "30", "--resume", "--plugin", renamed, "--plugin", mine)
-    assert same.returncode == 0, same.stderr
-    unnamed = fresh(*further)
-    assert unnamed.returncode == 2 and "--plugin" in unnamed.stderr
+    both = "--plugin", renamed, "--plugin", mine
+    code, complaint = fresh("--updates", "30", "--resume", *both)
+    assert code == 0, complaint
+    code, complaint = fresh(*further)
+    assert code == 2 and "--plugin" in complaint
     mine.write_text(mine.read_text() + "\n# changed\n")
-    refused = fresh(*further, "--plugin", mine)
-    assert refused.returncode == 2, refused.stderr
-    assert "was made with another awac.py" in refused.stderr
-    assert "--allow-changed-plugin" in refused.stderr
-    allowed = fresh(*further, "--plugin", mine, "--allow-changed-plugin")
-    assert allowed.returncode == 0, allowed.stderr
+    code, complaint = fresh(*further, "--plugin", mine)
+    assert code == 2 and "was made with another awac.py" in complaint, complaint
+    assert "--allow-changed-plugin" in complaint
+    code, complaint = fresh(*further, "--plugin", mine, "--allow-changed-plugin")
+    assert code == 0, complaint
     config = json.loads((tmp_path / "r" / "0" / "config.json").read_text())
     *_, before = config["plugins_before"]
     assert before["same.py"] != config["plugins"]["awac.py"]
@@ -172,7 +168,7 @@ def test_a_task_of_ones_own_goes_through_everything(
     plugins.load(EXAMPLES / f"{plugin}.py")
     layout = make_task(task).layout
     assert load_dataset(data).arrays.layout == layout
-    for algorithm in ("mabc", "td3-bc", "matd3-bc"):
+    for algorithm in ("mabc", "td3-bc"):
         out = tmp_path / algorithm
         train = ["train", algorithm, "--dataset", data, "--out", out, *SMALL]
         assert run(*train, *own) == 0

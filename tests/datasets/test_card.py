@@ -20,6 +20,7 @@ from marl_mm.datasets.storage import write_dataset
 from marl_mm.datasets.verify import verify
 from marl_mm.episode import Episode
 
+pytestmark = pytest.mark.usefixtures("drawn")
 PNG = b"\x89PNG\r\n\x1a\n"
 
 

@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -20,6 +21,7 @@ from marl_mm.collectors.pd import PdConfig
 from marl_mm.collectors.pretrained import PretrainedConfig, PretrainedPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.collectors.registry import everything
+from marl_mm.commands import collect as command
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.journal import FILE, Journal, begun
 from marl_mm.datasets.location import Location, locate
@@ -31,7 +33,10 @@ from marl_mm.files import only_here
 from marl_mm.policy import Policy
 from marl_mm.runs import collecting
 from marl_mm.runs.collecting import Collecting, _Collector, collect_dataset
+from marl_mm.runs.paper import PAPER
+from marl_mm.runs.sources import Mix
 from marl_mm.versions import versions
+from tests.forks import Fork
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 MakeEpisode = Callable[..., Episode]
@@ -45,16 +50,10 @@ def data(name: str) -> bytes:
     return b"".join((locate(name).data / file).read_bytes() for file in files)
 
 
-def start(name: str, *options: str) -> "subprocess.Popen[str]":
-    """The real command, collecting random data in two processes."""
-    words = ["collect", "random", "--steps", str(STEPS), "--dataset", name]
-    return subprocess.Popen(
-        [sys.executable, "-m", "marl_mm.cli", *words, "--workers", "2", *options],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+def collecting_fork(name: str, workers: int, *options: str) -> Fork:
+    """The command in a process of its own, collecting random data."""
+    words = ["collect", "random", "--steps", STEPS, "--dataset", name]
+    return Fork(*words, "--workers", workers, *options)
 
 
 def journal_holds(location: Location, episodes: int) -> None:
@@ -103,12 +102,10 @@ def test_killed_parents_and_workers_cost_nothing_finished(
     """kill -9 of the command, then of a worker; then --resume, to the same bytes."""
     name = "marl_mm/reach/test-v0"
     location = locate(name)
-    first = start(name)
-    journal_holds(location, 1)
-    workers = workers_of(first.pid)
-    assert len(workers) == 2
-    first.kill()
-    first.wait()
+    with collecting_fork(name, 2) as first:
+        journal_holds(location, 1)
+        workers = workers_of(first.pid)
+        assert len(workers) == 2
     _, alive = psutil.wait_procs(workers, timeout=20)
     assert not alive, "a worker outlived its parent"
     assert not location.folder.exists()
@@ -120,16 +117,15 @@ def test_killed_parents_and_workers_cost_nothing_finished(
     assert main(words) == 2  # not overwritten, not resumed unasked
     assert "was begun already; go on with --resume" in capsys.readouterr().err
 
-    second = start(name, "--resume")
-    journal_holds(location, min(finished + 1, 4))
-    workers_of(second.pid)[0].kill()
-    assert second.wait() == 1 and second.stderr is not None
-    complaint = second.stderr.read()
+    with collecting_fork(name, 2, "--resume") as second:
+        journal_holds(location, min(finished + 1, 4))
+        workers_of(second.pid)[0].kill()
+        assert second.wait() == 1
+        complaint = second.complaint
     assert "a worker process died" in complaint and "--resume" in complaint
     assert "Traceback" not in complaint
 
-    third = start(name, "--resume")
-    assert third.wait() == 0
+    assert main([*words, "--resume", "--workers", "2"]) == 0
     assert data(name) == whole
     assert not location.working.exists()
     assert main(["datasets", "verify", name]) == 0
@@ -160,10 +156,8 @@ def test_a_killed_overwrite_goes_on_and_never_keeps_the_old(
     words = ["collect", "random", "--dataset", name, "--workers", "1"]
     assert main([*words, "--steps", "30"]) == 0
     before = data(name)
-    killed = start(name, "--overwrite")
-    journal_holds(location, 2)
-    killed.kill()
-    killed.wait()
+    with collecting_fork(name, 1, "--overwrite"):
+        journal_holds(location, 2)
     assert data(name) == before
     assert main([*words, "--steps", "30", "--resume"]) == 2  # fewer than asked for
     assert main([*words, "--resume"]) == 0  # as many as asked for
@@ -203,8 +197,8 @@ def test_killed_while_the_dataset_is_written(
     assert main([*words, "--steps", "30"]) == 0
     before = data(name)
     more = [*words, "--steps", str(STEPS), "--resume"]
-    killed = subprocess.run([sys.executable, "-c", KILLED, *more, moment], check=False)
-    assert killed.returncode == -9
+    with Fork(*more, moment, code=KILLED) as killed:
+        assert killed.wait() == -9
     assert data(name) == (quick if moment.endswith("clear") else before)
     load_dataset(name)
     assert main([*words, "--resume"]) == 0  # as many as were asked for last
@@ -236,12 +230,14 @@ def test_resuming_takes_what_is_left_out_from_the_collection(
     name = "marl_mm/smooth-reach/test-v0"
     words = ["collect", "pd", "--dataset", name, "--task", "SmoothReach-v0"]
     words += ["--seed", "3", "--max-steps", "40", "--kd", "0.5", "--workers", "1"]
+    words += ["--engine", "mujoco"]
     assert main([*words, "--steps", "30"]) == 0
     assert main(["collect", "pd", "--dataset", name, "--steps", "50", "--resume"]) == 0
     resumed = load_dataset(name)
     ours = resumed.metadata["marl_mm"]
     assert ours["task"] == "SmoothReach-v0" and ours["seed"] == 3
-    assert ours["overrides"] == {"max_steps": 40}
+    simulation = {"engine": "mujoco"}
+    assert ours["overrides"] == {"max_steps": 40, "simulation": simulation}
     assert ours["collector_config"]["kd"] == 0.5 and ours["steps"] >= 50
     content = data(name)
     assert main([*words, "--steps", "50", "--overwrite"]) == 0
@@ -307,14 +303,9 @@ def test_a_full_disk_ends_with_one_line_and_a_resumable_collection(
         "sys.exit(main(sys.argv[1:]))"
     )
     words = ["collect", "random", "--steps", str(STEPS), "--dataset", name, *QUICKLY]
-    full = subprocess.run(
-        [sys.executable, "-c", code, *words, str(room)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert full.returncode == 1, full.stderr
-    assert "Traceback" not in full.stderr and "--resume" in full.stderr
+    with Fork(*words, room, code=code) as full:
+        assert full.wait() == 1, full.complaint
+        assert "Traceback" not in full.complaint and "--resume" in full.complaint
     assert not locate(name).folder.exists()
     assert main([*words, "--resume"]) == 0
     assert data(name) == quick
@@ -454,9 +445,18 @@ def test_noise_is_of_the_episode_and_clipped() -> None:
 
 @pytest.mark.slow
 def test_the_papers_datasets_in_small(
-    datasets_home: Path, capsys: pytest.CaptureFixture[str]
+    datasets_home: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """All seven; a second time nothing is done; 60k begins with 30k."""
+
+    def faster(data: Any) -> Any:
+        if isinstance(data, Mix):
+            return replace(data, parts=[(faster(s), n) for s, n in data.parts])
+        return replace(data, engine="mujoco", first=data.first and faster(data.first))
+
+    monkeypatch.setattr(command, "PAPER", [*map(faster, PAPER)])
     words = ["collect", "paper", "--scale", "0.002"]
     assert main(words) == 0
     names = {path.name: path for path in (datasets_home / "marl_mm/reach").glob("*-v0")}

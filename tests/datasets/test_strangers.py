@@ -32,6 +32,7 @@ from marl_mm.errors import DatasetError
 from marl_mm.received import file_digest, parse_json
 
 Output = pytest.CaptureFixture[str]
+pytestmark = pytest.mark.usefixtures("drawn")
 
 
 @pytest.fixture

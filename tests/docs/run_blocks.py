@@ -1,7 +1,7 @@
 """Runs a page's code blocks in the folder one is in: ``python run_blocks.py PAGE``.
 
 Without a page it reads lines of a page and a folder, and runs each in a process of its
-own, in which only libraries are imported; after each it prints the exit status.
+own, in which everything is imported; after each it prints the exit status.
 
 A ``python`` block is run, or, if it has a title, saved as that file; the ``marl-mm``
 lines of a ``bash`` block are commands. Blocks of other languages are only shown. The
@@ -40,7 +40,7 @@ FEW = {
     "train": "--updates 60 --curve-episodes 1 --eval-episodes 2 --max-steps 2 "
     "--workers 1",
     "eval": "--max-steps 2 --workers 1",
-    "play": "--max-steps 2 --fps 2",
+    "play": "--max-steps 2 --fps 1 --camera.width 96 --camera.height 64",
     "ablate": "--workers 1",
     "bench": "--turns 1 --steps 1 --vector 2 --workers 1",
     "submit": "--episodes 2 --workers 1",
@@ -69,7 +69,7 @@ def small_code(code: str) -> str:
     evaluations = r"evaluate|robustness|cross_play"
     evaluated = rf"(marl_mm\.(?:{evaluations})\((?:[^()]|\([^()]*\))*)\)"
     code = re.sub(evaluated, r"\1, max_steps=2)", code)
-    return re.sub(r"(marl_mm\.play\([^)]*)\)", r"\1, max_steps=2, fps=2)", code)
+    return re.sub(r"(marl_mm\.play\([^)]*)\)", r"\1, max_steps=2, fps=1)", code)
 
 
 def small_command(line: str) -> list[str]:
@@ -98,12 +98,20 @@ def run(page: Path) -> None:
 
 
 def serve() -> None:
-    """Run the pages of standard input, each in a fork that has the libraries."""
+    """Run the pages of standard input, each in a fork that has imported all."""
     for name in LIBRARIES:
         import_module(name)
     with TemporaryDirectory() as shipped:
         os.environ["MINARI_DATASETS_PATH"] = shipped
-        import_module("marl_mm").load_dataset("good-5k")  # unpacked once, then copied
+        package = import_module("marl_mm")
+        from marl_mm.sim.config import ENGINES, is_installed
+
+        package.load_dataset("good-5k")  # unpacked once, then copied
+        few = {"episodes": 1, "max_steps": 1, "workers": 1}
+        for engine in filter(is_installed, ENGINES):  # what this takes is imported
+            package.evaluate("random", engine=engine, **few)
+        import_module("marl_mm.runs.train")
+        import_module("marl_mm.eval.studies")
         gc.freeze()
         return serve_pages(Path(shipped))
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
+import marl_mm
 from marl_mm.algorithms.registry import names
 from marl_mm.algorithms.td3_bc import Td3Bc
 from marl_mm.cli import main
@@ -237,17 +238,21 @@ def test_storage_is_timed_with_a_cache_of_its_own(
 
 @pytest.mark.slow
 def test_bench_seeds_runs_the_command(
-    monkeypatch: pytest.MonkeyPatch, datasets_home: Path
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(offline, "SHIPPED", "quiet-zone-noisy")  # on the faster engine
+    marl_mm.collect("pd", dataset=tmp_path / "data", steps=40, engine="mujoco")
+    monkeypatch.setattr(offline, "SHIPPED", str(tmp_path / "data"))
     counts: list[int] = []
     result = bench_seeds(20, 2, 1, lambda done, note: counts.append(done))
     assert counts == [1, 2]
     assert min(result["one_memory_mib"], result["several_memory_mib"]) > 100
     expected = result["several_s"] / result["one_s"]
     assert result["cost_over_one"] == pytest.approx(expected)
-    monkeypatch.setenv("MINARI_DATASETS_PATH", "/proc/nowhere")
-    with pytest.raises(MarlMmError, match=r"train td3-bc .* failed: marl-mm: "):
+    failing = tmp_path / "python"
+    failing.write_text("#!/bin/sh\necho 'marl-mm: no' >&2\nexit 1\n")
+    failing.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(failing))
+    with pytest.raises(MarlMmError, match=r"train td3-bc .* failed: marl-mm: no"):
         bench_seeds(20, 2, 1)
 
 

@@ -1,6 +1,7 @@
 """Evaluation: fixed goals, hand-worked summaries, results independent of workers."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from marl_mm.commands.output import print_evaluations
 from marl_mm.envs.tasks.reach import Reach
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
+from marl_mm.eval import video
 from marl_mm.eval.evaluate import Evaluation, evaluate
 from marl_mm.eval.figures import alpha_over_time, learning_curve
 from marl_mm.eval.goals import goal_set
@@ -201,8 +203,9 @@ def test_a_film_has_the_frames_of_the_episode(tmp_path: Path, name: str) -> None
 
 @pytest.mark.slow
 @pytest.mark.bullet
-def test_strips_are_those_of_a_whole_film() -> None:
+def test_strips_are_those_of_a_whole_film(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures and steps, where an episode has fewer frames than pictures, too."""
+    monkeypatch.setattr(video, "Camera", partial(Camera, 96, 64))
     for seconds in (2, 4):
         task, policy = Reach(max_steps=seconds), PdPolicy(PdConfig())
         whole = film_both_ways(task, policy, 0, 1).strips

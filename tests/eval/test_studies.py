@@ -9,8 +9,6 @@ import random
 import re
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
@@ -29,7 +27,6 @@ from marl_mm.algorithms.runlog import METRICS
 from marl_mm.cli import main
 from marl_mm.config_diff import as_json
 from marl_mm.datasets.dataset import load_dataset
-from marl_mm.datasets.journal import begun
 from marl_mm.declared import as_record
 from marl_mm.envs.registry import TASKS, make_task
 from marl_mm.errors import (
@@ -61,14 +58,15 @@ from marl_mm.eval.studies.targets import (
     study_of,
 )
 from marl_mm.files import write_json
-from marl_mm.progress import Bar, silent_bar
+from marl_mm.progress import Advance, Bar, silent_bar
 from marl_mm.runs.making import Datasets
 from marl_mm.runs.paper import GOOD_30K
 from marl_mm.runs.sources import Mix, Source
 from marl_mm.runs.training import Offline
 from marl_mm.runs.training import training_of as default_training
-from marl_mm.sim.config import default_engine
+from marl_mm.sim.config import Engine, default_engine
 from marl_mm.versions import versions
+from tests.forks import Fork
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 
@@ -101,7 +99,7 @@ TINY = Study(
     "Of data that is collected first.",
     [
         (
-            Source(steps=60, name="tiny"),
+            Source(steps=60, name="tiny", engine="mujoco"),
             Setting("few", "few", changes=FEW, goals=2, curve_goals=2),
         )
     ],
@@ -261,10 +259,10 @@ def test_declarations_that_differ_have_names_that_differ() -> None:
 
 
 def test_a_dataset_of_other_steps_or_parts_is_another(datasets_home: Path) -> None:
-    few: dict[str, Any] = {"steps": 20, "max_steps": 3}
+    engine: Engine = "mujoco"
+    few: dict[str, Any] = {"steps": 20, "max_steps": 3, "engine": engine}
     for name, seed in (("one", 0), ("two", 1)):
         marl_mm.collect("random", dataset=f"marl_mm/reach/{name}-v0", seed=seed, **few)
-    engine = default_engine()
     short = Source("random", steps=20, name="one", engine=engine)
     with pytest.raises(UnknownDatasetError):
         Datasets().find(short)  # which has the task's 25 steps an episode
@@ -662,17 +660,17 @@ def unfinished(runs: Path) -> list[Path]:
 def test_killing_it_again_and_again_changes_nothing(
     own: Path, whole: dict[str, bytes], tmp_path: Path
 ) -> None:
-    """Six times while it is at work, before and after checkpoints."""
+    """Four times while it is at work, before and after checkpoints."""
     asked = words(own, tmp_path / "killed", "--resume", "--workers", "2")
     moments, killed, cut = random.Random(0), 0, 0
     context = get_context("forkserver")  # which imports everything once
     context.set_forkserver_preload(["marl_mm.commands.ablate"])
-    while killed < 6:
+    while killed < 4:
         job = context.Process(target=main, args=(asked,))
         job.start()
         while killed % 2 and job.is_alive() and not unfinished(tmp_path / "killed"):
             time.sleep(0.02)  # every second time when a run is in the middle
-        job.join(moments.uniform(0.0, 0.5 if killed % 2 else 4.0))
+        job.join(moments.uniform(0.0, 0.2 if killed % 2 else 4.0))
         job.kill()
         job.join()
         if job.exitcode != -signal.SIGKILL:  # it was done: once more from the start
@@ -690,19 +688,14 @@ def test_ctrl_c_in_the_middle_of_a_run_loses_nothing(
     own: Path, whole: dict[str, bytes], tmp_path: Path
 ) -> None:
     asked = words(own, tmp_path / "stopped", "--workers", "2")
-    process = subprocess.Popen(
-        [sys.executable, "-m", "marl_mm.cli", *asked],
-        stderr=subprocess.PIPE,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-        start_new_session=True,
-    )
-    while not unfinished(tmp_path / "stopped"):
-        assert process.poll() is None
-        time.sleep(0.02)
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: workers hear it, too
-    _, complaint = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert b"go on with --resume" in complaint and b"Traceback" not in complaint
+    with Fork(*asked) as job:
+        while not unfinished(tmp_path / "stopped"):
+            assert job.running()
+            time.sleep(0.02)
+        os.killpg(job.pid, signal.SIGINT)  # as a terminal does: workers hear it, too
+        assert job.wait() == 130
+        complaint = job.complaint
+    assert "go on with --resume" in complaint and "Traceback" not in complaint
     assert not (tmp_path / "stopped/results/widths.csv").exists()
     assert main([*asked, "--resume"]) == 0
     assert contents(tmp_path / "stopped/results") == whole
@@ -713,15 +706,12 @@ def test_a_killed_worker_does_not_stop_it(
     own: Path, tmp_path: Path, workers_of: WorkersOf
 ) -> None:
     asked = words(own, tmp_path / "runs", "--workers", "2")
-    job = get_context("spawn").Process(target=main, args=(asked,))
-    job.start()
-    deadline = time.monotonic() + 60
-    while time.monotonic() < deadline and not found_in(tmp_path, "metrics.jsonl"):
-        time.sleep(0.05)
-    assert job.pid is not None
-    workers_of(job.pid)[0].kill()
-    job.join(120)
-    assert job.exitcode == 0
+    with Fork(*asked) as job:
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline and not found_in(tmp_path, "metrics.jsonl"):
+            time.sleep(0.05)
+        workers_of(job.pid)[0].kill()
+        assert job.wait() == 0
     assert all((tmp_path / "runs/results" / file).exists() for file in FILES)
 
 
@@ -942,19 +932,18 @@ def test_what_there_is_no_data_for_is_collected_first(
 ) -> None:
     """Also the rest of a collection that was stopped, or was to be shorter; stdout is
     the table alone."""
-    tiny = Source(steps=60, name="tiny")
-    command = "marl-mm collect pd --steps 60 --dataset tiny"
-    process = subprocess.Popen(  # one worker finishes attempts in their order
-        [sys.executable, "-m", "marl_mm.cli", *command.split()[1:], "--workers", "1"],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
-    while (begun().get("marl_mm/reach/tiny-v0") or 0) < 2:
-        assert process.poll() is None
-        time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    assert process.wait(60) == 130
+    tiny = Source(steps=60, name="tiny", engine="mujoco")
+    short: dict[str, Any] = {"dataset": "tiny", "engine": "mujoco", "workers": 1}
+
+    def stopped(label: str, total: int) -> Advance:
+        def advance(done: int, note: str) -> None:
+            if done:
+                raise KeyboardInterrupt
+
+        return advance
+
+    with pytest.raises(KeyboardInterrupt):
+        marl_mm.collect("pd", steps=60, progress=stopped, **short)
     assert 0 < load_dataset("tiny").arrays.steps < 60
     messages: list[str] = []
     made = Datasets(notify=messages.append)
@@ -964,11 +953,11 @@ def test_what_there_is_no_data_for_is_collected_first(
     assert "tiny is not complete, or is another one: 60 steps" in messages.pop()
     assert made.find(tiny).fingerprint == made.make(tiny).fingerprint and not messages
     shutil.rmtree(load_dataset("tiny").location.folder)
-    assert main(["collect", "pd", "--steps", "30", "--dataset", "tiny"]) == 0
+    marl_mm.collect("pd", steps=30, **short)
     assert made.make(tiny).arrays.steps >= 60
     assert "tiny is not complete" in messages.pop()
     with pytest.raises(OtherConfigError, match=r"seed.*: marl-mm datasets delete "):
-        made.make(Source(steps=90, seed=1, name="tiny"))
+        made.make(replace(tiny, steps=90, seed=1))
     shutil.rmtree(load_dataset("tiny").location.folder)
     capsys.readouterr()
     asked = ["ablate", f"{own}:TINY", "--seeds", "0", "--workers", "1", "--json"]

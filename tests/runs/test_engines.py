@@ -1,8 +1,10 @@
 """The engine stands in every dataset, run and evaluation, and is not mixed."""
 
 import json
+import re
 import subprocess
 import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -109,51 +111,66 @@ def test_what_version_1_began_goes_on(datasets_home: Path, tmp_path: Path) -> No
 
 
 WITHOUT_BULLET = """
-import sys
+import json, sys
 sys.modules["pybullet"] = None
 from marl_mm.cli import main
-sys.exit(main(sys.argv[1:]))
+for words in json.load(sys.stdin):
+    code = main(words)
+    for stream in (sys.stdout, sys.stderr):
+        print(f"|{code}|", file=stream, flush=True)
 """
 
 
-def without_bullet(*words: object) -> subprocess.CompletedProcess[str]:
-    """A command where PyBullet is not installed."""
-    command = [sys.executable, "-c", WITHOUT_BULLET, *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True)
+def without_bullet(*commands: Sequence[object]) -> Iterator[tuple[int, str, str]]:
+    """Exit code, stdout and stderr of commands where PyBullet is not installed."""
+    ended = subprocess.run(
+        [sys.executable, "-c", WITHOUT_BULLET],
+        input=json.dumps([[*map(str, words)] for words in commands]),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    output, complaints = (
+        re.split(r"\|(\d+)\|\n", stream) for stream in (ended.stdout, ended.stderr)
+    )
+    return zip(map(int, output[1::2]), output[::2], complaints[::2], strict=False)
 
 
 @pytest.mark.slow
 def test_mujoco_takes_the_place_of_pybullet_and_says_so_once(
     datasets_home: Path, tmp_path: Path
 ) -> None:
-    ended = without_bullet("collect", "pd", "--steps", 30, "--workers", 1)
-    assert ended.returncode == 0, ended.stderr
-    assert ended.stderr.count("PyBullet is not installed") == 1
+    runs = "--out", tmp_path, "--updates", 20, "--eval-episodes", 2, "--workers", 1
+    ended = without_bullet(
+        ("collect", "pd", "--steps", 30, "--workers", 1),
+        ("eval", "pd", "--episodes", 2, "--workers", 1, "--json"),
+        ("train", "mabc", "--dataset", "pd", *runs, "--curve-episodes", 1),
+        ("datasets", "verify", "pd", "--replay"),
+    )
+    codes, output, complaints = zip(*ended, strict=True)
+    assert codes == (0, 0, 0, 0), complaints
+    assert "".join(complaints).count("PyBullet is not installed") == 1
     data = load_dataset("pd")
     assert data.provenance.overrides["simulation"] == {"engine": "mujoco"}
-    words = "--episodes", 2, "--workers", 1, "--json"
-    (result,) = json.loads(without_bullet("eval", "pd", *words).stdout)
+    (result,) = json.loads(output[1])
     assert result["engine"] == "mujoco"
-    runs = "--out", tmp_path, "--updates", 20, "--eval-episodes", 2, "--workers", 1
-    curve = "--curve-episodes", 1
-    ended = without_bullet("train", "mabc", "--dataset", "pd", *runs, *curve)
-    assert ended.returncode == 0, ended.stderr
     assert json.loads((tmp_path / "0/config.json").read_text())["engine"] == "mujoco"
-    assert without_bullet("datasets", "verify", "pd", "--replay").returncode == 0
 
 
 @pytest.mark.slow
 def test_what_needs_pybullet_says_so_in_one_line(
     datasets_home: Path, tmp_path: Path
 ) -> None:
+    load_dataset("good-5k")
     verify = "datasets", "verify", "good-5k"
-    assert without_bullet(*verify).returncode == 0
     film = "play", "pd", "--video", tmp_path / "film.mp4"
     train = "train", "mabc", "--dataset", "good-5k", "--out", tmp_path / "runs"
-    for words in ((*verify, "--replay"), film, train):
-        ended = without_bullet(*words)
-        assert ended.returncode == 2, ended
-        *rest, line = ended.stderr.splitlines()
+    asked = (*verify, "--replay"), film, train
+    (whole, *_), *refused = without_bullet(verify, *asked)
+    assert whole == 0
+    for words, (code, _, complaint) in zip(asked, refused, strict=True):
+        assert code == 2, complaint
+        *rest, line = complaint.splitlines()
         assert all("MuJoCo simulates" in words for words in rest), rest  # and no bar
         assert line.startswith("marl-mm: "), line
         assert "pip install pybullet" in line

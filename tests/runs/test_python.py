@@ -74,6 +74,7 @@ def quiet(capfd: pytest.CaptureFixture[str]) -> Callable[[], None]:
     return check
 
 
+@pytest.mark.usefixtures("drawn")
 @pytest.mark.slow
 def test_collect_gives_the_bytes_of_the_command(
     tmp_path: Path, quiet: Callable[[], None], capfd: pytest.CaptureFixture[str]
@@ -136,6 +137,7 @@ def test_export_gives_the_bytes_of_the_command(
     assert (load(python)(state) == load(command)(state)).all()
 
 
+@pytest.mark.usefixtures("drawn")
 @pytest.mark.slow
 def test_train_offline_gives_the_bytes_of_the_command(
     tmp_path: Path, quiet: Callable[[], None], datasets_home: Path
@@ -152,6 +154,7 @@ def test_train_offline_gives_the_bytes_of_the_command(
     )
 
 
+@pytest.mark.usefixtures("drawn")
 @pytest.mark.slow
 def test_train_online_gives_the_bytes_of_the_command(
     tmp_path: Path, quiet: Callable[[], None]
