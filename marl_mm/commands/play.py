@@ -1,7 +1,6 @@
 """marl-mm play: one episode on film, or in PyBullet's window."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -20,6 +19,7 @@ from marl_mm.progress import progress_bars
 from marl_mm.runs.play import (
     Direction,
     Motion,
+    View,
     check_strip,
     default_policy,
     play,
@@ -28,7 +28,7 @@ from marl_mm.runs.play import (
 from marl_mm.runs.policies import own_task
 from marl_mm.sim.config import Camera, Engine
 
-_CAMERA, _MOTION = Camera(), Motion()
+_VIEW, _MOTION = View(), Motion()
 
 
 @command
@@ -46,7 +46,7 @@ def main(
     gui: bool = False,
     overwrite: bool = False,
     json: bool = False,
-    camera: Camera = _CAMERA,
+    camera: View = _VIEW,
     motion: Annotated[Motion, tyro.conf.arg(name="")] = _MOTION,
     settings: CollectorsSettings,
 ) -> None:
@@ -71,13 +71,12 @@ def main(
         gui: Open PyBullet's window instead of writing a film; needs a screen.
         overwrite: Replace what exists.
         json: Print the episode's row as JSON.
-        camera: Place of the camera, where it is not to be the task's.
+        camera: Settings of the camera; default the task's.
         motion: Motion of the robot alone.
         settings: Settings of collectors' policies.
     """
     policy = default_policy(task or DEFAULT) if policy is None else policy
     (config,) = configs_of([policy], settings)
-    asked = {k: v for k, v in vars(camera).items() if v != vars(_CAMERA)[k]}
     of_episodes = {
         "--task": task,
         "--engine": engine,
@@ -106,8 +105,9 @@ def main(
     written = files and f"{files}: "
     if policy in DEMOS:
         with progress_bars() as bar:
+            view = camera.of(Camera())
             drift, frames = play_demo(
-                policy, motion, fps=fps, gui=gui, camera=camera, progress=bar
+                policy, motion, fps=fps, gui=gui, camera=view, progress=bar
             )
         if video is not None:
             write_video(video, frames, fps)
@@ -123,7 +123,7 @@ def main(
             engine=engine,
             fps=fps,
             gui=gui,
-            camera=replace(make_task(task or own_task([policy])).camera, **asked),
+            camera=camera.of(make_task(task or own_task([policy])).camera),
             config=config,
             progress=bar,
         )

@@ -2,7 +2,7 @@
 
 import base64
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -103,6 +103,34 @@ class Film:
             write_video(path, self.frames, self.fps)
             data = base64.b64encode(path.read_bytes()).decode()
         return f'<video controls loop src="data:video/mp4;base64,{data}"></video>'
+
+
+@dataclass(frozen=True)
+class View:
+    """Settings of a camera that take the place of a task's; None leaves its own."""
+
+    width: int | None = None
+    """Width of the image [pixels]; a multiple of 16 suits video codecs."""
+
+    height: int | None = None
+    """Height of the image [pixels]."""
+
+    target_w: tuple[float, float, float] | None = None
+    """Point at the centre of the image [m]."""
+
+    distance: float | None = None
+    """Distance from the target [m]."""
+
+    yaw: float | None = None
+    """Yaw of the view [deg]."""
+
+    pitch: float | None = None
+    """Pitch of the view [deg]."""
+
+    def of(self, camera: Camera) -> Camera:
+        """A camera with these settings."""
+        asked = {name: value for name, value in vars(self).items() if value is not None}
+        return replace(camera, **asked)
 
 
 def default_policy(task: str) -> str:

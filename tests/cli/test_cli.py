@@ -30,6 +30,7 @@ from marl_mm.envs.tasks.reach import Reach
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
 from marl_mm.runs.policies import own_task
+from marl_mm.sim.config import Camera
 
 ID = "marl_mm/reach/test-v0"
 PROVENANCE = Provenance(task="Reach-v0", collector="pd", seed=0, attempts=6)
@@ -393,11 +394,13 @@ def test_a_camera_that_is_asked_for_keeps_the_rest_of_the_tasks(
         raise UsageError("seen")
 
     monkeypatch.setattr("marl_mm.commands.play.play", seen)
-    film = ["--task", "Course-v0", "--video", str(tmp_path / "f.gif")]
-    assert run("play", *film, "--camera.width", "640") == 2
+    film = ["--task", "Gate-v0", "--video", str(tmp_path / "f.gif")]
+    usual = Camera()  # a default of other tasks, too, where it is asked for
+    assert run("play", *film, "--camera.yaw", str(usual.yaw)) == 2
     assert run("play", *film) == 2
-    own = TASKS.get("Course-v0").camera
-    assert asked == [replace(own, width=640), own]
+    own = TASKS.get("Gate-v0").camera
+    assert own.yaw != usual.yaw
+    assert asked == [replace(own, yaw=usual.yaw), own]
 
 
 @pytest.mark.slow
