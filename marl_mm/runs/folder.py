@@ -195,7 +195,8 @@ def begin_run(run: Path, config: RunConfig, training: Training) -> None:
     now = before.continued(config.plugins, continued)
     if now != before:  # evaluations and exports of its earlier end
         _remove(run, *_MADE)
-    switches = {*settings, *now.settings} & {"eval_episodes", *SWITCHES}
+    known = {*settings, *now.settings}
+    switches = [name for name in ("eval_episodes", *SWITCHES) if name in known]
     now = now.continued(config.plugins, {n: getattr(training, n) for n in switches})
     if now != before:
         write_json(run / CONFIG, now.to_json())
