@@ -139,7 +139,6 @@ class _Collector:
         overrides = {"max_steps": max_steps, **engine_overrides(options.engine)}
         self.location, self.options, self.keeps = location, options, collector.keeps
         self.task = make_task(options.task, overrides)
-        check_engine(self.task.simulation.engine)
         check_place(options.executor, options.workers)
         self._refuse_existing()
         self.policy = collector.policy(config, self.task)
@@ -175,6 +174,7 @@ class _Collector:
             cleaning.callback(_remove_if_empty, location)
             self._refuse_existing()  # another process may have been faster
             if options.overwrite:
+                check_engine(self.task.simulation.engine)  # before anything is lost
                 discard(location.working)
             with Journal(location.working) as journal:
                 begun = journal.about() or {}

@@ -148,7 +148,10 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
             "the seed is 2147483648, expected below 2,147,483,648",
         ),
         (["play", "pd", "--camera.width", "0"], "camera width is 0, expected even"),
-        (["collect", "pd", "--dataset", "marl_mm/reach/pd"], "without its version"),
+        (
+            ["collect", "pd", "--dataset", "marl_mm/reach/pd"],
+            "is no id, expected marl_mm/FOLDER",
+        ),
         (["eval"], "no policy given"),
         (["collect", "random", "--dataset", "/dev/null/x"], "cannot write"),
         (["quickstart", "--out", "/"], "/"),
