@@ -44,7 +44,6 @@ def main(
     """
     about = export(run, out, format=format, agent=agent, overwrite=overwrite)
     difference = f"{about['largest_difference']:.1g}"
-    text = (
-        f"{about['file']}: {signature(about)}; at most {difference} of half a range off"
-    )
+    close = f"as the policy to {difference} of an action's half range"
+    text = f"{about['file']}: {signature(about)}; acts {close}"
     show(about, text, json)

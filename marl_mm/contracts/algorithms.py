@@ -270,7 +270,8 @@ def _leaves_alone(candidate: Candidate) -> None:
     learner = candidate.trained(arrays)
     learner.diagnose()
     for whose, stream in _streams().items():
-        demand(stream == streams[whose], f"it draws from {whose}'s own stream")
+        what = f"it draws from {whose}'s own stream, not from a batch or its generators"
+        demand(stream == streams[whose], what)
     for name in ("states", "actions", "rewards", "terminated", "truncated"):
         demand_same(getattr(arrays, name), getattr(before, name), f"the data's {name}")
     for name, values in before.info.items():
@@ -314,6 +315,7 @@ def _own_entries(candidate: Candidate) -> None:
 
 _CLAIMS: dict[str, Claim] = {
     "its name and hyper-parameters can be recorded": _names,
+    "data and others' random streams are left alone": _leaves_alone,
     "what it learns follows from its seed to the bit": _seeds,
     "it resumes to the bit": _resumes,
     "what it measures is finite, one number a seed": _measures,
@@ -322,7 +324,6 @@ _CLAIMS: dict[str, Claim] = {
     "actions are within their bounds, for any team": _acts,
     "an exported policy acts as it does": _exports,
     "a checkpoint acts without it": _acts_alone,
-    "data and others' random streams are left alone": _leaves_alone,
 }
 
 _OFFLINE_CLAIMS: dict[str, Claim] = {

@@ -162,7 +162,8 @@ def demand_same_state(first: Any, second: Any) -> None:
     demand(here.keys() == there.keys(), "states have other keys")
     for key, value in here.items():
         if isinstance(value, torch.Tensor):
-            demand_same(value.cpu().numpy(), there[key].cpu().numpy(), key)
+            then = there[key].cpu().numpy()
+            demand_same(value.cpu().numpy(), then, f"values of {key}")
         else:
             demand(value == there[key], f"{key} is {value}, then {there[key]}")
 
