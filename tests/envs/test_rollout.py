@@ -2,6 +2,7 @@
 
 import threading
 from contextlib import closing
+from itertools import count
 
 import numpy as np
 import psutil
@@ -95,6 +96,25 @@ def test_threads_and_processes_run_the_same_episodes(
         episodes = list(rollouts.run(policy, PLANS))
         assert kinds()[1] == processes + 2
     assert [content(episode) for episode in episodes] == alone
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("most_threads", [1, 4])
+def test_what_is_left_undone_does_not_reach_the_next_episodes(
+    monkeypatch: pytest.MonkeyPatch, most_threads: int
+) -> None:
+    """Of plans without end, as collections have; in processes and in threads."""
+    monkeypatch.setattr(slots, "MOST_THREADS", most_threads)
+    task = make_task("Reach-v0", {"simulation": {"engine": "mujoco"}, "max_steps": 2})
+    alone = [content(episode) for episode in run(task, Loud(), 1)]
+    endless = (EpisodePlan(i, 99) for i in count())
+    with Rollouts(task, 2) as rollouts:
+        episodes = rollouts.completed(Loud(), endless)
+        next(episodes)
+        episodes.close()
+        begun = next(endless).index
+        assert begun <= 6  # two for each worker, and those after the first
+        assert [content(e) for e in rollouts.run(Loud(), PLANS)] == alone
 
 
 def test_threads_serve_only_where_steps_leave_others_be() -> None:
