@@ -1,8 +1,9 @@
 """Checks of dataclasses of settings, whose fields become options and records."""
 
 import math
+import sys
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, asdict, fields, is_dataclass
+from dataclasses import MISSING, asdict, fields, is_dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -17,6 +18,65 @@ ADDED = MappingProxyType({"added": True})
 def plain(value: Any) -> Any:
     """A number of NumPy's as one of Python's, which JSON has."""
     return value.item() if isinstance(value, np.generic) else value
+
+
+def like(value: Any, usual: Any, name: str) -> Any:
+    """A value as records have it: of the usual one's kind, of Python's own numbers.
+
+    Args:
+        value: The value; lists become tuples, whole numbers floats where one is usual.
+        usual: Value of the kind, nested as it is; None is of every kind.
+        name: Name of the value, for the message.
+
+    Raises:
+        UsageError: If it is of another kind, or not finite.
+    """
+    value = plain(value)
+    if is_record(usual):
+        return _record_like(value, usual, name)
+    if isinstance(usual, tuple):
+        if not isinstance(value, list | tuple) or len(usual) not in (0, len(value)):
+            raise UsageError(f"{name} is {value!r:.60}, expected {len(usual)} numbers")
+        of_each = usual or [None] * len(value)
+        return tuple(like(*pair, name) for pair in zip(value, of_each, strict=True))
+    if usual is None:
+        return tuple(like(v, None, name) for v in value) if _is_list(value) else value
+    truth = isinstance(value, bool)
+    if isinstance(usual, float) and isinstance(value, int | float) and not truth:
+        if value == usual or abs(value) <= sys.float_info.max:
+            return float(value)
+    elif isinstance(value, type(usual)) and truth == isinstance(usual, bool):
+        return value
+    kind = "a finite number" if isinstance(usual, float) else type(usual).__name__
+    raise UsageError(f"{name} is {value!r:.60}, expected {kind}")
+
+
+def is_record(value: Any) -> bool:
+    """Whether it has named fields: a dataclass's instance or a named tuple."""
+    named = is_dataclass(value) or hasattr(value, "_asdict")
+    return named and not isinstance(value, type)
+
+
+def _record_like(value: Any, usual: Any, name: str) -> Any:
+    if not isinstance(value, type(usual)):
+        raise UsageError(f"{name} is {value!r:.60}, expected a {type(usual).__name__}")
+    known = (
+        usual._fields if hasattr(usual, "_fields") else [f.name for f in fields(usual)]
+    )
+    changes = {}
+    for field in known:
+        given = getattr(value, field)
+        kept = like(given, getattr(usual, field), f"{name}.{field}")
+        if kept is not given:
+            changes[field] = kept
+    if not changes:
+        return value
+    named = hasattr(value, "_replace")
+    return value._replace(**changes) if named else replace(value, **changes)
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, list | tuple) and not is_record(value)
 
 
 def defaults(kind: type) -> dict[str, object]:

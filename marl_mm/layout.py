@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from marl_mm.declared import plain
 from marl_mm.errors import LayoutError
 
 JOINT_NAME = "joint"
@@ -48,6 +49,16 @@ class Entry:
 
     high: float = math.inf
     """Upper bound, in the entry's unit."""
+
+    def __post_init__(self) -> None:
+        for name in ("low", "high"):
+            bound = plain(getattr(self, name))
+            if not isinstance(bound, int | float):
+                raise LayoutError(
+                    f"entry {self.name!r:.60}: {name} is {bound!r:.60}, expected a "
+                    "number"
+                )
+            object.__setattr__(self, name, bound)
 
     def __str__(self) -> str:
         bounded = math.isfinite(self.low) or math.isfinite(self.high)
@@ -329,7 +340,10 @@ def in_order(agents: Iterable[AgentLayout]) -> list[int] | None:
 def _make_tuples(record: Any, *names: str) -> None:
     """Turn lists into tuples, which compare equal and can be hashed."""
     for name in names:
-        object.__setattr__(record, name, tuple(getattr(record, name)))
+        values = getattr(record, name)
+        if isinstance(values, str) or not isinstance(values, Iterable):
+            raise LayoutError(f"{name} is {values!r:.60}, expected a tuple")
+        object.__setattr__(record, name, tuple(values))
 
 
 def _check_kinds(layout: Layout) -> None:

@@ -7,12 +7,13 @@ and rewards.
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from marl_mm.envs.arguments import checked_goal, refuse_copies
 from marl_mm.envs.drive import Drive, Motion, Watch
+from marl_mm.envs.order import Order
 from marl_mm.envs.task import Attempt, Task
 from marl_mm.episode import FAILED
 from marl_mm.errors import (
@@ -126,14 +127,8 @@ class EpisodeCore:
         """``step`` without checks and bounds, for actions beyond the action space."""
         attempt, task = self._begun(), self.task
         named = dict(zip(task.layout.action_names, action.tolist(), strict=True))
-        orders = task.act(attempt, named)
-        if not isinstance(orders, Sequence) or len(orders) != len(self.drives):
-            raise UsageError(
-                f"{self._name}.act returned {orders!r:.60}, expected a list "
-                f"with an order for each of {len(self.drives)} robots"
-            )
         try:
-            motions = attempt.follow(orders, watch)
+            motions = attempt.follow(self._ordered(task.act(attempt, named)), watch)
             attempt.steps += 1
             task.at_step(attempt, motions)
             return self._judged(attempt, motion_info(motions))
@@ -187,6 +182,16 @@ class EpisodeCore:
             )
         return self.attempt
 
+    def _ordered(self, orders: Any) -> Sequence[Order]:
+        """What the task's ``act`` returned."""
+        right = isinstance(orders, Sequence) and len(orders) == len(self.drives)
+        if not right or not all(isinstance(order, Order) for order in orders):
+            raise UsageError(
+                f"{self._name}.act returned {orders!r:.60}, expected a list "
+                f"with an Order for each of {len(self.drives)} robots"
+            )
+        return cast(Sequence[Order], orders)
+
     def _judged(self, attempt: Attempt, moved: dict[str, Any]) -> Step:
         """The step's result; ``moved`` has the numbers of ``MOTION_INFO``."""
         task, layout = self.task, self.task.layout
@@ -203,14 +208,10 @@ class EpisodeCore:
         if task.fails:
             info["reason"] = reason
         info = {name: info[name] for name in task.info} | info  # declared ones first
-        reward = task.reward(achieved, goal, terms)
-        if not _is_number(reward) or not math.isfinite(reward):
-            raise MarlMmError(
-                f"{self._name}.reward is {reward!r:.60}, expected a finite number"
-            )
+        reward = self._number("reward", task.reward(achieved, goal, terms))
         ended = success or bool(reason)
         truncated = attempt.steps >= task.max_steps and not ended
-        return Step(state, float(reward), ended, truncated, info)
+        return Step(state, reward, ended, truncated, info)
 
     def _measured(self, attempt: Attempt) -> tuple[dict[str, Any], str]:
         """The task's step numbers, and the reason of a failure, empty without one."""
@@ -237,11 +238,7 @@ class EpisodeCore:
             )
         info = info | {name: known[name] for name in self.task.needs}
         for name in self.task.own_info:
-            if not _is_number(info.get(name)):
-                raise LayoutError(
-                    f"{self._name}.measure: {name}, which own_info has, is "
-                    f"{info.get(name)!r:.60}, expected a number"
-                )
+            self._number(f"measure: {name}, which own_info has,", info.get(name))
         return info
 
     def _number(self, function: str, value: Any) -> float:
@@ -251,7 +248,11 @@ class EpisodeCore:
                 f"{self._name}.{function} is {value!r:.60}, expected one value for one "
                 "goal"
             )
-        return float(value)
+        if not math.isfinite(number := float(value)):
+            raise MarlMmError(
+                f"{self._name}.{function} is {value!r:.60}, expected a finite number"
+            )
+        return number
 
     @property
     def _name(self) -> str:

@@ -115,7 +115,7 @@ class HazardTask(RiskyTask):
     def begin(
         self, attempt: Attempt, rng: np.random.Generator, goal: np.ndarray | None
     ) -> None:
-        """Draw goal and hazards, reset the robot, and take the random steps."""
+        """Draw goal and hazards, and reset the robot."""
         intervals = self.goal_x, self.goal_y, self.goal_z
         drawn = np.array([rng.uniform(*interval) for interval in intervals])
         hazard = self.draw(rng)
@@ -126,7 +126,6 @@ class HazardTask(RiskyTask):
         attempt.memory.drawn = hazard
         if self.halves and not first:
             self._go_half_way(attempt, drawn)
-        self.wander(attempt, rng)
 
     def _go_half_way(self, attempt: Attempt, goal_w: np.ndarray) -> None:
         """Let the script take the first half of the way to a goal, unseen."""

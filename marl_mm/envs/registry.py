@@ -2,14 +2,13 @@
 
 import inspect
 import re
-import sys
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import gymnasium
 
-from marl_mm.declared import defaults
+from marl_mm.declared import defaults, like
 from marl_mm.envs.task import Task
 from marl_mm.episode import FAILED, GOAL_INFO, MOTION_INFO
 from marl_mm.errors import UsageError, meant
@@ -96,6 +95,7 @@ def kind_of(name: str) -> str:
     It is Gate-v0 of Gate-easy-v0 and Gate-v0; a task that has no such name is its own.
     """
     kind, dash, _ = name.removesuffix("-v0").partition("-")
+    dash = dash if name.endswith("-v0") else ""
     return f"{kind}-v0" if dash and f"{kind}-v0" in TASKS else name
 
 
@@ -175,31 +175,7 @@ def _replaced(config: Any, overrides: Mapping[str, Any], path: str) -> Any:
                 )
             changes[name] = _replaced(current, value, f"{path}{name}.")
         else:
-            changes[name] = _like(current, value, path + name)
+            changes[name] = like(value, current, path + name)
     if is_dataclass(config) and not isinstance(config, type):
         return replace(config, **changes)
     return config._replace(**changes)
-
-
-def _like(current: Any, value: Any, name: str) -> Any:
-    """A value, converted to the type of the value that it replaces.
-
-    Raises:
-        UsageError: If it is of another type, or not finite.
-    """
-    if current is None:
-        return value
-    if isinstance(current, tuple):
-        if not isinstance(value, list | tuple) or len(current) not in (0, len(value)):
-            raise UsageError(f"{name} is {value!r}, expected {len(current)} numbers")
-        if not current:
-            return tuple(value)
-        return tuple(_like(*pair, name) for pair in zip(current, value, strict=True))
-    truth = isinstance(value, bool)
-    if isinstance(current, float) and isinstance(value, int | float) and not truth:
-        if abs(value) <= sys.float_info.max:
-            return float(value)
-    elif isinstance(value, type(current)) and truth == isinstance(current, bool):
-        return value
-    kind = "a finite number" if isinstance(current, float) else type(current).__name__
-    raise UsageError(f"{name} is {value!r:.60}, expected {kind}")

@@ -165,12 +165,14 @@ def run_episodes(
 
 
 _worker = threading.local()
-"""Environment of a worker, a process or a thread, in its ``core``."""
+"""Task and environment of a worker, a process or a thread: ``task`` and ``core``."""
 
 
 def _start_worker(task: Task) -> None:
-    _worker.core = EpisodeCore(task)
+    _worker.task = task
 
 
 def _run_in_worker(item: tuple[Policy, EpisodePlan]) -> Episode:
+    if not hasattr(_worker, "core"):  # not when the worker begins, which hides errors
+        _worker.core = EpisodeCore(_worker.task)
     return run_episode(_worker.core, *item)

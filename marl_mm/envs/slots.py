@@ -6,9 +6,10 @@ numbers of its own.
 
 import pickle
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from itertools import chain
 from multiprocessing.sharedctypes import RawArray
 from typing import Any, Literal, NamedTuple, Protocol, get_args
 
@@ -18,7 +19,7 @@ from gymnasium.utils import seeding
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.task import Task
 from marl_mm.errors import UsageError
-from marl_mm.pools import gathered
+from marl_mm.pools import gathered, transferable
 from marl_mm.workers import Residents
 
 Backend = Literal["threads", "processes"]
@@ -109,6 +110,8 @@ class Slots(Protocol):
     def call(self, name: str, arguments: Sequence[tuple[Any, ...] | None]) -> list[Any]:
         """Results of a method of ``Slot``, in the order of the environments.
 
+        All are called even if one raises an error; then the first one's is raised.
+
         Args:
             name: Name of the method.
             arguments: Its arguments for each environment; None leaves one out.
@@ -138,16 +141,16 @@ class LocalSlots:
         """See ``Slots``; a thread that is free takes the next environment."""
         calls = _calls(self._slots, name, arguments)
         if self._threads is None:
-            return [call() for call in calls]
-        results: list[Any] = [None] * len(calls)
+            return _results(map(_attempted, calls))
+        attempts: list[Any] = [None] * len(calls)
         remaining = iter(enumerate(calls))  # which the threads share
 
         def work() -> None:
             for i, call in remaining:
-                results[i] = call()
+                attempts[i] = _attempted(call)
 
         gathered([self._threads.submit(work) for _ in range(self._thread_count)])
-        return results
+        return _results(attempts)
 
     def close(self) -> None:
         """See ``Slots``."""
@@ -195,11 +198,31 @@ class ProcessSlots:
     def call(self, name: str, arguments: Sequence[tuple[Any, ...] | None]) -> list[Any]:
         """See ``Slots``."""
         items = [(name, [arguments[i] for i in share]) for share in self._shares]
-        return [r for results in self._residents.call(_call, items) for r in results]
+        return _results(chain.from_iterable(self._residents.call(_call, items)))
 
     def close(self) -> None:
         """See ``Slots``."""
         self._residents.close()
+
+
+_Attempt = tuple[Any, Exception | None]
+"""Result of a call, or its error."""
+
+
+def _attempted(call: Callable[[], Any]) -> _Attempt:
+    try:
+        return call(), None
+    except Exception as error:
+        return None, error
+
+
+def _results(attempts: Iterable[_Attempt]) -> list[Any]:
+    """Results of calls; the first error is raised, if there is one."""
+    attempts = list(attempts)
+    for _, error in attempts:
+        if error is not None:
+            raise error
+    return [result for result, _ in attempts]
 
 
 def _calls(
@@ -232,5 +255,6 @@ def _open(number: int) -> None:
     _slots = [Slot(task, visual, states[i]) for i in share]
 
 
-def _call(item: tuple[str, list[tuple[Any, ...] | None]]) -> list[Any]:
-    return [call() for call in _calls(_slots, *item)]
+def _call(item: tuple[str, list[tuple[Any, ...] | None]]) -> list[_Attempt]:
+    attempts = map(_attempted, _calls(_slots, *item))
+    return [(result, error and transferable(error)) for result, error in attempts]

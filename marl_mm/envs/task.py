@@ -6,13 +6,13 @@ of an episode: an ``Attempt`` does. ``envs/tasks`` has one file per kind of task
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from marl_mm.control.config import ControllerConfig
-from marl_mm.declared import ADDED, plain
+from marl_mm.declared import ADDED, like
 from marl_mm.envs.order import Order
 from marl_mm.envs.terms import goal_distance
 from marl_mm.episode import FAILED, GOAL_INFO, MOTION_INFO
@@ -151,8 +151,12 @@ class Task(ABC):
 
     def __post_init__(self) -> None:
         for item in fields(self):  # as records have them, whoever wrote them
-            value = _recorded(getattr(self, item.name), item.default)
-            object.__setattr__(self, item.name, value)
+            usual = item.default
+            if item.default_factory is not MISSING:
+                usual = item.default_factory()
+            given, name = getattr(self, item.name), item.name
+            value = like(given, None if usual is MISSING else usual, name)
+            object.__setattr__(self, name, value)
         for name in ("max_steps", "ticks_per_step", "look_every"):
             value = getattr(self, name)
             if not isinstance(value, int) or value < 1:
@@ -301,14 +305,3 @@ class Task(ABC):
             UsageError: If the task has no expert.
         """
         raise UsageError(f"{type(self).__name__} has no scripted expert")
-
-
-def _recorded(value: Any, usual: Any) -> Any:
-    """A field's value as records have it: tuples of Python's own numbers."""
-    value = plain(value)
-    if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
-        same = isinstance(usual, tuple) and len(usual) == len(value)
-        of_each = usual if same else [None] * len(value)
-        return tuple(map(_recorded, value, of_each))
-    whole = isinstance(value, int) and not isinstance(value, bool)
-    return float(value) if whole and isinstance(usual, float) else value

@@ -32,7 +32,7 @@ from marl_mm.errors import InvalidActionError, UsageError, WorkerDiedError
 from marl_mm.layout import Layout
 from marl_mm.sim.world import check_engine
 from marl_mm.spaces import action_space, goal_observation_space, state_space
-from marl_mm.workers import available_cores
+from marl_mm.workers import available_cores, check_workers
 
 Seeds = int | Sequence[int | None] | None
 
@@ -58,6 +58,7 @@ class TaskVector(VectorEnv[Any, np.ndarray, np.ndarray]):
             whole = isinstance(number, int | np.integer)
             if not whole or isinstance(number, bool) or number < 1:
                 raise UsageError(f"{name} is {number!r}, expected an integer >= 1")
+        check_workers(min(workers, n))
         self.task = make_task(task, overrides)
         self.num_envs, self.render_mode = int(n), render_mode
         self.metadata = {

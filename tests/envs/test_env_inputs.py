@@ -1,6 +1,7 @@
 """What environments refuse, and what they show."""
 
 import copy
+import json
 import pickle
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,11 +13,13 @@ from marl_mm.envs import parallel_env
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.goal_env import GoalEnv
 from marl_mm.envs.parallel_vector import TeamVector
-from marl_mm.envs.registry import TASKS, register_task
+from marl_mm.envs.registry import TASKS, config_dict, register_task
 from marl_mm.envs.task import Attempt, Terms, Values
 from marl_mm.envs.tasks.reach import Reach
 from marl_mm.envs.vector import GoalVector
 from marl_mm.errors import InvalidActionError, LayoutError, MarlMmError, UsageError
+from marl_mm.layout import Entry
+from marl_mm.sim.config import SimulationConfig
 
 REACHING = [name for name, task in TASKS.items() if isinstance(task, Reach)]
 
@@ -141,7 +144,7 @@ class Pays(Reach):
 def test_a_reward_that_is_no_number_ends_the_episode_at_once(paid: Any) -> None:
     core = EpisodeCore(Pays(max_steps=2, paid=paid))
     core.reset(np.random.default_rng(0))
-    with pytest.raises(MarlMmError, match=r"Pays\.reward is .*, expected a finite"):
+    with pytest.raises(MarlMmError, match=r"Pays\.reward is .*, expected (one|a f)"):
         core.step(np.zeros(4))
     core.close()
 
@@ -167,7 +170,7 @@ def test_an_entry_that_is_no_number_is_named(seen: Any) -> None:
 @pytest.mark.parametrize(
     ("function", "returned", "complaint"),
     [
-        ("act", None, "act returned None, expected a list with an order for each of 1"),
+        ("act", None, "act returned None, expected a list with an Order for each of 1"),
         ("observe", None, r"observe is None, expected a dict"),
         ("measure", None, r"measure is None, expected a dict"),
         ("measure", {"d_mm": "far", "d_mp": 0.0}, "measure: d_mm, .* is 'far', exp"),
@@ -183,6 +186,14 @@ def test_an_entry_that_is_no_number_is_named(seen: Any) -> None:
             np.zeros(3, bool),
             "reached is array.*, expected one value for one",
         ),
+        ("act", [None], "act returned .*, expected a list with an Order"),
+        (
+            "measure",
+            {"d_mm": np.nan, "d_mp": 0.0},
+            "measure: d_mm, .* is nan, exp",
+        ),
+        ("distance", np.array(np.inf), r"distance is array\(inf\), expected a finite"),
+        ("reached", np.nan, "reached is nan, expected a finite"),
     ],
 )
 def test_a_function_of_a_task_that_returns_something_odd_is_named(
@@ -194,6 +205,38 @@ def test_a_function_of_a_task_that_returns_something_odd_is_named(
         core.reset(np.random.default_rng(0))
         core.step(np.zeros(4))
     core.close()
+
+
+@pytest.mark.parametrize(
+    ("fields", "complaint"),
+    [
+        ({"goal_x_forward": 1.0}, r"goal_x_forward is 1\.0, expected 2 numbers"),
+        ({"goal_x_forward": (1.0, 2.0, 3.0)}, "expected 2 numbers"),
+        ({"success_distance": "0.1"}, "success_distance is '0.1', expected a finite"),
+        ({"max_steps": True}, "max_steps is True, expected int"),
+        ({"random_start_steps": 1.5}, "random_start_steps is 1.5, expected int"),
+        ({"robot": {"base_mass": 100}}, "robot is .*, expected a RobotConfig"),
+    ],
+)
+def test_a_task_of_odd_numbers_is_refused_when_it_is_made(
+    fields: dict[str, Any], complaint: str
+) -> None:
+    with pytest.raises(UsageError, match=complaint):
+        Reach(**fields)
+
+
+def test_a_task_of_numpys_numbers_is_the_same_as_of_pythons() -> None:
+    """Nested ones, too; records are JSON, which has none of NumPy's."""
+    numbers = np.array([50.0, 2.0])
+    simulation = SimulationConfig(wheel_force=numbers[0])
+    task = Reach(goal_x_forward=(1, numbers[1]), simulation=simulation)
+    same = Reach(
+        goal_x_forward=(1.0, 2.0), simulation=SimulationConfig(wheel_force=50.0)
+    )
+    assert task == same
+    assert json.dumps(config_dict(task)) == json.dumps(config_dict(same))
+    goal = Entry("goal_z", "m", *numbers[::-1])
+    assert type(goal.low) is type(goal.high) is float
 
 
 def test_bad_render_modes_and_early_states_are_refused() -> None:

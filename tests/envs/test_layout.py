@@ -25,7 +25,7 @@ from marl_mm.datasets.storage import write_dataset
 from marl_mm.envs.goal_env import goal_observation
 from marl_mm.envs.parallel import join_actions, split_action, split_state
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
-from marl_mm.episode import INFO, Episode
+from marl_mm.episode import Episode
 from marl_mm.errors import LayoutError
 from marl_mm.layout import Agent, Entry, Layout, columns
 from marl_mm.spaces import action_space, state_space
@@ -248,7 +248,6 @@ def test_episodes_of_two_layouts_are_no_dataset(tmp_path: Path) -> None:
     straight, reversed_ = (random_episode(layout, 0) for layout in (REACH, turned))
     with pytest.raises(Exception, match="order of the state"):
         arrays_of([straight, reversed_], "x")
-    assert set(INFO) >= {"distance", "is_success"}
 
 
 def test_actions_at_bounds_that_are_no_float32_are_within_them() -> None:

@@ -17,9 +17,12 @@ from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import EpisodePlan, Rollouts, run_episode
 from marl_mm.envs.task import Task
 from marl_mm.episode import Episode
+from marl_mm.errors import UsageError
 from marl_mm.layout import Layout
 from marl_mm.policy import Policy
 from marl_mm.runs.policies import load_policy
+
+MUJOCO = {"engine": "mujoco"}
 
 PLANS = [EpisodePlan(i, 10 + i) for i in range(5)]
 
@@ -115,6 +118,19 @@ def test_what_is_left_undone_does_not_reach_the_next_episodes(
         begun = next(endless).index
         assert begun <= 6  # two for each worker, and those after the first
         assert [content(e) for e in rollouts.run(Loud(), PLANS)] == alone
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("most_threads", [1, 4])
+def test_a_robot_that_falls_is_refused_in_workers_too(
+    monkeypatch: pytest.MonkeyPatch, most_threads: int
+) -> None:
+    """In one line: in processes and in threads."""
+    monkeypatch.setattr(slots, "MOST_THREADS", most_threads)
+    fields = {"robot": {"base_com_b": (1.0, 0, 0.2)}, "simulation": MUJOCO}
+    with Rollouts(make_task("Reach-v0", fields), 2) as rollouts:
+        with pytest.raises(UsageError, match="robot"):
+            list(rollouts.run(Loud(), PLANS))
 
 
 def test_threads_serve_only_where_steps_leave_others_be() -> None:

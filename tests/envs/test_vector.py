@@ -23,10 +23,13 @@ from marl_mm import interrupts
 from marl_mm.envs import parallel_env, registry, vector
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.goal_env import GoalEnv
-from marl_mm.envs.slots import Slot
+from marl_mm.envs.order import Order
+from marl_mm.envs.slots import Backend, Slot
+from marl_mm.envs.task import Attempt, Values
 from marl_mm.envs.tasks.reach import Reach
 from marl_mm.errors import (
     InvalidActionError,
+    MarlMmError,
     NonFiniteStateError,
     UsageError,
     WorkerDiedError,
@@ -250,6 +253,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "a truth value": ({"n": True}, "n is True, expected an integer >= 1"),
     "half of one": ({"n": 1.5}, "n is 1.5, expected an integer >= 1"),
     "no worker": ({"workers": 0}, "workers is 0, expected an integer >= 1"),
+    "many workers": ({"n": 70, "workers": 70}, "workers is 70, expected 1 to 64"),
     "a task": ({"task": "Reech-v0"}, "unknown task 'Reech-v0'"),
     "an engine": ({"overrides": options("ode")}, "engine is 'ode', expected bullet or"),
     "a field": ({"overrides": {"steps": 3}}, "unknown field 'steps'"),
@@ -379,6 +383,40 @@ def test_an_environment_that_fails_leaves_the_others_and_a_reset_goes_on(
     assert data_equivalence(*both, exact=True)
     vector.close()
     reference.close()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fragile(Reach):
+    """It fails where alpha is 0; an episode has one step."""
+
+    max_steps: int = 1
+
+    def act(self, attempt: Attempt, action: Values) -> list[Order]:
+        if action["alpha"] == 0.0:
+            raise MarlMmError("no alpha")
+        return super().act(attempt, action)
+
+
+@pytest.mark.slow
+def test_after_an_error_streams_go_on_alike_wherever_environments_are(
+    registries: None,
+) -> None:
+    registry.register_task("Fragile-v0", Fragile())
+    actions = np.tile(MIDDLE, (3, 1))
+    actions[0, 3] = 0.0
+    begun = []
+    places: list[tuple[int, Backend | None]]
+    places = [(1, None), (2, "threads"), (2, "processes")]
+    for workers, backend in places:
+        mujoco = options("mujoco")
+        vector = marl_mm.make_vec("Fragile-v0", 3, workers, mujoco, None, backend)
+        vector.reset(seed=0)
+        with pytest.raises(MarlMmError, match="no alpha"):
+            vector.step(actions)
+        observations, _ = vector.reset()
+        begun.append(observations["desired_goal"].tolist())
+        vector.close()
+    assert begun[0] == begun[1] == begun[2]
 
 
 # --- Ends --------------------------------------------------------------------

@@ -205,7 +205,6 @@ class Bar(RiskyTask):
         ]
         attempt.follow(orders)  # one unseen step
         pair.late_w = self._hands_w(pair)
-        self.wander(attempt, rng)
 
     def _take(self, robot: Attempt, marks: Sequence[Mark]) -> Order:
         (drive,) = robot.drives

@@ -205,7 +205,6 @@ class Course(CruiseTask):
         self.place(attempt, marks, scene)
         attempt.memory = Way(**vars(attempt.memory) | {"drawn": there})
         attempt.drives[0].handle(scene, self.load.knowledge).grip(False)
-        self.wander(attempt, rng)
 
     def _draw(self, rng: np.random.Generator) -> Stations:
         length = rng.uniform(*self.zone_length)

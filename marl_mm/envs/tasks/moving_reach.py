@@ -175,7 +175,6 @@ class MovingReach(CruiseTask):
         start = Mark(tuple(self._place(centre_w, angle).tolist()), (0.04,))
         self.place(attempt, (start,))
         attempt.memory.drawn = Circle(centre_w, angle, float(rate))
-        self.wander(attempt, rng)
 
     def at_step(self, attempt: Attempt, motions: "Sequence[Motion]") -> None:
         """Move the goal, and count the seconds near it."""

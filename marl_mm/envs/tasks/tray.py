@@ -150,11 +150,12 @@ class Tray(HazardTask):
                 f"frequency is {self.frequency:g} Hz, expected below {most:.3g} Hz at "
                 f"{RATE} ticks a second and damping {self.damping:g}"
             )
+        steps = int(low / self.leak + 1e-9)
         self.check_way(
-            f"a cup of level {low:g} is dry in {low / self.leak:.0f} steps: goal_",
+            f"a cup of level {low:g} is dry in {steps} steps: goal_",
             self.goal_x,
             -self.success_distance,
-            int(low / self.leak),
+            steps,
             self.goal_y,
         )
 
