@@ -116,8 +116,9 @@ def interval_of_mean(values: np.ndarray) -> tuple[float, float]:
     """95 % interval of a mean: on each side the wider of two.
 
     One is Student's over seeds, the other a bootstrap over goals of the seeds' means.
-    Their variances are not added. With five seeds Student's factor makes up for that;
-    with 20 that vary as much as goals do, 89 % of the intervals hold the mean.
+    Their variances are not added. Where seeds vary as much as goals do, Student's
+    factor makes up for that with three seeds (95 % of the intervals hold the mean), but
+    less with more: 92 % with five, 87 % with 20.
 
     Args:
         values: Values by seed and goal, shape (seeds, goals).

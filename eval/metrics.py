@@ -77,8 +77,17 @@ class Metric:
         )
 
 
+_SUMMARIZED = "episodes", "success_rate", "interval", "steps_to_success", "failures"
+"""Names of what summaries have beside means of metrics."""
+
 METRICS: Registry[Metric] = Registry(
-    "metric", of=Metric, taken=(*EvaluationRow.__required_keys__, "direction", "reason")
+    "metric",
+    of=Metric,
+    taken=(
+        *EvaluationRow.__required_keys__,
+        *("direction", "reason"),
+        *_SUMMARIZED,
+    ),
 )
 """Metrics that evaluations have beside success, steps and return."""
 

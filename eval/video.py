@@ -157,17 +157,22 @@ def film_both_ways(
             twice the task's most.
     """
     result = TwoWays([], [], [])
-    for plan, direction in zip(goal_set(config, 2, seed), WAYS, strict=True):
+    for number, plan in enumerate(goal_set(config, 2, seed)):
         episode, frames = film_episode(
             config, policy, plan, Camera(), fps, advance=advance
         )
         advance(config.max_steps - len(episode), "")
         result.episodes.append(episode)
         result.frames.extend(frames)
-        label = f"{direction}: {len(episode)} steps"
+        label = f"{_way(episode, number)}: {len(episode)} steps"
         per_step = fps * config.seconds_per_step
         result.strips.append((label, pictures_of(frames, per_step)))
     return result
+
+
+def _way(episode: Episode, number: int) -> str:
+    """Direction of an episode's goal, or its number where goals have none."""
+    return episode.direction or f"goal {number}"
 
 
 def pictures_of(
@@ -198,16 +203,17 @@ def strips_both_ways(config: Task, policy: Policy, seed: int) -> Strips:
         seed: Seed of the goals.
     """
     strips = []
-    for plan, direction in zip(goal_set(config, 2, seed), WAYS, strict=True):
+    for number, plan in enumerate(goal_set(config, 2, seed)):
         with closing(EpisodeCore(config)) as core:
             # Watched as below: the compiled loop may end a step sooner or later.
-            steps = len(run_episode(core, policy, plan, lambda tick: None))
+            episode = run_episode(core, policy, plan, lambda tick: None)
+        steps = len(episode)
         wanted = _evenly(math.ceil(steps * config.ticks_per_step / RATE), 5)
         _, frames = film_episode(config, policy, plan, Camera(), 1, wanted=wanted)
         taken = dict(zip(sorted({*wanted}), frames, strict=True))
         length = config.seconds_per_step
         pictures = [(f"step {int(n / length + 1e-9)}", taken[n]) for n in wanted]
-        strips.append((f"{direction}: {steps} steps", pictures))
+        strips.append((f"{_way(episode, number)}: {steps} steps", pictures))
     return strips
 
 

@@ -194,7 +194,7 @@ def _sources() -> str:
         *("runs", "sim"),
     )
     patterns = [f"{folder}/**/*" for folder in folders]
-    for pattern in (*patterns, "eval/*", "episode.py", "layout.py", "policy.py"):
+    for pattern in (*patterns, "eval/*", "eval/studies/*", "*"):
         for path in sorted(package.glob(pattern)):
             if path.suffix in (".py", ".urdf", ".safetensors", ".npz"):
                 digest.update(path.read_bytes())

@@ -7,7 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import marl_mm
-from marl_mm.errors import FailedRunsError, MarlMmError
+from marl_mm.errors import FailedRunsError, MarlMmError, UsageError
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.runner import StudyRunner
 from marl_mm.eval.studies.study import Study
@@ -25,9 +25,14 @@ Check = tuple[Path, Callable[[Path], object]]
 def checks_of(
     options: StudyOptions, studies: Mapping[str, Study], comparisons: Comparisons
 ) -> list[Check]:
-    """Checks of the existing tables: the committed ones where no others are named."""
+    """Checks of the existing tables: the committed ones where no others are named.
+
+    Raises:
+        UsageError: If there are no tables.
+    """
     moved = options.out or options.runs or options.engine
-    committed = not (moved or options.small)
+    ours = all(STUDIES.get(name) is study for name, study in studies.items())
+    committed = ours and not (moved or options.small)
     if committed and _COMMITTED.exists():
         options = replace(options, out=_COMMITTED / "studies")
     results, runner = options.results, StudyRunner(options)
@@ -44,6 +49,8 @@ def checks_of(
     swept = _COMMITTED / "alpha"
     if committed and len(studies) == len(STUDIES) and swept.exists():
         checks.append((swept, partial(draw_sweep, swept)))
+    if not checks:
+        raise UsageError(f"{results} has no tables to check: name theirs with `out`")
     return checks
 
 

@@ -66,12 +66,14 @@ def draw_early(results: Path, folder: Path) -> list[Row]:
 
     Raises:
         UsageError: If there are no rows of both lengths.
+        OtherConfigError: If those of one length are of other data, goals or engine.
     """
     store, rows = RowStore(results / "rows"), list[Row]()
     for early, late in zip(_EARLY, _LATE, strict=True):
         seeds = sorted({*store.seeds(early)} & {*store.seeds(late)})
         if not seeds:
             continue
+        store.refuse_mixed((early, late), but="updates")
         before, reached_before = of_cell(store, early, seeds)
         after, reached_after = of_cell(store, late, seeds)
         gain = reached_after - reached_before

@@ -58,7 +58,8 @@ def on_a_grid(rows: Sequence[Row], key: str) -> tuple[np.ndarray, np.ndarray]:
     (t,), and values, shape (seeds, t).
     """
     clock = _clock(rows)
-    rows = [row for row in rows if not math.isnan(row[clock])]
+    # The cell is empty where a run diverged before it began what the clock counts.
+    rows = [r for r in rows if r[clock] != "" and not math.isnan(r[clock])]
     times = np.unique([row[clock] for row in rows])
     values = [
         np.interp(times, [row[clock] for row in curve], [row[key] for row in curve])

@@ -39,7 +39,8 @@ def make_tables(
             yield name, rows, f"{comparison.about}\n\n{comparison.markdown(rows)}"
         except MarlMmError as error:  # there may be none of the others
             if len(failures) == failed and not isinstance(error, FailedRunsError):
-                raise
+                failures.append(error)
+                break
             failures.append(error)
     raise_together(failures)
 

@@ -151,8 +151,12 @@ class RowStore:
             )
         return engine
 
-    def refuse_mixed(self, cells: Sequence[Cell]) -> None:
+    def refuse_mixed(self, cells: Sequence[Cell], but: str = "") -> None:
         """Raise for rows of a table that differ in data, goals, updates or engine.
+
+        Args:
+            cells: Cells of the rows.
+            but: Name of the value in which they may differ.
 
         Raises:
             OtherConfigError: Naming the first cell that differs, and in what.
@@ -161,7 +165,7 @@ class RowStore:
         for cell, record in zip(cells[1:], others, strict=True):
             begun, now = (
                 {"fingerprint": (of.get("dataset") or {}).get("fingerprint")}
-                | {key: of.get(key) for key in _ALIKE}
+                | {key: of.get(key) for key in _ALIKE if key != but}
                 for of in (first, record)
             )
             if words := ", ".join(changes(now, begun)):

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from marl_mm.algorithms.fine_tuning import FineTuning
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED, preset
+from marl_mm.declared import like
 from marl_mm.envs.registry import DEFAULT, make_task
 from marl_mm.errors import UsageError
 from marl_mm.runs.settings import with_settings
@@ -101,8 +102,25 @@ class Setting:
     def __post_init__(self) -> None:
         """Refuse settings that cannot be run."""
         _check_name(self.name)
+        for name, usual in (("goals", 200), ("curve_every", 5_000)):
+            like(getattr(self, name), usual, name)
         if self.goals < 2 or self.goals % 2:
             raise UsageError(f"goals is {self.goals}, expected 2, 4, 6 ...: each way")
+        of_curve = self.curve_goals
+        if of_curve is not None and like(of_curve, 20, "curve_goals") < 1:
+            raise UsageError(f"curve_goals is {of_curve}, expected >= 1")
+        if self.measured is not None and "return" not in self.measured:
+            raise UsageError(
+                f"measured is {self.measured}, expected 'return' in it: tables have it"
+            )
+        if self.library not in ("marl_mm", "sb3"):
+            raise UsageError(
+                f"library is {self.library!r:.40}, expected one of marl_mm, sb3"
+            )
+        if self.library == "sb3" and self.algorithm != "ddpg-her":
+            raise UsageError(
+                f"library is 'sb3', whose algorithm is ddpg-her, not {self.algorithm}"
+            )
         _ = self.config
 
     @property
@@ -170,7 +188,7 @@ class Probe:
             raise UsageError(
                 f"checkpoint is {self.checkpoint!r}, expected one of last, best"
             )
-        if self.alpha is not None and not 0 <= self.alpha <= 1:
+        if self.alpha is not None and not 0 <= like(self.alpha, 0.5, "alpha") <= 1:
             raise UsageError(f"alpha is {self.alpha}, expected a number in [0, 1]")
         make_task(self.task or DEFAULT, self.overrides)  # raises
 

@@ -1,7 +1,11 @@
 """Declarations of what a study shows: results of others, and learning curves."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
+
+from marl_mm.errors import UsageError
+
+Panels = Literal["preset", "task", "dataset"]
 
 
 @dataclass(frozen=True)
@@ -51,5 +55,10 @@ class Curves:
     top: float | None = 103.0
     """Upper end of the axis; None shows everything."""
 
-    panels: Literal["preset", "task", "dataset"] = "preset"
+    panels: Panels = "preset"
     """Grouping of cells into panels."""
+
+    def __post_init__(self) -> None:
+        if self.panels not in get_args(Panels):
+            choices = " or ".join(get_args(Panels))
+            raise UsageError(f"panels is {self.panels!r:.40}, expected {choices}")

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from marl_mm.datasets.named import named_ids
+from marl_mm.declared import like
 from marl_mm.errors import UsageError
 from marl_mm.eval.studies.settings import BEST, LAST, Online, Probe, Setting, name_of
 from marl_mm.eval.studies.shown import Curves, Reported
@@ -69,7 +70,12 @@ class Study:
             raise UsageError(f"{self.about!r} has no cells")
         for cell in self.cells:
             _check_cell(cell)
-        if self.seeds < 1:
+        for probe in self.probes:
+            if not isinstance(probe, Probe):
+                raise UsageError(f"{probe!r:.60} is no Probe, such as LAST")
+        if not isinstance(self.figure, bool | Curves):
+            raise UsageError(f"figure is {self.figure!r:.40}, expected True or Curves")
+        if like(self.seeds, 3, "seeds") < 1:
             raise UsageError(f"{self.about!r} has {self.seeds} seeds, expected >= 1")
         names = [cell_name(cell) for cell in self.cells]
         for name in self.reported:

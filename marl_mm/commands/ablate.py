@@ -103,14 +103,14 @@ def main(arguments: Sequence[str]) -> None:
     target, options, studies, comparisons = _parsed(arguments)
     given = {"datasets": options.datasets, "settings": options.settings}
     part = {name: names for name, names in given.items() if names is not None}
+    if isinstance(options, BenchmarkOptions):
+        comparisons = {target: replace(comparisons[target], study=options.study)}
     if options.check:
         if part or options.plan:
             beside = "--datasets, --settings, --plan"
             raise UsageError(f"--check is for whole tables, without {beside}")
         print_states(checks_of(options, studies, comparisons), options.json)
         return
-    if isinstance(options, BenchmarkOptions):
-        comparisons = {target: replace(comparisons[target], study=options.study)}
     if part:
         studies, comparisons = part_of(target, studies, comparisons, part)
     with progress_bars(vanish=True) as bar:

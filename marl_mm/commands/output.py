@@ -59,8 +59,7 @@ def print_evaluations(evaluations: Sequence["Evaluation"]) -> None:
 
     console = Console(markup=False)
     if not console.is_terminal:
-        longest = max(len(printable_name(result.policy)) for result in evaluations)
-        console = Console(width=80 + longest, markup=False)
+        console = Console(width=1_000, markup=False)
     console.print(evaluation_table(evaluations, console.width))
     for evaluation in evaluations:
         failures = evaluation.summary["all"].get("failures")

@@ -242,7 +242,7 @@ def algorithm(config: Any, online: bool = False) -> Algorithm:
         (lambda: COLLECTORS.add("paper", collector(RandomConfig)), "other than paper"),
         (
             lambda: METRICS.add("success", Metric(about="x", value=len)),
-            "other than direction, goal, index, reason, return, seed, steps, success",
+            "other than direction, episodes, failures, goal, index, inter",
         ),
     ],
 )

@@ -156,6 +156,10 @@ def test_fewer_updates_are_compared_where_there_are_runs_of_both(
     assert same["gain"] == 0 and low < 0 < high
     _, _, first, second, *_ = early_table(rows).splitlines()
     assert first.startswith("| `bc` | **") and "**" not in second
+    record, *_ = tmp_path.rglob("*.json")
+    write_json(record, {"engine": "mujoco", "probes": {}, "eval_seed": 7})
+    with pytest.raises(OtherConfigError, match="made otherwise than other rows"):
+        draw_early(tmp_path, tmp_path)
 
 
 def test_other_algorithms_stand_last_and_change_no_row_of_the_benchmarks(

@@ -38,8 +38,8 @@ from marl_mm.errors import (
 )
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows
+from marl_mm.eval.studies import Curves, learners
 from marl_mm.eval.studies import jobs as studies_jobs
-from marl_mm.eval.studies import learners
 from marl_mm.eval.studies import rows as study_rows
 from marl_mm.eval.studies.cells import write_cells
 from marl_mm.eval.studies.jobs import Job, _begin, _by_process, _do, do_jobs
@@ -213,6 +213,22 @@ def test_what_is_committed_was_made_as_declared(
         (lambda: Probe("x", "x", task="Fly-v0"), "Fly-v0"),
         (lambda: Probe("x", "x", alpha=2.0), "alpha is 2.0, expected a number in"),
         (lambda: Probe("x", "x", overrides={"goal_w": 1}), "unknown field 'goal_w'"),
+        (lambda: Setting("x", "x", goals="200"), "goals is '200', expected int"),  # type: ignore[arg-type]
+        (lambda: Setting("x", "x", curve_goals=0), "curve_goals is 0, expected >= 1"),
+        (lambda: Setting("x", "x", measured=("steps",)), "expected 'return' in it"),
+        (lambda: Setting("x", "x", library="SB3"), "library is 'SB3', expected one of"),  # type: ignore[arg-type]
+        (lambda: Setting("x", "x", library="sb3"), "whose algorithm is ddpg-her"),
+        (lambda: Probe("x", "x", alpha="x"), "alpha is 'x', expected a finite"),  # type: ignore[arg-type]
+        (lambda: Curves(panels="foo"), "panels is 'foo', expected preset or"),  # type: ignore[arg-type]
+        (lambda: Study("x", [("good-5k", OURS)], ["last"]), "'last' is no Probe"),  # type: ignore[list-item]
+        (
+            lambda: Study("x", [("good-5k", OURS)], figure="return"),  # type: ignore[arg-type]
+            "figure is 'return', expected True",
+        ),
+        (
+            lambda: Study("x", [("good-5k", OURS)], seeds=(0, 1)),  # type: ignore[arg-type]
+            "seeds is .0, 1., expected int",
+        ),
         (lambda: Study("x", []), "has no cells"),
         (lambda: Study("x", [("good-5k", OURS)], probes=()), "has no probes"),
         (

@@ -106,6 +106,17 @@ def test_curves_of_unequal_length_meet_on_a_grid() -> None:
     np.testing.assert_array_equal(values, [[0, 1, 1], [0.5, 0.5, 0.7]])
 
 
+def test_a_run_that_diverged_before_its_own_steps_is_left_out() -> None:
+    """Files have empty cells where another seed's rows have a value."""
+    of_files: list[dict[str, Any]] = [
+        {"seed": 0, "step": 20, "env_steps": "", "success_all": 0.3},
+        {"seed": 1, "step": 20, "env_steps": 0, "success_all": 0.4},
+        {"seed": 1, "step": 20, "env_steps": 100, "success_all": 0.8},
+    ]
+    times, values = on_a_grid(of_files, "success_all")
+    assert times.tolist() == [0, 100] and values.tolist() == [[0.4, 0.8]]
+
+
 @pytest.mark.parametrize("rate", [0.0, 0.26, 0.5, 0.95, 1.0])
 def test_as_many_goals_as_an_interval_needs(rate: float) -> None:
     def reach(goals: int) -> float:
