@@ -207,24 +207,6 @@ def test_a_function_of_a_task_that_returns_something_odd_is_named(
     core.close()
 
 
-@pytest.mark.parametrize(
-    ("fields", "complaint"),
-    [
-        ({"goal_x_forward": 1.0}, r"goal_x_forward is 1\.0, expected 2 numbers"),
-        ({"goal_x_forward": (1.0, 2.0, 3.0)}, "expected 2 numbers"),
-        ({"success_distance": "0.1"}, "success_distance is '0.1', expected a finite"),
-        ({"max_steps": True}, "max_steps is True, expected int"),
-        ({"random_start_steps": 1.5}, "random_start_steps is 1.5, expected int"),
-        ({"robot": {"base_mass": 100}}, "robot is .*, expected a RobotConfig"),
-    ],
-)
-def test_a_task_of_odd_numbers_is_refused_when_it_is_made(
-    fields: dict[str, Any], complaint: str
-) -> None:
-    with pytest.raises(UsageError, match=complaint):
-        Reach(**fields)
-
-
 def test_a_task_of_numpys_numbers_is_the_same_as_of_pythons() -> None:
     """Nested ones, too; records are JSON, which has none of NumPy's."""
     numbers = np.array([50.0, 2.0])
