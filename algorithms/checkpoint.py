@@ -118,6 +118,10 @@ def read_checkpoint(path: Path, algorithm: str | None = None) -> dict[str, Any]:
         checkpoint = torch.load(file, map_location="cpu", weights_only=True)
         _check_values(checkpoint)
     except Exception as error:  # torch raises whatever its unpickler met
+        if file.suffix != Path(FILE).suffix:
+            raise UsageError(
+                f"{file} is no checkpoint, expected a run folder, or {FILE} in one"
+            ) from None
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         if isinstance(error, UnpicklingError):
             reason = "it holds other Python objects than numbers, texts and tensors"

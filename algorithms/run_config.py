@@ -52,8 +52,12 @@ class RunConfig:
         return {**kept, **rest}
 
     @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> "RunConfig":
+    def from_json(cls, values: Mapping[str, Any], file: str) -> "RunConfig":
         """Record from ``to_json``; fields that version 1 lacks have their defaults.
+
+        Args:
+            values: Values of the record.
+            file: Name of their file, for messages.
 
         Raises:
             CheckpointError: If a field is missing, or of another type.
@@ -61,15 +65,13 @@ class RunConfig:
         names = {field.name for field in fields(cls)} - {"settings"}
         rest = {name: value for name, value in values.items() if name not in names}
         arguments = {name: value for name, value in values.items() if name in names}
-        try:
-            record = cls(settings=rest, **arguments)
-        except TypeError as error:
-            raise CheckpointError(f"config.json: {error}") from error
+        if missing := sorted({"algorithm", "seed", "task"} - arguments.keys()):
+            raise CheckpointError(f"{file} is no run's: it lacks {', '.join(missing)}")
+        record = cls(settings=rest, **arguments)
         for name, kind in get_type_hints(cls).items():
-            where = f"config.json: {name}"
-            check_kind(getattr(record, name), kind, where, CheckpointError)
-        where, steps = "config.json: max_steps", rest.get("max_steps")
-        check_kind(steps, int | None, where, CheckpointError)
+            check_kind(getattr(record, name), kind, f"{file}: {name}", CheckpointError)
+        steps = rest.get("max_steps")
+        check_kind(steps, int | None, f"{file}: max_steps", CheckpointError)
         return record
 
     def continued(

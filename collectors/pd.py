@@ -79,16 +79,21 @@ class PdPolicy:
             LayoutError: If the layout has no hand, base or goal, or other actions than
                 a displacement and alpha.
         """
+        others = {*layout.action_names} - {*names(*DELTA, ALPHA)}
+        lacking = {*names(*HAND, *BASE, *GOAL)} - {*layout.state_names}
+        if others or lacking:
+            entries = sorted(others or lacking)
+            some = ", ".join(entries[:3]) + (" and others" if entries[3:] else "")
+            raise LayoutError(
+                f"pd {'does not set' if others else 'needs'} {some}: choose another "
+                "policy, such as scripted"
+            )
         self._last_ee: np.ndarray | None = None
         self._hand = layout.columns(*names(*HAND))
         self._base = layout.columns(*names(*BASE))
         self._goal = layout.columns(*names(*GOAL))
         self._delta = layout.settings(*names(*DELTA))
         self._alpha_place = layout.settings(ALPHA.name)
-        if others := set(layout.action_names) - set(names(*DELTA, ALPHA)):
-            raise LayoutError(
-                f"pd does not set {', '.join(sorted(others))}: choose another policy"
-            )
 
     def act(self, state: np.ndarray) -> np.ndarray:
         """The PD action, a function of the episode's states so far."""

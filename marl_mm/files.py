@@ -166,14 +166,15 @@ def new_file(path: Path) -> Iterator[Path]:
 def new_folder(path: Path) -> Iterator[Path]:
     """A temporary folder beside ``path`` that takes its place when the block succeeds.
 
-    The folder that it replaces is deleted after that. One of the two is always there,
-    on file systems that can exchange two names.
+    The folder that it replaces is deleted after that, of a link the folder that it
+    leads to. One of the two is always there, on file systems that can exchange two
+    names.
 
     Raises:
         OSError: If there is no room or no permission; it names ``path`` or what is in
             it.
     """
-    path = path.absolute()  # a "." has no name
+    path = path.resolve() if path.is_symlink() else path.absolute()  # "." has no name
     path.parent.mkdir(parents=True, exist_ok=True)
     with claimed(path, path.name, ".new", Path.mkdir) as temporary:
         try:

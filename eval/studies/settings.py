@@ -19,11 +19,12 @@ from marl_mm.sim.config import Engine
 _NONE: Mapping[str, Any] = MappingProxyType({})
 
 
-def _check_name(name: str) -> None:
-    if not re.fullmatch(r"[A-Za-z][\w.-]*", name):
+def check_name(name: str) -> None:
+    """Raise a UsageError for a name that rows and files cannot have."""
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][\w.-]*", name):
         raise UsageError(
-            f"name is {name!r}, expected a letter and then letters, digits, '-', '_' "
-            "or '.'"
+            f"name is {name!r:.40}, expected a letter and then letters, digits, '-', "
+            "'_' or '.'"
         )
 
 
@@ -43,6 +44,11 @@ class Online:
     def __post_init__(self) -> None:
         """Refuse an unknown task, and make the default name."""
         make_task(self.task)
+        if not isinstance(self.demonstrations, Data | None):
+            raise UsageError(
+                f"demonstrations is {self.demonstrations!r:.40}, expected a dataset's "
+                "name, a Source or a Mix"
+            )
         if not self.name:
             beside = (
                 () if self.demonstrations is None else (name_of(self.demonstrations),)
@@ -101,7 +107,11 @@ class Setting:
 
     def __post_init__(self) -> None:
         """Refuse settings that cannot be run."""
-        _check_name(self.name)
+        check_name(self.name)
+        if not isinstance(self.changes, Mapping):
+            raise UsageError(
+                f"changes is {self.changes!r:.40}, expected values by name"
+            )
         for name, usual in (("goals", 200), ("curve_every", 5_000)):
             like(getattr(self, name), usual, name)
         if self.goals < 2 or self.goals % 2:
@@ -183,7 +193,7 @@ class Probe:
 
     def __post_init__(self) -> None:
         """Refuse settings that cannot be evaluated."""
-        _check_name(self.name)
+        check_name(self.name)
         if self.checkpoint not in ("last", "best"):
             raise UsageError(
                 f"checkpoint is {self.checkpoint!r}, expected one of last, best"

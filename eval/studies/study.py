@@ -8,10 +8,18 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from marl_mm.datasets.named import named_ids
 from marl_mm.declared import like
 from marl_mm.errors import UsageError
-from marl_mm.eval.studies.settings import BEST, LAST, Online, Probe, Setting, name_of
+from marl_mm.eval.studies.settings import (
+    BEST,
+    LAST,
+    Online,
+    Probe,
+    Setting,
+    check_name,
+    name_of,
+)
 from marl_mm.eval.studies.shown import Curves, Reported
 from marl_mm.progress import Bar, silent_bar
-from marl_mm.runs.settings import check_seeds, with_settings
+from marl_mm.runs.settings import as_path, check_seeds, with_settings
 from marl_mm.runs.sources import Data, Mix, Source
 
 if TYPE_CHECKING:
@@ -140,7 +148,9 @@ class Study:
         from marl_mm.eval.studies.runner import StudyRunner
 
         paths = {"out": out, "runs": options.pop("runs", None)}
-        options |= {key: Path(path) for key, path in paths.items() if path is not None}
+        check_name(name)
+        given = [(key, path) for key, path in paths.items() if path is not None]
+        options |= {key: as_path(path, key) for key, path in given}
         if options.get("seeds") is not None:
             check_seeds(options["seeds"])
             options["seeds"] = tuple(map(int, options["seeds"]))

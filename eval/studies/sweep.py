@@ -34,7 +34,7 @@ from marl_mm.eval.studies.sweep_summary import (
 from marl_mm.files import new_folder, only_here, refuse_foreign, write_json
 from marl_mm.progress import Bar
 from marl_mm.received import read_json
-from marl_mm.runs.settings import check_positive, check_seed
+from marl_mm.runs.settings import check_positive, check_seed, refuse_both
 from marl_mm.sim.config import Engine, default_engine, engine_overrides
 from marl_mm.versions import versions
 
@@ -153,6 +153,7 @@ def run_sweep(
     """
     sweep.check_settings()
     check_positive(workers=workers)
+    refuse_both(resume, overwrite)
     hidden = sweep.out.absolute().with_name(f".{sweep.out.absolute().name}.cells")
     swept = as_json(asdict(sweep) | {"out": sweep.out.name})
     if resume and not hidden.exists() and _options(sweep.out) == swept:

@@ -63,7 +63,8 @@ def _table(command: str, spec: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
     table = {command: (*spec["subcommands"], *_flags(spec), PLUGIN)}
     for option in spec["options"]:
         if option.get("choices"):
-            table |= {f"{command} {f}": option["choices"] for f in option["flags"]}
+            choices = tuple(sorted(option["choices"]))  # of a set
+            table |= {f"{command} {flag}": choices for flag in option["flags"]}
     for name, inner in spec["subcommands"].items():
         table |= _table(f"{command} {name}", inner)
     return table

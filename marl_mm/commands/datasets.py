@@ -156,7 +156,7 @@ def _delete(
         what = f"the link {what}"
         kept = f"; {location.folder.readlink()}, where it led, is kept"
     if not yes:
-        if not sys.stdin.isatty():
+        if sys.stdin is None or not sys.stdin.isatty():
             raise UsageError("there is no terminal to confirm on: add --yes to delete")
         try:
             print(f"delete {what}? [y/N] ", end="", file=sys.stderr, flush=True)

@@ -28,9 +28,9 @@ def main(
 
     The file takes observations, float32, shape (n, d), and returns actions, shape
     (n, k), in the action space: displacements of the end-effector's target [0.1 m] and
-    alpha. That of a flow or its student takes standard normal noise, too; Q-chunking's
-    returns plans, shape (n, steps, k). Names of entries and the actions' bounds lie in
-    it. Its actions are compared with the policy's before it appears.
+    alpha. That of a policy that draws its actions takes standard normal noise, too;
+    Q-chunking's returns plans, shape (n, steps, k). Names of entries and the actions'
+    bounds lie in it. Its actions are compared with the policy's before it appears.
 
     Args:
         run: Run folder, checkpoint file or "pretrained".

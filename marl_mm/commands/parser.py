@@ -42,8 +42,8 @@ def run(function: Callable[..., None], prog: str, arguments: Sequence[str]) -> N
     Raises:
         UsageError: If the arguments are not the function's.
     """
-    about = inspect.cleandoc(function.__doc__ or "").partition("\n\nArgs:")[0]
-    _parse(_to_call(function), prog, prog, about, arguments)()
+    call, about, _ = _kind(function)
+    _parse(call, prog, about, arguments)()
 
 
 def _to_call(function: Callable[..., None]) -> Callable[..., Callable[[], None]]:
@@ -98,11 +98,16 @@ def parse_subcommand(
             f"{prog} knows no {word!r}{meant(word, commands)}, expected one of "
             f"{', '.join(commands)}. What a plug-in adds needs --plugin"
         )
-    kinds = [_kind(name, kind) for name, kind in commands.items()]
-    helped = f"{prog} {word}" if word in commands else prog
+    if word in commands:  # alone: what it complains of, and hints at, is its own
+        kind, about, default = _kind(commands[word])
+        return word, _parse(kind, f"{prog} {word}", about, arguments[1:], **default)
+    kinds: list[Any] = []
+    for name, command in commands.items():
+        kind, about, default = _kind(command)
+        named = tyro.conf.subcommand(name, description=about, **default)
+        kinds.append(Annotated[kind, named])
     union: Any = Union[tuple(kinds)]  # noqa: UP007
-    options = _parse(union, prog, helped, description, arguments)
-    return arguments[0], options
+    return word, _parse(union, prog, description, arguments)
 
 
 def value_of(arguments: Sequence[str], option: str, default: str) -> str:
@@ -116,15 +121,13 @@ def value_of(arguments: Sequence[str], option: str, default: str) -> str:
     return value
 
 
-def _kind(name: str, kind: Callable[..., Any] | Subcommand) -> Any:
-    if not isinstance(kind, Subcommand):
-        kind = _to_call(kind) if inspect.isfunction(kind) else kind
-        return Annotated[Any, tyro.conf.subcommand(name, constructor=kind)]
-    _refuse_clashes(kind.default)
-    about = tyro.conf.subcommand(
-        name, default=kind.default, description=kind.description
-    )
-    return Annotated[type(kind.default), about]
+def _kind(kind: Callable[..., Any] | Subcommand) -> tuple[Any, str, dict[str, Any]]:
+    """What tyro makes of options, its description, and its default if it has one."""
+    if isinstance(kind, Subcommand):
+        _refuse_clashes(kind.default)
+        return type(kind.default), kind.description, {"default": kind.default}
+    about = inspect.cleandoc(kind.__doc__ or "").partition("\n\nArgs:")[0]
+    return _to_call(kind) if inspect.isfunction(kind) else kind, about, {}
 
 
 def _refuse_clashes(options: Any) -> None:
@@ -140,33 +143,40 @@ def _refuse_clashes(options: Any) -> None:
 
 
 def _parse(
-    kind: Any, prog: str, helped: str, about: str, arguments: Sequence[str]
+    kind: Any, prog: str, about: str, arguments: Sequence[str], **default: Any
 ) -> Any:
-    """Options of a kind; ``helped`` is the command whose help tells what is wrong."""
+    """Options of a kind."""
     complaint = io.StringIO()
-    about = f"{about}\n\n{ABOUT_PLUGINS}"
+    described = {"prog": prog, "description": f"{about}\n\n{ABOUT_PLUGINS}"} | default
     try:
         with redirect_stderr(complaint):
-            return tyro.cli(kind, prog=prog, description=about, args=arguments)
+            return tyro.cli(kind, args=arguments, **described)
     except SystemExit as end:
         if not end.code:  # --help
             raise
         text = _summary(complaint.getvalue())
-        raise UsageError(f"{text.rstrip('.')}; see {helped} --help") from None
+        raise UsageError(f"{text.rstrip('.')}; see {prog} --help") from None
 
 
 def _summary(box: str) -> str:
-    """The first section of tyro's box, and its suggestions, without the frame.
+    """What tyro complains of, in a line, without the frame.
 
     The frame is drawn in whatever characters the stream takes.
     """
-    lines = [line.strip("│| ") for line in box.splitlines()[1:-1]]
-    sections = re.split(r"\n?[─-]{5,}\n?", "\n".join(lines))
-    texts = [text for text in (" ".join(part.split()) for part in sections) if text]
-    kept = texts[:1]
-    for text in texts[1:]:
-        option = text.removeprefix("Perhaps you meant: ").split()[0]
-        elsewhere = f"{option} (applied to" in kept[0]  # another subcommand has it
-        if not elsewhere and text.startswith(("Perhaps you", "Available sub")):
-            kept.append(re.split(r" (?=[A-Z][a-z]+ \w+ \w)", text, maxsplit=1)[0])
-    return "; ".join(kept)
+    lines = "\n".join(line.strip("│| ") for line in box.splitlines()[1:-1])
+    sections = re.split(r"\n?[─-]{5,}\n?", lines)
+    text = next(text for part in sections if (text := " ".join(part.split())))
+    if unknown := re.match(r"Unrecognized options: ([^\s,]+)", text):
+        word = unknown[1]
+        near = re.findall(r"^.? {4,5}(--[\w.-]+)", box, re.MULTILINE)
+        return f"unexpected {word}{meant(word, near, 0.01)}"
+    if odd := re.match(r"Error parsing (\S+): .*?\[?('[^'\]]*'(?:, '[^']*')*)", text):
+        option, value = odd.groups()
+        kind = re.search(rf"^.? +{option} (.+?)[ │|]*$", box, re.MULTILINE)
+        expected = kind[1].removeprefix("{None}|").strip("{}") if kind else "another"
+        return f"{option} is {value}, expected {expected}"
+    if odd := re.match(r"invalid choice ('.*') for argument '(\S+)'.*\((.*)\)", text):
+        value, option, choices = odd.groups()
+        names = sorted({*re.findall(r"'([^']*)'", choices)} - {"None"})
+        return f"{option} is {value}, expected one of {', '.join(names)}"
+    return text

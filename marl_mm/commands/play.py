@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -38,7 +38,7 @@ def main(
     video: Path | None = None,
     strip: Path | None = None,
     direction: Direction | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     task: OwnTask = None,
     max_steps: int | None = None,
     engine: Engine | None = None,
@@ -62,7 +62,7 @@ def main(
         strip: File of six pictures of the episode, side by side: a PNG.
         direction: Side of the robot on which the goal is, where the task does not draw
             its own; default backward.
-        seed: Seed of the goal and of random policies.
+        seed: Seed of the goal and of random policies; default 0.
         task: Registered name of the task.
         max_steps: Steps of one second until the episode is cut off; default the task's.
         engine: Engine of the simulation; default the run's own, or bullet, or
@@ -77,15 +77,11 @@ def main(
     """
     policy = default_policy(task or DEFAULT) if policy is None else policy
     (config,) = configs_of([policy], settings)
-    of_episodes = {
-        "--task": task,
-        "--engine": engine,
-        "--max-steps": max_steps,
-        "--direction": direction,
-    }
+    of_episodes: dict[str, Any] = {"--seed": seed, "--task": task, "--engine": engine}
+    of_episodes |= {"--max-steps": max_steps, "--direction": direction}
     given = [name for name, value in of_episodes.items() if value is not None]
     if policy in DEMOS and given:
-        raise UsageError(f"{' and '.join(given)}: {policy} has no task")
+        raise UsageError(f"{' and '.join(given)}: {policy} has no task or goal")
     if policy not in DEMOS and motion != _MOTION:
         raise UsageError(f"{policy} has no such motion: {' and '.join(DEMOS)} have")
     if gui and video is not None:
@@ -117,7 +113,7 @@ def main(
         film = play(
             policy,
             task=task,
-            seed=seed,
+            seed=seed or 0,
             direction=direction,
             max_steps=max_steps,
             engine=engine,

@@ -107,7 +107,7 @@ def main(arguments: Sequence[str]) -> None:
 
         default = f"runs/{word}-online" if start else f"runs/{word}"
         out = Path(value_of(arguments, "--out", default))
-        saved = saved_settings(out)
+        saved = saved_settings(out) or {"dataset": ""}  # of no run nothing is missing
         if named in ("", saved.get("preset")):
             commands[word] = _subcommand(word, TUNED, saved)
     elif start and word in offline and not named:

@@ -156,7 +156,8 @@ class _Collector:
     def _refuse_existing(self) -> None:
         location, resume = self.location, self.options.resume
         refuse_foreign(location)
-        if location.folder.exists() and not (self.options.overwrite or resume):
+        empty = location.folder.is_dir() and not any(location.folder.iterdir())
+        if location.folder.exists() and not (self.options.overwrite or resume or empty):
             raise OutputExistsError(
                 f"{location.name} exists already: add `resume=True` to go on with it, "
                 "`overwrite=True` to replace it, or choose another `dataset`"

@@ -3,12 +3,13 @@
 from pathlib import Path
 from typing import Any
 
-from marl_mm.algorithms.checkpoint import BEST
+from marl_mm.algorithms.checkpoint import FILE
 from marl_mm.algorithms.export import export_policy
 from marl_mm.algorithms.export_formats import POLICY_FORMATS
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.errors import UsageError
 from marl_mm.files import refuse_existing
+from marl_mm.runs.folder import export_name
 from marl_mm.runs.run import Run
 from marl_mm.runs.settings import as_path
 from marl_mm.runs.submission import EPISODES
@@ -49,9 +50,8 @@ def export(
     """
     source = str(run.folder if isinstance(run, Run) else run)
     policy, path = load_policy(source), Path(source)
-    best = "best-" if path.is_file() and path.name == BEST else ""
     suffix = POLICY_FORMATS.get(format).suffix
-    name = f"{best}{agent or 'policy'}{suffix}"
+    name = export_name(path.name if path.is_file() else FILE, agent, suffix)
     submitted = (path / EPISODES).exists()  # nothing is added to that
     default = Path() if submitted else path if path.is_dir() else path.parent
     default /= name

@@ -1,6 +1,7 @@
 """A run's folder: its config, its evaluations, and whether a run may go on there."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain, product
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +38,8 @@ BEST_EVALUATION = "eval_best.json"
 CURVE = "learning_curve.png"
 SB3_BEST = "best.zip"
 
-_MADE = ("eval*.json", *(f"*{form.suffix}" for _, form in POLICY_FORMATS.items()))
-"""Files that are made of a run's policies: evaluations and exports."""
+_MADE_BY_RUNS = (FILE, BEST, METRICS, CURVE, SB3_BEST, *LOGGED)
+"""Patterns of a run's files beside its config and what is made of its policies."""
 
 _EVALUATION: dict[str, Any] = {
     "policy": str,
@@ -66,7 +67,11 @@ def check_runs(training: Training, out: Path, seeds: Sequence[int]) -> None:
             f"{out} is a run itself: `out` {out.parent} `seeds` {out.name} resumes it"
         )
     if training.resume and not any((out / str(s) / CONFIG).exists() for s in seeds):
-        raise UsageError(f"no run in {out} to resume: leave out `resume` to start")
+        what, others = f"no run in {out} to resume", saved_settings(out).get("seeds")
+        if others:
+            asked, there = (", ".join(map(str, each)) for each in (seeds, others))
+            what = f"no run of `seeds` {asked} in {out} to resume, only of {there}"
+        raise UsageError(f"{what}: leave out `resume` to start")
 
 
 def check_run(
@@ -194,7 +199,7 @@ def begin_run(run: Path, config: RunConfig, training: Training) -> None:
     before = read_config(run)
     now = before.continued(config.plugins, continued)
     if now != before:  # evaluations and exports of its earlier end
-        _remove(run, *_MADE)
+        _remove(run, _made(config.task))
     known = {*settings, *now.settings}
     switches = [name for name in ("eval_episodes", *SWITCHES) if name in known]
     now = now.continued(config.plugins, {n: getattr(training, n) for n in switches})
@@ -205,14 +210,32 @@ def begin_run(run: Path, config: RunConfig, training: Training) -> None:
 def start_run(run: Path, config: RunConfig) -> None:
     """Make a run's folder with its config; delete what an older run left there."""
     run.mkdir(parents=True, exist_ok=True)
-    _remove(run, FILE, BEST, METRICS, CURVE, SB3_BEST, *LOGGED, *_MADE)
+    _remove(run, (*_MADE_BY_RUNS, *_made(config.task)))
     write_json(run / CONFIG, config.to_json())
 
 
-def _remove(run: Path, *patterns: str) -> None:
-    for pattern in patterns:
-        for path in run.glob(pattern):
-            remove(path)
+def export_name(file: str, agent: str | None, suffix: str) -> str:
+    """Name of a policy's export in its run.
+
+    Args:
+        file: Name of its checkpoint.
+        agent: Name of the agent; None for the joint action.
+        suffix: Ending of the format's files.
+    """
+    return f"{'best-' if file == BEST else ''}{agent or 'policy'}{suffix}"
+
+
+def _made(task: str) -> Iterator[str]:
+    """Names in a run of what is made of its policies: evaluations and exports."""
+    yield from (EVALUATION, BEST_EVALUATION)
+    agents = (None, *(agent.name for agent in TASKS.get(task).layout.agents))
+    for file, agent, (_, form) in product((FILE, BEST), agents, POLICY_FORMATS.items()):
+        yield export_name(file, agent, form.suffix)
+
+
+def _remove(run: Path, patterns: Iterable[str]) -> None:
+    for path in chain.from_iterable(map(run.glob, patterns)):
+        remove(path)
 
 
 def saved_settings(out: Path) -> dict[str, Any]:
@@ -256,7 +279,7 @@ def read_config(path: Path) -> RunConfig:
     refuse_links_out(file.parent, [file.name], CheckpointError)
     values = read_json(file, CheckpointError)
     check_kind(values, dict[str, Any], str(file), CheckpointError)
-    return RunConfig.from_json(values)
+    return RunConfig.from_json(values, str(file))
 
 
 def existing_config(path: Path) -> RunConfig:

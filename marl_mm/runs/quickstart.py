@@ -20,7 +20,7 @@ from marl_mm.eval.figures import alpha_over_time
 from marl_mm.eval.goals import goal_set
 from marl_mm.eval.tables import engines_of, evaluation_markdown, markdown_table
 from marl_mm.eval.video import film_both_ways, film_strip, write_video
-from marl_mm.files import new_file, refuse_existing, write_json
+from marl_mm.files import new_file, refuse_foreign, write_json
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.collect import collect
 from marl_mm.runs.evaluate import evaluate
@@ -82,17 +82,21 @@ def run_quickstart(
         the evaluations of the learner, its teacher and the random agent.
 
     Raises:
-        UsageError: If a setting makes no sense, or the folder exists.
+        UsageError: If a setting makes no sense, or the folder exists, or is none of a
+            quickstart.
         KeyboardInterrupt: After Ctrl-C; what is in the folder can be used.
     """
     check_positive(workers=options.workers)
     check_seed(options.seed)
-    refuse_existing(options.out, options.overwrite)
+    name, mark = "quickstart.json", '"stages_s"'
+    refuse_foreign(options.out, options.overwrite, (name, mark))
     size = SMALL if options.small else FULL
     out, goals = options.out, size["episodes"]
     stages: dict[str, float] = {}
     common: dict[str, Any] = {"workers": options.workers, "progress": progress}
     anew = common | {"overwrite": options.overwrite}
+    options.out.mkdir(parents=True, exist_ok=True)
+    write_json(out / name, {"stages_s": stages})  # for who stops it
     try:
         with _timed(stages, "collect (pd)"):
             data = collect(
@@ -130,7 +134,7 @@ def run_quickstart(
         "dataset": card(data),
         "evaluations": [evaluation.to_json() for evaluation in evaluations],
     }
-    write_json(out / "quickstart.json", values)
+    write_json(out / name, values)
     with new_file(out / "report.md") as temporary:
         temporary.write_text(_report(options, values, evaluations), "utf-8")
     return values, evaluations

@@ -117,10 +117,8 @@ def repeat(
     if not isinstance(config, RunConfig):
         record_of = config.folder if isinstance(config, Run) else config
         config = existing_config(as_path(record_of, "config", "a run or its folder"))
-    if "preset" in settings:
-        raise UsageError(
-            "`preset` is of another run: a repeated one has its own hyper-parameters"
-        )
+    if others := {"algorithm", "preset"} & settings.keys():
+        raise UsageError(f"`{min(others)}` of a repeated run is its own: leave it out")
     if start := settings.get("start"):
         settings["start"] = getattr(start, "folder", start)
     default = training_of(config.algorithm)

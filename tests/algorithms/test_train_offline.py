@@ -179,6 +179,9 @@ def test_a_run_of_a_dataset_without_successes_goes_on(
     own = ["--dataset", str(tmp_path / "failures"), "--no-require-success"]
     assert main(["train", *short, *own, "--imitate", "all", *out]) == 0
     assert main(["export", str(tmp_path / "runs/0")]) == 0
+    own_files = [tmp_path / "runs/0" / name for name in ("mine.ts", "eval_mine.json")]
+    for file in own_files:
+        file.write_text("a user's")
     further = ["train", "td3-bc", *out, "--resume", "--updates", "200"]
     other = ["--dataset", str(tmp_path / "others")]
     capsys.readouterr()
@@ -188,6 +191,9 @@ def test_a_run_of_a_dataset_without_successes_goes_on(
     assert main(further) == 0
     assert read_checkpoint(tmp_path / "runs/0")["state"]["step"] == 200
     assert not (tmp_path / "runs/0/policy.ts").exists()  # it was of 100 updates
+    anew = ["train", *short, *own, "--imitate", "all", *out, "--overwrite"]
+    assert main(anew) == 0
+    assert {file.read_text() for file in own_files} == {"a user's"}
 
 
 def test_a_run_in_the_place_of_its_folder_is_told(

@@ -35,6 +35,8 @@ from marl_mm.sim.config import Camera
 ID = "marl_mm/reach/test-v0"
 PROVENANCE = Provenance(task="Reach-v0", collector="pd", seed=0, attempts=6)
 
+SHIPPED = str(Path(marl_mm.__file__).parent / "datasets/shipped/good-5k.json")
+
 Output = pytest.CaptureFixture[str]
 
 
@@ -132,12 +134,25 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         (["collect", "pd", "--max-steps", "0"], "--max-steps is 0"),
         (["collect", "pd", "--alpha", "1.5"], "alpha is 1.5, expected a number in"),
         (["collect", "pd", "--task", "Fly-v0"], "unknown task 'Fly-v0'"),
-        (["collect", "pd", "--steps", "1.5"], "Error parsing --steps"),
-        (["collect", "pd", "--stpes", "5"], "--stpes, 5; Perhaps you meant: --steps"),
+        (["collect", "pd", "--steps", "1.5"], "--steps is '1.5', expected INT; see"),
+        (["collect", "pd", "--engine", "x"], "is 'x', expected one of bullet, mujoco;"),
+        (["collect", "pd", "5"], "unexpected 5; see marl-mm collect pd --help"),
+        (["collect", "pd", "--task", "Bar-v0"], "pd does not set left_alpha"),
+        (
+            ["collect", "pd", "--stpes", "5"],
+            "unexpected --stpes (did you mean --steps?)",
+        ),
         (
             ["train", "iql", "--dataset", "good-5k", "--distillation", "3"],
-            "can matter; see marl-mm train iql --help",  # which does not have it
+            "unexpected --distillation; see marl-mm train iql --help",
         ),
+        (["train", "ddpg", "--seed", "0"], "--seed (did you mean --seeds?)"),
+        (
+            ["train", "mabc", "--dataset", "good-5k", "--seeds", "0,1"],
+            "--seeds is '0,1', expected [INT [INT ...]];",
+        ),
+        (["train", "mabc", "--resume", "--out", "no"], "no run in no to resume: leave"),
+        (["eval", SHIPPED], "good-5k.json is no checkpoint, expected a run folder"),
         (
             ["train", "sac"],
             "train knows no 'sac', expected one of bc, mabc",
@@ -170,8 +185,8 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         (["play", "pd", "--strip", "x.gif"], "film strip x.gif ends in"),
         (["play", "arm-reach", "--strip", "x.png"], "--strip is for films of episodes"),
         (
-            ["play", "arm-reach", "--task", "Gate-v0", "--max-steps", "3"],
-            "--task and --max-steps: arm-reach has no task",
+            ["play", "arm-reach", "--task", "Gate-v0", "--seed", "3"],
+            "--seed and --task: arm-reach has no task",
         ),
         (["play", "pd", "--angle", "20"], "pd has no such motion: arm-reach and base-"),
         (["play", "pd", "--gui", "--video", "x.mp4"], "window: leave out --video"),
@@ -182,6 +197,7 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         (["play", "base-turn", "--angle", "400"], "--angle is 400.0, expected -180"),
         (["play", "arm-reach", "--seconds", "0"], "--seconds is 0.0, expected 0.1"),
         (["sweep-alpha", "--alphas", "1"], "--alphas is 1, expected >= 2"),
+        (["sweep-alpha", "--resume", "--overwrite"], "contradict each other"),
         (["sweep-alpha", "--goals", "3"], "--goals is 3, expected an even number"),
         (["sweep-alpha", "--tasks", "Fly-v0"], "--tasks is Fly-v0, expected some of"),
         (["quickstart", "--workers", "-1"], "--workers is -1"),
@@ -229,6 +245,8 @@ def test_nothing_is_overwritten_unasked(
         assert run("datasets", *words, "--overwrite") == 2
         assert "which it is made of" in one_line(capsys)
     assert (dataset / "data" / "main_data.hdf5").read_bytes() == content
+    assert run("quickstart", "--out", str(tmp_path), "--overwrite") == 2
+    assert "has no quickstart.json of marl-mm" in one_line(capsys)
     film = tmp_path / "film.mp4"
     film.write_text("mine")
     assert run("play", "pd", "--video", str(film)) == 2
@@ -287,6 +305,10 @@ def test_what_was_typed_wrongly_or_stopped_is_told(
     assert listed.count("marl_mm/reach/begun-v0") == 1
     assert run("datasets", "export", "begun", "--out", str(tmp_path / "x.h5")) == 0
     assert "is of a collection that was stopped" in one_line(capsys)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "stdin", None)  # a process whose input was closed
+        assert run("datasets", "delete", "begun") == 2
+    assert "there is no terminal to confirm on" in one_line(capsys)
     assert run("datasets", "delete", "begun", "--yes", "--json") == 0
     assert json.loads(capsys.readouterr().out)["deleted"] == str(location.folder)
     assert not location.working.exists()
@@ -357,7 +379,7 @@ def test_train_refuses_and_resumes(run_folder: Path, capsys: Output) -> None:
     assert run(*base, "--resume", *options, "--seeds", "7") == 2
     assert run(*base, "--seeds") == 2
     shown = capsys.readouterr().err
-    assert "no run in" in shown and "names no seed" in shown
+    assert "to resume, only of 0" in shown and "names no seed" in shown
     assert run(*base, "--resume", *options, "--seeds", "0", "3") == 0
     assert (run_folder.parent / "3" / "eval.json").exists()
 

@@ -75,6 +75,11 @@ def test_what_a_plugin_adds_is_completed(
     assert completed(path, "marl-mm train awac --temper") == ["--temperature"]
 
 
+def test_the_choices_of_an_option_are_in_one_order(script: Path) -> None:
+    """tyro has them in sets, whose order is another in each process."""
+    assert '="None bullet mujoco"' in script.read_text()
+
+
 def test_other_shells_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([COMPLETION, "fish"]) == 2
     assert "--print-completion is 'fish', expected bash" in capsys.readouterr().err

@@ -71,11 +71,13 @@ def test_a_writer_that_fails_leaves_the_old_folder(
 
 
 def test_a_folder_takes_the_others_place_with_all_that_is_in_it(tmp_path: Path) -> None:
-    path = tmp_path / "folder"
-    for content in ("first", "second"):
-        with new_folder(path) as temporary:
+    path, link = tmp_path / "folder", tmp_path / "link"
+    link.symlink_to("folder")
+    for content, place in (("first", path), ("second", path), ("third", link)):
+        with new_folder(place) as temporary:
             (temporary / content).write_text(content)
-        assert names(path) == [content] and names(tmp_path) == ["folder"]
+        assert names(path) == [content] and names(tmp_path) == ["folder", "link"]
+    assert link.is_symlink()
 
 
 @pytest.mark.parametrize("writer", [new_file, new_folder])

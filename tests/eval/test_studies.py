@@ -110,6 +110,7 @@ TINY = Study(
 RESULTS = Path(__file__).resolve().parents[2] / "eval/results/studies"
 
 OURS = Setting("ours", "ours")
+ONE = Study("x", [("good-5k", OURS)])
 HER = Setting("her", "her", "ddpg-her")
 
 FILES = ["widths.csv", "widths.png"]
@@ -202,6 +203,11 @@ def test_what_is_committed_was_made_as_declared(
     ("make", "complaint"),
     [
         (lambda: Setting("0.5", "x"), "name is '0.5', expected a letter"),
+        (lambda: Setting(3, "x"), "name is 3, expected a letter"),  # type: ignore[arg-type]
+        (lambda: Setting("x", "x", changes=3), "changes is 3, expected values"),  # type: ignore[arg-type]
+        (lambda: Online(demonstrations=3), "demonstrations is 3, expected a data"),  # type: ignore[arg-type]
+        (lambda: ONE.run(name=".."), "name is '..', expected a letter"),
+        (lambda: ONE.run(out=3), "`out` is 3, expected"),  # type: ignore[arg-type]
         (lambda: Setting("x", "x", "td3bc"), "td3bc"),
         (lambda: Setting("x", "x", preset="tunde"), "tunde"),
         (lambda: Setting("x", "x", goals=1), "goals is 1, expected 2, 4"),

@@ -17,7 +17,7 @@ from marl_mm.algorithms.registry import ALGORITHMS
 from marl_mm.algorithms.td3_bc_config import Td3BcConfig
 from marl_mm.cli import main
 from marl_mm.datasets.arrays import EpisodeArrays
-from marl_mm.errors import MarlMmError, OutputExistsError, UsageError
+from marl_mm.errors import CheckpointError, MarlMmError, OutputExistsError, UsageError
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.progress import Advance
 from marl_mm.runs.evaluate import save_evaluations
@@ -300,8 +300,13 @@ def test_a_run_is_repeated_from_its_record(
     sent = replace(run.config, dataset={k: run.config.dataset[k] for k in ("id",)})
     with pytest.raises(UsageError, match="does not say where marl_mm/reach/good-5k"):
         repeat(sent, out=tmp_path / "s")
-    with pytest.raises(UsageError, match="`preset` is of another run"):
-        repeat(run, out=tmp_path / "n", preset="paper")
+    taken: list[dict[str, Any]] = [{"preset": "paper"}, {"algorithm": "mabc"}]
+    for name, settings in ((min(settings), settings) for settings in taken):
+        with pytest.raises(UsageError, match=f"`{name}` of a repeated run is its own"):
+            repeat(run, out=tmp_path / "n", **settings)
+    (tmp_path / "other.json").write_text("{}")
+    with pytest.raises(CheckpointError, match=r"other\.json is no run's: it lacks alg"):
+        repeat(tmp_path / "other.json", out=tmp_path / "n")
     with pytest.raises(UsageError, match="`out` is '', expected a folder"):
         repeat(run.folder, out="")
     eight: dict[str, Any] = {"dataset": tmp_path / "d", "steps": 8, "engine": "mujoco"}
