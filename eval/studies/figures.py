@@ -31,17 +31,19 @@ def curves_figure(
         panels.setdefault(_panel(cell, curves), []).append(cell)
     figure = Figure(figsize=(1.2 + 4.6 * len(panels), 3.9), layout="constrained")
     axes: Any = figure.subplots(1, len(panels), sharey=True, squeeze=False)
-    colors: dict[str, str] = {}  # what has a name has one color in all panels
+    looks: dict[str, tuple[str, str]] = {}  # a name's, the same in all panels
     for axis, (title, cells) in zip(axes[0], panels.items(), strict=True):
         for number, cell in enumerate(cells):
             label = _label(cell, cells)
-            color = colors.setdefault(label, PAPER_COLORS[number % len(PAPER_COLORS)])
+            turn, place = divmod(number, len(PAPER_COLORS))
+            look = PAPER_COLORS[place], ("o-", "s--", "^:")[turn % 3]
+            color, line = looks.setdefault(label, look)
             rows = store.curves(cell, seeds)
             clock = _CLOCKS[_clock(rows)]
             times, values = on_a_grid(rows, curves.value)
             mean = curves.scale * values.mean(axis=0)
             std = curves.scale * values.std(axis=0, ddof=min(1, len(values) - 1))
-            _with_spread(axis, times, mean, std, color, label)
+            _with_spread(axis, times, mean, std, color, label, line)
         axis.set(title=title, xlabel=clock, ylim=(curves.bottom, curves.top))
         if curves.panels != "dataset":
             axis.legend(frameon=False, fontsize=8)
@@ -180,8 +182,9 @@ def _with_spread(
     std: np.ndarray,
     color: str,
     label: str | None,
+    line: str = "o-",
 ) -> None:
     """Draw a mean over time in a band of one deviation to each side."""
-    axis.plot(times, mean, "o-", ms=2, color=color, label=label)
+    axis.plot(times, mean, line, ms=2, color=color, label=label)
     low, high = mean - std, mean + std
     axis.fill_between(times, low, high, color=color, alpha=0.2, linewidth=0)
