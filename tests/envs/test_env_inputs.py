@@ -1,7 +1,6 @@
 """What environments refuse, and what they show."""
 
 import copy
-import json
 import pickle
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,13 +12,11 @@ from marl_mm.envs import parallel_env
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.goal_env import GoalEnv
 from marl_mm.envs.parallel_vector import TeamVector
-from marl_mm.envs.registry import TASKS, config_dict, register_task
+from marl_mm.envs.registry import TASKS, register_task
 from marl_mm.envs.task import Attempt, Terms, Values
 from marl_mm.envs.tasks.reach import Reach
 from marl_mm.envs.vector import GoalVector
 from marl_mm.errors import InvalidActionError, LayoutError, MarlMmError, UsageError
-from marl_mm.layout import Entry
-from marl_mm.sim.config import SimulationConfig
 
 REACHING = [name for name, task in TASKS.items() if isinstance(task, Reach)]
 
@@ -205,20 +202,6 @@ def test_a_function_of_a_task_that_returns_something_odd_is_named(
         core.reset(np.random.default_rng(0))
         core.step(np.zeros(4))
     core.close()
-
-
-def test_a_task_of_numpys_numbers_is_the_same_as_of_pythons() -> None:
-    """Nested ones, too; records are JSON, which has none of NumPy's."""
-    numbers = np.array([50.0, 2.0])
-    simulation = SimulationConfig(wheel_force=numbers[0])
-    task = Reach(goal_x_forward=(1, numbers[1]), simulation=simulation)
-    same = Reach(
-        goal_x_forward=(1.0, 2.0), simulation=SimulationConfig(wheel_force=50.0)
-    )
-    assert task == same
-    assert json.dumps(config_dict(task)) == json.dumps(config_dict(same))
-    goal = Entry("goal_z", "m", *numbers[::-1])
-    assert type(goal.low) is type(goal.high) is float
 
 
 def test_bad_render_modes_and_early_states_are_refused() -> None:

@@ -101,13 +101,18 @@ def test_threads_and_processes_run_the_same_episodes(
     assert [content(episode) for episode in episodes] == alone
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("most_threads", [1, 4])
-def test_what_is_left_undone_does_not_reach_the_next_episodes(
-    monkeypatch: pytest.MonkeyPatch, most_threads: int
+@pytest.fixture(params=[1, 4])
+def processes_or_threads(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Two workers are processes, and then threads."""
+    monkeypatch.setattr(slots, "MOST_THREADS", request.param)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("processes_or_threads")
+def test_what_is_left_undone_does_not_reach_the_next_episodes() -> None:
     """Of plans without end, as collections have; in processes and in threads."""
-    monkeypatch.setattr(slots, "MOST_THREADS", most_threads)
     task = make_task("Reach-v0", {"simulation": {"engine": "mujoco"}, "max_steps": 2})
     alone = [content(episode) for episode in run(task, Loud(), 1)]
     endless = (EpisodePlan(i, 99) for i in count())
@@ -121,12 +126,9 @@ def test_what_is_left_undone_does_not_reach_the_next_episodes(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("most_threads", [1, 4])
-def test_a_robot_that_falls_is_refused_in_workers_too(
-    monkeypatch: pytest.MonkeyPatch, most_threads: int
-) -> None:
+@pytest.mark.usefixtures("processes_or_threads")
+def test_a_robot_that_falls_is_refused_in_workers_too() -> None:
     """In one line: in processes and in threads."""
-    monkeypatch.setattr(slots, "MOST_THREADS", most_threads)
     fields = {"robot": {"base_com_b": (1.0, 0, 0.2)}, "simulation": MUJOCO}
     with Rollouts(make_task("Reach-v0", fields), 2) as rollouts:
         with pytest.raises(UsageError, match="robot"):

@@ -1,18 +1,21 @@
 """Reward and success, worked by hand and vectorised."""
 
+import json
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from marl_mm.envs.registry import TASKS, make_task
+from marl_mm.envs.registry import TASKS, config_dict, make_task
 from marl_mm.envs.task import Task
 from marl_mm.envs.tasks.gate import Gate
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.envs.tasks.reach import Reach
 from marl_mm.envs.terms import goal_distance
 from marl_mm.errors import LayoutError, UsageError
+from marl_mm.layout import Entry
+from marl_mm.sim.config import SimulationConfig
 from marl_mm.sim.scene import Mark
 
 
@@ -160,9 +163,24 @@ def test_a_task_of_odd_numbers_is_refused(fields: Any, message: str) -> None:
 
 
 def test_numbers_of_a_task_are_pythons_whoever_wrote_them() -> None:
-    task = Reach(max_steps=np.int64(9), goal_reward=20, goal_x_forward=[1, 1.5])  # type: ignore[arg-type]
-    assert task == Reach(max_steps=9, goal_reward=20.0, goal_x_forward=(1.0, 1.5))
-    assert [*map(type, (task.max_steps, task.goal_reward))] == [int, float]
+    """Nested ones, too; records are JSON, which has none of NumPy's."""
+    nine, force, high = np.int64(9), np.float64(50.0), np.float64(1.5)
+    simulation = SimulationConfig(wheel_force=force)
+    task = Reach(
+        max_steps=nine,  # type: ignore[arg-type]
+        goal_reward=20,
+        goal_x_forward=[1, high],  # type: ignore[arg-type]
+        simulation=simulation,
+    )
+    same = Reach(
+        max_steps=9,
+        goal_reward=20.0,
+        goal_x_forward=(1.0, 1.5),
+        simulation=SimulationConfig(wheel_force=50.0),
+    )
+    assert task == same
+    assert json.dumps(config_dict(task)) == json.dumps(config_dict(same))
+    assert type(Entry("goal_z", "m", force, force).low) is float
 
 
 def test_a_start_elsewhere_is_where_ways_begin() -> None:
