@@ -51,6 +51,24 @@ def like(value: Any, usual: Any, name: str) -> Any:
     raise UsageError(f"{name} is {value!r:.60}, expected {kind}")
 
 
+def make_like_defaults(config: Any, of: str = "") -> None:
+    """Turn a frozen dataclass's fields into values ``like`` their defaults.
+
+    Args:
+        config: Instance that is being made.
+        of: Beginning of the fields' names in messages, such as "robot.".
+
+    Raises:
+        UsageError: Naming the first field that is of another kind, or not finite.
+    """
+    for field in fields(config):
+        usual = None if field.default is MISSING else field.default
+        if field.default_factory is not MISSING:
+            usual = field.default_factory()
+        value = like(getattr(config, field.name), usual, f"{of}{field.name}")
+        object.__setattr__(config, field.name, value)
+
+
 def is_record(value: Any) -> bool:
     """Whether it has named fields: a dataclass's instance or a named tuple."""
     named = is_dataclass(value) or hasattr(value, "_asdict")

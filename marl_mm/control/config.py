@@ -8,7 +8,7 @@ why. ``marl-mm bench abuse`` and ``sweep-alpha`` measure them.
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, get_args
 
-from marl_mm.declared import check_not_negative, check_positive
+from marl_mm.declared import check_not_negative, check_positive, make_like_defaults
 from marl_mm.errors import UsageError
 
 Knowledge = Literal["estimated", "given", "none"]
@@ -75,7 +75,9 @@ class HierarchyConfig(NamedTuple):
     (n^2 + damping)."""
 
     rho: float = 1.0
-    """Weight of |x|^2 - |P x|^2 from the second level on (fractional form)."""
+    """Weight of |x|^2 - |P x|^2 from the second level on: of the part of x that the
+    projector takes away. With strict priorities, as in form "blend", it acts as far as
+    the projector's damping leaves a direction open."""
 
     protection: float = 30.0
     """Factor of the extra weight psi (1 - psi) that a task keeps at a level below one
@@ -157,6 +159,7 @@ class ControllerConfig:
     """Parameters of the limits on acceleration."""
 
     def __post_init__(self) -> None:
+        make_like_defaults(self, "controller.")
         for name, value, choices in (
             ("form", self.form, FORMS),
             ("solver", self.solver, SOLVERS),

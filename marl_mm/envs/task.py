@@ -6,13 +6,13 @@ of an episode: an ``Attempt`` does. ``envs/tasks`` has one file per kind of task
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from marl_mm.control.config import ControllerConfig
-from marl_mm.declared import ADDED, like
+from marl_mm.declared import ADDED, make_like_defaults
 from marl_mm.envs.order import Order
 from marl_mm.envs.terms import goal_distance
 from marl_mm.episode import FAILED, GOAL_INFO, MOTION_INFO
@@ -150,13 +150,7 @@ class Task(ABC):
     """Form, gains and limits of the controller."""
 
     def __post_init__(self) -> None:
-        for item in fields(self):  # as records have them, whoever wrote them
-            usual = item.default
-            if item.default_factory is not MISSING:
-                usual = item.default_factory()
-            given, name = getattr(self, item.name), item.name
-            value = like(given, None if usual is MISSING else usual, name)
-            object.__setattr__(self, name, value)
+        make_like_defaults(self)
         for name in ("max_steps", "ticks_per_step", "look_every"):
             value = getattr(self, name)
             if not isinstance(value, int) or value < 1:

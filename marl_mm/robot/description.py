@@ -1,19 +1,24 @@
 """One URDF for both engines, with the base's uncertain inertia filled in."""
 
 import math
+import operator
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.resources import as_file, files
 from typing import NamedTuple
 from xml.etree import ElementTree
 
-from marl_mm.declared import check_positive
+from marl_mm.declared import check_positive, make_like_defaults
 from marl_mm.errors import UsageError
 from marl_mm.robot.names import (
     ARM_LINKS,
+    BASE_LINK,
     FINGER_LINKS,
     HAND_LINK,
     JOINTS,
     LINKS,
+    WHEEL_JOINTS,
 )
 
 BODY_SIZE = (0.90, 0.58, 0.30)
@@ -51,16 +56,8 @@ class RobotConfig:
     """Travel of each finger [m]; the paper's 0.08 is the opening between the two."""
 
     def __post_init__(self) -> None:
+        make_like_defaults(self, "robot.")
         check_positive(self, "base_mass", of="robot.")
-        for name, size in {"base_com_b": 3, "initial_joints": 7}.items():
-            values = getattr(self, name)
-            if len(values) != size or not all(map(math.isfinite, values)):
-                raise UsageError(
-                    f"robot.{name} is {values}, expected {size} finite numbers"
-                )
-            object.__setattr__(self, name, tuple(map(float, values)))
-        for name in ("base_mass", "initial_finger"):  # of NumPy's, a URDF has no name
-            object.__setattr__(self, name, float(getattr(self, name)))
 
 
 PAD_SIZE = (0.020, 0.014, 0.022)
@@ -116,7 +113,7 @@ def urdf_xml(config: RobotConfig, solid: bool = False) -> str:
             and a box for each finger's pad.
 
     Raises:
-        UsageError: If a joint or link is missing, or a joint is of another type.
+        UsageError: If the URDF describes no robot that can be simulated.
     """
     root = _root()
     inertial = root.find("link[@name='base_link']/inertial")
@@ -140,26 +137,82 @@ def _root() -> ElementTree.Element:
     """The URDF's tree.
 
     Raises:
-        UsageError: If it lacks a joint or link, or a joint is of another type.
+        UsageError: If it describes no robot that can be simulated.
     """
     with as_file(files("marl_mm.robot") / "miranda.urdf") as path:
         try:
             root = ElementTree.parse(path).getroot()
         except ElementTree.ParseError as error:
             raise UsageError(f"{path} is no URDF: {error}") from None
-        types = {
-            joint.get("name"): joint.get("type") for joint in root.findall("joint")
-        }
-        links = {link.get("name") for link in root.findall("link")}
-        wrong = [
-            f"joint {name} is {types.get(name, 'missing')}, expected {kind}"
-            for name, kind in JOINTS.items()
-            if types.get(name) != kind
-        ]
-        wrong += [f"link {name} is missing" for name in LINKS if name not in links]
-        if wrong:
+        if wrong := [*_wrong_joints(root), *_wrong_links(root)]:
             raise UsageError(f"{path}: {'; '.join(wrong)}")
     return root
+
+
+def _wrong_joints(root: ElementTree.Element) -> Iterator[str]:
+    """What is wrong with the joints."""
+    joints = {str(joint.get("name")): joint for joint in root.findall("joint")}
+    for name, kind in JOINTS.items():
+        found = joints[name].get("type") if name in joints else "missing"
+        if found != kind:
+            yield f"joint {name} is {found}, expected {kind}"
+    for name, joint in joints.items():
+        moves = joint.get("type")
+        if moves == "fixed":
+            continue
+        if name not in JOINTS:
+            yield f"joint {name} is {moves}, expected fixed: the controller has no such"
+        if joint.find("dynamics") is not None:  # one engine has it, one does not
+            yield f"joint {name} has dynamics, which the controller's model lacks"
+        for limit in ("effort", "velocity"):
+            if not _number(joint, "limit", limit) > 0:
+                yield f"joint {name} has no {limit} above 0 in its limit"
+        ends = (_number(joint, "limit", end) for end in ("lower", "upper"))
+        if moves != "continuous" and not operator.lt(*ends):
+            yield f"joint {name} has no lower limit below its upper one"
+
+
+def _wrong_links(root: ElementTree.Element) -> Iterator[str]:
+    """What is wrong with the links."""
+    links = {str(link.get("name")): link for link in root.findall("link")}
+    yield from (f"link {name} is missing" for name in LINKS if name not in links)
+    above = {
+        _value(joint, "child", "link"): _value(joint, "parent", "link")
+        for joint in root.findall("joint")
+    }
+    tops = {name: name for name in links}
+    for _ in links:
+        tops = {name: above.get(top, top) for name, top in tops.items()}
+    if lost := [name for name, top in tops.items() if top != BASE_LINK]:
+        yield f"links {', '.join(lost)} do not hang on {BASE_LINK}"
+    for name, link in links.items():
+        if not _number(link, "inertial/mass", "value") > 0:  # engines guess another
+            yield f"link {name} has no mass above 0"
+        elif link.find("inertial/inertia") is None:
+            yield f"link {name} has no inertia"
+    for name, side in zip(WHEEL_JOINTS, (1, -1), strict=True):
+        joint, y = f"joint[@name='{name}']", f"{side * WHEEL_SEPARATION / 2:g}"
+        wheel = _value(root, f"{joint}/child", "link")
+        ball = f"link[@name='{wheel}']/collision/geometry/sphere"
+        place = _value(root, f"{joint}/origin", "xyz")
+        if _number(root, ball, "radius") != WHEEL_RADIUS or place.split()[1:2] != [y]:
+            yield (
+                f"joint {name} carries no ball of radius {WHEEL_RADIUS} m at y {y} m, "
+                "which are constants of description.py"
+            )
+
+
+def _value(root: ElementTree.Element, path: str, name: str) -> str:
+    """An attribute of the first element there; "none" without."""
+    element = root.find(path)
+    return "none" if element is None else element.get(name, "none")
+
+
+def _number(root: ElementTree.Element, path: str, name: str) -> float:
+    """The same, as a number; NaN without."""
+    with suppress(ValueError):
+        return float(_value(root, path, name))
+    return math.nan
 
 
 def _make_solid(root: ElementTree.Element) -> None:
@@ -190,5 +243,6 @@ def _add_collision(
 
 def _set(parent: ElementTree.Element, tag: str, values: dict[str, str]) -> None:
     element = parent.find(tag)
-    assert element is not None
+    if element is None:
+        element = ElementTree.SubElement(parent, tag)
     element.attrib.update(values)

@@ -52,9 +52,13 @@ def robot_limits(config: RobotConfig) -> RobotLimits:
     """Limits from the URDF, completed by the data sheets' accelerations.
 
     Raises:
-        UsageError: If the start posture is beyond them.
+        UsageError: If the start posture is beyond them, or the URDF describes no robot.
     """
-    model = pin.buildModelFromXML(urdf_xml(config))
+    xml = urdf_xml(config)
+    try:
+        model = pin.buildModelFromXML(xml)
+    except ValueError as error:
+        raise UsageError(f"miranda.urdf is no robot for Pinocchio: {error}") from None
     arm = [model.joints[model.getJointId(name)] for name in ARM_JOINTS]
     wheel = model.joints[model.getJointId(WHEEL_JOINTS[0])]
     q, v = [joint.idx_q for joint in arm], [joint.idx_v for joint in arm]

@@ -5,9 +5,7 @@ from dataclasses import dataclass, field
 from importlib.util import find_spec
 from typing import Any, Literal
 
-import numpy as np
-
-from marl_mm.declared import check_not_negative, check_positive
+from marl_mm.declared import check_not_negative, check_positive, make_like_defaults
 from marl_mm.errors import UsageError
 
 RATE = 240
@@ -118,6 +116,7 @@ class SimulationConfig:
     PyBullet, which combines both sides', has 1.6 to 2 times as much."""
 
     def __post_init__(self) -> None:
+        make_like_defaults(self, "simulation.")
         if self.engine not in ENGINES:
             raise UsageError(
                 f"simulation.engine is {self.engine!r}, expected {' or '.join(ENGINES)}"
@@ -151,10 +150,12 @@ class Camera:
     """Pitch of the view [deg]."""
 
     def __post_init__(self) -> None:
+        make_like_defaults(self, "camera ")
         for name in ("width", "height"):
             size = getattr(self, name)
             if not 16 <= size <= 4096 or size % 2:
                 raise UsageError(f"camera {name} is {size}, expected even, 16 to 4096")
-        angles = (self.yaw, self.pitch, *self.target_w)
-        if not (np.isfinite(angles).all() and 0 < self.distance < 100):
-            raise UsageError("camera angles and distance must be finite, distance > 0")
+        if not 0 < self.distance < 100:
+            raise UsageError(
+                f"camera distance is {self.distance} m, expected above 0, below 100"
+            )

@@ -1,10 +1,11 @@
 """The scene beside the robot: block, stand, marks; independent of the engine."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
+from marl_mm.declared import like, make_like_defaults
 from marl_mm.errors import UsageError
 
 
@@ -20,6 +21,11 @@ class Block:
 
     friction: float = 0.8
     """Friction coefficient against the stand and the finger pads, whose own is 1."""
+
+    def __post_init__(self) -> None:
+        make_like_defaults(self, "block ")
+        if not all(value > 0 for value in (*self.size, self.mass, self.friction)):
+            raise UsageError(f"{self} has a number that is not above 0")
 
 
 Color = tuple[float, float, float, float]
@@ -52,11 +58,12 @@ class Mark:
     """Colour."""
 
     def __post_init__(self) -> None:
-        sizes = np.shape(self.size)
-        if np.shape(self.position_w) != (3,) or sizes not in ((1,), (3,)):
+        for name, usual in (("position_w", (0.0, 0.0, 0.0)), ("color", RED)):
+            like(getattr(self, name), usual, f"a mark's {name}")
+        like(self.size, (1.0,) * np.size(self.size), "a mark's size")
+        if np.shape(self.size) not in ((1,), (3,)) or not np.min(self.size) > 0:
             raise UsageError(
-                f"a mark is at {self.position_w} with size {self.size}, expected "
-                "three numbers, and one or three"
+                f"a mark's size is {self.size}, expected one number above 0, or three"
             )
 
 
@@ -80,3 +87,11 @@ class Scene:
 
     grasp: Grasp = "friction"
     """Way of holding the block."""
+
+    def __post_init__(self) -> None:
+        if self.grasp not in get_args(Grasp):
+            raise UsageError(f"grasp is {self.grasp!r}, expected friction or weld")
+        if not np.isfinite(self.position_w).all():
+            raise UsageError(
+                f"a block is at {self.position_w}, expected finite numbers"
+            )

@@ -69,9 +69,6 @@ class Handling(Protocol):
     def block_w(self) -> tuple[np.ndarray, np.ndarray]:
         """The block's centre, shape (3,) [m], and quaternion x, y, z, w."""
 
-    def pad_forces(self) -> list[float]:
-        """Force of each pad on the block in the last step [N]."""
-
     def touches(self) -> Touches:
         """Contacts of the last step with a force above 0."""
 

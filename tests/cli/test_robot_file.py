@@ -22,6 +22,22 @@ def edited(change: str, name: str) -> str:
         part.set("type", "fixed")
     elif change == "removed":
         root.remove(part)
+    elif change == "emptied":
+        part[:] = [inner for inner in part if inner.tag != "inertial"]
+    elif change == "damped":
+        ElementTree.SubElement(part, "dynamics", damping="1")
+    elif change == "doubled":
+        root.append(ElementTree.Element("joint", name="eighth", type="revolute"))
+        root[-1].extend(part)
+    elif change == "narrowed":
+        (ball,) = part.findall("collision/geometry/sphere")
+        ball.set("radius", "0.05")
+    elif "=" in change:
+        where, _, value = change.partition("=")
+        element, _, attribute = where.partition(".")
+        found = part.find(element)
+        assert found is not None
+        found.set(attribute, value)
     text = ElementTree.tostring(root, encoding="unicode")
     return text[: text.index(name)] if change == "cut off" else text
 
@@ -34,6 +50,18 @@ def edited(change: str, name: str) -> str:
         ("removed", "panda_finger_joint1", "panda_finger_joint1 is missing"),
         ("removed", "grasp", "link grasp is missing"),
         ("cut off", "panda_joint3", "is no URDF: unclosed token"),
+        ("emptied", "panda_link5", "link panda_link5 has no mass above 0"),
+        ("emptied", "base_link", "link base_link has no mass above 0"),
+        ("inertial/mass.value=-1", "panda_link2", "panda_link2 has no mass above 0"),
+        ("damped", "panda_joint2", "joint panda_joint2 has dynamics, which the"),
+        ("doubled", "panda_joint2", "joint eighth is revolute, expected fixed"),
+        ("narrowed", "left_wheel", "left_wheel_joint carries no ball of radius 0.0625"),
+        ("limit.velocity=0", "panda_joint2", "panda_joint2 has no velocity above 0"),
+        ("limit.effort=x", "panda_joint4", "panda_joint4 has no effort above 0"),
+        ("limit.lower=2", "panda_joint2", "no lower limit below its upper one"),
+        ("parent.link=x", "panda_joint6", "panda_link6, panda_link7, panda_hand,"),
+        ("parent.link=panda_link7", "panda_joint6", "do not hang on base_link"),
+        ("origin.xyz=x 0 0", "panda_joint6", "is no robot for Pinocchio"),
     ],
 )
 def test_what_is_missing_is_told_in_one_line(
@@ -51,4 +79,4 @@ def test_what_is_missing_is_told_in_one_line(
         words = ["eval", "pd", "--episodes", "1", "--workers", "1", "--engine", engine]
         assert main(words) == 2
         (line,) = capsys.readouterr().err.splitlines()
-        assert str(file) in line and complaint in line
+        assert file.name in line and complaint in line

@@ -1,12 +1,14 @@
 """Reward and success, worked by hand and vectorised."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from marl_mm.control.config import ControllerConfig, HierarchyConfig
 from marl_mm.envs.registry import TASKS, config_dict, make_task
 from marl_mm.envs.task import Task
 from marl_mm.envs.tasks.gate import Gate
@@ -15,8 +17,12 @@ from marl_mm.envs.tasks.reach import Reach
 from marl_mm.envs.terms import goal_distance
 from marl_mm.errors import LayoutError, UsageError
 from marl_mm.layout import Entry
-from marl_mm.sim.config import SimulationConfig
-from marl_mm.sim.scene import Mark
+from marl_mm.robot.description import RobotConfig
+from marl_mm.sim.config import Camera, SimulationConfig
+from marl_mm.sim.scene import Block, Mark, Scene
+
+UNSURE = HierarchyConfig(weighted="no")  # type: ignore[arg-type]
+ON_GROUND = {"block": Block(), "position_w": (0, 0, 0)}
 
 
 def terms(shape: tuple[int, ...] = (), **values: float) -> dict[str, np.ndarray]:
@@ -200,9 +206,33 @@ def test_a_hand_without_an_alpha_needs_an_act_of_its_own() -> None:
         type("Alone", (Reach,), {"layout": alone})()
 
 
+@pytest.mark.parametrize(
+    ("kind", "fields", "message"),
+    [
+        (SimulationConfig, {"engine": ["mujoco"]}, "simulation.engine is"),
+        (SimulationConfig, {"wheel_force": (1, 2)}, "simulation.wheel_force is"),
+        (ControllerConfig, {"gains": {"ee_rate": 5.0}}, "expected a Gains"),
+        (ControllerConfig, {"hierarchy": UNSURE}, "weighted is 'no', expected bool"),
+        (RobotConfig, {"base_com_b": None}, "robot.base_com_b is None, expected 3"),
+        (Camera, {"width": 64.0}, "camera width is 64.0, expected int"),
+        (Camera, {"target_w": (1, 2)}, "camera target_w is"),
+        (Camera, {"distance": 150}, "camera distance is 150.0 m, expected above 0"),
+        (Block, {"mass": 0}, "has a number that is not above 0"),
+        (Scene, {**ON_GROUND, "grasp": "glue"}, "grasp is 'glue'"),
+        (Mark, {"position_w": (0, 0, np.nan)}, "a mark's position_w is nan"),
+        (Mark, {"position_w": (0, 0, 0), "color": "red"}, "a mark's color is 'red'"),
+    ],
+)
+def test_settings_of_another_kind_are_refused(
+    kind: Callable[..., object], fields: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(UsageError, match=message):
+        kind(**fields)
+
+
 @pytest.mark.parametrize("size", [(), (0.1, 0.1), 0.05])
 def test_marks_have_a_place_and_a_size(size: Any) -> None:
-    with pytest.raises(UsageError, match="expected three numbers, and one or three"):
+    with pytest.raises(UsageError, match="a mark's size is"):
         Mark((0.0, 0.0, 0.0), size)
 
 

@@ -9,7 +9,8 @@ w_t = psi(k, t) - psi(k-1, t) + protection psi(k-1, t) (1 - psi(k-1, t)).
 The weights go to zero where a task enters or leaves a level; a task half served above
 keeps a say, or else the next one would undo it through a projector that is only half
 closed; and the rho term keeps x from undoing the projector as a whole. Without them
-alpha acts as a switch. For strict priorities all of it is the identity.
+alpha acts as a switch. With strict priorities protection has no effect, and the rho
+term acts as far as the projector's damping leaves a direction open.
 """
 
 from dataclasses import dataclass

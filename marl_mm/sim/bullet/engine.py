@@ -9,11 +9,15 @@ from contextlib import contextmanager
 @contextmanager
 def _silenced_stderr() -> Iterator[None]:
     """PyBullet greets on stderr when imported; ours is for progress and errors."""
-    if sys.stderr is None:  # closed, as a daemon's: file 2 may be anything
+    try:
+        saved = os.dup(2)
+    except OSError:  # closed, and another stream in its place
+        saved = -1
+    if sys.stderr is None or saved < 0:  # as a daemon's: file 2 may be anything
         yield
         return
     sys.stderr.flush()
-    saved, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, 2)
     try:
         yield

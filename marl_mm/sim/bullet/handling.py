@@ -147,14 +147,6 @@ class BulletHandling:
         pybullet.removeConstraint(self._weld, physicsClientId=self._client)
         self._weld = None
 
-    def pad_forces(self) -> list[float]:
-        """Force of each pad on the block in the last step [N]."""
-        forces = dict.fromkeys(self._fingers, 0.0)
-        for contact in self._contacts(self._block):
-            if contact[2] == self._robot and contact[4] in forces:
-                forces[contact[4]] += contact[9]
-        return list(forces.values())
-
     def touches(self) -> Touches:
         """Contacts of the last step with a force above 0."""
         fingers, stand, ground, collisions = set(), False, False, set()

@@ -149,20 +149,10 @@ class MujocoHandling:
         w, x, y, z = self._data.qpos[place + 3 : place + 7]
         return self._data.qpos[place : place + 3].copy(), np.array([x, y, z, w])
 
-    def pad_forces(self) -> list[float]:
-        """See ``Handling``."""
-        forces = dict.fromkeys(FINGER_LINKS, 0.0)
-        for first, second, force in self._contacts():
-            if BLOCK in (first, second):
-                other = second if first == BLOCK else first
-                if other in forces:
-                    forces[other] += force
-        return list(forces.values())
-
     def touches(self) -> Touches:
         """See ``Handling``."""
         fingers, stand, ground, collisions = set(), False, False, set()
-        for first, second, _ in self._contacts():
+        for first, second in self._contacts():
             pair = {first, second}
             if BLOCK in pair:
                 (other,) = pair - {BLOCK}
@@ -196,12 +186,12 @@ class MujocoHandling:
         gear, weld = 1, 6 * int(self._data.eq_active[self._weld])
         self.rows[:] = gear + weld, 4
 
-    def _contacts(self) -> list[tuple[str, str, float]]:
-        """Links or things in contact, and the normal force [N], above 0."""
+    def _contacts(self) -> list[tuple[str, str]]:
+        """Links or things in contact, whose normal force is above 0."""
         contact, forces, names = self._data.contact, self._data.efc_force, self._names
         pairs = zip(contact.geom.tolist(), contact.efc_address.tolist(), strict=True)
         return [
-            (names[first], names[second], float(forces[row]))
+            (names[first], names[second])
             for (first, second), row in pairs
             if row >= 0 and forces[row] > 0
         ]
