@@ -39,9 +39,7 @@ class Mabc(OfflineLearner):
         device: str = "cpu",
     ) -> None:
         shares = config.future, 0.0
-        super().__init__(
-            config, arrays, judge, seeds, device, config.learning_rate, shares
-        )
+        super().__init__(config, arrays, judge, seeds, device, shares=shares)
 
 
 class Bc(Mabc):

@@ -27,7 +27,7 @@ class OfflineLearner:
         judge: The task's reward and termination.
         seeds: Seeds of initial weights and batches, S of them.
         device: "cpu" or "cuda".
-        rate: Learning rate of the actors.
+        rate: Learning rate of the actors; default the config's ``learning_rate``.
         shares: Shares of transitions with another goal, see ``OfflineBatches``.
         form: Form of the actors' networks.
         extra: Entries of noise that batches have beside the usual.
@@ -43,9 +43,9 @@ class OfflineLearner:
         arrays: EpisodeArrays,
         judge: Judge,
         seeds: Sequence[int],
-        device: str,
-        rate: float,
-        shares: tuple[float, float],
+        device: str = "cpu",
+        rate: float | None = None,
+        shares: tuple[float, float] = (0.0, 0.0),
         form: Form = PLAIN,
         extra: int = 0,
         discount: float = 1.0,
@@ -70,7 +70,13 @@ class OfflineLearner:
         states = torch.from_numpy(arrays.states).float()
         self.normalizer = Normalizer.of(states, config.std_floor).to(device)
         self.actors = SeededActors(
-            self.layouts, self.normalizer, config.hidden, rate, seeds, device, form
+            self.layouts,
+            self.normalizer,
+            config.hidden,
+            config.learning_rate if rate is None else rate,
+            seeds,
+            device,
+            form,
         )
         self._parts: dict[str, Part] = {"actors": self.actors}
         """Networks by their name in the state."""

@@ -46,7 +46,7 @@ class Ablate(StudyOptions):
 
     settings: tuple[str, ...] | None = None
     """Names of the settings to run; default all of the study. With some datasets or
-    settings only, files are called NAME-part."""
+    settings only, a study's files are called NAME-part."""
 
     workers: int = field(default_factory=available_cores)
     """Runs at once; the result does not depend on their number."""
