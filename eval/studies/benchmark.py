@@ -122,7 +122,7 @@ class BenchmarkOptions(StudyOptions):
     own: tuple[str, ...] = ()
     """Registered names of other offline algorithms, such as of a plug-in, which learn
     from the same data with what the tuning chose, or else by their tuned presets, with
-    as many updates. Their rows in OUT stand in the tables whenever they are registered."""
+    as many updates. Their rows in OUT stand in the tables while they are registered."""
 
     @property
     def study(self) -> Study:
