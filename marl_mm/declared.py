@@ -16,8 +16,8 @@ ADDED = MappingProxyType({"added": True})
 
 
 def plain(value: Any) -> Any:
-    """A number of NumPy's as one of Python's, which JSON has."""
-    return value.item() if isinstance(value, np.generic) else value
+    """Numbers of NumPy's as Python's own, which JSON has."""
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else value
 
 
 def like(value: Any, usual: Any, name: str) -> Any:

@@ -199,8 +199,6 @@ def _do(group: Sequence[Job]) -> tuple[Path, list[Complaint]]:
     """Do jobs of one learner; the first one's run, and why each failed."""
     first, why = group[0], ""
     if left := {job.seed: job.run for job in group if not job.trained}:
-        for older in (file for run in left.values() for file in run.glob("eval*.json")):
-            older.unlink()  # of an earlier end
         why = _complaint(lambda: first.learner.train(left, _named(first)))
     return first.run, [
         why if why and not job.trained else _complaint(partial(_evaluate, job))

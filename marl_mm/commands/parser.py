@@ -2,6 +2,7 @@
 
 import inspect
 import io
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stderr
@@ -93,7 +94,7 @@ def parse_subcommand(
         UsageError: If they name none, or are not its options.
     """
     word = arguments[0] if arguments else ""
-    if word and not word.startswith("-") and word not in commands:
+    if word and word not in (*commands, "-h", "--help", "--tyro-print-completion"):
         raise UsageError(
             f"{prog} knows no {word!r}{meant(word, commands)}, expected one of "
             f"{', '.join(commands)}. What a plug-in adds needs --plugin"
@@ -146,37 +147,40 @@ def _parse(
     kind: Any, prog: str, about: str, arguments: Sequence[str], **default: Any
 ) -> Any:
     """Options of a kind."""
-    complaint = io.StringIO()
     described = {"prog": prog, "description": f"{about}\n\n{ABOUT_PLUGINS}"} | default
+    complaint, columns = io.StringIO(), os.environ.get("COLUMNS", "")
     try:
+        if not {"-h", "--help"} & {*arguments}:
+            os.environ["COLUMNS"] = "9999"  # so that no word is broken
         with redirect_stderr(complaint):
             return tyro.cli(kind, args=arguments, **described)
     except SystemExit as end:
         if not end.code:  # --help
             raise
-        text = _summary(complaint.getvalue())
-        raise UsageError(f"{text.rstrip('.')}; see {prog} --help") from None
+        text = _in_a_line(complaint.getvalue(), arguments).rstrip(".")
+        raise UsageError(f"{text}; see {prog} --help") from None
+    finally:
+        os.environ["COLUMNS"] = columns  # empty is as none
 
 
-def _summary(box: str) -> str:
-    """What tyro complains of, in a line, without the frame.
-
-    The frame is drawn in whatever characters the stream takes.
-    """
-    lines = "\n".join(line.strip("│| ") for line in box.splitlines()[1:-1])
-    sections = re.split(r"\n?[─-]{5,}\n?", lines)
+def _in_a_line(box: str, arguments: Sequence[str]) -> str:
+    """What tyro complains of in a box, drawn in whatever the stream takes."""
+    lines = [line.strip("│| ") for line in box.splitlines()[1:-1]]
+    sections = re.split(r"\n?[─-]{5,}\n?", "\n".join(lines))
     text = next(text for part in sections if (text := " ".join(part.split())))
-    if unknown := re.match(r"Unrecognized options: ([^\s,]+)", text):
-        word = unknown[1]
+    if (unknown := text.removeprefix("Unrecognized options: ")) != text:
+        words = (w for w in arguments if unknown.startswith(w))
+        word = max(words, key=len, default=unknown)  # of --flag=3 it is the 3
         near = re.findall(r"^.? {4,5}(--[\w.-]+)", box, re.MULTILINE)
-        return f"unexpected {word}{meant(word, near, 0.01)}"
-    if odd := re.match(r"Error parsing (\S+): .*?\[?('[^'\]]*'(?:, '[^']*')*)", text):
-        option, value = odd.groups()
+        return f"unexpected {word}{meant(word.split('=')[0], near, 0.01)}"
+    if odd := re.match(r"(?:Error pars|invalid choice .* arg)\w+ '?(--[\w.-]+)", text):
+        option, names = odd[1], [w.split("=")[0].replace("_", "-") for w in arguments]
+        begin = max((i for i, name in enumerate(names) if name == option), default=0)
+        given = f"{' '.join(arguments[begin:])} --"[len(option) + 1 :].split(" --")[0]
         kind = re.search(rf"^.? +{option} (.+?)[ │|]*$", box, re.MULTILINE)
-        expected = kind[1].removeprefix("{None}|").strip("{}") if kind else "another"
-        return f"{option} is {value}, expected {expected}"
-    if odd := re.match(r"invalid choice ('.*') for argument '(\S+)'.*\((.*)\)", text):
-        value, option, choices = odd.groups()
-        names = sorted({*re.findall(r"'([^']*)'", choices)} - {"None"})
-        return f"{option} is {value}, expected one of {', '.join(names)}"
+        expected = kind[1].removeprefix("{None}|") if kind else ""
+        expected = re.sub(r"^\{([^{}]*)\}$", r"\1", expected)
+        if choices := re.search(r"Expected one of \((.*)\)", text):
+            expected = "one of " + ", ".join(sorted(re.findall(r"'(.*?)'", choices[1])))
+        return f"{option} is {given!r}, expected {expected}"
     return text

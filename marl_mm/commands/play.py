@@ -57,16 +57,14 @@ def main(
             the robot alone: "arm-reach" (the base stands) or "base-turn" (the arm
             rests). These two take no goal and no task, and hold the arm's posture
             tightly. Default the task's script, or pd where it has none.
-        video: File of the film, .mp4 or .gif; default episode.mp4, or none with
-            --strip.
+        video: Film, .mp4 or .gif; default episode.mp4, or none with --strip.
         strip: File of six pictures of the episode, side by side: a PNG.
         direction: Side of the robot on which the goal is, where the task does not draw
             its own; default backward.
         seed: Seed of the goal and of random policies; default 0.
         task: Registered name of the task.
         max_steps: Steps of one second until the episode is cut off; default the task's.
-        engine: Engine of the simulation; default the run's own, or bullet, or
-            mujoco without PyBullet.
+        engine: Engine; default the run's own, or bullet, or mujoco without PyBullet.
         fps: Frames per second of film and of simulated time.
         gui: Open PyBullet's window instead of writing a film; needs a screen.
         overwrite: Replace what exists.

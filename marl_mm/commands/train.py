@@ -107,9 +107,9 @@ def main(arguments: Sequence[str]) -> None:
 
         default = f"runs/{word}-online" if start else f"runs/{word}"
         out = Path(value_of(arguments, "--out", default))
-        saved = saved_settings(out) or {"dataset": ""}  # of no run nothing is missing
-        if named in ("", saved.get("preset")):
-            commands[word] = _subcommand(word, TUNED, saved)
+        saved = saved_settings(out)
+        if named in ("", saved.get("preset", named)):  # of no run nothing is missing
+            commands[word] = _subcommand(word, TUNED, saved or {"dataset": ""})
     elif start and word in offline and not named:
         from marl_mm.runs.starts import started_settings
 

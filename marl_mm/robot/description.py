@@ -162,8 +162,9 @@ def _wrong_joints(root: ElementTree.Element) -> Iterator[str]:
             continue
         if name not in JOINTS:
             yield f"joint {name} is {moves}, expected fixed: the controller has no such"
-        if joint.find("dynamics") is not None:  # one engine has it, one does not
-            yield f"joint {name} has dynamics, which the controller's model lacks"
+        for effect in ("damping", "friction"):  # one engine has it, one does not
+            if abs(_number(joint, "dynamics", effect)) > 0:
+                yield f"joint {name} has {effect}, which the controller's model lacks"
         for limit in ("effort", "velocity"):
             if not _number(joint, "limit", limit) > 0:
                 yield f"joint {name} has no {limit} above 0 in its limit"
@@ -191,14 +192,15 @@ def _wrong_links(root: ElementTree.Element) -> Iterator[str]:
         elif link.find("inertial/inertia") is None:
             yield f"link {name} has no inertia"
     for name, side in zip(WHEEL_JOINTS, (1, -1), strict=True):
-        joint, y = f"joint[@name='{name}']", f"{side * WHEEL_SEPARATION / 2:g}"
+        joint, y = f"joint[@name='{name}']", side * WHEEL_SEPARATION / 2
         wheel = _value(root, f"{joint}/child", "link")
         ball = f"link[@name='{wheel}']/collision/geometry/sphere"
-        place = _value(root, f"{joint}/origin", "xyz")
-        if _number(root, ball, "radius") != WHEEL_RADIUS or place.split()[1:2] != [y]:
+        radius = _number(root, ball, "radius")
+        there = _number(root, f"{joint}/origin", "xyz", 1)
+        if not (math.isclose(radius, WHEEL_RADIUS) and math.isclose(there, y)):
             yield (
-                f"joint {name} carries no ball of radius {WHEEL_RADIUS} m at y {y} m, "
-                "which are constants of description.py"
+                f"joint {name} carries no ball of radius {WHEEL_RADIUS} m at y {y:.7g} "
+                "m, which are constants of description.py"
             )
 
 
@@ -208,10 +210,10 @@ def _value(root: ElementTree.Element, path: str, name: str) -> str:
     return "none" if element is None else element.get(name, "none")
 
 
-def _number(root: ElementTree.Element, path: str, name: str) -> float:
-    """The same, as a number; NaN without."""
-    with suppress(ValueError):
-        return float(_value(root, path, name))
+def _number(root: ElementTree.Element, path: str, name: str, place: int = 0) -> float:
+    """The same, as a number, or the one at this place among several; NaN without."""
+    with suppress(ValueError, IndexError):
+        return float(_value(root, path, name).split()[place])
     return math.nan
 
 

@@ -199,7 +199,7 @@ def begin_run(run: Path, config: RunConfig, training: Training) -> None:
     before = read_config(run)
     now = before.continued(config.plugins, continued)
     if now != before:  # evaluations and exports of its earlier end
-        _remove(run, _made(config.task))
+        _remove(_made(run, config.task))
     known = {*settings, *now.settings}
     switches = [name for name in ("eval_episodes", *SWITCHES) if name in known]
     now = now.continued(config.plugins, {n: getattr(training, n) for n in switches})
@@ -210,7 +210,7 @@ def begin_run(run: Path, config: RunConfig, training: Training) -> None:
 def start_run(run: Path, config: RunConfig) -> None:
     """Make a run's folder with its config; delete what an older run left there."""
     run.mkdir(parents=True, exist_ok=True)
-    _remove(run, (*_MADE_BY_RUNS, *_made(config.task)))
+    _remove(chain(_made(run, config.task), *map(run.glob, _MADE_BY_RUNS)))
     write_json(run / CONFIG, config.to_json())
 
 
@@ -225,16 +225,22 @@ def export_name(file: str, agent: str | None, suffix: str) -> str:
     return f"{'best-' if file == BEST else ''}{agent or 'policy'}{suffix}"
 
 
-def _made(task: str) -> Iterator[str]:
-    """Names in a run of what is made of its policies: evaluations and exports."""
-    yield from (EVALUATION, BEST_EVALUATION)
+def _made(run: Path, task: str) -> Iterator[Path]:
+    """Files in a run that the package made of its policies, under names of its own.
+
+    They are evaluations, those of studies' probes and exports.
+    """
+    yield from (run / EVALUATION, run / BEST_EVALUATION)
+    for path in run.glob("eval_*.json"):
+        if path.is_file() and b'"probe"' in path.read_bytes():
+            yield path
     agents = (None, *(agent.name for agent in TASKS.get(task).layout.agents))
     for file, agent, (_, form) in product((FILE, BEST), agents, POLICY_FORMATS.items()):
-        yield export_name(file, agent, form.suffix)
+        yield run / export_name(file, agent, form.suffix)
 
 
-def _remove(run: Path, patterns: Iterable[str]) -> None:
-    for path in chain.from_iterable(map(run.glob, patterns)):
+def _remove(paths: Iterable[Path]) -> None:
+    for path in [*paths]:
         remove(path)
 
 

@@ -20,7 +20,7 @@ from marl_mm.eval.figures import alpha_over_time
 from marl_mm.eval.goals import goal_set
 from marl_mm.eval.tables import engines_of, evaluation_markdown, markdown_table
 from marl_mm.eval.video import film_both_ways, film_strip, write_video
-from marl_mm.files import new_file, refuse_foreign, write_json
+from marl_mm.files import new_file, refuse_existing, refuse_foreign, write_json
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.collect import collect
 from marl_mm.runs.evaluate import evaluate
@@ -89,7 +89,9 @@ def run_quickstart(
     check_positive(workers=options.workers)
     check_seed(options.seed)
     name, mark = "quickstart.json", '"stages_s"'
-    refuse_foreign(options.out, options.overwrite, (name, mark))
+    refuse_existing(options.out, options.overwrite)
+    if options.out.is_dir() and any(options.out.iterdir()):
+        refuse_foreign(options.out, options.overwrite, (name, mark))
     size = SMALL if options.small else FULL
     out, goals = options.out, size["episodes"]
     stages: dict[str, float] = {}

@@ -5,8 +5,16 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from marl_mm.declared import like, make_like_defaults
+from marl_mm.declared import (
+    check_not_negative,
+    check_positive,
+    like,
+    make_like_defaults,
+)
 from marl_mm.errors import UsageError
+
+ORIGIN = (0.0, 0.0, 0.0)
+"""Origin of the world [m]."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +32,10 @@ class Block:
 
     def __post_init__(self) -> None:
         make_like_defaults(self, "block ")
-        if not all(value > 0 for value in (*self.size, self.mass, self.friction)):
-            raise UsageError(f"{self} has a number that is not above 0")
+        check_positive(self, "mass", of="block ")
+        check_not_negative(self, "friction", of="block ")
+        if min(self.size) <= 0:
+            raise UsageError(f"block size is {self.size}, expected edges above 0")
 
 
 Color = tuple[float, float, float, float]
@@ -58,13 +68,12 @@ class Mark:
     """Colour."""
 
     def __post_init__(self) -> None:
-        for name, usual in (("position_w", (0.0, 0.0, 0.0)), ("color", RED)):
-            like(getattr(self, name), usual, f"a mark's {name}")
-        like(self.size, (1.0,) * np.size(self.size), "a mark's size")
-        if np.shape(self.size) not in ((1,), (3,)) or not np.min(self.size) > 0:
-            raise UsageError(
-                f"a mark's size is {self.size}, expected one number above 0, or three"
-            )
+        many = (0.0,) * (3 if np.shape(self.size) == (3,) else 1)
+        for name, usual in {"position_w": ORIGIN, "size": many, "color": RED}.items():
+            value = like(getattr(self, name), usual, f"a mark's {name}")
+            object.__setattr__(self, name, value)
+        if min(self.size) < 0:
+            raise UsageError(f"a mark's size is {self.size}, expected >= 0")
 
 
 Grasp = Literal["friction", "weld"]
@@ -91,7 +100,8 @@ class Scene:
     def __post_init__(self) -> None:
         if self.grasp not in get_args(Grasp):
             raise UsageError(f"grasp is {self.grasp!r}, expected friction or weld")
-        if not np.isfinite(self.position_w).all():
-            raise UsageError(
-                f"a block is at {self.position_w}, expected finite numbers"
-            )
+        if not isinstance(self.block, Block):
+            raise UsageError(f"block is {self.block!r:.60}, expected a Block")
+        like(self.position_w, ORIGIN, "a block's position_w")
+        if self.stand_size is not None:
+            like(self.stand_size, ORIGIN, "stand_size")

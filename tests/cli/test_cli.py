@@ -135,7 +135,10 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         (["collect", "pd", "--alpha", "1.5"], "alpha is 1.5, expected a number in"),
         (["collect", "pd", "--task", "Fly-v0"], "unknown task 'Fly-v0'"),
         (["collect", "pd", "--steps", "1.5"], "--steps is '1.5', expected INT; see"),
-        (["collect", "pd", "--engine", "x"], "is 'x', expected one of bullet, mujoco;"),
+        (
+            ["collect", "pd", "--engine", "x"],
+            "is 'x', expected one of None, bullet, mujoco;",
+        ),
         (["collect", "pd", "5"], "unexpected 5; see marl-mm collect pd --help"),
         (["collect", "pd", "--task", "Bar-v0"], "pd does not set left_alpha"),
         (

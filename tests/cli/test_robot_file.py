@@ -53,7 +53,7 @@ def edited(change: str, name: str) -> str:
         ("emptied", "panda_link5", "link panda_link5 has no mass above 0"),
         ("emptied", "base_link", "link base_link has no mass above 0"),
         ("inertial/mass.value=-1", "panda_link2", "panda_link2 has no mass above 0"),
-        ("damped", "panda_joint2", "joint panda_joint2 has dynamics, which the"),
+        ("damped", "panda_joint2", "joint panda_joint2 has damping, which the"),
         ("doubled", "panda_joint2", "joint eighth is revolute, expected fixed"),
         ("narrowed", "left_wheel", "left_wheel_joint carries no ball of radius 0.0625"),
         ("limit.velocity=0", "panda_joint2", "panda_joint2 has no velocity above 0"),

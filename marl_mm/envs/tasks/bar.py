@@ -283,7 +283,8 @@ class Bar(RiskyTask):
     def _marks(self, side: int, beam: np.ndarray, goal: np.ndarray) -> list[Mark]:
         x, z = beam.tolist()
         middle = HAND_Y + (0.5 - side) * -self.bar_length
-        edge = sqrt(2) * (self.beam_size - BEAD)  # a bar's surface passes its edges
+        # A bar's surface passes its edges.
+        edge = sqrt(2) * max(self.beam_size - BEAD, 0.0)
         return [
             Mark((float(goal[0]), middle, float(goal[1]))),
             Mark((x, middle, z), (edge, 0.2, edge), YELLOW),

@@ -3,17 +3,17 @@
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 
 @contextmanager
 def _silenced_stderr() -> Iterator[None]:
     """PyBullet greets on stderr when imported; ours is for progress and errors."""
-    try:
-        saved = os.dup(2)
-    except OSError:  # closed, and another stream in its place
-        saved = -1
-    if sys.stderr is None or saved < 0:  # as a daemon's: file 2 may be anything
+    saved = -1
+    if sys.stderr is not None:  # closed, as a daemon's: file 2 may be anything
+        with suppress(OSError):  # closed, and another stream in its place
+            saved = os.dup(2)
+    if saved < 0:
         yield
         return
     sys.stderr.flush()
