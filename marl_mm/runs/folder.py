@@ -215,21 +215,12 @@ def start_run(run: Path, config: RunConfig) -> None:
 
 
 def export_name(file: str, agent: str | None, suffix: str) -> str:
-    """Name of a policy's export in its run.
-
-    Args:
-        file: Name of its checkpoint.
-        agent: Name of the agent; None for the joint action.
-        suffix: Ending of the format's files.
-    """
+    """Name in a run of a checkpoint's export: an agent's, or None: the joint action."""
     return f"{'best-' if file == BEST else ''}{agent or 'policy'}{suffix}"
 
 
 def _made(run: Path, task: str) -> Iterator[Path]:
-    """Files in a run that the package made of its policies, under names of its own.
-
-    They are evaluations, those of studies' probes and exports.
-    """
+    """Evaluations, of studies' probes too, and exports, under the package's names."""
     yield from (run / EVALUATION, run / BEST_EVALUATION)
     for path in run.glob("eval_*.json"):
         if path.is_file() and b'"probe"' in path.read_bytes():

@@ -146,6 +146,33 @@ def test_a_joint_driven_beyond_its_range(joint: int, side: int) -> None:
     assert share.max() < MEASURED
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("engine", "mass", "iterations", "share"),
+    [
+        ("bullet", 82, 20, 0.95),
+        ("bullet", 160, 20, 0.94),
+        ("bullet", 500, 20, 0.54),
+        ("bullet", 500, 200, 0.87),
+        ("mujoco", 160, 20, 0.94),
+        ("mujoco", 500, 20, 0.86),
+    ],
+)
+def test_a_heavy_base_lags_as_its_page_says(
+    engine: Engine, mass: float, iterations: int, share: float
+) -> None:
+    """Half a second after 0.2 m/s is commanded; see docs/howto/robot.md."""
+    check_engine(engine)
+
+    def ahead(k: int, rest: Reference) -> Reference:
+        return rest._replace(base_speed=0.2)
+
+    simulation = SimulationConfig(engine=engine, solver_iterations=iterations)
+    robot = RobotConfig(base_mass=mass)
+    record = run(ahead, BASE_AND_POSTURE, 0.5, robot=robot, simulation=simulation)
+    assert record.velocity[-1, 0] / 0.2 == pytest.approx(share, abs=0.01)
+
+
 def test_joints_reach_their_speed_limit_and_no_more() -> None:
     """Joint 1 swings through its whole range, twice."""
 
