@@ -31,7 +31,7 @@ TOLERANCE = 1e-5
 """Largest difference between a file's actions and the policy's, in halves of the
 actions' range."""
 
-_CHECKS = 1_000
+_CHECKS = 200
 """Observations at which they are compared."""
 
 

@@ -10,6 +10,7 @@ little else varies, intervals are up to sqrt(3) times too wide.
 """
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -64,13 +65,18 @@ def resampled(
     places = range(len(scores)) if places is None else places
     for place, same, of_dataset in zip(places, goals_of or places, scores, strict=True):
         seeds, goals = of_dataset.shape
-        rng = np.random.default_rng((same, goals))
-        shares = rng.multinomial(goals, np.full(goals, 1 / goals), RESAMPLES) / goals
         rng = np.random.default_rng((place, seeds, number))
         picks = rng.integers(seeds, size=(RESAMPLES, seeds - 1))
-        drawn = np.take_along_axis(shares @ of_dataset.T, picks, axis=1)
+        drawn = np.take_along_axis(_shares(same, goals) @ of_dataset.T, picks, axis=1)
         means.append(Means(of_dataset.mean(axis=1)[None], drawn))
     return means
+
+
+@lru_cache(maxsize=16)
+def _shares(number: int, goals: int) -> np.ndarray:
+    """Shares of the goals of a set in each resampling, (``RESAMPLES``, goals)."""
+    rng = np.random.default_rng((number, goals))
+    return rng.multinomial(goals, np.full(goals, 1 / goals), RESAMPLES) / goals
 
 
 def interquartile(means: Sequence[Means]) -> Estimate:

@@ -53,9 +53,13 @@ def refuse_existing(path: Path, overwrite: bool, *, file: bool = False) -> None:
     Raises:
         OutputExistsError: If ``path`` exists and ``overwrite`` is False.
         UsageError: If its folder cannot be written, it is of another kind, or its name
-            has a control character.
+            has a control character or begins with ``~``.
     """
     refuse_control_characters("the path", str(path))
+    if path.parts[:1] == ("~",):
+        raise UsageError(
+            f"cannot write {path}: only shells know ~, name the home folder"
+        )
     _refuse_lost_links(path, path.parent if file else path)
     above = path.absolute().parents or (path.absolute(),)  # of the root it is itself
     folder = next(parent for parent in above if parent.exists())

@@ -176,7 +176,7 @@ def _without_config(
         )
     from marl_mm.runs.folder import existing_config
 
-    config = existing_config(Path(value_of(arguments, "--config", "")))
+    config = existing_config(value_of(arguments, "--config", ""))
     first = places[0]
     behind = first + (1 if "=" in arguments[first] else 2)
     return config, (config.algorithm, *arguments[:first], *arguments[behind:])

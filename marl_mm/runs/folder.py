@@ -26,7 +26,7 @@ from marl_mm.eval.metrics import EvaluationRow
 from marl_mm.files import is_there, refuse_existing, write_json
 from marl_mm.plugins import record
 from marl_mm.received import check_kind, damage_named, read_json, refuse_links_out
-from marl_mm.runs.settings import check_seeds
+from marl_mm.runs.settings import as_path, check_seeds
 from marl_mm.runs.training import SWITCHES, Offline, Online, Training
 from marl_mm.sim.config import default_engine
 from marl_mm.temporary import remove
@@ -279,12 +279,13 @@ def read_config(path: Path) -> RunConfig:
     return RunConfig.from_json(values, str(file))
 
 
-def existing_config(path: Path) -> RunConfig:
+def existing_config(source: object) -> RunConfig:
     """The record of a run that somebody named; see ``read_config``.
 
     Raises:
         UsageError: If there is none.
     """
+    path = as_path(source, "config", f"a run or its {CONFIG}")
     if not (path / CONFIG).exists() and not path.is_file():
         raise UsageError(f"there is no {str(path)!r}, expected a run or its {CONFIG}")
     return read_config(path)

@@ -116,7 +116,7 @@ def repeat(
     folder = as_path(out, "out")
     if not isinstance(config, RunConfig):
         record_of = config.folder if isinstance(config, Run) else config
-        config = existing_config(as_path(record_of, "config", "a run or its folder"))
+        config = existing_config(record_of)
     if others := {"algorithm", "preset"} & settings.keys():
         raise UsageError(f"`{min(others)}` of a repeated run is its own: leave it out")
     if start := settings.get("start"):

@@ -155,6 +155,7 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
             "--seeds is '0,1', expected [INT [INT ...]];",
         ),
         (["train", "mabc", "--resume", "--out", "no"], "no run in no to resume: leave"),
+        (["train", "--config"], "--config is '', expected a run or its config.json"),
         (["eval", SHIPPED], "good-5k.json is no checkpoint, expected a run folder"),
         (
             ["train", "sac"],

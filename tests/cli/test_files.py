@@ -272,6 +272,9 @@ def test_outputs_that_exist_or_cannot_be_are_refused_before_work(
     refuse_existing(tmp_path / "not" / "yet", overwrite=False)
     with pytest.raises(UsageError, match="is no folder open to you"):
         refuse_existing(there / "below-a-file", overwrite=True)
+    for path in (Path("~"), Path("~/runs/0")):
+        with pytest.raises(UsageError, match="only shells know ~"):
+            refuse_existing(path, overwrite=True)
     monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)
     with pytest.raises(UsageError, match=f"{tmp_path} is no folder open to you"):
         refuse_existing(tmp_path / "not" / "yet", overwrite=True)
