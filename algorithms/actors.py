@@ -77,7 +77,7 @@ class AgentActor:
         return planned
 
     def _flow(self, observed: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
-        """``Form.act`` of a flow for one observation, in a seventh of the time.
+        """``Form.act`` of a flow for one observation, in less time.
 
         Torch takes longer to begin a product this small than NumPy does for all of it.
         """

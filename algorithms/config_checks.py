@@ -22,6 +22,7 @@ MOST_FLOW_STEPS = 1_000
 _LARGEST = {
     "batch_size": LARGEST_BATCH,
     "flow_steps": MOST_FLOW_STEPS,
+    "capacity": 10_000_000,
     **dict.fromkeys(("samples", "candidates", "rounds", "critics"), 1_000),
 }
 """Largest numbers of settings for which ``LARGEST`` is too many."""

@@ -79,7 +79,6 @@ class FlowBc(OfflineLearner):
             seeds,
             device,
             rate=config.learning_rate,
-            shares=(config.future, 0.0),
             form=Form(noisy=True, flow_steps=config.flow_steps),
             extra=1,
         )

@@ -187,12 +187,13 @@ class ActionScale:
     """
 
     def __init__(self, low: torch.Tensor, high: torch.Tensor) -> None:
-        self._low = low
+        self._low, self._high = low, high
         self._range = high - low
 
     def denormalize(self, action: torch.Tensor) -> torch.Tensor:
-        """Actions of the action space for actions in [-1, 1]."""
-        return self._low + (action + 1) / 2 * self._range
+        """Actions of the action space for actions in [-1, 1], also if rounded."""
+        scaled = self._low + (action + 1) / 2 * self._range
+        return scaled.clamp(self._low, self._high)
 
 
 class Adam:

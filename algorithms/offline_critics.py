@@ -40,7 +40,6 @@ class CriticLearner(OfflineLearner):
         form: Form = PLAIN,
         extra: int = 0,
     ) -> None:
-        shares = config.future, config.elsewhere
         actors_rate, rate = rates or (config.learning_rate, config.learning_rate)
         super().__init__(
             config,
@@ -49,7 +48,6 @@ class CriticLearner(OfflineLearner):
             seeds,
             device,
             rate=actors_rate,
-            shares=shares,
             form=form,
             extra=extra,
             discount=config.discount,

@@ -22,13 +22,13 @@ class OfflineLearner:
     """Learns from a dataset's transitions, for several seeds at once.
 
     Args:
-        config: Hyper-parameters, with ``batch_size``, ``hidden`` and ``std_floor``.
+        config: Hyper-parameters, with ``batch_size``, ``hidden`` and ``std_floor``, and
+            ``future`` and ``elsewhere`` where some goals are exchanged.
         arrays: The dataset's episodes.
         judge: The task's reward and termination.
         seeds: Seeds of initial weights and batches, S of them.
         device: "cpu" or "cuda".
         rate: Learning rate of the actors; default the config's ``learning_rate``.
-        shares: Shares of transitions with another goal, see ``OfflineBatches``.
         form: Form of the actors' networks.
         extra: Entries of noise that batches have beside the usual.
         discount: Discount of rewards per step.
@@ -45,7 +45,6 @@ class OfflineLearner:
         seeds: Sequence[int],
         device: str = "cpu",
         rate: float | None = None,
-        shares: tuple[float, float] = (0.0, 0.0),
         form: Form = PLAIN,
         extra: int = 0,
         discount: float = 1.0,
@@ -59,7 +58,7 @@ class OfflineLearner:
         self._batches = OfflineBatches(
             arrays,
             config.batch_size,
-            shares,
+            (getattr(config, "future", 0.0), getattr(config, "elsewhere", 0.0)),
             judge,
             seeds,
             device,

@@ -36,7 +36,7 @@ _LINE_BYTES = 100_000
 MOST_ROWS = 100_000
 """Largest number of rows in the record."""
 
-_VALUES, _NAMES = 1_500_000, 1_000
+_VALUES, _NAMES = 5_000_000, 1_000
 """Largest numbers of values and of their names in the record."""
 
 CurvePoint = TypedDict(

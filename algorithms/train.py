@@ -30,7 +30,7 @@ from marl_mm.algorithms.runlog import CurvePoint, RunLog, is_best
 from marl_mm.algorithms.speed import matrix_products, small_networks
 from marl_mm.config_diff import refuse_other_config
 from marl_mm.declared import with_added
-from marl_mm.errors import CheckpointError, DivergedError
+from marl_mm.errors import CheckpointError, DivergedError, UsageError
 from marl_mm.interrupts import deaf_to_interrupts
 from marl_mm.progress import Advance, silent
 
@@ -116,12 +116,22 @@ def _after(step: int, every: int) -> int:
 
 
 def update_to(algorithm: OfflineAlgorithm, step: int) -> dict[str, torch.Tensor]:
-    """Make updates up to number ``step``; means of their metrics, shape (S,)."""
+    """Make updates up to number ``step``; means of their metrics, shape (S,).
+
+    Raises:
+        UsageError: If the algorithm does not count them.
+    """
     sums: dict[str, torch.Tensor] = {}
     counts: dict[str, int] = {}
     with matrix_products(algorithm.config.precision):
-        while algorithm.step < step:
-            for key, value in algorithm.update().items():
+        for made in range(algorithm.step + 1, step + 1):
+            measured = algorithm.update()
+            if algorithm.step != made:
+                raise UsageError(
+                    f"`step` of {algorithm.name} is {algorithm.step} after update "
+                    f"{made}: `update` has to count it"
+                )
+            for key, value in measured.items():
                 sums[key] = sums[key] + value if key in sums else value
                 counts[key] = counts.get(key, 0) + 1
     return {key: value / counts[key] for key, value in sums.items()}

@@ -24,6 +24,7 @@ from marl_mm.algorithms.export import (
 from marl_mm.algorithms.online import OnlineAlgorithm
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.contracts.claims import Claim, demand, demand_refused, demand_same
+from marl_mm.contracts.episodes import demand_inside
 from marl_mm.contracts.learners import (
     UNUSUAL,
     UPDATES,
@@ -161,8 +162,7 @@ def _acts(candidate: Candidate) -> None:
             right = action.shape == (len(layout.action),) and action.dtype == np.float32
             demand(right, f"{words}: an action is {action.dtype} of {action.shape}")
             plan = _plan(policy, state)
-            inside = (plan >= layout.low).all() and (plan <= layout.high).all()
-            demand(inside, f"{words}: an action is outside of the action space")
+            demand_inside(plan, layout, f"{words}: an action is")
         demand_same(_first_action(policy, state), action, f"{words}: actions")
         _sees_its_own(words, policy, state)
         if candidate.online:
@@ -190,8 +190,7 @@ def _explores(words: str, policy: Policy, arrays: EpisodeArrays) -> None:
         each.begin(np.random.default_rng(0), layout)
     for state in arrays.states[:20]:
         action = once.act(state)
-        inside = (action >= layout.low).all() and (action <= layout.high).all()
-        demand(inside, f"{words}: it explores outside of the action space")
+        demand_inside(action, layout, f"{words}: it explores")
         demand_same(again.act(state), action, f"{words}: explored actions")
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from marl_mm.collectors.registry import COLLECTORS, Collector
 from marl_mm.collectors.replay import replay
 from marl_mm.contracts.claims import Claim, demand, demand_same
-from marl_mm.contracts.episodes import EPISODES, short
+from marl_mm.contracts.episodes import EPISODES, demand_inside, short
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.location import locate
@@ -104,8 +104,7 @@ def _acts(candidate: Candidate) -> None:
                 right = right and action.dtype == np.float32
                 demand(right, f"an action is {action.dtype} of shape {action.shape}")
                 demand(np.isfinite(action).all(), "an action is not finite")
-                inside = (action >= layout.low).all() and (action <= layout.high).all()
-                demand(inside, "an action is outside of the action space")
+                demand_inside(action, layout, "an action is")
                 step = core.step(action)
                 state, ended = step.state, step.terminated or step.truncated
 

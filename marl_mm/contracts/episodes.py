@@ -79,6 +79,22 @@ class Dice:
         return self._rng.uniform(self._low, self._high).astype(np.float32)
 
 
+def demand_inside(actions: np.ndarray, layout: Layout, what: str) -> None:
+    """Raise unless float32 actions, shape (..., k), are in the action space.
+
+    Args:
+        actions: Actions.
+        layout: Layout with their bounds, which a space has as float32, too.
+        what: Beginning of the complaint.
+
+    Raises:
+        BrokenClaimError: If one of them is outside.
+    """
+    low, high = (np.array(end, np.float32) for end in (layout.low, layout.high))
+    inside = (actions >= low).all() and (actions <= high).all()
+    demand(inside, f"{what} outside of the action space")
+
+
 def episodes(short: ShortTask, numbers: range = range(EPISODES)) -> list[Episode]:
     """Random episodes of a task, by their numbers."""
     dice = Dice(short.task.max_steps)

@@ -99,11 +99,11 @@ class Candidate:
         return LearnedPolicy(self.name, self.agents(learner), learner.layout)
 
     def weights(self, learner: Any, number: int = 0) -> dict[str, np.ndarray]:
-        """Copies of the actors' weights, by agent and parameter."""
+        """Copies of the actors' weights, by agent and parameter, and no scales."""
         return {
             f"{name} {key}": value.detach().numpy().copy()
             for name, agent in self.agents(learner, number).items()
-            for key, value in agent.actor.state_dict().items()
+            for key, value in agent.actor.named_parameters()
         }
 
     def state(self, learner: Any) -> Any:
@@ -124,8 +124,12 @@ def candidate(name: str) -> Candidate:
 
 
 def some_episodes() -> EpisodeArrays:
-    """Sixteen episodes of the dataset that ships."""
-    return shipped_arrays().select(range(16))
+    """Sixteen episodes of the dataset that ships, some as if cut off or failed."""
+    arrays = shipped_arrays().select(range(16))
+    last = np.cumsum(arrays.lengths) - 1
+    arrays.terminated[last[3::6]], arrays.truncated[last[3::6]] = False, True
+    arrays.info["is_success"][last[[*range(3, 16, 6), 7]]] = False
+    return arrays
 
 
 def several_layouts(arrays: EpisodeArrays) -> dict[str, EpisodeArrays]:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -87,13 +87,15 @@ def with_values(
             changes[field.name] = with_values(before, values, owner, refusal)
         elif field.name in values or isinstance(before, np.generic):
             value = plain(values.get(field.name, before))
-            if isinstance(before, tuple) and isinstance(value, list):
-                value = tuple(value)
-            where = f"{owner}: {field.name} is {value!r:.80}"
             kind = hints[field.name]
+            several = isinstance(before, tuple) or get_origin(kind) is tuple
+            if several and isinstance(value, list | tuple):
+                value = tuple(map(plain, value))
+            where = f"{owner}: {field.name} is {value!r:.80}"
             check_kind(value, kind, where, refusal)
             kinds = {kind, *get_args(kind)}
-            if isinstance(value, bool) and kinds & {int, float} and bool not in kinds:
+            odd = any(isinstance(v, bool) for v in (value if several else (value,)))
+            if odd and kinds & {int, float} and bool not in kinds:
                 raise refusal(f"{where}, expected a number")
             changes[field.name] = value
     return replace(record, **changes)  # type: ignore[type-var]

@@ -64,6 +64,8 @@ def train(
         DivergedError: If a seed diverged; the runs of the others are whole.
         KeyboardInterrupt: After Ctrl-C; ``resume=True`` goes on.
     """
+    if preset is not None and config is not None:
+        raise UsageError("`config` has all hyper-parameters: leave out `preset`")
     training = training_of(algorithm, preset or TUNED)
     folder = default_out(algorithm, settings) if out is None else as_path(out, "out")
     saved: dict[str, Any] = {}

@@ -21,13 +21,13 @@ from marl_mm.algorithms.runlog import read_metrics
 from marl_mm.algorithms.speed import resolved
 from marl_mm.algorithms.td3_bc import Td3Bc
 from marl_mm.algorithms.td3_bc_config import Td3BcConfig
-from marl_mm.algorithms.train import train
+from marl_mm.algorithms.train import train, update_to
 from marl_mm.cli import main
 from marl_mm.datasets import load_dataset
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
 from marl_mm.envs.registry import make_task
 from marl_mm.episode import Episode
-from marl_mm.errors import DivergedError
+from marl_mm.errors import DivergedError, UsageError
 from marl_mm.progress import Advance, silent_bar
 from marl_mm.runs import learning, seeds
 from marl_mm.runs.training import training_of
@@ -68,6 +68,21 @@ def spoil_batches(algorithm: Any, monkeypatch: pytest.MonkeyPatch, step: int) ->
         return batch
 
     monkeypatch.setattr(algorithm._batches, "next", spoilt)
+
+
+class Uncounted(Mabc):
+    """Updates of it do not count."""
+
+    def update(self) -> dict[str, torch.Tensor]:
+        losses = super().update()
+        self.step -= 1
+        return losses
+
+
+def test_updates_that_are_not_counted_come_to_an_end(arrays: EpisodeArrays) -> None:
+    learner = Uncounted(MabcConfig(**SMALL), arrays, JUDGE, [0])
+    with pytest.raises(UsageError, match="`step` of mabc is 0 after update 1"):
+        update_to(learner, 3)
 
 
 @pytest.mark.parametrize(("kind", "config"), KINDS)

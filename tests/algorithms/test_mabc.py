@@ -342,3 +342,12 @@ def test_actors_undo_what_batches_do_to_actions() -> None:
     assert scaled.abs().max() <= 1
     back = ActionScale(low, high).denormalize(scaled)
     torch.testing.assert_close(back, actions)
+
+
+def test_actions_are_within_bounds_that_sums_round_beyond() -> None:
+    low, high = torch.meshgrid(torch.arange(-20, 0), torch.arange(0, 20), indexing="ij")
+    scale = ActionScale(low.flatten() / 20, high.flatten() / 20)
+    for end in (-1.0, 1.0):
+        action = scale.denormalize(torch.full((400,), end))
+        assert (action >= low.flatten() / 20).all()
+        assert (action <= high.flatten() / 20).all()

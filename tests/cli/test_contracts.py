@@ -902,6 +902,18 @@ class NanOnline(Ddpg):
         return super().diagnose() | {"q/data": float("nan")}
 
 
+class NeverLearnsOnline(Ddpg):
+    """Its actors' updates are undone, but not their scales."""
+
+    def learn(self, updates: int) -> dict[str, float]:
+        actors = [agent.actor for agent in self.agents.values()]
+        before = [deepcopy(dict(actor.named_parameters())) for actor in actors]
+        measured = super().learn(updates)
+        for actor, weights in zip(actors, before, strict=True):
+            actor.load_state_dict(weights, strict=False)
+        return measured
+
+
 class ForgetsSteps(Ddpg):
     """Checkpoints lack the number of steps."""
 
@@ -1049,6 +1061,10 @@ ALGORITHMS_MISTAKEN: list[tuple[learners.Candidate, Broken]] = [
     (planted(DrawsNumpys), {ALONE: "it draws from numpy's own stream"}),
     (planted(DrawsPythons), {ALONE: "it draws from Python's own stream"}),
     (planted(NanOnline, "ddpg"), {MEASURES: "q/data is nan"}),
+    (
+        planted(NeverLearnsOnline, "ddpg"),
+        {LEARNS: "the actor joint stays as it is", OWN: NOT_ITS_WAY},
+    ),
     (planted(ForgetsSteps, "ddpg"), {RESUMES: "env_steps are 146, resumed 0"}),
     (planted(ForgetsStream, "ddpg"), {RESUMES: OTHER_WEIGHTS}),
     (planted(ExploresTooMuch, "ddpg"), {ACTS: "it explores outside"}),

@@ -465,6 +465,14 @@ ONE = Evaluation("pd", {}, "Reach-v0", {}, 0, [ROW])
             lambda: marl_mm.train("mabc", "good-5k", config=3),
             "`config` is 3, expected a MabcConfig",
         ),
+        (
+            lambda: marl_mm.train("mabc", "good-5k", preset="x", config=MabcConfig()),
+            "`config` has all hyper-parameters: leave out `preset`",
+        ),
+        (
+            lambda: marl_mm.train("mabc", "good-5k", hidden=(True,)),
+            "hidden is (True,), expected a number",
+        ),
         (lambda: marl_mm.evaluate("pd", config={}), "`config` is {}, expected a Pd"),
         (lambda: marl_mm.collect("pd", config={}), "`config` is {}, expected a Pd"),
         (lambda: marl_mm.evaluate("pretrained", config={}), "no settings, got config"),
