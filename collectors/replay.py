@@ -102,13 +102,23 @@ def _difference(item: tuple[Task, Episode]) -> str | None:
         name: (getattr(again, name), getattr(episode, name))
         for name in ("states", "actions", "rewards", "terminated", "truncated", "start")
     }
-    pairs |= {f"info {key}": (again.info[key], episode.info[key]) for key in again.info}
+    pairs |= {
+        f"info {key}": (values, _like(values, episode.info[key]))
+        for key, values in again.info.items()
+    }
     for name, (here, there) in pairs.items():
         if here.dtype != there.dtype:
             return f"{name} is {here.dtype} in the replay, {there.dtype} in the file"
         if here.shape != there.shape or here.tobytes() != there.tobytes():
             return f"{name} differ: {_first_difference(here, there)}"
     return None
+
+
+def _like(values: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """The others in the values' type, if that loses nothing: a mix may widen it."""
+    with np.errstate(invalid="ignore"):
+        cast = others.astype(values.dtype)
+    return cast if np.array_equal(cast, others) else others
 
 
 def _first_difference(here: np.ndarray, there: np.ndarray) -> str:

@@ -126,8 +126,8 @@ def keep_card(dataset: "Dataset") -> dict[str, Any]:
             if read_json(path, DatasetError) == kept:
                 return values
     try:
-        write_json(path, kept)
         write_card(dataset, values, folder / "card")
+        write_json(path, kept)  # last: with it the others are taken to be its own
     except OSError:  # somebody else's folder, or a full disk
         pass
     return values
@@ -189,8 +189,9 @@ def _rows(values: dict[str, Any]) -> list[tuple[str, str]]:
     )
     seen = values["coverage"]
     texts["coverage"] = (
-        f"{seen['state_cells']} cells of {100 * _CELL:.0f} cm of hand to goal and base "
-        f"to hand; {seen['state_action_cells']} with the action by thirds"
+        f"{seen['state_cells']} cells of {100 * _CELL:.0f} cm of compared entries to "
+        f"goal and, where there are such, base to hand; {seen['state_action_cells']} "
+        "with the action by thirds"
     )
     texts["sources"] = "; ".join(
         f"{row['steps']} steps ({_percent(row['share'])}) of {row['dataset']} by "

@@ -10,6 +10,9 @@ from matplotlib.ticker import MaxNLocator
 
 from marl_mm.datasets.arrays import EpisodeArrays
 
+_BARS = 100
+"""Largest number of bars of a histogram of lengths; up to it each length has one."""
+
 _HAND = ("end_effector_x", "end_effector_z")
 
 _MARGINS = {
@@ -35,7 +38,9 @@ def draw_card(
     axes = figure.subplots(2, 3, gridspec_kw=_MARGINS).ravel()
     _goals(axes[0], arrays)
     _hands(axes[1], arrays)
-    axes[2].hist(arrays.lengths, bins=np.arange(arrays.lengths.max() + 2) - 0.5)
+    longest = int(arrays.lengths.max())
+    edges = np.arange(0, longest + 2 + longest // _BARS, 1 + longest // _BARS)
+    axes[2].hist(arrays.lengths, bins=edges - 0.5)
     axes[2].set(xlabel="steps of an episode", ylabel="episodes")
     for axis in (axes[2].xaxis, axes[2].yaxis, axes[3].yaxis):
         axis.set_major_locator(MaxNLocator(integer=True))

@@ -6,6 +6,7 @@ from typing import Any
 from marl_mm.datasets import shipped
 from marl_mm.datasets.journal import begun
 from marl_mm.datasets.location import (
+    ID,
     Location,
     datasets_root,
     known_ids,
@@ -49,12 +50,13 @@ def _row(name: str) -> dict[str, Any]:
     except MarlMmError as error:
         nothing = dict.fromkeys(("engine", "steps", "episodes"))
         return {"id": name, **nothing, "note": str(error)}
+    stopped = "" if record.get("complete") else "of a collection that was stopped"
     return {
         "id": name,
         "engine": Provenance.from_json(record).engine or RECORDED_ENGINE,
         "steps": record["steps"],
         "episodes": record["episodes"],
-        "note": "" if record.get("complete") else "of a collection that was stopped",
+        "note": stopped if ID.fullmatch(name) else "no id: it is named by its path",
     }
 
 

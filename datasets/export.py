@@ -78,6 +78,7 @@ def export(
         dataset = load_dataset(dataset)
     if not isinstance(path, str | Path):
         raise UsageError(f"`path` is {path!r:.80}, expected a file or folder")
+    refuse_existing(Path(path), overwrite=True)
     chosen, path = DATASET_FORMS.get(form), Path(path).absolute()
     real = Path(os.path.realpath(path))  # which goes round no circle of links
     if real.is_relative_to(dataset.location.folder.resolve()):

@@ -284,12 +284,25 @@ def opened_group(path: Path, parent: Any, name: str) -> Any:
     return group
 
 
-def optional(group: Any, key: str) -> np.ndarray | None:
-    """The array of numbers of this key; None if there is none."""
+def optional(path: Path, group: Any, key: str) -> np.ndarray | None:
+    """The array of this key; None if there is none.
+
+    Args:
+        path: The file, for messages.
+        group: Group to read.
+        key: Name of the array.
+
+    Raises:
+        DatasetError: If it is something else, or its numbers are not finite or NaN.
+    """
     node = group.get(key)
-    if not isinstance(node, h5py.Dataset) or node.dtype.kind not in "fiub":
+    if node is None:
         return None
-    return _values(node.id)
+    if isinstance(node, h5py.Dataset) and node.dtype.kind in "fiub":
+        values = _values(node.id)
+        if not np.isinf(values).any():
+            return values
+    raise DatasetError(f"{path}: {key!r} is no array of finite numbers or NaN")
 
 
 def _values(node: Any) -> np.ndarray:

@@ -93,7 +93,7 @@ def _episode(
             f"{path}, episode {number}: 'achieved_goal' is not what the observations "
             f"say of {', '.join(layout.compared)}"
         )
-    info = {key: _of_steps(group, key, len(values["rewards"])) for key in names}
+    info = {key: _of_steps(path, group, key, len(values["rewards"])) for key in names}
     seed = group.attrs.get("seed", -1)
     return _built(
         number,
@@ -108,10 +108,16 @@ def _episode(
     )
 
 
-def _of_steps(group: Any, name: str, steps: int) -> np.ndarray | None:
+def _of_steps(path: Path, group: Any, name: str, steps: int) -> np.ndarray | None:
     """Step numbers of this name; Minari may store that of the reset in front."""
-    told = optional(group, f"infos/{name}")
-    return told if told is None or len(told) != steps + 1 else told[1:]
+    given = optional(path, group, key := f"infos/{name}")
+    if given is None or given.shape == (steps,):
+        return given
+    if given.shape != (steps + 1,):
+        raise DatasetError(
+            f"{path}: {key!r} has shape {given.shape}, expected {(steps,)}"
+        )
+    return given[1:]
 
 
 def _is_seed(value: Any) -> bool:
@@ -148,13 +154,8 @@ def _flat_episodes(
     for key in ("terminals", "timeouts"):
         if not np.isin(values[key], (0, 1)).all():
             raise DatasetError(f"{path}: {key!r} holds other values than 0 and 1")
-    info = {name: optional(file, f"infos/{name}") for name in names}
-    for name, told in info.items():
-        if told is not None and told.shape != values["terminals"].shape:
-            raise DatasetError(
-                f"{path}: 'infos/{name}' has shape {told.shape}, expected "
-                f"{values['terminals'].shape}"
-            )
+    steps = len(values["terminals"])
+    info = {name: _of_steps(path, file, name, steps) for name in names}
     terminated = values["terminals"].astype(bool)
     truncated = values["timeouts"].astype(bool)
     ends = np.flatnonzero(terminated | truncated) + 1
@@ -208,9 +209,7 @@ def _built(
     derived = {"distance": np.linalg.norm(way, axis=1)}
     unknown = np.full(len(rewards), np.nan)
     measured = {
-        key: derived.get(key, unknown)
-        if value is None or value.shape != rewards.shape
-        else value
+        key: derived.get(key, unknown) if value is None else value
         for key, value in info.items()
     }
     return Episode(

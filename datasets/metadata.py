@@ -129,7 +129,8 @@ def _why_unknown(location: Location) -> str:
     where = f" below {datasets_root()}" if name == location.id else ""
     if where and (recipe := name_of(location.id)):
         return f"no dataset {name}{where}: make it with marl-mm datasets build {recipe}"
-    hint = meant(location.id, (SHIPPED, *known_ids()), 0.7)
+    ids = filter(ID.fullmatch, known_ids())
+    hint = meant(location.id, (SHIPPED, *ids), 0.7)
     hint = hint or meant(location.folder.name.removesuffix("-v0"), named_ids(), 0.8)
     return f"no dataset {name}{where}{hint}: marl-mm datasets list shows all"
 

@@ -15,7 +15,7 @@ RECORD = Path(__file__).with_name("recipes.json")
 AXES: Mapping[str, str] = MappingProxyType(
     {
         "expert": "the script, and only what reaches the goal",
-        "noisy": "the script with noise that stays for a while, successes and failures",
+        "noisy": "the script with noise, successes and failures",
         "explore": "much slow noise: 5 to 10 % reach the goal by chance",
         "rare": "noise that leaves 2 to 5 % of the episodes to reach the goal",
         "one-bad": "one agent of the team acts at random, another one in each episode",

@@ -82,6 +82,7 @@ def write_dataset(
             }
         )
         sign_metadata(temporary / "data" / "metadata.json")
+        read_metadata(Location(location.id, temporary))  # before it replaces anything
     cache.keep(_key(digest, arrays), arrays)
 
 

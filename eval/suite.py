@@ -169,8 +169,10 @@ def conditions(
         names: Names of the disturbances.
 
     Raises:
-        UsageError: If there is no such disturbance.
+        UsageError: If there is no such disturbance, or one is named twice.
     """
+    if len(set(names)) < len(names):
+        raise UsageError(f"disturbances are {' '.join(names)}, expected each once")
     clean = make_task(task, overrides)
     agents = [agent.name for agent in clean.layout.team]
     listed: list[Condition] = []

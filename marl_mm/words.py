@@ -27,6 +27,9 @@ def check_words(words: Sequence[str]) -> None:
 def refuse_control_characters(what: str, text: str) -> None:
     """Raise for a text with a line break, an escape or another control character.
 
+    So is what no file of ours may hold, see ``received.is_printable``: characters that
+    cannot be seen, and bytes that are no UTF-8.
+
     Args:
         what: Name of the text, for messages.
         text: The text.
@@ -34,7 +37,8 @@ def refuse_control_characters(what: str, text: str) -> None:
     Raises:
         UsageError: If it has one.
     """
-    if any(unicodedata.category(c) in ("Cc", "Zl", "Zp") for c in text):
+    kinds = {unicodedata.category(c) for c in text}
+    if kinds & {"Zl", "Zp"} or any(kind.startswith("C") for kind in kinds):
         raise UsageError(f"{what} has a control character in it: {text[:60]!a}")
 
 

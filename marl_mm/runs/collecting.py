@@ -163,7 +163,8 @@ class _Collector:
                 "`overwrite=True` to replace it, or choose another `dataset`"
             )
         refuse_existing(location.folder, overwrite=True)
-        if resume and not (location.folder.exists() or location.working.exists()):
+        begun = location.folder.exists() or (location.working / JOURNAL).exists()
+        if resume and not begun:
             raise UsageError(
                 f"nothing was begun at {location.folder}: leave out `resume` to start"
             )

@@ -24,6 +24,8 @@ from marl_mm.errors import UsageError
 from marl_mm.files import refuse_existing, refuse_input
 from marl_mm.runs.settings import check_seed, is_whole, with_settings
 from marl_mm.sim.config import ENGINES, RECORDED_ENGINE, Engine, engine_overrides
+from marl_mm.temporary import remove
+from marl_mm.words import refuse_control_characters
 
 Named = Dataset | str | Path
 """A dataset, its id or its path."""
@@ -100,7 +102,10 @@ def split_dataset(
         raise UsageError(f"`out` is {out!r}, expected the beginning of a name")
     names = [f"{stem}-{part}-v0" for part in ("first", "rest")]
     first, rest = (_free(name, overwrite, source.location.folder) for name in names)
-    for location, recipe in zip((first, rest), split(source, share, seed), strict=True):
+    recipes = split(source, share, seed)
+    if rest.folder.exists():  # never beside the first half of another split
+        remove(rest.folder)
+    for location, recipe in zip((first, rest), recipes, strict=True):
         write_selection(location, recipe, overwrite)
     return _kept(first), _kept(rest)
 
@@ -172,6 +177,9 @@ def import_dataset(
     """
     if not isinstance(file, str | Path):
         raise UsageError(f"`file` is {file!r:.80}, expected a file or a folder")
+    refuse_control_characters("the file's name", Path(file).name)
+    if engine not in (None, *ENGINES):
+        raise UsageError(f"`engine` is {engine!r}, expected {' or '.join(ENGINES)}")
     location = _free(out, overwrite, Path(file))
     foreign = read_foreign(Path(file), location.id, task)
     named = foreign.engine if foreign.engine in ENGINES else None

@@ -29,7 +29,7 @@ from marl_mm.files import refuse_existing
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.evaluate import task_overrides
 from marl_mm.runs.policies import load_policy, own_engine, own_task
-from marl_mm.runs.settings import check_positive, check_seed
+from marl_mm.runs.settings import as_path, check_positive, check_seed
 from marl_mm.sim.config import RATE, RECORDED_ENGINE, Camera, Engine
 
 Direction = Literal["forward", "backward"]
@@ -67,9 +67,10 @@ class Film:
             UsageError: If the ending is another, or the file exists.
         """
         self._check_drawn()
-        check_format(Path(path))
-        refuse_existing(Path(path), overwrite, file=True)
-        write_video(Path(path), self.frames, self.fps)
+        file = as_path(path, "path", "a file")
+        check_format(file)
+        refuse_existing(file, overwrite, file=True)
+        write_video(file, self.frames, self.fps)
 
     def strip(self, path: str | Path, overwrite: bool = False) -> None:
         """Write six pictures of the episode, side by side, as a PNG.
@@ -78,11 +79,12 @@ class Film:
             UsageError: If the name does not end in .png, or the file exists.
         """
         self._check_drawn()
-        check_strip(Path(path))
-        refuse_existing(Path(path), overwrite, file=True)
+        file = as_path(path, "path", "a file")
+        check_strip(file)
+        refuse_existing(file, overwrite, file=True)
         label = f"{self.task}: {len(self.episode)} steps"
         per_step = self.fps * make_task(self.task).seconds_per_step
-        film_strip(Path(path), [(label, pictures_of(self.frames, per_step, _STRIP))])
+        film_strip(file, [(label, pictures_of(self.frames, per_step, _STRIP))])
 
     def _check_drawn(self) -> None:
         if not self.frames:

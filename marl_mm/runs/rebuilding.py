@@ -17,7 +17,13 @@ from marl_mm.plugins import record
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.received import check_kind, read_json
 from marl_mm.runs.collecting import Collecting, collect_dataset
-from marl_mm.runs.settings import check_positive, check_seed, flat, with_settings
+from marl_mm.runs.settings import (
+    as_path,
+    check_positive,
+    check_seed,
+    flat,
+    with_settings,
+)
 from marl_mm.sim.config import ENGINES, RECORDED_ENGINE, engine_overrides
 from marl_mm.versions import versions
 
@@ -82,7 +88,7 @@ def read_card(card: str | Path) -> Card:
         UnknownDatasetError: If there is neither.
         DatasetError: If the card is not of a collection, or says what makes no sense.
     """
-    path = Path(card)
+    path = as_path(card, "card", "a card or a dataset")
     if path.suffix == ".json" and not path.exists():
         raise UnknownDatasetError(f"there is no {card}, expected a card or a dataset")
     if path.suffix == ".json" or path.is_file():
@@ -162,7 +168,8 @@ def rebuild(
 def _refuse_others(card: Card) -> None:
     """Raise a DatasetError for a card whose agent or plug-in is another here."""
     collecting = card.collecting
-    task = make_task(collecting.task, engine_overrides(collecting.engine))
+    steps = {"max_steps": collecting.max_steps} if collecting.max_steps else {}
+    task = make_task(collecting.task, steps | engine_overrides(collecting.engine))
     policy = COLLECTORS.get(card.collector).policy(card.config, task)
     origins = COLLECTORS.origin(card.collector), TASKS.origin(collecting.task)
     here = {"weights": policy.describe().get("weights"), "plugins": record(*origins)}

@@ -11,6 +11,7 @@ from marl_mm.algorithms.config_checks import LARGEST
 from marl_mm.declared import plain
 from marl_mm.errors import UsageError, meant
 from marl_mm.received import Refusal, check_kind
+from marl_mm.words import refuse_control_characters
 
 T = TypeVar("T")
 
@@ -91,6 +92,8 @@ def with_values(
             several = isinstance(before, tuple) or get_origin(kind) is tuple
             if several and isinstance(value, list | tuple):
                 value = tuple(map(plain, value))
+            if isinstance(value, str):
+                refuse_control_characters(f"{owner}: {field.name}", value)
             where = f"{owner}: {field.name} is {value!r:.80}"
             check_kind(value, kind, where, refusal)
             kinds = {kind, *get_args(kind)}

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from marl_mm.declared import plain
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.errors import SubmissionError, UsageError
 from marl_mm.files import refuse_existing, write_json
@@ -55,7 +56,8 @@ def verify(
         CheckpointError: If its weights are damaged.
     """
     check_positive(workers=workers)
-    if not isinstance(minutes, int | float) or not minutes > 0:
+    minutes = plain(minutes)
+    if isinstance(minutes, bool | str) or not minutes > 0:
         raise UsageError(f"`minutes` is {minutes!r:.40}, expected > 0")
     if seed is None:
         seed = int(np.random.default_rng().integers(2**32))
@@ -66,9 +68,6 @@ def verify(
     submission = read_submission(named)  # as its files are now
     file = verification_file(submission.folder)
     refuse_existing(file, overwrite=True, file=True)
-    earlier = None
-    with suppress(SubmissionError):  # a damaged one is replaced
-        earlier = read_verification(submission)
     pairs = _scored_again(submission, begun + 60 * minutes, seed, workers, progress)
     every = [pair for each in pairs for pair in each]
     claimed, again = (
@@ -93,6 +92,9 @@ def verify(
         packages=versions(),
         machine=machine(),
     )
+    earlier = None
+    with suppress(SubmissionError):  # a damaged one is replaced
+        earlier = read_verification(submission)  # as it is by now
     if earlier is not None and stands(earlier, result):
         kept = f"{earlier['verdict']}, {earlier['scored']} scored before"
         return replace(result, notes=(*result.notes, f"kept on record: {kept}"))

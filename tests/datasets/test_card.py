@@ -11,7 +11,7 @@ import pytest
 
 import marl_mm
 from marl_mm.datasets.arrays import arrays_of
-from marl_mm.datasets.card import LATER, card
+from marl_mm.datasets.card import LATER, card, keep_card
 from marl_mm.datasets.card_figure import draw_card
 from marl_mm.datasets.dataset import Dataset, load_dataset
 from marl_mm.datasets.location import SHIPPED, locate
@@ -54,6 +54,23 @@ def test_returns_that_differ_in_their_last_bits_have_a_histogram(
     assert sum(histogram["counts"]) == 2 and histogram["low"] < 1.2 < histogram["high"]
     draw_card(dataset.arrays, dataset.card(), locate(name).folder / "card.png")
     assert (locate(name).folder / "card.png").read_bytes().startswith(PNG)
+
+
+def _stopped(*given: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_a_card_whose_page_was_not_written_is_written_again(
+    shipped: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = shipped.location.folder
+    for name in ("card.md", "card.png"):
+        (folder / name).write_text("of another")
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("marl_mm.datasets.card.write_card", _stopped)
+        keep_card(shipped)
+    keep_card(shipped)
+    assert (folder / "card.md").read_text() != "of another"
 
 
 @pytest.mark.slow

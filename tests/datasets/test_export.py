@@ -73,6 +73,8 @@ def test_a_dataset_may_be_named(tmp_path: Path, datasets_home: Path) -> None:
     assert contents(tmp_path / "named.hdf5") == contents(tmp_path / "read.hdf5")
     with pytest.raises(UsageError, match="`path` is 5, expected a file or folder"):
         export("good-5k", "flat", cast(Any, 5))
+    with pytest.raises(UsageError, match="only shells know ~"):
+        export("good-5k", "flat", "~/named.hdf5")
 
 
 @pytest.mark.slow

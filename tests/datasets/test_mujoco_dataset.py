@@ -6,6 +6,7 @@ is the archive's.
 """
 
 import tarfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,9 @@ import pytest
 
 import marl_mm
 from marl_mm.cli import main
+from marl_mm.collectors.replay import problems
 from marl_mm.datasets.dataset import Dataset, load_dataset
+from marl_mm.datasets.storage import write_dataset
 from marl_mm.datasets.verify import verify
 from marl_mm.envs import rollout
 
@@ -42,6 +45,15 @@ def test_it_replays_to_the_last_bit(
     name = str(shipped.location.folder)
     assert main(["datasets", "verify", name, "--replay", "--workers", "1"]) == 0
     assert "all is well" in capsys.readouterr().out
+    info = shipped.arrays.info
+    wider = info | {"qp_failures": info["qp_failures"].astype(float)}  # as of a mix
+    arrays = replace(shipped.arrays, info=wider)
+    write_dataset(shipped.location, arrays, shipped.provenance, overwrite=True)
+    assert problems(load_dataset(name)) == []
+    wider["qp_failures"][3] = 0.5
+    write_dataset(shipped.location, arrays, shipped.provenance, overwrite=True)
+    (problem,) = problems(load_dataset(name))
+    assert "qp_failures is int64 in the replay, float64 in the file" in problem
 
 
 @pytest.mark.slow

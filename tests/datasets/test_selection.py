@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+import marl_mm
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of, joined
 from marl_mm.datasets.card import card, card_text
 from marl_mm.datasets.dataset import Dataset, load_dataset
-from marl_mm.datasets.location import locate
+from marl_mm.datasets.location import Location, locate
 from marl_mm.datasets.provenance import Origin, Provenance
 from marl_mm.datasets.selection import (
     Condition,
@@ -26,6 +27,7 @@ from marl_mm.datasets.storage import write_dataset
 from marl_mm.datasets.verify import verify
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
+from marl_mm.runs import deriving
 from marl_mm.runs.sources import Source
 
 MakeEpisode = Callable[..., Episode]
@@ -142,6 +144,23 @@ def test_a_split_divides_without_loss(make: Callable[..., Dataset]) -> None:
     assert (len(first.arrays), len(rest.arrays)) == (3, 7)
     numbers = [*first.arrays.origin_episodes, *rest.arrays.origin_episodes]
     assert sorted(numbers) == list(range(10))
+
+
+def test_a_stopped_split_leaves_no_half_of_another(
+    make: Callable[..., Dataset], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = make("one")
+    first, rest = marl_mm.split_dataset(one, share=0.3)
+
+    def stopped(location: Location, *given: Any) -> None:
+        if location == rest.location:
+            raise KeyboardInterrupt
+        write_selection(location, *given)
+
+    monkeypatch.setattr(deriving, "write_selection", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        marl_mm.split_dataset(one, share=0.3, seed=1, overwrite=True)
+    assert first.location.folder.exists() and not rest.location.folder.exists()
 
 
 @pytest.mark.parametrize(

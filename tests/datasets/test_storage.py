@@ -203,6 +203,12 @@ def test_linked_folders_are_listed_and_circles_are_not_walked(
     (root / "back").symlink_to(root)
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
     assert known_ids() == [f"linked/{written.name}"]
+    shutil.copytree(written, root / "plain")
+    notes = {row["id"]: row["note"] for row in catalogue.catalogue()}
+    assert notes[known_ids()[0]] == "" and "named by its path" in notes["plain"]
+    with pytest.raises(UnknownDatasetError) as raised:
+        load_dataset("plain")
+    assert "did you mean" not in str(raised.value)
 
 
 def test_overwrite_replaces_datasets_and_nothing_else(

@@ -343,6 +343,10 @@ def test_mistakes_are_one_line(
             lambda: marl_mm.robustness("pd", disturbances=["dizzy"], **FEW),
             "no disturbance 'dizzy', expected some of late, dropped",
         ),
+        (
+            lambda: marl_mm.robustness("pd", disturbances=["late", "late"], **FEW),
+            "disturbances are late late, expected each once",
+        ),
         (lambda: marl_mm.cross_play(["pd"], **FEW), "expected 2 or more"),
         (lambda: marl_mm.cross_play("pd", **FEW), "'pd' are no policies, expected 2"),
         (

@@ -20,6 +20,7 @@ from marl_mm.datasets.arrays import EpisodeArrays
 from marl_mm.errors import CheckpointError, MarlMmError, OutputExistsError, UsageError
 from marl_mm.eval.evaluate import Evaluation
 from marl_mm.progress import Advance
+from marl_mm.runs import rebuilding
 from marl_mm.runs.evaluate import save_evaluations
 from marl_mm.runs.train import repeat
 
@@ -529,6 +530,20 @@ ONE = Evaluation("pd", {}, "Reach-v0", {}, 0, [ROW])
             "0.9, but there are no `demonstrations`, so that it has no effect",
         ),
         (lambda: marl_mm.import_dataset(cast(Any, 3), "x"), "`file` is 3, expected a"),
+        (
+            lambda: marl_mm.import_dataset("x", "y", engine=cast(Any, "Bullet")),
+            "`engine` is 'Bullet', expected bullet or mujoco",
+        ),
+        (
+            lambda: marl_mm.import_dataset("lo\u200bg.h5", "y"),
+            "the file's name has a control character",
+        ),
+        (
+            lambda: marl_mm.collect("medium", agent="runs/r\udce9"),
+            "agent has a control character in it",
+        ),
+        (lambda: rebuilding.rebuild(cast(Any, 5)), "`card` is 5, expected a card or a"),
+        (lambda: marl_mm.verify("x", minutes=True), "`minutes` is True, expected > 0"),
         (lambda: marl_mm.export("nowhere"), "nowhere"),
         (lambda: marl_mm.board(cast(Any, 3)), "3 is no submission, expected folders"),
         (lambda: marl_mm.board([cast(Any, 3)]), "3 is no folder, expected a subm"),

@@ -55,6 +55,14 @@ def test_nested_settings_come_back_from_their_record() -> None:
     assert [type(value) for value in (taken.lowest, taken.pd.kp)] == [float, float]
 
 
+@pytest.mark.slow
+def test_episodes_may_be_longer_than_the_tasks(datasets_home: Path) -> None:
+    longer: dict[str, Any] = {"max_steps": 40, "random_steps": 30, "engine": "mujoco"}
+    made = marl_mm.collect("medium", dataset="long", steps=1, workers=1, **longer)
+    before, again = rebuilding.rebuild("long")
+    assert before == again == made.metadata["marl_mm"]["data_sha256"]
+
+
 def test_what_was_stopped_is_not_rebuilt(
     card: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

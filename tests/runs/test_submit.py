@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from marl_mm.errors import (
 )
 from marl_mm.eval.metrics import METRICS, Metric
 from marl_mm.runs import submission_checks
+from marl_mm.runs import verify as verifying
 from marl_mm.runs.comparison import beyond_chance
 from marl_mm.runs.folder import EVALUATION
 from marl_mm.runs.submission import EPISODES, MANIFEST, Scored
@@ -139,6 +141,22 @@ def test_little_time_scores_a_part_that_a_seed_repeats(
     assert results[0].verdict == "equal to the bit"
     assert "time was up after 1 of 12 episodes" in results[0].notes[0]
     assert results[0].episodes == made.scores("success").size == 12
+
+
+def test_a_verification_keeps_one_that_was_written_meanwhile(
+    copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    score, found = verifying._scored_again, '"not equal"'
+
+    def beside_another(*given: Any) -> Any:
+        record = json.dumps(asdict(replace(whole, verdict="not equal")))
+        verification_file(copy).write_text(record)
+        return score(*given)
+
+    whole = marl_mm.verify(copy)
+    monkeypatch.setattr(verifying, "_scored_again", beside_another)
+    assert marl_mm.verify(copy, minutes=1e-6).verdict == "equal to the bit"
+    assert found in verification_file(copy).read_text()
 
 
 def test_a_short_verification_replaces_no_longer_one(copy: Path) -> None:
