@@ -116,3 +116,15 @@ def test_rates_in_sentences_stand_in_the_committed_tables() -> None:
     assert len(deviations) >= 5 and len(intervals) >= 8
     assert set(deviations) <= {(mean, deviation) for mean, deviation, *_ in cells}
     assert set(intervals) <= {(mean, low, high) for mean, _, low, high in cells}
+
+
+def test_numbers_of_the_benchmarks_sentences_stand_in_its_tables() -> None:
+    """Those with a decimal, in what to take from it and on each dataset."""
+    lines = (ROOT / "docs/results/benchmark.md").read_text().splitlines()
+    number = re.compile(r"(?<![\d.])\d+\.\d+(?![\d.])")
+    tables = {
+        n for line in lines if line.startswith("| ") for n in number.findall(line)
+    }
+    sentences = " ".join(line for line in lines if re.match(r"- | {2,}|\d+\. ", line))
+    numbers = number.findall(sentences)
+    assert len(numbers) >= 60 and set(numbers) <= tables, set(numbers) - tables
