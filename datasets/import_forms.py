@@ -93,7 +93,8 @@ def _episode(
             f"{path}, episode {number}: 'achieved_goal' is not what the observations "
             f"say of {', '.join(layout.compared)}"
         )
-    info = {key: _of_steps(path, group, key, len(values["rewards"])) for key in names}
+    steps = len(values["rewards"])
+    info = {name: _of_steps(path, group, name, steps, front=1) for name in names}
     seed = group.attrs.get("seed", -1)
     return _built(
         number,
@@ -108,16 +109,18 @@ def _episode(
     )
 
 
-def _of_steps(path: Path, group: Any, name: str, steps: int) -> np.ndarray | None:
-    """Step numbers of this name; Minari may store that of the reset in front."""
+def _of_steps(
+    path: Path, group: Any, name: str, steps: int, front: int = 0
+) -> np.ndarray | None:
+    """Step numbers of this name, of which ``front`` more may be in front, of resets."""
     given = optional(path, group, key := f"infos/{name}")
     if given is None or given.shape == (steps,):
         return given
-    if given.shape != (steps + 1,):
+    if not front or given.shape != (steps + front,):
         raise DatasetError(
             f"{path}: {key!r} has shape {given.shape}, expected {(steps,)}"
         )
-    return given[1:]
+    return given[front:]
 
 
 def _is_seed(value: Any) -> bool:

@@ -122,6 +122,7 @@ def test_layouts_hold_what_they_say(dataset: Path, tmp_path: Path) -> None:
         ("infos/is_success", np.full(24, 0.5), "other values than 0, 1 and NaN"),
         ("infos/is_success", np.full(24, b"yes"), "no array of finite numbers or NaN"),
         ("infos/d_mm", np.full(24, np.inf), "no array of finite numbers or NaN"),
+        ("infos/d_mm", np.zeros(25), "'infos/d_mm' has shape (25,), expected (24,)"),
     ],
 )
 def test_schema_errors_name_key_got_and_expected(
