@@ -284,25 +284,12 @@ def opened_group(path: Path, parent: Any, name: str) -> Any:
     return group
 
 
-def optional(path: Path, group: Any, key: str) -> np.ndarray | None:
-    """The array of this key; None if there is none.
-
-    Args:
-        path: The file, for messages.
-        group: Group to read.
-        key: Name of the array.
-
-    Raises:
-        DatasetError: If it is something else, or its numbers are not finite or NaN.
-    """
+def optional(group: Any, key: str) -> np.ndarray | None:
+    """The array of numbers of this key; None if there is none."""
     node = group.get(key)
-    if node is None:
+    if not isinstance(node, h5py.Dataset) or node.dtype.kind not in "fiub":
         return None
-    if isinstance(node, h5py.Dataset) and node.dtype.kind in "fiub":
-        values = _values(node.id)
-        if not np.isinf(values).any():
-            return values
-    raise DatasetError(f"{path}: {key!r} is no array of finite numbers or NaN")
+    return _values(node.id)
 
 
 def _values(node: Any) -> np.ndarray:

@@ -18,6 +18,7 @@ from marl_mm.datasets.hdf5 import (
     optional,
     states_of,
 )
+from marl_mm.datasets.metadata import SUCCESS
 from marl_mm.episode import IMPORTED, Episode
 from marl_mm.errors import DatasetError
 from marl_mm.layout import Layout
@@ -93,8 +94,15 @@ def _episode(
             f"{path}, episode {number}: 'achieved_goal' is not what the observations "
             f"say of {', '.join(layout.compared)}"
         )
-    steps = len(values["rewards"])
-    info = {name: _of_steps(path, group, name, steps, front=1) for name in names}
+    shape = values["rewards"].shape
+    infos = _infos(path, group, names).items()
+    info = {name: _of_steps(given, *shape) for name, given in infos}
+    success = info[SUCCESS]
+    if success is not None and success.shape != shape:
+        raise DatasetError(
+            f"{path}, episode {number}: 'infos/{SUCCESS}' has shape {success.shape}, "
+            f"expected {shape}"
+        )
     seed = group.attrs.get("seed", -1)
     return _built(
         number,
@@ -109,18 +117,17 @@ def _episode(
     )
 
 
-def _of_steps(
-    path: Path, group: Any, name: str, steps: int, front: int = 0
-) -> np.ndarray | None:
-    """Step numbers of this name, of which ``front`` more may be in front, of resets."""
-    given = optional(path, group, key := f"infos/{name}")
-    if given is None or given.shape == (steps,):
-        return given
-    if not front or given.shape != (steps + front,):
-        raise DatasetError(
-            f"{path}: {key!r} has shape {given.shape}, expected {(steps,)}"
-        )
-    return given[front:]
+def _infos(path: Path, group: Any, names: list[str]) -> dict[str, np.ndarray | None]:
+    """Step numbers by name; None of what the file lacks, or has as something else."""
+    info = {name: optional(group, f"infos/{name}") for name in names}
+    if info[SUCCESS] is None and f"infos/{SUCCESS}" in group:
+        raise DatasetError(f"{path}: 'infos/{SUCCESS}' is no array of numbers")
+    return info
+
+
+def _of_steps(given: np.ndarray | None, steps: int) -> np.ndarray | None:
+    """Step numbers without that of the reset, which Minari may store in front."""
+    return given if given is None or given.shape[:1] != (steps + 1,) else given[1:]
 
 
 def _is_seed(value: Any) -> bool:
@@ -157,8 +164,13 @@ def _flat_episodes(
     for key in ("terminals", "timeouts"):
         if not np.isin(values[key], (0, 1)).all():
             raise DatasetError(f"{path}: {key!r} holds other values than 0 and 1")
-    steps = len(values["terminals"])
-    info = {name: _of_steps(path, file, name, steps) for name in names}
+    info = _infos(path, file, names)
+    for name, told in info.items():
+        if told is not None and told.shape != values["terminals"].shape:
+            raise DatasetError(
+                f"{path}: 'infos/{name}' has shape {told.shape}, expected "
+                f"{values['terminals'].shape}"
+            )
     terminated = values["terminals"].astype(bool)
     truncated = values["timeouts"].astype(bool)
     ends = np.flatnonzero(terminated | truncated) + 1
@@ -212,7 +224,9 @@ def _built(
     derived = {"distance": np.linalg.norm(way, axis=1)}
     unknown = np.full(len(rewards), np.nan)
     measured = {
-        key: derived.get(key, unknown) if value is None else value
+        key: derived.get(key, unknown)
+        if value is None or value.shape != rewards.shape
+        else value
         for key, value in info.items()
     }
     return Episode(

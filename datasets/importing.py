@@ -124,6 +124,8 @@ def _judged(arrays: EpisodeArrays, task: Task, path: Path) -> EpisodeArrays:
         raise DatasetError(
             f"{path}: 'infos/is_success' holds other values than 0, 1 and NaN"
         )
+    if not np.isnan(told).any():
+        return arrays
     hit = arrays.terminated
     if task.fails:
         after = arrays.states[~arrays.is_first_state()]

@@ -4,6 +4,8 @@ The stored form is joint: goal-dictionary observations, joint actions, team rewa
 """
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -97,6 +99,13 @@ def write_alone(
     Raises:
         UsageError: If another process is writing it, or a collection was begun there.
     """
+    with alone(location):
+        write_dataset(location, arrays, provenance, overwrite)
+
+
+@contextmanager
+def alone(location: Location) -> Iterator[None]:
+    """Keep other processes from writing a dataset meanwhile; see ``write_alone``."""
     with only_here(location.working):
         if any(location.working.iterdir()):
             raise UsageError(
@@ -104,7 +113,7 @@ def write_alone(
                 "`marl_mm.collect(..., resume=True)`, or delete it"
             )
         try:
-            write_dataset(location, arrays, provenance, overwrite)
+            yield
         finally:
             location.working.rmdir()
 

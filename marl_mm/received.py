@@ -7,7 +7,6 @@ for more memory than there is.
 import hashlib
 import json
 import stat
-import unicodedata
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import chain
@@ -17,6 +16,7 @@ from typing import Any
 from typeguard import CollectionCheckStrategy, TypeCheckError, check_type
 
 from marl_mm.errors import MarlMmError
+from marl_mm.words import is_harmless
 
 RECORD_BYTES = 16_000_000
 """Largest size of a record in JSON [bytes]; ours have a few thousand."""
@@ -228,7 +228,7 @@ def damage_named(where: str, refusal: Refusal) -> Iterator[None]:
 def is_printable(text: str) -> bool:
     """Whether a text can do no harm in a terminal; it may have several lines."""
     return text.isprintable() or all(
-        c in "\n\t" or not unicodedata.category(c).startswith("C") for c in set(text)
+        c in "\n\t\u2028\u2029" or is_harmless(c) for c in set(text)
     )
 
 

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 from marl_mm.errors import UsageError
 
+_JOINERS = "\u200c\u200d\u200e\u200f"
+
 
 def check_words(words: Sequence[str]) -> None:
     """Raise for the first word of a command line that is a slip or a trick.
@@ -27,8 +29,7 @@ def check_words(words: Sequence[str]) -> None:
 def refuse_control_characters(what: str, text: str) -> None:
     """Raise for a text with a line break, an escape or another control character.
 
-    So is what no file of ours may hold, see ``received.is_printable``: characters that
-    cannot be seen, and bytes that are no UTF-8.
+    So is every other character that is not harmless, which no file of ours may hold.
 
     Args:
         what: Name of the text, for messages.
@@ -37,9 +38,19 @@ def refuse_control_characters(what: str, text: str) -> None:
     Raises:
         UsageError: If it has one.
     """
-    kinds = {unicodedata.category(c) for c in text}
-    if kinds & {"Zl", "Zp"} or any(kind.startswith("C") for kind in kinds):
-        raise UsageError(f"{what} has a control character in it: {text[:60]!a}")
+    for place, character in enumerate(text):
+        if not is_harmless(character):
+            part = text[max(0, place - 30) : place + 30]
+            raise UsageError(f"{what} has a control character in it: {part!a}")
+
+
+def is_harmless(character: str) -> bool:
+    """Whether a character does not move, hide or turn round what a terminal shows.
+
+    Joiners of letters and emoji, and marks of direction, are: names have them.
+    """
+    kind = unicodedata.category(character)
+    return character in _JOINERS or kind not in ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
 def _is_number(text: str) -> bool:

@@ -17,7 +17,7 @@ from marl_mm.datasets.selection import (
     split,
     write_selection,
 )
-from marl_mm.datasets.storage import refuse_foreign, write_alone
+from marl_mm.datasets.storage import alone, refuse_foreign, write_alone
 from marl_mm.envs.registry import make_task
 from marl_mm.episode import IMPORTED
 from marl_mm.errors import UsageError
@@ -103,8 +103,9 @@ def split_dataset(
     names = [f"{stem}-{part}-v0" for part in ("first", "rest")]
     first, rest = (_free(name, overwrite, source.location.folder) for name in names)
     recipes = split(source, share, seed)
-    if rest.folder.exists():  # never beside the first half of another split
-        remove(rest.folder)
+    with alone(first), alone(rest):
+        if rest.folder.exists():  # never beside the first half of another split
+            remove(rest.folder)
     for location, recipe in zip((first, rest), recipes, strict=True):
         write_selection(location, recipe, overwrite)
     return _kept(first), _kept(rest)

@@ -92,7 +92,7 @@ def with_values(
             several = isinstance(before, tuple) or get_origin(kind) is tuple
             if several and isinstance(value, list | tuple):
                 value = tuple(map(plain, value))
-            if isinstance(value, str):
+            if isinstance(value, str) and refusal is UsageError:
                 refuse_control_characters(f"{owner}: {field.name}", value)
             where = f"{owner}: {field.name} is {value!r:.80}"
             check_kind(value, kind, where, refusal)

@@ -57,7 +57,8 @@ def verify(
     """
     check_positive(workers=workers)
     minutes = plain(minutes)
-    if isinstance(minutes, bool | str) or not minutes > 0:
+    number = isinstance(minutes, int | float) and not isinstance(minutes, bool)
+    if not (number and minutes > 0):
         raise UsageError(f"`minutes` is {minutes!r:.40}, expected > 0")
     if seed is None:
         seed = int(np.random.default_rng().integers(2**32))

@@ -272,7 +272,15 @@ def test_outputs_that_exist_or_cannot_be_are_refused_before_work(
     refuse_existing(tmp_path / "not" / "yet", overwrite=False)
     with pytest.raises(UsageError, match="is no folder open to you"):
         refuse_existing(there / "below-a-file", overwrite=True)
-    for name in ("s\udce9", "lo\u200bg"):
+    for name in (
+        "joined\u200c",
+        "joined\u200d",
+        "\u200fturned",
+        "\u540d\u524d",
+        "\xe9",
+    ):
+        refuse_existing(tmp_path / name, overwrite=False)
+    for name in ("s\udce9", "lo\u200bg", "a\u202eb"):
         with pytest.raises(UsageError, match="the path has a control character"):
             refuse_existing(tmp_path / name, overwrite=True)
     for path in (Path("~"), Path("~/runs/0")):

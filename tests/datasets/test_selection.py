@@ -163,6 +163,16 @@ def test_a_stopped_split_leaves_no_half_of_another(
     assert first.location.folder.exists() and not rest.location.folder.exists()
 
 
+def test_a_split_that_is_refused_deletes_nothing(make: Callable[..., Dataset]) -> None:
+    one = make("one")
+    first, rest = marl_mm.split_dataset(one, share=0.3)
+    first.location.working.mkdir()
+    (first.location.working / "episodes.sqlite").touch()
+    with pytest.raises(UsageError, match="a collection was begun"):
+        marl_mm.split_dataset(one, share=0.3, seed=1, overwrite=True)
+    assert first.location.folder.exists() and rest.location.folder.exists()
+
+
 @pytest.mark.parametrize(
     ("condition", "keeps"),
     [

@@ -543,7 +543,13 @@ ONE = Evaluation("pd", {}, "Reach-v0", {}, 0, [ROW])
             "agent has a control character in it",
         ),
         (lambda: rebuilding.rebuild(cast(Any, 5)), "`card` is 5, expected a card or a"),
-        (lambda: marl_mm.verify("x", minutes=True), "`minutes` is True, expected > 0"),
+        *(
+            (
+                lambda m=m: marl_mm.verify("x", minutes=m),
+                f"`minutes` is {m!r}, expected",
+            )
+            for m in (True, None, [1], "2", 0)
+        ),
         (lambda: marl_mm.export("nowhere"), "nowhere"),
         (lambda: marl_mm.board(cast(Any, 3)), "3 is no submission, expected folders"),
         (lambda: marl_mm.board([cast(Any, 3)]), "3 is no folder, expected a subm"),
