@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from marl_mm.errors import UsageError
 
 _JOINERS = "\u200c\u200d\u200e\u200f"
+"""Joiners of letters and emoji, and marks of direction, which names have."""
 
 
 def check_words(words: Sequence[str]) -> None:
@@ -29,7 +30,7 @@ def check_words(words: Sequence[str]) -> None:
 def refuse_control_characters(what: str, text: str) -> None:
     """Raise for a text with a line break, an escape or another control character.
 
-    So is every other character that is not harmless, which no file of ours may hold.
+    Hidden characters and bytes that are no UTF-8 count: files of ours hold none.
 
     Args:
         what: Name of the text, for messages.
@@ -45,10 +46,7 @@ def refuse_control_characters(what: str, text: str) -> None:
 
 
 def is_harmless(character: str) -> bool:
-    """Whether a character does not move, hide or turn round what a terminal shows.
-
-    Joiners of letters and emoji, and marks of direction, are: names have them.
-    """
+    """Whether a character does not move, hide or reverse what a terminal shows."""
     kind = unicodedata.category(character)
     return character in _JOINERS or kind not in ("Cc", "Cf", "Cs", "Zl", "Zp")
 

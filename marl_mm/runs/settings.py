@@ -97,7 +97,8 @@ def with_values(
             where = f"{owner}: {field.name} is {value!r:.80}"
             check_kind(value, kind, where, refusal)
             kinds = {kind, *get_args(kind)}
-            odd = any(isinstance(v, bool) for v in (value if several else (value,)))
+            parts = value if isinstance(value, tuple) else (value,)
+            odd = any(isinstance(part, bool) for part in parts)
             if odd and kinds & {int, float} and bool not in kinds:
                 raise refusal(f"{where}, expected a number")
             changes[field.name] = value

@@ -45,6 +45,8 @@ class Nested:
 
     pd: PdConfig = field(default_factory=PdConfig)
 
+    sizes: tuple[int, ...] | None = (1,)
+
 
 def test_nested_settings_come_back_from_their_record() -> None:
     mine = Nested(0.2, PdConfig(kp=8.0))
@@ -53,6 +55,9 @@ def test_nested_settings_come_back_from_their_record() -> None:
     numbers = Nested(half, PdConfig(kp=half))
     taken = with_settings("it", numbers, {})
     assert [type(value) for value in (taken.lowest, taken.pd.kp)] == [float, float]
+    several: Any = [np.int64(2), 3]
+    assert with_settings("it", mine, {"sizes": several}).sizes == (2, 3)
+    assert with_settings("it", mine, {"sizes": None}).sizes is None
 
 
 @pytest.mark.slow
