@@ -80,7 +80,12 @@ class Run:
         """One line about the success of the last and the best checkpoint."""
         best = self.best_evaluation
         text = f"{self.folder}: {_success(self.evaluated)}"
-        return f"{text}; best checkpoint {_success(best)}" if best else text
+        if best:
+            text += f"; best checkpoint {_success(best)}"
+        for row in self.metrics[-1:]:
+            if row.get("updates") == 0:  # of an online run
+                text += f"; no update in {row['env_steps']:,} steps: see `warm_up`"
+        return text
 
     def film_strip(self, seed: int = 0) -> bytes:
         """Pictures of the policy's episodes on a seed's first goals, as a PNG."""

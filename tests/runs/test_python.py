@@ -171,6 +171,13 @@ def test_train_online_gives_the_bytes_of_the_command(
     )
 
 
+@pytest.mark.usefixtures("drawn")
+def test_a_run_that_never_learnt_says_so(tmp_path: Path) -> None:
+    settings = ONLINE | {"warm_up": 9}  # there are eight steps
+    (run,) = marl_mm.train("ddpg-her", out=tmp_path, **settings)
+    assert run.summary().endswith("; no update in 8 steps: see `warm_up`")
+
+
 @pytest.mark.slow
 def test_evaluate_gives_the_bytes_of_the_command(
     tmp_path: Path, quiet: Callable[[], None]
