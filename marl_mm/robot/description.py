@@ -156,6 +156,9 @@ def _wrong_joints(root: ElementTree.Element) -> Iterator[str]:
         found = joints[name].get("type") if name in joints else "missing"
         if found != kind:
             yield f"joint {name} is {found}, expected {kind}"
+    ordered = sorted(joints.keys() & JOINTS.keys(), key=[*JOINTS].index)
+    if [name for name in joints if name in JOINTS] != ordered:  # as engines number them
+        yield f"joints come in another order than {', '.join(ordered)}"
     for name, joint in joints.items():
         moves = joint.get("type")
         if moves == "fixed":

@@ -22,6 +22,9 @@ def edited(change: str, name: str) -> str:
         part.set("type", "fixed")
     elif change == "removed":
         root.remove(part)
+    elif change == "moved":
+        root.remove(part)
+        root.append(part)
     elif change == "emptied":
         part[:] = [inner for inner in part if inner.tag != "inertial"]
     elif change == "damped":
@@ -53,6 +56,7 @@ def edited(change: str, name: str) -> str:
         ("emptied", "panda_link5", "link panda_link5 has no mass above 0"),
         ("emptied", "base_link", "link base_link has no mass above 0"),
         ("inertial/mass.value=-1", "panda_link2", "panda_link2 has no mass above 0"),
+        ("moved", "left_wheel_joint", "another order than left_wheel_joint, right"),
         ("damped", "panda_joint2", "joint panda_joint2 has damping, which the"),
         ("doubled", "panda_joint2", "joint eighth is revolute, expected fixed"),
         ("narrowed", "left_wheel", "left_wheel_joint carries no ball of radius 0.0625"),
