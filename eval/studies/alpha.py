@@ -4,8 +4,12 @@ Worth: the return of a trained agent against the same agent with its alpha held 
 value, on the same goals.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import product, starmap
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
@@ -19,6 +23,7 @@ from marl_mm.eval.grouping import by_goal, engine_in, grouped, mean_of
 from marl_mm.eval.intervals import bootstrap_interval
 from marl_mm.eval.metrics import Row, alphas
 from marl_mm.eval.rows import read_rows, write_csv
+from marl_mm.eval.studies.cells import run_cells
 from marl_mm.eval.studies.held import FixedAlpha
 from marl_mm.eval.studies.online import STUDIES
 from marl_mm.eval.studies.options import StudyOptions
@@ -26,7 +31,7 @@ from marl_mm.eval.tables import markdown_table
 from marl_mm.policy import Policy
 from marl_mm.progress import Bar
 from marl_mm.runs.folder import read_config
-from marl_mm.sim.config import engine_overrides
+from marl_mm.sim.config import Engine, engine_overrides
 from marl_mm.versions import engine_text
 
 ABOUT = "What alpha the trained agents choose, and what it is worth."
@@ -48,41 +53,96 @@ GOALS, STEPS, WORTH = "alpha_goals.csv.xz", "alpha_steps.csv", "alpha_worth.csv"
 """Files of the rows, of alpha over time, and of the table."""
 
 
+@dataclass(frozen=True)
+class WorthCell:
+    """A trained run, and the alphas that are held in its place."""
+
+    setting: str
+    """Name of the setting."""
+
+    seed: int
+    """Seed of the run."""
+
+    weights: str
+    """Fingerprint of the best checkpoint."""
+
+    task: str
+    """Registered name of the task."""
+
+    engine: Engine
+    """Engine of the run."""
+
+    max_steps: int | None
+    """Steps of an episode; None: the task's."""
+
+    goals: int
+    """Number of goals of each alpha."""
+
+    alphas: tuple[float, ...]
+    """Alphas that are held."""
+
+    @property
+    def overrides(self) -> dict[str, Any]:
+        """Settings of the task that are replaced."""
+        steps = {} if self.max_steps is None else {"max_steps": self.max_steps}
+        return {**steps, **engine_overrides(self.engine)}
+
+    @property
+    def label(self) -> str:
+        """Label in the progress bar."""
+        return f"{self.setting} {self.seed}"
+
+
 def make_worth(options: StudyOptions, bar: Bar) -> list[Row]:
     """Run the agents of ``CHOOSING`` with the learnt alpha and with held ones.
 
     Returns:
         Rows of the table.
+
+    Raises:
+        KeyboardInterrupt: After Ctrl-C; finished agents are kept.
     """
-    goals, alphas = (2, ALPHAS[::6]) if options.small else (100, ALPHAS)
-    rows: list[Row] = []
-    steps: list[Row] = []
-    for cell in CHOOSING.cells:
-        for seed in options.seeds_of(CHOOSING):
-            run = options.run_folder(cell, seed)
-            made_of = read_config(run).to_json()
-            changed = {k: made_of[k] for k in ("max_steps",) if k in made_of}
-            changed |= engine_overrides(made_of["engine"])
-            task = make_task(made_of["task"], changed)
-            policy = load_policy(run / BEST)
-            actors: list[tuple[float | str, Policy]] = [(LEARNT, policy)]
-            actors += [(alpha, FixedAlpha(policy, alpha)) for alpha in alphas]
-            advance = bar(f"{cell[1].name} {seed}", goals * len(actors))
-            head: Row = {"setting": cell[1].name, "seed": seed, "task": made_of["task"]}
-            head["engine"] = engine_text(made_of["engine"])
-            learnt: list[Episode] = []
-            # Goals of seeds 0 and 1 are the runs' own evaluations.
-            plans = goal_set(task, goals, seed=2)
-            with Rollouts(task, options.workers) as rollouts:
-                for alpha, actor in actors:
-                    for episode in rollouts.run(actor, plans):
-                        rows.append(head | _goal(alpha, episode))
-                        learnt += [episode] * (alpha == LEARNT)
-                        advance(1, f"alpha {alpha}")
-            steps += [head | row for row in _steps(learnt)]
-    write_csv(options.results / GOALS, rows)
-    write_csv(options.results / STEPS, steps)
+    chosen = product(CHOOSING.cells, options.seeds_of(CHOOSING))
+    runs = {_cell(options, run): run for run in starmap(options.run_folder, chosen)}
+    kept = options.runs_folder / "alpha"
+    run = partial(run_cell, {cell: run.absolute() for cell, run in runs.items()})
+    progress = bar, "alpha"
+    rows = run_cells(run, [*runs], kept, options.workers, progress, options.executor)
+    both = [row for cell in runs for row in rows[cell]]
+    write_csv(options.results / GOALS, [row for row in both if "goal" in row])
+    write_csv(options.results / STEPS, [row for row in both if "goal" not in row])
     return draw_worth(options.results, options.results)
+
+
+def _cell(options: StudyOptions, run: Path) -> WorthCell:
+    made_of = read_config(run)
+    return WorthCell(
+        run.parent.name,
+        made_of.seed,
+        load_policy(run / BEST).fingerprint,
+        made_of.task,
+        cast(Engine, made_of.engine),
+        made_of.settings.get("max_steps"),
+        *((2, ALPHAS[::6]) if options.small else (100, ALPHAS)),
+    )
+
+
+def run_cell(runs: Mapping[WorthCell, Path], cell: WorthCell) -> list[Row]:
+    """A row per alpha and goal, then one per direction and step of the learnt alpha."""
+    task = make_task(cell.task, cell.overrides)
+    policy = load_policy(runs[cell] / BEST)
+    actors: dict[float | str, Policy] = {LEARNT: policy}
+    actors |= {alpha: FixedAlpha(policy, alpha) for alpha in cell.alphas}
+    head: Row = {"setting": cell.setting, "seed": cell.seed, "task": cell.task}
+    head["engine"] = engine_text(cell.engine)
+    # Goals of seeds 0 and 1 are the runs' own evaluations.
+    plans = goal_set(task, cell.goals, seed=2)
+    with Rollouts(task) as rollouts:
+        episodes = {
+            alpha: [*rollouts.run(actor, plans)] for alpha, actor in actors.items()
+        }
+    goals = [_goal(alpha, each) for alpha, some in episodes.items() for each in some]
+    return [head | row for row in (*goals, *_steps(episodes[LEARNT]))]
 
 
 def _goal(alpha: float | str, episode: Episode) -> Row:

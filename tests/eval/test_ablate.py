@@ -91,6 +91,14 @@ def test_the_worth_of_alpha_from_raw_runs(
     assert (tmp_path / "alpha.png").exists()
     assert ablate(runs, tmp_path, "alpha", "--check") == 0
     assert "alpha_worth.csv: the same" in capsys.readouterr().out
+    made = (tmp_path / "alpha_goals.csv.xz").read_bytes()
+    kept = {file: file.stat().st_mtime_ns for file in (runs / "alpha").iterdir()}
+    missing = min(kept)
+    missing.unlink()
+    assert ablate(runs, tmp_path, "alpha", "--resume") == 0
+    new = {file for file, at in kept.items() if file.stat().st_mtime_ns != at}
+    assert new == {missing} and len(kept) == 3  # agents
+    assert (tmp_path / "alpha_goals.csv.xz").read_bytes() == made
 
 
 def _diverge(training: Training, data: None, seed: int, run: Path, bar: Bar) -> None:
