@@ -62,7 +62,8 @@ def check_workers(workers: int) -> None:
         UsageError: If it is not positive, or many times the number of cores.
     """
     cores = available_cores()
-    if not 1 <= workers <= (most := max(_MOST, 4 * cores)):
+    most = max(_MOST, 4 * cores)
+    if not 1 <= workers <= most:
         raise UsageError(
             f"workers is {workers}, expected 1 to {most}: there are {cores} cores"
         )

@@ -277,6 +277,8 @@ def test_a_restored_algorithm_continues_bit_equally(
     saved = torch.load(tmp_path / FILE, weights_only=True)
     again = kind(config, JUDGE, 99, (), REACH)
     again.load_state(saved["state"])
+    assert again.updates == algorithm.updates == 4
+    assert again.diagnose() == algorithm.diagnose()
     for one in (algorithm, again):
         for episode in episodes[10:]:
             one.observe(episode)
@@ -418,3 +420,19 @@ def test_presets_are_table_2_and_ours() -> None:
 def test_bad_hyper_parameters_are_refused(bad: dict[str, object]) -> None:
     with pytest.raises(UsageError, match=next(iter(bad))):
         replace(DdpgConfig(), **bad)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("kind", "config"), KINDS[:2])
+def test_actors_and_critic_learn_at_rates_of_their_own(
+    kind: type[Ddpg], config: DdpgConfig, episodes: list[Episode]
+) -> None:
+    """A first step of Adam moves weights by the rate, where there is a gradient."""
+    own = {"actor_learning_rate": 1e-2, "critic_learning_rate": 1e-4}
+    algorithm = taught(kind, replace(config, **own), episodes)  # type: ignore[arg-type]
+    actors = [p for a in algorithm.agents.values() for p in a.actor.parameters()]
+    critic = [*algorithm.critic.parameters()]
+    before = [[p.detach().clone() for p in part] for part in (actors, critic)]
+    algorithm.learn(1)
+    for part, then, rate in zip((actors, critic), before, own.values(), strict=True):
+        moved = max((p - q).abs().max().item() for p, q in zip(part, then, strict=True))
+        assert moved == pytest.approx(rate, rel=0.01)

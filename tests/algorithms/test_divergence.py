@@ -254,3 +254,14 @@ def test_results_of_other_seeds_are_printed(
     assert "the checkpoint of update 100" in said.err
     config = json.loads((tmp_path / "1" / "config.json").read_text())
     assert config["precision"] == resolved("auto")
+
+
+def test_bounds_are_a_hundred_times_what_any_return_can_be(
+    arrays: EpisodeArrays,
+) -> None:
+    """By 1 / (1 - discount); rewards below 0 count, too."""
+    negative = replace(arrays, rewards=-np.abs(arrays.rewards))
+    algorithm = Td3Bc(Td3BcConfig(discount=0.9, **SMALL), negative, JUDGE, [0])
+    bound = pytest.approx(100 * np.abs(arrays.rewards).max() / 0.1)
+    names = "q/data", "q/policy", "q/largest"
+    assert algorithm.bounds == dict.fromkeys(names, bound)

@@ -160,3 +160,15 @@ def test_a_flow_acts_as_its_network_says(name: str) -> None:
             planned = agent.plan(observation, noise)
             np.testing.assert_allclose(planned, expected, atol=1e-6)
             assert planned.dtype == np.float32
+
+
+def test_an_episode_begins_with_a_plan_of_its_own() -> None:
+    """Also where the last one ended in the middle of a plan."""
+    learner = learner_of("q-chunking", plans(), 1, chunk=2)
+    policy = LearnedPolicy("x", learner.agents(0), learner.layout)
+    begun = []
+    for steps in (1, 2, 3):
+        policy.begin(np.random.default_rng(0), policy.layout)
+        first, *_ = [policy.act(np.zeros(2)) for _ in range(steps)]
+        begun.append(first)
+    assert np.array_equal(begun[0], begun[1]) and np.array_equal(begun[0], begun[2])

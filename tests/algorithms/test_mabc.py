@@ -1,5 +1,6 @@
 """MABC: the update by hand, decentralised actors, self-sufficient checkpoints."""
 
+import errno
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from marl_mm.envs.registry import make_task
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
 from marl_mm.episode import Episode
 from marl_mm.errors import CheckpointError, DivergedError, UsageError
+from marl_mm.files import append
 
 MakeEpisode = Callable[..., Episode]
 JUDGE = make_task()
@@ -351,3 +353,22 @@ def test_actions_are_within_bounds_that_sums_round_beyond() -> None:
         action = scale.denormalize(torch.full((400,), end))
         assert (action >= low.flatten() / 20).all()
         assert (action <= high.flatten() / 20).all()
+
+
+def test_a_row_that_cannot_be_written_has_no_checkpoint(
+    arrays: EpisodeArrays, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that the run goes on once there is room."""
+
+    def full(path: Path, data: bytes) -> None:
+        if b'"step": 200' in data:
+            raise OSError(errno.ENOSPC, "no room", str(path))
+        append(path, data)
+
+    with monkeypatch.context() as patch, pytest.raises(OSError, match="no room"):
+        patch.setattr("marl_mm.algorithms.runlog.append", full)
+        train(Mabc(CONFIG, arrays, JUDGE, [3]), [tmp_path], no_evaluation, 100)
+    again = Mabc(CONFIG, arrays, JUDGE, [3])
+    resume_seeds(again, [tmp_path])
+    train(again, [tmp_path], no_evaluation, 100)
+    assert [row["step"] for row in read_metrics(tmp_path)] == [0, 100, 200, 300]

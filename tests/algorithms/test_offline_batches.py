@@ -9,7 +9,7 @@ import torch
 
 from marl_mm.algorithms.offline_batches import OfflineBatch, OfflineBatches
 from marl_mm.algorithms.replay import DRAWN_TOGETHER
-from marl_mm.datasets.arrays import EpisodeArrays, arrays_of
+from marl_mm.datasets.arrays import EpisodeArrays, arrays_of, joined
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.tasks.reach import LAYOUT, Reach
 from marl_mm.episode import Episode
@@ -288,3 +288,25 @@ def test_the_rest_of_an_episode_is_its_return_unless_it_was_cut_off(
         known = (ahead * discount ** np.arange(len(ahead))).sum()
         cut = arrays.truncated[end - 1]
         assert rest == (-np.inf if cut else pytest.approx(known, rel=1e-5))
+
+
+@pytest.mark.parametrize("kept", [0.2, 0.9])
+def test_own_steps_come_in_the_ratio_that_is_asked_for(
+    arrays: EpisodeArrays, make_episode: Callable[..., Episode], kept: float
+) -> None:
+    """Whatever their number; and each goes on as its own episode did."""
+    own = [arrays_of([make_episode(50 + i, 2 + i)], "own") for i in range(3)]
+    batches = OfflineBatches(arrays, 100, (0.0, 0.0), TASK, [0])
+    for episodes in own:
+        batches.add(episodes, kept)
+    assert batches.own == (3, 2 + 3 + 4)
+    every = joined([arrays, *own])
+    many = [batches.next() for _ in range(DRAWN_TOGETHER)]
+    batch = OfflineBatch(
+        *(torch.cat(parts, dim=1)[0] for parts in zip(*many, strict=True))
+    )
+    rows = rows_of(every, batch)
+    assert np.mean(rows < arrays.steps) == pytest.approx(kept, abs=0.03)
+    last = (np.cumsum(every.lengths) - 1)[every.step_episode()[rows]]
+    then = rows_of(every, batch._replace(action=batch.next_action))
+    np.testing.assert_array_equal(then, np.minimum(rows + 1, last))

@@ -285,6 +285,7 @@ def test_flat_is_no_better_success_rate_for_long_once_something_was_learnt() -> 
         ]
 
     assert not is_flat(rows(0.0, 0.0, 0.0, 0.0), 200)  # has not begun
+    assert not is_flat(rows(0.5, 0.5, 0.5, 0.5), 200)  # may not have begun
     assert not is_flat(rows(0.4, 0.6, 0.6), 200)
     assert is_flat(rows(0.4, 0.6, 0.6, 0.5), 200)
     assert not is_flat(rows(0.4, 0.6, 0.7, 0.5), 200)
@@ -440,6 +441,18 @@ def test_demonstrations_tell_all_that_is_learnt_from() -> None:
     with pytest.raises(UsageError, match=r"lacks d_mm.* take ddpg, without hindsight"):
         check_training(training, lacking, {})
     check_training(training_of("ddpg"), lacking, {})
+
+
+def test_a_share_of_less_than_one_demonstration_is_refused() -> None:
+    shown, training = load_dataset("good-5k"), training_of("ddpg-her")
+    for share, refused in ((0.0, True), (0.007, True), (0.009, False)):
+        few = replace(training.config, batch_size=64, demonstration_share=share)
+        case = partial(check_training, replace(training, config=few), shown, {})
+        if refused:
+            with pytest.raises(UsageError, match="no transition of a batch is"):
+                case()
+        else:
+            case()
 
 
 @pytest.mark.slow

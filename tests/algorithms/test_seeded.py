@@ -233,7 +233,7 @@ def test_no_actor_begins_with_a_critics_weights() -> None:
 
 def test_imitation_errors_are_by_entry_and_worked_by_hand() -> None:
     action = torch.zeros(1, 2, 4)
-    now = torch.tensor([[[1.0, 0, 0, 0.5], [1.0, 0, 0.2, 0.5]]])
+    now = torch.tensor([[[1.0, 0, 0, 0.5], [-1.0, 0, 0.2, 0.5]]])
     errors = imitation_errors(now, action, LAYOUT)
     found = {name.removeprefix("imitation/"): v.item() for name, v in errors.items()}
     expected = {"delta_x": 1.0, "delta_y": 0.0, "delta_z": 0.02, "alpha": 0.25}

@@ -178,6 +178,7 @@ class Reference:
         PLAIN,
         {"future": 0.3, "elsewhere": 0.3, "imitate": "better", "q_weight": 0.5},
         {"layer_norm": True, "clip_targets": True, "policy_delay": 1},
+        {"actor_learning_rate": 2e-3, "policy_delay": 1},
         {
             "imitate": "successful",
             "imitation_weights": (2.0, 1.0, 0.5, 0.1),

@@ -324,3 +324,38 @@ def test_json_is_whole_or_as_before(tmp_path: Path) -> None:
         write_json(path, {"a": object()})
     assert json.loads(path.read_text()) == {"a": [1, 2]}
     assert names(tmp_path) == ["values.json"] and os.access(path, os.R_OK)
+
+
+def test_a_folder_is_on_the_disk_with_all_that_is_in_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its files and folders before it has its name, and that name at last."""
+    forced: list[str] = []
+    monkeypatch.setattr(
+        os, "fsync", lambda file: forced.append(os.readlink(f"/proc/self/fd/{file}"))
+    )
+    with new_folder(tmp_path / "out") as temporary:
+        (temporary / "in").mkdir()
+        (temporary / "in" / "part").write_text("whole")
+    *parts, last = forced
+    expected = [temporary, temporary / "in", temporary / "in" / "part"]
+    assert sorted(parts) == sorted(map(str, expected)) and last == str(tmp_path)
+
+
+def test_who_waited_for_a_folder_that_is_gone_locks_the_new_one(tmp_path: Path) -> None:
+    """A folder of the same name that nobody else may be in."""
+    folder = tmp_path / "folder"
+
+    def others_are_kept_out() -> bool:
+        with only_here(folder, wait=True):
+            with pytest.raises(UsageError, match="another process"), only_here(folder):
+                pass
+            return folder.is_dir()
+
+    with ThreadPoolExecutor(1) as pool:
+        with only_here(folder):
+            waiting = pool.submit(others_are_kept_out)
+            with pytest.raises(TimeoutError):
+                waiting.result(0.3)
+            folder.rmdir()
+        assert waiting.result(10)

@@ -1,5 +1,6 @@
 """Plug-ins: the examples work from everywhere, and what is not trusted is not run."""
 
+import hashlib
 import json
 import shutil
 import subprocess
@@ -474,3 +475,21 @@ def test_nothing_in_a_file_loads_a_plugin(
         assert run("eval", out / "0", *few) == code
     assert np.isfinite(load_policy(out / "0").act(np.zeros(10))).all()
     assert "trap.py" not in plugins._loaded
+
+
+@pytest.mark.usefixtures("registries")
+def test_the_hash_of_a_package_is_of_all_its_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    files = [tmp_path / f"packaged/{name}.py" for name in ("__init__", "in/__init__")]
+    files.append(tmp_path / "packaged/inner.py")
+    for number, file in enumerate(files):
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(f"NUMBER = {number}\n")
+    try:
+        plugin = plugins.load("packaged")
+    finally:
+        sys.modules.pop("packaged", None)
+    code = b"".join(file.read_bytes() for file in sorted(files))
+    assert plugin.sha256 == hashlib.sha256(code).hexdigest()

@@ -14,8 +14,10 @@ from pathlib import Path
 import pytest
 
 from marl_mm.cli import main
+from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.errors import MarlMmError, UsageError, WorkerDiedError
-from marl_mm.workers import Workers, apart, available_cores
+from marl_mm.eval.evaluate import evaluate
+from marl_mm.workers import Workers, apart, available_cores, check_workers
 
 
 def test_cores_are_those_it_may_use_or_as_many_as_it_is_told(
@@ -202,3 +204,24 @@ def test_a_pool_ends_when_its_items_cannot_be_sent() -> None:
     """Closing it while later items are looked at would wait for them forever."""
     with Workers(2) as pool, pytest.raises(UsageError, match="stays here"):
         list(pool.map(id, [Unsendable() for _ in range(8)]))
+
+
+@pytest.mark.parametrize("workers", [0, -1])
+def test_no_processes_are_too_few(workers: int) -> None:
+    with pytest.raises(UsageError, match=f"workers is {workers}, expected 1 to"):
+        check_workers(workers)
+    with pytest.raises(UsageError, match=f"workers is {workers}, expected 1 to"):
+        evaluate(RandomPolicy(RandomConfig()), 1, workers=workers)
+
+
+def test_processes_are_at_most_four_a_core_or_64(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for cores, most in (("1", 64), ("16", 64), ("100", 400)):
+        monkeypatch.setenv("PYTHON_CPU_COUNT", cores)
+        check_workers(most)
+        with pytest.raises(UsageError, match=f"expected 1 to {most}"):
+            check_workers(most + 1)
+    monkeypatch.setenv("PYTHON_CPU_COUNT", "0")
+    with pytest.raises(UsageError, match="PYTHON_CPU_COUNT is '0'"):
+        available_cores()

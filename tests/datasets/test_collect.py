@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import fields, make_dataclass
 from pathlib import Path
 from typing import Any
@@ -260,3 +260,29 @@ def test_ctrl_c_leaves_the_episodes_until_then(
     again = collect(PdPolicy(PdConfig()), successes, runs(task), 20, seed=2).episodes
     count = min(len(again), len(dataset.episodes))
     assert same(again[:count], dataset.episodes[:count])
+
+
+def test_only_attempts_in_a_row_are_hopeless(
+    make_episode: Callable[..., Episode],
+) -> None:
+    """One of 150 is kept, so that more than 200 are not."""
+
+    def run(
+        policy: Policy, plans: Iterable[EpisodePlan]
+    ) -> Generator[Episode, None, None]:
+        for plan in plans:
+            yield make_episode(plan.index, steps=1)
+
+    policy = RandomPolicy(RandomConfig())
+    collection = collect(policy, lambda e: e.index % 150 == 149, run, 3, seed=0)
+    assert [e.index for e in collection.episodes] == [149, 299, 449]
+    assert collection.complete and collection.attempts == 450
+
+
+@pytest.mark.parametrize("yaw", [0.0, np.pi / 2, np.pi, -1.0])
+def test_room_is_ahead_of_the_base_wherever_it_heads(yaw: float) -> None:
+    policy = PdPolicy(PdConfig(alpha_rule="room", alpha=0.6))
+    policy.begin(np.random.default_rng(0), REACH)
+    x, y = 0.3 + 0.555 * np.cos(yaw), -0.2 + 0.555 * np.sin(yaw)
+    state = np.array([x, y, 0.6, 0.3, -0.2, yaw, 1, -0.6, 0, 0.6])
+    assert policy.act(state)[3] == pytest.approx(0.8)

@@ -19,7 +19,7 @@ from marl_mm.datasets.location import locate
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
-from marl_mm.episode import Episode
+from marl_mm.episode import Episode, failures
 from marl_mm.sim.config import engine_of
 
 MakeEpisode = Callable[..., Episode]
@@ -432,3 +432,10 @@ def test_damaged_metadata_give_clear_errors(
         assert run("datasets", "show", ID) == 1, key
         complaint = capsys.readouterr().err
         assert "metadata.json" in complaint and complaint.count("\n") == 1
+
+
+def test_of_steps_whose_success_is_unknown_none_failed() -> None:
+    """As of files of others that do not tell it."""
+    ends = np.array([True, True, True, False])
+    successes = np.array([1.0, 0.0, np.nan, 0.0])
+    assert failures(ends, successes).tolist() == [False, True, False, False]

@@ -276,3 +276,24 @@ def test_a_value_that_claims_more_bytes_than_the_file_has_is_refused(
     (tmp_path / FILE).write_bytes(data)
     with reading(tmp_path) as journal, pytest.raises(DatasetError, match="too big"):
         journal.episodes(REACH)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ("update about set text = replace(text, '3', '4')", "not as it was written"),
+        ("update episodes set number = 5", "an episode in .* is damaged"),
+    ],
+)
+def test_a_journal_that_was_changed_is_not_gone_on_with(
+    tmp_path: Path, make_episode: MakeEpisode, change: str, match: str
+) -> None:
+    """Its record has a checksum, and an episode knows its number."""
+    with Journal(tmp_path) as journal:
+        journal.begin({"seed": 3})
+        journal.add(make_episode(4))
+    with closing(sqlite3.connect(tmp_path / FILE)) as file, file:
+        file.execute(change)
+    for opened in (reading, Journal):
+        with pytest.raises(DatasetError, match=match), opened(tmp_path) as journal:
+            journal.about(), journal.episodes(REACH)

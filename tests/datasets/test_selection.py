@@ -258,3 +258,15 @@ def test_views_of_arrays_are_views(make_episode: MakeEpisode) -> None:
     arrays: EpisodeArrays = arrays_of([make_episode(i) for i in range(3)], "x")
     assert np.shares_memory(arrays.episode(1).states, arrays.states)
     assert arrays.is_last_state().sum() == arrays.is_first_state().sum() == 3
+
+
+def test_a_mix_is_as_complete_and_as_long_as_its_parts_allow(
+    make: Callable[..., Dataset],
+) -> None:
+    """Stopped if one was; steps of an episode as in the one with the longest."""
+    one, two = make("one"), make("two", 20)
+    assert mix([Part(one, 5), Part(two, 5)], seed=0).provenance.complete
+    stopped = make("three", 40, complete=False, overrides={"max_steps": 50})
+    for parts in ((one, stopped), (stopped, two)):
+        mixed = mix([Part(part, 5) for part in parts], seed=0).provenance
+        assert not mixed.complete and mixed.overrides["max_steps"] == 50

@@ -16,7 +16,7 @@ import pytest
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm import temporary
 from marl_mm.cli import main
-from marl_mm.datasets import catalogue, storage
+from marl_mm.datasets import cache, catalogue, storage
 from marl_mm.datasets.arrays import arrays_of
 from marl_mm.datasets.cache import FOLDER_VARIABLE, cache_folder, clear
 from marl_mm.datasets.dataset import load_dataset
@@ -475,3 +475,13 @@ write_dataset(locate("marl_mm/reach/test-v0"), arrays, provenance)
     assert known_ids() == []
     with pytest.raises(UnknownDatasetError):
         load_dataset(ID)
+
+
+def test_what_is_read_again_counts_as_used_last(written: Path, own_cache: Path) -> None:
+    """So that it is the last to be deleted."""
+    load_dataset(ID)
+    (entry,) = cache.entries()
+    os.utime(entry.path, (0, 0))
+    load_dataset(ID)
+    (again,) = cache.entries()
+    assert again.path == entry.path and again.used >= entry.used

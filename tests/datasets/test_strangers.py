@@ -620,3 +620,10 @@ def test_names_are_shown_as_text(gift: Path, capsys: Output) -> None:
     assert r"!\[t\](http://127.0.0.1/x) &lt;b>\|\[red\]\`" in shown
     assert main(["datasets", "show", str(gift)]) == 0
     assert name in capsys.readouterr().out
+
+
+def test_records_are_read_to_sixty_levels() -> None:
+    parse_json("[" * 60 + "0" + "]" * 60, "x", DatasetError)
+    for depth in (61, 100_000):
+        with pytest.raises(DatasetError, match=r"60 levels|is damaged"):
+            parse_json("[" * depth + "0" + "]" * depth, "x", DatasetError)

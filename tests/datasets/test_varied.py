@@ -127,3 +127,18 @@ def test_settings_that_make_no_sense_are_refused(
 ) -> None:
     with pytest.raises(UsageError, match=error):
         VariedPolicy(VariedConfig(**settings), TASKS.get(task))
+
+
+def test_noise_is_in_halves_of_each_actions_range() -> None:
+    """Alpha's range is half as wide as that of a displacement."""
+    states = np.repeat(states_of("Reach-v0", 1), 4000, axis=0)
+    states[:, 7:] = states[:, :3]  # at the goal: the script stands still
+    noise = acts("Reach-v0", states, noise=0.02, random_agents=(), held_alpha=0.5)
+    np.testing.assert_allclose(noise.std(axis=0), [0.02, 0.02, 0.02, 0.01], rtol=0.1)
+
+
+def test_every_balance_agent_holds_its_alpha() -> None:
+    held = acts("Bar-v0", states_of("Bar-v0"), held_alpha=0.25)
+    script = acts("Bar-v0", states_of("Bar-v0"))
+    changed = (held != script).any(axis=0)
+    assert changed.sum() == 2 and (held[:, changed] == 0.25).all()

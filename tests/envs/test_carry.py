@@ -14,6 +14,8 @@ import pytest
 import marl_mm  # noqa: F401  registers the environments
 from marl_mm.algorithms.pretrained import load_pretrained
 from marl_mm.collectors.scripted import ScriptedPolicy
+from marl_mm.control.config import HEAVIEST
+from marl_mm.control.payload import Payload
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.drive import Tick
 from marl_mm.envs.load import LoadConfig
@@ -26,8 +28,9 @@ from marl_mm.envs.tasks.reach import Reach
 from marl_mm.errors import UsageError
 from marl_mm.robot.description import RobotConfig, urdf_xml
 from marl_mm.robot.limits import RobotLimits, robot_limits
-from marl_mm.robot.model import ACTUATED
+from marl_mm.robot.model import ACTUATED, RobotModel, RobotState
 from marl_mm.robot.names import FINGER_JOINTS
+from marl_mm.robot.planar import PlanarModel
 from marl_mm.sim.config import SimulationConfig
 from marl_mm.sim.scene import Block
 
@@ -371,3 +374,20 @@ def test_the_model_knows_how_a_long_load_lies() -> None:
         ]
     model, block = turned @ moments[0] @ turned.T, moments[1]
     np.testing.assert_allclose(model, block, atol=0.03 * block.max())
+
+
+@pytest.mark.parametrize("kind", [RobotModel, PlanarModel])
+def test_an_estimate_stays_within_what_a_hand_can_hold(
+    kind: type[RobotModel],
+) -> None:
+    """However hard a joint pushes, up or down."""
+    robot = RobotConfig()
+    model = kind(robot)
+    payload = Payload(model, "estimated", 240.0)
+    payload.hold(1.0, (0.05, 0.05, 0.05))
+    rest = RobotState(np.array([0, 0, 1, 0, *robot.initial_joints]), np.zeros(10))
+    for push, mass in ((1e5, HEAVIEST), (-1e5, 0.0)):
+        terms = model.evaluate(rest)
+        torque = terms.nonlinear[3:] + push * terms.jacobian[2, 3:]
+        payload.learn(rest, terms, torque, rest)
+        assert payload.mass == mass

@@ -6,6 +6,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from contextlib import closing
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -376,3 +377,25 @@ def test_alpha_decides_who_waits(core: EpisodeCore) -> None:
         errors[alpha] = {k: np.mean([i[k] for i in infos]) for k in ("d_mm", "d_mp")}
     assert errors[0.0]["d_mm"] < 0.1 * errors[1.0]["d_mm"]
     assert errors[1.0]["d_mp"] < 0.1 * errors[0.0]["d_mp"]
+
+
+class Broken(Reach):
+    """Every step fails."""
+
+    def failure(self, attempt: Any) -> str:
+        return "broken"
+
+
+@pytest.mark.parametrize("kind", [Reach, Broken])
+def test_an_episode_ends_in_one_way(kind: type[Reach]) -> None:
+    """Here at its goal in the last step: not cut off, nor reached if it failed."""
+    simulation = SimulationConfig(engine="mujoco")
+    with closing(EpisodeCore(kind(max_steps=1, simulation=simulation))) as core:
+        rng = np.random.default_rng(0)
+        hand = core.reset(rng)[core.task.layout.achieved]
+        core.reset(rng, hand)
+        step = core.step(np.array([0.0, 0.0, 0.0, 1.0]))
+    assert step.info["distance"] < 0.05
+    assert step.terminated and not step.truncated
+    assert step.info["is_success"] == (kind is Reach)
+    assert step.info.get("reason", "") == ("broken" if kind is Broken else "")

@@ -190,6 +190,8 @@ def test_every_agent_acts_on_what_it_sees_alone(layout: Layout, seed: int) -> No
         ({"desired": ("goal_x", "goal_y", "wind")}, "desired has wind"),
         ({"desired": ("goal_x", "goal_y")}, "expected as many entries"),
         ({"compared": (), "desired": ()}, "compared has no entries"),
+        ({"compared": REACH.desired}, "goal_x, goal_y, goal_z would be compared with"),
+        ({"state": (*REACH.state, Entry("x", "m", 1.0, 1.0))}, "expected low < high"),
         ({"state": (*REACH.state, REACH.state[0])}, "'end_effector_x' twice"),
         ({"state": (*REACH.state, Entry("x", "m", 1.0, 0.0))}, "expected low < high"),
         ({"action": (*REACH.action[:3], Entry("alpha"))}, "expected finite low < high"),

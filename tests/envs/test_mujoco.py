@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,8 +22,9 @@ from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.model import RobotModel, RobotState
 from marl_mm.robot.names import ARM_JOINTS, GRASP_FRAME
 from marl_mm.sim.config import SimulationConfig
-from marl_mm.sim.mujoco.model import NO_SLIP
+from marl_mm.sim.mujoco.model import BLOCK, NO_SLIP
 from marl_mm.sim.mujoco.world import MujocoWorld
+from marl_mm.sim.scene import Block, Scene
 from marl_mm.sim.world import open_world
 
 MUJOCO = {"simulation": {"engine": "mujoco"}}
@@ -401,3 +403,26 @@ def test_an_order_of_constraints_that_is_not_expected_is_told(
     monkeypatch.setattr(mujoco.mjtConstraint, "mjCNSTR_FRICTION_DOF", 99)
     with pytest.raises(MarlMmError, match="orders its constraints otherwise"):
         MujocoWorld(RobotConfig(), SimulationConfig())
+
+
+def test_a_block_has_the_mass_and_inertia_of_its_edges() -> None:
+    """Of a cuboid: a twelfth of its mass times the squares of the other two edges."""
+    world = MujocoWorld(RobotConfig(), SimulationConfig(engine="mujoco"))
+    x, y, z = edges = 0.04, 0.06, 0.1
+    world.reset((), Scene(Block(edges, 2.0, 0.7), (0.7, 0.5, 0.5), (0.1, 0.1, 0.45)))
+    body = world.model.body(BLOCK)
+    assert body.mass.item() == 2.0
+    by_hand = np.array([y**2 + z**2, x**2 + z**2, x**2 + y**2]) * 2.0 / 12
+    assert body.inertia == pytest.approx(by_hand)
+    assert world.model.geom(BLOCK).size == pytest.approx(np.array(edges) / 2)
+
+
+def test_levels_that_run_out_of_iterations_are_counted_each() -> None:
+    """Two of every tick, by the compiled step and by the loop."""
+    few = {"controller": {"hierarchy": {"iterations": 1}}, "max_steps": 2}
+    task = make_task("Reach-v0", {"simulation": {"engine": "mujoco"}, **few})
+    with closing(EpisodeCore(task)) as core:
+        for watch in (None, lambda tick: None):
+            core.reset(np.random.default_rng(0))
+            info = core.step(np.array([1.0, -1.0, 1.0, 0.5]), watch).info
+            assert (info["qp_failures"], info["safe_ticks"]) == (2 * 240, 240)

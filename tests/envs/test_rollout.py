@@ -10,6 +10,7 @@ import pytest
 
 from marl_mm.algorithms.explore import Explorer
 from marl_mm.algorithms.policy import LearnedPolicy
+from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.collectors.replay import ReplayPolicy
 from marl_mm.envs import slots
 from marl_mm.envs.core import EpisodeCore
@@ -169,3 +170,15 @@ def test_a_policy_goes_on_learning_while_its_episodes_run() -> None:
                 weight.data.zero_()
         assert [content(e) for e in (first, *episodes)] == expected
     assert not np.isnan(first.states).any()
+
+
+def test_a_policys_random_numbers_follow_from_the_episodes_seed_alone() -> None:
+    """Not from its number: two collections begin with the same ones."""
+    task = make_task("Reach-v0", {"max_steps": 1, "simulation": {"engine": "mujoco"}})
+    policy = RandomPolicy(RandomConfig())
+    with closing(EpisodeCore(task)) as core:
+        first, same, other = (
+            run_episode(core, policy, EpisodePlan(index, seed)).actions
+            for index, seed in ((0, 3), (1, 3), (0, 4))
+        )
+    assert np.array_equal(first, same) and (first != other).all()

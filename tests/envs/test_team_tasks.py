@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from marl_mm.cli import main
+from marl_mm.collectors.scripted import expert_action
 from marl_mm.envs.core import EpisodeCore
 from marl_mm.envs.drive import Tick
 from marl_mm.envs.registry import TASKS, make_task
@@ -276,3 +277,16 @@ def test_other_levels_and_conventions_are_told_the_nearest(
     assert "convention is 'ovr', expected over or under" in capsys.readouterr().err
     assert main([*collect, "Reach-v0", "--convention", "over"]) == 2
     assert "convention is 'over', and Reach has none" in capsys.readouterr().err
+
+
+def test_a_second_away_from_the_goal_begins_the_count_anew() -> None:
+    task = make_task("MovingReach-v0", {"simulation": {"engine": "mujoco"}})
+    names = task.layout.state_names
+    near = names.index("seconds_near")
+    with closing(EpisodeCore(task)) as core:
+        state = core.reset(np.random.default_rng(0))
+        while not state[near]:
+            seen = dict(zip(names, state.tolist(), strict=True))
+            state = core.step(expert_action(task, seen, ScriptConfig())).state
+        away = core.step(np.array([1.0, 1.0, 1.0, 0.5])).state
+    assert state[near] == 1.0 and away[near] == 0.0

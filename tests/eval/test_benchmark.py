@@ -289,3 +289,14 @@ def test_what_is_committed_is_of_the_settings_that_are_compared(
     words = ["ablate", "benchmark", "--plan", "--datasets", *whole]
     assert main([*words, "--out", str(RESULTS), "--runs", str(tmp_path)]) == 0
     assert "| all |  | 0 of 0 |" in capsys.readouterr().out
+
+
+def test_a_loss_by_more_updates_shows_as_a_gain_does(tmp_path: Path) -> None:
+    """Of a single seed neither is."""
+    for name, seeds in (("bc", 3), ("mabc", 1)):
+        write(tmp_path, FIRST_EARLY, name, 0.9, seeds, cells=FEW)
+        write(tmp_path, FIRST_EARLY, name, 0.2, seeds)
+    rows = draw_early(tmp_path, tmp_path)
+    assert all(row["gain_interval"][1] < 0 for row in rows)
+    _, _, first, second, *_ = early_table(rows).splitlines()
+    assert first.startswith("| `bc` | **") and "**" not in second

@@ -11,6 +11,7 @@ import pytest
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.commands.output import print_evaluations
+from marl_mm.envs.rollout import episode_seed
 from marl_mm.envs.tasks.reach import Reach
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
@@ -231,3 +232,43 @@ def test_film_time_is_simulated_time(fps: int) -> None:
 def test_an_unknown_film_format_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"\.mp4 or \.gif"):
         write_video(tmp_path / "film.avi", [np.zeros((4, 4, 3), np.uint8)], 8)
+
+
+def test_every_metric_of_a_row_is_what_it_says(make_episode: MakeEpisode) -> None:
+    episode = make_episode(1, steps=4)
+    info, row = episode.info, episode_row(episode)
+    by_hand = {
+        "final_distance": info["distance"][-1],
+        "d_mm": info["d_mm"].mean(),
+        "d_mp": info["d_mp"].mean(),
+        "base_jerk_rms": info["base_jerk_rms"].mean(),
+        "zmp_margin": info["zmp_margin"].min(),
+        "alpha": episode.actions[:, 3].mean(),
+        "qp_failures": info["qp_failures"].sum(),
+    }
+    assert {name: row[name] for name in by_hand} == pytest.approx(by_hand)  # type: ignore[literal-required]
+
+
+def test_only_evaluations_on_the_same_goals_are_compared() -> None:
+    """Of the same task, and goal by goal: a difference is paired."""
+
+    def evaluation(task: str = "Reach-v0", **second: object) -> Evaluation:
+        rows = [row("forward", True, 6) | {"seed": n, "goal": [0.5]} for n in range(2)]
+        rows[1] |= second
+        return Evaluation("pd", {}, task, {}, 0, rows)
+
+    same = evaluation()
+    worse = evaluation(success=False)
+    assert worse.less(same)[0] == -0.5 and same.less(worse)[0] == 0.5
+    others = evaluation("PreciseReach-v0"), evaluation(seed=7), evaluation(goal=[0.6])
+    for other in (*others, Evaluation("pd", {}, "Reach-v0", {}, 0, same.rows[:1])):
+        with pytest.raises(UsageError, match="are not on the same goals"):
+            same.less(other)
+
+
+def test_an_evaluation_begins_in_no_state_of_a_dataset_or_of_training() -> None:
+    """Whatever the seeds: streams of one seed are told apart by what they are for."""
+    seeds = {plan.seed for plan in goal_set(Reach(), 50, seed=3)}
+    assert seeds == {episode_seed(3, n, "evaluate") for n in range(50)}
+    for purpose in ("collect", "train"):
+        assert not seeds & {episode_seed(3, n, purpose) for n in range(50)}

@@ -12,10 +12,11 @@ import pytest
 
 import marl_mm
 from marl_mm.cli import main
-from marl_mm.collectors.pd import PdConfig
+from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.commands import eval as command
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import UsageError
+from marl_mm.eval.cross_play import CrossPlay
 from marl_mm.eval.disturbances import (
     Disturbed,
     Dropped,
@@ -361,3 +362,61 @@ def test_mistakes_in_python_are_usage_errors(
 ) -> None:
     with pytest.raises(UsageError, match=complaint):
         call()
+
+
+def test_a_difference_is_what_another_runs_agent_gains() -> None:
+    """By hand: run 0 reaches nothing, and one of two goals with the hand of run 1."""
+
+    def evaluation(*reached: bool) -> Evaluation:
+        rows: Any = [
+            {"index": n, "seed": n, "goal": [0.5], "success": each, "return": 0.0}
+            | {"steps": 1}
+            for n, each in enumerate(reached)
+        ]
+        return Evaluation("", {}, "Reach-v0", {}, 0, rows)
+
+    teams: dict[tuple[int, ...], Evaluation] = {
+        (0, 0): evaluation(False, False),
+        (1, 0): evaluation(True, False),
+    }
+    result = CrossPlay(("a", "b"), ("hand", "balance"), teams)
+    assert result.difference("hand", 0, 1)[0] == 0.5
+    (found,) = result.to_json()["differences"]
+    assert (found["agent"], found["of"], found["from"]) == ("hand", "a", "b")
+    assert found["difference"] == 0.5
+
+
+class Held(Lists):
+    """A policy that sets every entry of its action to one number."""
+
+    def __init__(self, number: float) -> None:
+        self.number = number
+
+    def describe(self) -> dict[str, Any]:
+        return {"number": self.number}
+
+    def act(self, state: np.ndarray) -> Any:
+        return np.full(4, self.number, np.float32)
+
+
+def test_a_team_has_another_runs_agent_beside_its_own() -> None:
+    """Alpha is of the balance agent, and its mean is in every row."""
+    held = Held(0.25), Held(0.75)
+    found = marl_mm.cross_play(held, **FEW).evaluations
+    alphas = {team: each.rows[0]["alpha"] for team, each in found.items()}
+    expected = {(i, j): held[j].number for i in range(2) for j in range(2)}
+    assert alphas == pytest.approx(expected)
+
+
+def test_noise_has_the_spread_of_all_states_of_the_clean_run() -> None:
+    """Of every episode, its last state too, where no other spread is given."""
+    few: dict[str, Any] = {**FEW, "disturbances": "noisy"}
+    usual = marl_mm.robustness("pd", **few)
+    states: list[np.ndarray] = []
+    setup = Setup("Reach-v0", usual.clean.overrides, FEW["episodes"], 0)
+    with setup.rollouts() as rollouts:
+        clean = setup.run(rollouts, PdPolicy(PdConfig()), states=states)
+    assert clean.rows == usual.clean.rows
+    given = marl_mm.robustness("pd", spread=np.concatenate(states).std(axis=0), **few)
+    for condition, evaluation in usual.disturbed.items():
+        assert given.disturbed[condition].rows == evaluation.rows

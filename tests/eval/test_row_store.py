@@ -8,8 +8,11 @@ import pytest
 
 from marl_mm.errors import MarlMmError
 from marl_mm.eval.studies.rows import RowStore
+from marl_mm.eval.studies.run_rows import is_probed
+from marl_mm.eval.studies.settings import LAST
 from marl_mm.eval.studies.study import cell_name
 from marl_mm.eval.studies.targets import STUDIES
+from marl_mm.files import write_json
 
 CELL = STUDIES["table4"].cells[0]
 
@@ -52,3 +55,12 @@ def test_records_whose_seeds_are_none_are_named(
     rows = store(tmp_path, ".json", json.dumps({"diverged": ends}))
     with pytest.raises(MarlMmError, match=match):
         rows.diverged(CELL)
+
+
+def test_an_evaluation_of_other_goals_or_settings_is_made_anew(tmp_path: Path) -> None:
+    assert not is_probed(tmp_path, LAST, 2, {})
+    kept = {"episodes": [{}, {}], "overrides": {"max_steps": 5}, "probe": LAST.way}
+    write_json(LAST.file(tmp_path), kept)
+    assert is_probed(tmp_path, LAST, 2, {"max_steps": 5})
+    for goals, overrides in ((3, {"max_steps": 5}), (2, {"max_steps": 6}), (2, {})):
+        assert not is_probed(tmp_path, LAST, goals, overrides)

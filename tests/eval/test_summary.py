@@ -2,6 +2,8 @@
 
 import importlib
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -14,14 +16,16 @@ from marl_mm.algorithms.ddpg_config import DdpgConfig
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.tasks.reach import LAYOUT as REACH
+from marl_mm.episode import Episode
 from marl_mm.eval.intervals import success_interval
 from marl_mm.eval.metrics import Row
-from marl_mm.eval.studies.alpha import ALPHAS, LEARNT, summarize_worth
+from marl_mm.eval.studies.alpha import ALPHAS, LEARNT, _steps, summarize_worth
 from marl_mm.eval.studies.figures import on_a_grid
 from marl_mm.eval.studies.held import FixedAlpha
 from marl_mm.eval.studies.online import STUDIES
 from marl_mm.eval.studies.summary import (
     CellRows,
+    _of_probe,
     episodes_to,
     row_of_setting,
     worth_of_alpha,
@@ -182,3 +186,42 @@ def test_the_learnt_alpha_is_compared_with_the_best_held_one() -> None:
     low, high = worth["over_held_interval"]
     assert low == pytest.approx(1 - 12.706 / 2, abs=1e-2)  # seeds: 1.5 and 0.5; t(1)
     assert high == pytest.approx(1 + 12.706 / 2, abs=1e-2)
+
+
+def test_a_goal_of_equal_return_is_no_better_one() -> None:
+    head = {"setting": "s", "task": "t", "seed": 0, "success": 1}
+    rows = [
+        head | {"alpha": alpha, "goal": goal, "return": value}
+        for alpha, values in ((LEARNT, (1.0, 2.0, 3.0)), (0.5, (1.0, 3.0, 2.0)))
+        for goal, value in enumerate(values)
+    ]
+    (worth,) = summarize_worth(rows)
+    assert worth["better_on"] == 1 and worth["difference"] == 0.0
+
+
+def test_alpha_over_time_is_of_the_episodes_that_come_to_a_step(
+    make_episode: Callable[..., Episode],
+) -> None:
+    episodes = []
+    for number, alphas in ((1, (0.2, 0.4)), (3, (0.6, 0.8, 1.0))):  # both ahead
+        episode = make_episode(number, steps=len(alphas))
+        actions = episode.actions.copy()
+        actions[:, 3] = alphas
+        episodes.append(replace(episode, actions=actions))
+    found = [(row["step"], row["episodes"], row["mean"]) for row in _steps(episodes)]
+    expected = [(1, 2, 0.4), (2, 2, 0.6), (3, 1, 1.0)]
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_the_interval_of_returns_is_over_seeds() -> None:
+    """Two seeds of mean 1 and 3, however far apart their goals are: t(1) = 12.706."""
+    rows = [
+        {"seed": seed, "goal": goal, "direction": "", "success": 1, "return": value}
+        for seed, values in enumerate(((0.0, 2.0), (2.5, 3.5)))
+        for goal, value in enumerate(values)
+    ]
+    row = _of_probe(CellRows(DDPG.cells[0], {"last": rows}, [], ""), "last")
+    assert row["return"] == 2.0
+    np.testing.assert_allclose(
+        row["return_interval"], (2 - 12.706, 2 + 12.706), atol=0.01
+    )

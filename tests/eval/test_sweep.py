@@ -74,17 +74,17 @@ def test_rows_and_tables_name_the_engine_where_rows_do() -> None:
 
 def test_summary_by_hand() -> None:
     rows = [
-        row(0.5, "backward", steps=20, d_mm=0.01, zmp_margin=0.1),
-        row(0.5, "backward", steps=30, d_mm=0.03),
+        row(0.5, "backward", steps=25, d_mm=0.01, zmp_margin=0.1, qp_failures=2),
+        row(0.5, "backward", steps=26, d_mm=0.03, qp_failures=3),
         row(0.5, "backward", steps=50, d_mm=0.02, success=0),
     ]
     (summary,) = summarize_cells(rows)
     assert summary["goals"] == 3
-    assert summary["steps"] == pytest.approx(100 / 3)
+    assert summary["steps"] == pytest.approx(101 / 3)
     assert summary["success_25"] == pytest.approx(1 / 3)
     assert summary["success_50"] == pytest.approx(2 / 3)
     assert summary["d_mm"] == pytest.approx(0.02)
-    assert summary["zmp_margin"] == 0.1
+    assert (summary["zmp_margin"], summary["qp_failures"]) == (0.1, 5)
 
 
 def test_response_by_hand() -> None:

@@ -2,8 +2,11 @@
 
 import hashlib
 import shutil
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
+from shutil import copyfile
 from typing import Any
 
 import numpy as np
@@ -11,8 +14,12 @@ import pytest
 import torch
 
 import marl_mm
-from marl_mm.algorithms.checkpoint import FILE, read_checkpoint
-from marl_mm.algorithms.fine_tune import online_summary
+from marl_mm.algorithms.checkpoint import BEST, FILE, read_checkpoint
+from marl_mm.algorithms.explore import Explorer
+from marl_mm.algorithms.fine_tune import fine_tune, online_summary
+from marl_mm.algorithms.fine_tuning import FineTuning
+from marl_mm.algorithms.mabc import Mabc
+from marl_mm.algorithms.mabc_config import MabcConfig
 from marl_mm.algorithms.matd3_bc import Matd3Bc
 from marl_mm.algorithms.offline_batches import OfflineBatches
 from marl_mm.algorithms.offline_learner import OfflineLearner
@@ -21,7 +28,9 @@ from marl_mm.algorithms.td3_bc_additions import q_weight
 from marl_mm.algorithms.td3_bc_config import Td3BcConfig
 from marl_mm.cli import main
 from marl_mm.contracts.learners import some_episodes
+from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
+from marl_mm.episode import Episode
 from marl_mm.errors import DivergedError, OtherConfigError, UsageError
 from marl_mm.eval.rows import read_rows
 from marl_mm.files import only_here
@@ -400,3 +409,53 @@ def test_the_study_of_the_ways_goes_online_from_data(
         run = tmp_path / "runs/script-2k-Grasp" / way / "0"
         rows = read_metrics(run)
         assert rows[-1]["env_steps"] >= 8 and "online/regret" in rows[-1]
+
+
+def test_own_episodes_are_explored_with_the_noise_that_is_asked_for(
+    make_episode: Callable[..., Episode], tmp_path: Path
+) -> None:
+    """In cycles of so many episodes, each with a number of its own."""
+    config = MabcConfig(hidden=(8,), batch_size=8)
+    learner = Mabc(config, some_episodes(), make_task(), [0])
+    explored: list[dict[str, object]] = []
+    numbers: list[int] = []
+
+    def run(explorer: Explorer, cycle: Iterable[int]) -> Iterator[Episode]:
+        explored.append(explorer.describe())
+        for number in cycle:
+            numbers.append(number)
+            yield make_episode(number, steps=4)
+
+    settings = FineTuning(
+        online_steps=16, online_every=8, online_cycle=2, online_noise=0.3
+    )
+    point = {"success/all": 0.0, "return/all": 0.0}
+    fine_tune(learner, tmp_path, settings, run, lambda policy: point)  # type: ignore[arg-type,return-value]
+    assert numbers == [0, 1, 2, 3] and len(explored) == 2
+    for each in explored:
+        assert (each["noise"], each["random_share"]) == (0.3, 0.0)
+
+
+@pytest.mark.parametrize("copied", [0, 1, 2])
+def test_a_copy_of_a_start_that_is_stopped_has_no_checkpoint_yet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, copied: int
+) -> None:
+    """With one it would be gone on from, though its rows are not there."""
+    start, run, number = tmp_path / "start", tmp_path / "run", count()
+    start.mkdir()
+    for name in (METRICS, BEST, FILE):
+        (start / name).write_text(name)
+
+    def stopped(source: Path, target: Path) -> None:
+        if next(number) == copied:
+            raise KeyboardInterrupt
+        copyfile(source, target)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(shutil, "copyfile", stopped)
+        copy_start(start, run)
+    assert len([*run.iterdir()]) == copied and not (run / FILE).exists()
+    copy_start(start, run)
+    assert {path.name: path.read_text() for path in run.iterdir()} == {
+        name: name for name in (METRICS, BEST, FILE)
+    }

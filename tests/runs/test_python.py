@@ -633,3 +633,17 @@ def test_results_are_shown_as_json_that_the_command_prints(capfd: Capture) -> No
     (printed,) = json.loads(capfd.readouterr().out)
     del printed["packages"]
     assert printed == json.loads(json.dumps(evaluation.to_json()))
+
+
+def test_the_curve_has_other_goals_than_the_evaluation(
+    tmp_path: Path, datasets_home: Path
+) -> None:
+    """Those of the next seed: what is chosen by the curve has not seen the others."""
+    goals: dict[str, Any] = {"max_steps": 2, "engine": "mujoco"}
+    few: dict[str, Any] = {"updates": 1, "hidden": (8,), "batch_size": 8, "logger": ()}
+    few |= {"curve_episodes": 2, "eval_episodes": 2, "eval_seed": 7, **goals}
+    (run,) = marl_mm.train("mabc", "good-5k", out=tmp_path, **few)
+    of_curve = marl_mm.evaluate(run, episodes=2, seed=8, **goals)
+    assert run.metrics[-1]["return/all"] == of_curve.summary["all"]["return"]
+    assert run.evaluated.rows == marl_mm.evaluate(run, episodes=2, seed=7, **goals).rows
+    assert run.evaluated.rows != of_curve.rows
