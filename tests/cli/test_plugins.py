@@ -289,6 +289,7 @@ def test_a_collector_of_ones_own_collects_replays_and_plays(
 def test_from_python_a_plugin_is_loaded_or_registered() -> None:
     plugin = plugins.load(EXAMPLES / "timed_reach.py")
     assert plugins.load(EXAMPLES / "timed_reach.py") is plugin
+    assert str(EXAMPLES) not in sys.path
     assert (plugin.name, len(plugin.sha256)) == ("timed_reach.py", 64)
     assert TASKS.origin("TimedReach-v0") == "timed_reach.py"
     assert plugins.record("timed_reach.py", "marl_mm") == {plugin.name: plugin.sha256}
