@@ -2,6 +2,7 @@
 
 import math
 import pickle
+from copy import deepcopy
 from dataclasses import dataclass
 
 from marl_mm.contracts.claims import Claim, demand
@@ -32,7 +33,7 @@ def candidate(name: str, task: str = DEFAULT) -> Candidate:
 
 def _numbers(candidate: Candidate) -> None:
     for episode in candidate.episodes:
-        value = candidate.metric.measure(candidate.name, episode)
+        value = candidate.metric.measure(candidate.name, deepcopy(episode))
         demand(value is None or math.isfinite(value), f"it is {value}")
 
 

@@ -15,7 +15,7 @@ import torch
 
 from marl_mm.algorithms import pretrained
 from marl_mm.algorithms.actors import blank_actor
-from marl_mm.algorithms.checkpoint import FILE, check_types
+from marl_mm.algorithms.checkpoint import FILE, check_types, read_checkpoint
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
 from marl_mm.archives import PICKLE_BYTES
 from marl_mm.envs.registry import make_task
@@ -186,3 +186,11 @@ def test_shipped_policies_with_huge_records_are_refused(tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text(config + " " * 1_000_000)
     with pytest.raises(CheckpointError, match="expected at most 1,000,000"):
         load_policy(tmp_path)
+
+
+def test_no_run_goes_on_from_a_link_out_of_its_folder(gift: Path) -> None:
+    run = gift.parent / "run"
+    run.mkdir()
+    (run / FILE).symlink_to(gift)
+    with pytest.raises(CheckpointError, match="is a link out of its folder"):
+        read_checkpoint(run)

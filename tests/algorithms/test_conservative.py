@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from marl_mm.algorithms.cfcql import nearness_to_bounds
+from marl_mm.algorithms.iql import LARGEST_WEIGHT
 from marl_mm.algorithms.registry import ALGORITHMS, TUNED
 from marl_mm.contracts.learners import (
     UNUSUAL,
@@ -289,8 +290,6 @@ def test_actions_for_other_goals_teach_critics_only() -> None:
         np.testing.assert_array_equal(value, before[key])
     conservative = quick("cfcql", elsewhere=1.0).fresh(some_episodes())
     assert conservative.update()["loss/conservative"].item() == 0.0
-    distilled = quick("fql", elsewhere=1.0).fresh(some_episodes())
-    assert distilled.update()["loss/distillation/joint"].item() == 0.0
 
 
 def test_one_agent_that_sees_all_is_improved_like_cql() -> None:
@@ -304,3 +303,40 @@ def test_one_agent_that_sees_all_is_improved_like_cql() -> None:
         strict=True,
     ):
         assert torch.equal(here.flat, there.flat)
+
+
+@pytest.mark.parametrize("name", ["cql", "omar"])
+def test_actions_pay_for_their_mean_square(name: str) -> None:
+    """Before anybody has learnt, critics and actors of both are the same."""
+    free, paying = (
+        quick(name, policy_delay=1, action_penalty=weight).fresh(some_episodes())
+        for weight in (0.0, 100.0)
+    )
+    state = free.normalizer(quick(name).fresh(some_episodes())._batches.next()[0])
+    losses = [learner.update() for learner in (free, paying)]
+    fresh = quick(name).fresh(some_episodes()).actors
+    for agent in free.layouts:
+        square = fresh.action(agent.name, state).square().mean()
+        before, after = (each[f"loss/{agent.name}"] for each in losses)
+        assert (after - before).item() == pytest.approx(100 * square.item(), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "taught"),
+    [
+        ("iql", {"critic", "value"}),
+        ("best-of-n", {"critic", "value"}),
+        ("fql", {"critic", "joint"}),
+    ],
+)
+def test_no_actor_or_flow_imitates_actions_for_other_goals(
+    name: str, taught: set[str]
+) -> None:
+    losses = quick(name, elsewhere=1.0).fresh(some_episodes()).update()
+    assert {key for key in losses if losses[key].any()} == {f"loss/{n}" for n in taught}
+
+
+def test_no_step_weighs_more_than_the_largest_weight() -> None:
+    """However good it is; no square error of two actions in [-1, 1] is above 4."""
+    losses = quick("iql", temperature=1e6).fresh(some_episodes()).update()
+    assert 1.0 < losses["loss/joint"].item() <= 4 * LARGEST_WEIGHT

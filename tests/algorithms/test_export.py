@@ -9,11 +9,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
 import onnxruntime
 import pytest
 import torch
+from onnx import helper, numpy_helper
 
-from marl_mm.algorithms.export import TOLERANCE, export_policy, largest_difference
+from marl_mm.algorithms.export import (
+    TOLERANCE,
+    export_policy,
+    exported_metadata,
+    largest_difference,
+)
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.algorithms.pretrained import load_pretrained
 from marl_mm.cli import main
@@ -125,6 +132,12 @@ def test_a_joint_policy_as_onnx(states: np.ndarray, tmp_path: Path) -> None:
     (found,) = session.run(None, {"observation": states[:50]})
     expected = [policy.act(state) for state in states[:50]]
     np.testing.assert_allclose(found, expected, atol=TOLERANCE)
+    model = onnx.load_model(tmp_path / "p.onnx")
+    relu = next(node for node in model.graph.node if node.op_type == "Relu")
+    relu.op_type = "Abs"
+    onnx.save_model(model, tmp_path / "p.onnx")
+    with pytest.raises(ExportError, match="its content is not what was written"):
+        exported_metadata(tmp_path / "p.onnx")
 
 
 @pytest.mark.slow
@@ -196,3 +209,28 @@ def test_bad_requests(
 ) -> None:
     assert main(["export", *words]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_weights_that_lie_beside_the_file_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where onnx would find them: no checksum is of what they are."""
+    ends = [
+        helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, ["n", 2])
+        for name in ("observation", "action")
+    ]
+    node = helper.make_node("MatMul", ["observation", "w"], ["action"])
+    weights = numpy_helper.from_array(np.eye(2, dtype=np.float32), "w")
+    graph = helper.make_graph([node], "policy", ends[:1], ends[1:], [weights])
+    model = helper.make_model(graph)
+    helper.set_model_props(model, {"marl_mm": "{}"})
+    monkeypatch.chdir(tmp_path)
+    onnx.save_model(
+        model,
+        "p.onnx",
+        save_as_external_data=True,
+        location="w.bin",
+        size_threshold=0,
+    )
+    with pytest.raises(ExportError, match="weights in other files"):
+        exported_metadata(tmp_path / "p.onnx")

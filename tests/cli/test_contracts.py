@@ -5,6 +5,7 @@ named, and no other claim: none is found by chance.
 """
 
 import json
+import math
 import os
 import random
 import time
@@ -37,9 +38,9 @@ from marl_mm.cli import main
 from marl_mm.collectors.pd import PdConfig, PdPolicy
 from marl_mm.collectors.random import RandomConfig, RandomPolicy
 from marl_mm.collectors.registry import COLLECTORS, Collector
-from marl_mm.contracts import algorithms, collectors, learners, tasks
+from marl_mm.contracts import algorithms, collectors, learners, metrics, tasks
 from marl_mm.contracts.claims import Claim, Finding, examine
-from marl_mm.contracts.episodes import short
+from marl_mm.contracts.episodes import episodes, short
 from marl_mm.envs.cruise import ALPHA
 from marl_mm.envs.order import Order
 from marl_mm.envs.registry import TASKS, kind_of, register_task
@@ -47,6 +48,7 @@ from marl_mm.envs.task import Attempt, ScriptConfig, Task, Terms, Values
 from marl_mm.envs.tasks.carry import Carry
 from marl_mm.envs.tasks.reach import Reach
 from marl_mm.episode import Episode
+from marl_mm.eval.metrics import Metric
 from marl_mm.layout import AgentLayout, Layout
 from marl_mm.policy import Policy
 from marl_mm.registry import BUILT_IN, Registry
@@ -1431,3 +1433,27 @@ def test_check_of_a_plug_in_that_registers_nothing_ends_with_2(
     path = plug_in("planted = 1")
     assert run(path) == 2
     assert "registers no task, algorithm, collector or metric" in complaint(capsys)
+
+
+FINITE = "it is a finite number, or None"
+FOLLOWS = "it follows from the episode, which stays as it is"
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        (len, {}),
+        (lambda episode: math.inf, {FINITE: "it is inf"}),
+        (lambda episode: "long", {FINITE: "expected a number or None"}),
+        (lambda episode: random.random(), {FOLLOWS: ", then 0."}),
+        (lambda episode: episode.rewards.fill(0.0), {FOLLOWS: "changes the episode"}),
+    ],
+    ids=["none", "endless", "text", "chance", "changes"],
+)
+def test_a_metrics_mistake_breaks_its_claims(
+    value: Callable[..., Any], expected: Broken
+) -> None:
+    metric, some = Metric(about="x", value=value), episodes(short("Reach-v0"))
+    about = metrics.Candidate("planted", metric, some)
+    found = broken(examine(about.name, about, metrics.metric_claims(about)))
+    expect(found, expected)

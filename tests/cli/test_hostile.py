@@ -22,11 +22,12 @@ from marl_mm.algorithms.checkpoint import FILE
 from marl_mm.algorithms.export import export_policy
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.cli import main
+from marl_mm.contracts import fuzz
 from marl_mm.contracts.files import fingerprint
 from marl_mm.contracts.fuzz import trials
 from marl_mm.contracts.mutations import mutate
 from marl_mm.datasets.journal import Journal
-from marl_mm.errors import CheckpointError
+from marl_mm.errors import CheckpointError, DatasetError, MarlMmError
 from marl_mm.eval.rows import write_csv
 from marl_mm.eval.studies.study import cell_name
 from marl_mm.eval.studies.targets import STUDIES
@@ -50,7 +51,8 @@ USUAL, ALL = 160, 5_000
 CHUNK = 40
 """Number of mutations in a test."""
 
-RESULTS = Path(__file__).resolve().parents[2] / "eval/results/studies"
+ROOT = Path(__file__).resolve().parents[2]
+RESULTS = ROOT / "eval/results/studies"
 
 Output = pytest.CaptureFixture[str]
 
@@ -345,3 +347,90 @@ def test_the_shipped_agents_weights_have_a_hash(good: Path, tmp_path: Path) -> N
     with pytest.raises(CheckpointError, match="not those that were written"):
         load_policy(copy)
     load_policy("pretrained")
+
+
+@pytest.mark.slow
+def test_a_run_with_metrics_and_no_checkpoint_is_not_whole(
+    good: Path,
+    tmp_path: Path,
+) -> None:
+    run = Path(shutil.copytree(good / "offline/0", tmp_path / "run"))
+    fingerprint(run)
+    (run / FILE).unlink()
+    with pytest.raises(CheckpointError, match=f"has metrics, but no {FILE}"):
+        fingerprint(run)
+
+
+@pytest.mark.slow
+def test_a_journal_of_longer_episodes_than_its_tasks_is_not_whole(
+    good: Path,
+    tmp_path: Path,
+) -> None:
+    data = marl_mm.load_dataset(good / "dataset")
+    longest = int(data.arrays.lengths.max())
+    with Journal(tmp_path / "journal") as journal:
+        about = data.provenance.own_origin.to_json()
+        about["overrides"] = {**about["overrides"], "max_steps": longest - 1}
+        journal.begin({**about, "steps_asked": 40})
+        for episode in data.episodes:
+            journal.add(episode)
+    with pytest.raises(DatasetError, match=f"{longest} steps, at most {longest - 1}"):
+        fingerprint(tmp_path / "journal")
+
+
+def accepts(path: Path) -> tuple[str, str]:
+    """Finds something else in any file, and nothing wrong with it."""
+    return "accepted", "something else"
+
+
+def spoils(path: Path) -> tuple[str, str]:
+    """Leaves a file behind."""
+    (path.parent / "left").touch()
+    return "accepted", "something else"
+
+
+def ends(path: Path) -> tuple[str, str]:
+    """Takes its process along."""
+    os._exit(3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("read", "outcome"),
+    [
+        (accepts, "damage accepted"),
+        (spoils, "changed file"),
+        (ends, "crash or hang"),
+    ],
+)
+def test_trials_find_what_a_reader_must_not_do(
+    read: Callable[[Path], tuple[str, str]],
+    outcome: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    path = tmp_path / "rows.csv.xz"
+    write_csv(path, [{"seed": seed, "return": 0.5} for seed in range(9)])
+    monkeypatch.syspath_prepend(ROOT)  # workers import this file
+    monkeypatch.setattr(fuzz, "_read", read)
+    found = {trial.outcome: trial.broken for trial in trials(path, 4, seed=0)}
+    assert found[outcome] and not found.get("accepted")
+
+
+@pytest.mark.parametrize(
+    ("error", "outcome"),
+    [
+        (ValueError("odd"), "traceback"),
+        (MarlMmError("two\nlines"), "error of several lines"),
+        (MarlMmError("a line"), "refused"),
+    ],
+)
+def test_only_a_line_of_the_package_is_a_refusal(
+    error: Exception, outcome: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path) -> str:
+        raise error
+
+    monkeypatch.setattr(fuzz, "fingerprint", refuse)
+    assert fuzz._read(Path("any"))[0] == outcome
+    assert fuzz.Trial(0, "", outcome).broken == (outcome != "refused")

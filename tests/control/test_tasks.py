@@ -160,7 +160,9 @@ BOTH = pytest.mark.parametrize("error_of", [rotation_error, compiled_error])
 
 
 @BOTH
-@pytest.mark.parametrize("angle", [0.0, 1e-5, 0.3, 1.5, 3.0, 3.09, 3.11, 3.14])
+@pytest.mark.parametrize(
+    "angle", [0.0, 1e-5, 0.3, 1.5, 3.0, 3.09, 3.11, 3.14, -3.11, -3.14]
+)
 def test_rotation_error_is_the_rotation_vector(angle: float, error_of: Error) -> None:
     axis = np.array([0.6, -0.48, 0.64])
     start = Rotation.from_rotvec([0.3, -0.2, 0.9])

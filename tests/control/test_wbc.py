@@ -18,10 +18,11 @@ from marl_mm.control.config import (
     LimitConfig,
     Solver,
 )
+from marl_mm.control.limits import WHEEL_ARM
 from marl_mm.control.records import Reference, Track
 from marl_mm.control.wbc import WholeBodyController
 from marl_mm.errors import NonFiniteStateError, UsageError
-from marl_mm.robot.description import RobotConfig
+from marl_mm.robot.description import WHEEL_RADIUS, RobotConfig
 from marl_mm.robot.limits import RobotLimits, robot_limits
 from marl_mm.robot.model import ACTUATED, ModelTerms, RobotModel, RobotState
 
@@ -360,3 +361,37 @@ def test_integer_gains_mean_the_same(situation: Draw, limits: RobotLimits) -> No
     one = WholeBodyController(limits, whole).tick(*situation_, 0.5)
     other = WholeBodyController(limits, ControllerConfig()).tick(*situation_, 0.5)
     np.testing.assert_array_equal(one.acceleration, other.acceleration)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_joint_that_carries_all_it_can_makes_the_others_brake_gently(
+    situation: Draw, limits: RobotLimits, solver: Solver
+) -> None:
+    """Half a newton metre is left to the second joint, on one side."""
+    controller = WholeBodyController(limits, ControllerConfig(solver=solver))
+    rng, gentle = np.random.default_rng(11), 0
+    for side in (-1, 1) * 5:
+        state, terms, reference = situation(rng)
+        loaded = overloaded(terms, 6)
+        loaded.nonlinear[4] = side * (limits.torque[1] - 0.5)
+        command = controller.tick(state, loaded, reference, 0.5)
+        assert command.safe
+        needed = loaded.mass_matrix[4, ACTUATED] @ command.acceleration
+        needed += loaded.nonlinear[4]
+        assert abs(needed) <= limits.torque[1] + 1e-6
+        gentle += abs(needed) > limits.torque[1] - 1e-6
+    assert gentle > 0
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_no_command_of_the_base_asks_for_more_than_the_wheels_speed(
+    situation: Draw, limits: RobotLimits, solver: Solver
+) -> None:
+    controller = WholeBodyController(limits, ControllerConfig(solver=solver))
+    rng = np.random.default_rng(12)
+    for _ in range(5):
+        state, terms, reference = situation(rng)
+        state.v[0], state.v[2] = limits.speed[:2]
+        forward, turning = controller.tick(state, terms, reference, 0.5).base_speed
+        rim = abs(forward) + WHEEL_ARM * abs(turning)
+        assert rim <= limits.wheel_speed * WHEEL_RADIUS + 1e-9

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import marl_mm
+from marl_mm.cli import main
 from marl_mm.datasets.arrays import EpisodeArrays, arrays_of, joined
 from marl_mm.datasets.card import card, card_text
 from marl_mm.datasets.dataset import Dataset, load_dataset
@@ -270,3 +271,29 @@ def test_a_mix_is_as_complete_and_as_long_as_its_parts_allow(
     for parts in ((one, stopped), (stopped, two)):
         mixed = mix([Part(part, 5) for part in parts], seed=0).provenance
         assert not mixed.complete and mixed.overrides["max_steps"] == 50
+
+
+def test_the_options_of_commands_stand_in_the_recipe(
+    make: Callable[..., Dataset],
+) -> None:
+    name = make("one").location.name
+    bounds = {"min_return": -99.0, "max_return": 99.0}
+    asked = [
+        *("--outcome", "reached", "--direction", "forward"),
+        *("--min-return", "-99", "--max-return", "99"),
+    ]
+    cut = ["split", name, "--out", "cut", "--share", "0.3", "--seed", "4"]
+    assert main(["datasets", *cut]) == 0
+    assert main(["datasets", "mix", f"{name}:9", "--out", "some", "--seed", "4"]) == 0
+    assert main(["datasets", "filter", name, "--out", "few", *asked]) == 0
+    recipes = [
+        load_dataset(out).provenance.recipe for out in ("cut-first-v0", "some", "few")
+    ]
+    assert recipes == [
+        {"kind": "split", "seed": 4, "share": 0.3, "part": "first"},
+        {"kind": "mix", "seed": 4, "steps": {"marl_mm/reach/one-v0": 9}},
+        {
+            "kind": "filter",
+            "condition": {"success": True, "direction": "forward", **bounds},
+        },
+    ]

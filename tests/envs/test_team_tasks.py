@@ -290,3 +290,66 @@ def test_a_second_away_from_the_goal_begins_the_count_anew() -> None:
             state = core.step(expert_action(task, seen, ScriptConfig())).state
         away = core.step(np.array([1.0, 1.0, 1.0, 0.5])).state
     assert state[near] == 1.0 and away[near] == 0.0
+
+
+FREE = MUJOCO | {"largest_tilt": 180.0, "largest_stretch": 9.0, "beam_size": 0.02}
+"""A bar that nothing happens to."""
+
+
+def moved(side: str, *step: float) -> np.ndarray:
+    """The action of one robot while the other one stands."""
+    action = dict.fromkeys(make_task("Bar-v0").layout.action_names, 0.0)
+    names = [f"{side}_{name}" for name in ("delta_x", "delta_y", "delta_z", "alpha")]
+    return np.array([*(action | dict(zip(names, step, strict=True))).values()])
+
+
+def farthest(core: EpisodeCore, action: np.ndarray) -> float:
+    """Distance of a hand to its target in the third step."""
+    core.reset(np.random.default_rng(0))
+    return [float(core.step(action).info["d_mm"]) for _ in range(3)][-1]
+
+
+def test_of_two_hands_the_one_that_is_farther_from_its_target_counts() -> None:
+    with closing(EpisodeCore(make_task("Bar-v0", FREE))) as core:
+        still = farthest(core, moved("left", 0.0, 0.0, 0.0, 1.0))
+        for side in SIDED:
+            assert farthest(core, moved(side, -1.0, 0.0, 0.0, 1.0)) > 2 * still
+
+
+@pytest.mark.parametrize("side", SIDED)
+def test_an_arm_of_either_robot_that_collides_ends_the_episode(side: str) -> None:
+    with closing(EpisodeCore(make_task("Bar-v0", FREE))) as core:
+        core.reset(np.random.default_rng(0))
+        steps = (core.step(moved(side, 0.0, 0.0, -1.0, 0.0)) for _ in range(13))
+        reasons = [step.info["reason"] for step in steps if step.terminated]
+    assert reasons[:1] == ["collision of the block and the ground"]
+
+
+def test_each_robot_carries_half_of_the_bar() -> None:
+    with closing(EpisodeCore(make_task("Bar-v0", {"bar_mass": 3.0}))) as core:
+        core.reset(np.random.default_rng(0))
+        masses = [drive.hand.payload.true_mass for drive in core.drives if drive.hand]
+    assert masses == [1.5, 1.5]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("Reach-v0", "QuietZone-v0", "Gate-v0", "Bar-v0", "Grasp-v0", "Course-v0"),
+        *("Tray-v0", "MovingReach-v0"),  # whose alpha has a meaning of its own
+    ],
+)
+def test_the_script_does_what_its_settings_say(name: str) -> None:
+    """Near a goal its steps are in proportion to kp; alpha is the one asked for."""
+    task = make_task(name)
+    state = dict.fromkeys(task.layout.state_names, 0.0)
+    state |= {entry: 0.1 for entry in state if entry.endswith(("goal_x", "object_x"))}
+    once, twice = (
+        task.expert(state, ScriptConfig(kp=kp, alpha=0.3)) for kp in (0.1, 0.2)
+    )
+    steps = [entry for entry in once if "delta" in entry]
+    assert any(once[entry] for entry in steps)
+    for entry in steps:
+        assert twice[entry] == pytest.approx(2 * once[entry])
+    if name not in ("Tray-v0", "MovingReach-v0"):
+        assert {once[e] for e in once if e.endswith("alpha")} == {0.3}

@@ -96,3 +96,12 @@ def test_datasets_may_have_other_numbers_of_seeds_and_one_has_no_interval() -> N
     for beside in ([], [reached(0.9)]):
         value, low, high = interquartile(resampled([reached(0.9, seeds=1), *beside]))
         assert np.isnan([low, high]).all() and value > 0.8
+
+
+def test_another_algorithms_seeds_are_drawn_anew_and_its_goals_are_not() -> None:
+    by_seed = np.arange(5.0)[:, None].repeat(5, axis=1)
+    (first, of_first), (second, of_second) = (
+        resampled([by_seed, by_seed.T], number=number) for number in (0, 1)
+    )
+    assert (first.drawn != second.drawn).any()
+    np.testing.assert_allclose(of_first.drawn, of_second.drawn)

@@ -139,3 +139,14 @@ def test_the_interval_of_a_difference_by_hand() -> None:
     low, high = difference_interval([3, 4, 5], [1, 2, 3])
     assert (low, high) == pytest.approx((2 - 2.267, 2 + 2.267), abs=1e-3)
     assert np.isnan(difference_interval([1, 1, 1], [0.9, 0.9, 0.9])).all()
+
+
+def test_a_rate_stands_for_its_number_of_goals() -> None:
+    """Such as 0.29 for 29 of 100, although 100 times 0.29 is a little less."""
+    for reached in range(101):
+        assert wider_interval([reached / 100], 100) == success_interval(reached, 100)
+
+
+def test_only_what_varies_widens_a_difference() -> None:
+    interval = difference_interval([1, 2, 3], [0, 0, 0])
+    assert interval == pytest.approx(mean_interval([1, 2, 3]))

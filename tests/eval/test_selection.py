@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 from marl_mm.algorithms.policy import LearnedPolicy
 from marl_mm.datasets.arrays import EpisodeArrays
@@ -68,3 +69,9 @@ def test_scores_are_the_same_bytes_again(
     tried: EpisodeArrays, scored: dict[tuple[float, float], Scores]
 ) -> None:
     assert scores(constant(*LIKE), tried, updates=600) == scored[LIKE]
+
+
+def test_torchs_own_stream_is_left_alone(tried: EpisodeArrays) -> None:
+    policy, before = learnt("ma-flow-bc", tried, updates=1), torch.get_rng_state()
+    scores(policy, tried, updates=1)
+    assert torch.equal(torch.get_rng_state(), before)

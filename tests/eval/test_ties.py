@@ -107,3 +107,9 @@ def test_groups_hold_those_that_cannot_be_told_apart(
     shares = [[bool({*a} & {*b}) for b in groups] for a in groups]
     backwards = tie_groups(results[::-1])[::-1]
     assert shares == [[bool({*a} & {*b}) for b in backwards] for a in backwards]
+
+
+def test_of_groups_that_share_their_best_the_next_best_comes_first() -> None:
+    best = reaching(0.97, seeds=1)
+    assert tie_groups([reaching(0.9), reaching(0.5), best]) == [(1,), (2,), (1, 2)]
+    assert tie_groups([reaching(0.5), reaching(0.9), best]) == [(2,), (1,), (1, 2)]
