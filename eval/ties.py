@@ -77,7 +77,7 @@ def tie_groups(results: Sequence[np.ndarray]) -> list[tuple[int, ...]]:
             groups = [group for group in groups if group not in both]
             for part in (group - {out} for group in both for out in (first, second)):
                 if not any(part <= group for group in groups):
-                    groups = [group for group in groups if not group < part] + [part]
+                    groups.append(part)
     means = [float(scores.mean()) for scores in results]
     groups.sort(key=lambda group: sorted(-means[i] for i in group))
     return [
