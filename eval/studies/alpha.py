@@ -5,7 +5,7 @@ value, on the same goals.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product, starmap
 from pathlib import Path
@@ -30,8 +30,9 @@ from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.tables import markdown_table
 from marl_mm.policy import Policy
 from marl_mm.progress import Bar
+from marl_mm.runs.evaluate import task_overrides
 from marl_mm.runs.folder import read_config
-from marl_mm.sim.config import Engine, engine_overrides
+from marl_mm.sim.config import Engine
 from marl_mm.versions import engine_text
 
 ABOUT = "What alpha the trained agents choose, and what it is worth."
@@ -55,7 +56,7 @@ GOALS, STEPS, WORTH = "alpha_goals.csv.xz", "alpha_steps.csv", "alpha_worth.csv"
 
 @dataclass(frozen=True)
 class WorthCell:
-    """A trained run, and the alphas that are held in its place."""
+    """A trained run, its alpha learnt or held."""
 
     setting: str
     """Name of the setting."""
@@ -76,21 +77,25 @@ class WorthCell:
     """Steps of an episode; None: the task's."""
 
     goals: int
-    """Number of goals of each alpha."""
+    """Number of goals."""
 
-    alphas: tuple[float, ...]
-    """Alphas that are held."""
+    alpha: float | None
+    """Alpha that is held; None: the learnt one."""
 
     @property
     def overrides(self) -> dict[str, Any]:
         """Settings of the task that are replaced."""
-        steps = {} if self.max_steps is None else {"max_steps": self.max_steps}
-        return {**steps, **engine_overrides(self.engine)}
+        return task_overrides(self.max_steps, self.engine)
 
     @property
     def label(self) -> str:
         """Label in the progress bar."""
-        return f"{self.setting} {self.seed}"
+        return f"{self.setting} {self.seed}, alpha {self.acting}"
+
+    @property
+    def acting(self) -> float | str:
+        """Alpha in the rows."""
+        return LEARNT if self.alpha is None else self.alpha
 
 
 def make_worth(options: StudyOptions, bar: Bar) -> list[Row]:
@@ -100,12 +105,15 @@ def make_worth(options: StudyOptions, bar: Bar) -> list[Row]:
         Rows of the table.
 
     Raises:
-        KeyboardInterrupt: After Ctrl-C; finished agents are kept.
+        KeyboardInterrupt: After Ctrl-C; what is finished is kept.
     """
     chosen = product(CHOOSING.cells, options.seeds_of(CHOOSING))
-    runs = {_cell(options, run): run for run in starmap(options.run_folder, chosen)}
-    kept = options.runs_folder / "alpha"
-    run = partial(run_cell, {cell: run.absolute() for cell, run in runs.items()})
+    runs = {
+        cell: run.absolute()
+        for run in starmap(options.run_folder, chosen)
+        for cell in _cells(options, run)
+    }
+    run, kept = partial(run_cell, runs), options.runs_folder / "alpha"
     progress = bar, "alpha"
     rows = run_cells(run, [*runs], kept, options.workers, progress, options.executor)
     both = [row for cell in runs for row in rows[cell]]
@@ -114,35 +122,37 @@ def make_worth(options: StudyOptions, bar: Bar) -> list[Row]:
     return draw_worth(options.results, options.results)
 
 
-def _cell(options: StudyOptions, run: Path) -> WorthCell:
+def _cells(options: StudyOptions, run: Path) -> list[WorthCell]:
     made_of = read_config(run)
-    return WorthCell(
+    goals, alphas = (2, ALPHAS[::6]) if options.small else (100, ALPHAS)
+    cell = WorthCell(
         run.parent.name,
         made_of.seed,
         load_policy(run / BEST).fingerprint,
         made_of.task,
         cast(Engine, made_of.engine),
         made_of.settings.get("max_steps"),
-        *((2, ALPHAS[::6]) if options.small else (100, ALPHAS)),
+        goals,
+        None,
     )
+    return [cell, *(replace(cell, alpha=alpha) for alpha in alphas)]
 
 
 def run_cell(runs: Mapping[WorthCell, Path], cell: WorthCell) -> list[Row]:
-    """A row per alpha and goal, then one per direction and step of the learnt alpha."""
+    """A row per goal; of the learnt alpha also one per direction and step."""
     task = make_task(cell.task, cell.overrides)
-    policy = load_policy(runs[cell] / BEST)
-    actors: dict[float | str, Policy] = {LEARNT: policy}
-    actors |= {alpha: FixedAlpha(policy, alpha) for alpha in cell.alphas}
+    policy: Policy = load_policy(runs[cell] / BEST)
+    if cell.alpha is not None:
+        policy = FixedAlpha(policy, cell.alpha)
     head: Row = {"setting": cell.setting, "seed": cell.seed, "task": cell.task}
     head["engine"] = engine_text(cell.engine)
     # Goals of seeds 0 and 1 are the runs' own evaluations.
     plans = goal_set(task, cell.goals, seed=2)
     with Rollouts(task) as rollouts:
-        episodes = {
-            alpha: [*rollouts.run(actor, plans)] for alpha, actor in actors.items()
-        }
-    goals = [_goal(alpha, each) for alpha, some in episodes.items() for each in some]
-    return [head | row for row in (*goals, *_steps(episodes[LEARNT]))]
+        episodes = [*rollouts.run(policy, plans)]
+    goals = [_goal(cell.acting, episode) for episode in episodes]
+    steps = _steps(episodes) if cell.alpha is None else ()
+    return [head | row for row in (*goals, *steps)]
 
 
 def _goal(alpha: float | str, episode: Episode) -> Row:

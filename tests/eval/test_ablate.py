@@ -97,7 +97,7 @@ def test_the_worth_of_alpha_from_raw_runs(
     missing.unlink()
     assert ablate(runs, tmp_path, "alpha", "--resume") == 0
     new = {file for file, at in kept.items() if file.stat().st_mtime_ns != at}
-    assert new == {missing} and len(kept) == 3  # agents
+    assert new == {missing} and len(kept) == 3 * 4  # agents, alphas
     assert (tmp_path / "alpha_goals.csv.xz").read_bytes() == made
 
 

@@ -436,9 +436,9 @@ def test_own_episodes_are_explored_with_the_noise_that_is_asked_for(
         assert (each["noise"], each["random_share"]) == (0.3, 0.0)
 
 
-@pytest.mark.parametrize("copied", [0, 1, 2])
+@pytest.mark.parametrize("files", [0, 1, 2])
 def test_a_copy_of_a_start_that_is_stopped_has_no_checkpoint_yet(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, copied: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, files: int
 ) -> None:
     """With one it would be gone on from, though its rows are not there."""
     start, run, number = tmp_path / "start", tmp_path / "run", count()
@@ -447,14 +447,14 @@ def test_a_copy_of_a_start_that_is_stopped_has_no_checkpoint_yet(
         (start / name).write_text(name)
 
     def stopped(source: Path, target: Path) -> None:
-        if next(number) == copied:
+        if next(number) == files:
             raise KeyboardInterrupt
         copyfile(source, target)
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(shutil, "copyfile", stopped)
         copy_start(start, run)
-    assert len([*run.iterdir()]) == copied and not (run / FILE).exists()
+    assert len([*run.iterdir()]) == files and not (run / FILE).exists()
     copy_start(start, run)
     assert {path.name: path.read_text() for path in run.iterdir()} == {
         name: name for name in (METRICS, BEST, FILE)
