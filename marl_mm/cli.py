@@ -42,9 +42,9 @@ PLUGIN = "--plugin"
 """Option of every command; its values are Python files or modules."""
 
 ABOUT_PLUGINS = (
-    f"{PLUGIN} FILE.py|MODULE, with every command and any number of times: a plug-in "
-    "with\ntasks, algorithms or collectors of your own. It is code and is run as such: "
-    "name only\nwhat you trust. Nothing in a dataset or a run ever loads one."
+    f"Every command takes {PLUGIN} FILE.py|MODULE, any number of times: a plug-in\n"
+    "with tasks, algorithms or collectors of your own. It is code and is run as such:\n"
+    "name only what you trust. Nothing in a dataset or a run ever loads one."
 )
 
 COMPLETION = "--print-completion"

@@ -40,12 +40,11 @@ from marl_mm.eval.studies.study import Study, cell_name
 from marl_mm.eval.suite import ROBUSTNESS, conditions
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.received import read_json
+from marl_mm.runs.evaluate import task_overrides
 from marl_mm.runs.recipes import RECIPES
 from marl_mm.runs.run import Run
 from marl_mm.runs.settings import check_positive
-from marl_mm.runs.sources import Source
 from marl_mm.runs.train import dataset_of
-from marl_mm.sim.config import engine_overrides
 
 ABOUT = "Teams against joint actors under disturbances."
 """Title."""
@@ -138,7 +137,8 @@ class RobustCell:
     @property
     def overrides(self) -> dict[str, Any]:
         """Settings of the task that are replaced."""
-        return _overrides(RECIPES.get(SOURCES[self.dataset]).source, self.max_steps)
+        engine = RECIPES.get(SOURCES[self.dataset]).source.engine
+        return task_overrides(self.max_steps, engine)
 
     @property
     def setup(self) -> Setup:
@@ -158,11 +158,6 @@ class RobustCell:
         return f"{self.run.setting} {self.run.seed} {self.task}"
 
 
-def _overrides(source: Source, max_steps: int | None) -> dict[str, Any]:
-    steps = {} if max_steps is None else {"max_steps": max_steps}
-    return {**steps, **engine_overrides(source.engine)}
-
-
 def _names(options: StudyOptions) -> Sequence[str]:
     """Names of the disturbances; with the smoke budget two of them."""
     return ("noisy", "wheel friction") if options.small else [*ROBUSTNESS]
@@ -180,7 +175,7 @@ def cells_of(
     max_steps = fewest_steps(source.task, 4) if options.small else None
     goals = math.ceil(options.goals / _GOALS_DIVISOR.get(source.task, 1))
     goals = 2 if options.small else goals
-    overrides = _overrides(source, max_steps)
+    overrides = task_overrides(max_steps, source.engine)
     listed, _ = conditions(source.task, overrides, _names(options))
     words, seeds = tuple(map(str, listed)), options.seeds_of(STUDY)
     runs = [TrainedRun(setting, seed) for seed in seeds]

@@ -7,17 +7,16 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stderr
 from dataclasses import fields, is_dataclass
-from functools import partial, wraps
+from functools import partial
 from itertools import pairwise
-from typing import Annotated, Any, NamedTuple, TypeVar, Union
+from typing import Annotated, Any, NamedTuple, Union
 
 import tyro
 
 from marl_mm.cli import ABOUT_PLUGINS
 from marl_mm.declared import refuse_taken
 from marl_mm.errors import UsageError, meant
-
-T = TypeVar("T")
+from marl_mm.help_texts import FLOWING, filled, joined
 
 Main = Callable[[Sequence[str]], None]
 """A command: a function of the words after its name."""
@@ -50,7 +49,6 @@ def run(function: Callable[..., None], prog: str, arguments: Sequence[str]) -> N
 def _to_call(function: Callable[..., None]) -> Callable[..., Callable[[], None]]:
     """A function of the same parameters that returns the call instead of making it."""
 
-    @wraps(function)
     def call(*arguments: Any, **options: Any) -> Callable[[], None]:
         return partial(function, *arguments, **options)
 
@@ -62,6 +60,8 @@ def _to_call(function: Callable[..., None]) -> Callable[..., Callable[[], None]]
         for parameter in signature.parameters.values()
     ]
     call.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    call.__annotations__ = function.__annotations__
+    call.__doc__ = joined(inspect.getdoc(function) or "", 8)
     return call
 
 
@@ -147,7 +147,8 @@ def _parse(
     kind: Any, prog: str, about: str, arguments: Sequence[str], **default: Any
 ) -> Any:
     """Options of a kind."""
-    described = {"prog": prog, "description": f"{about}\n\n{ABOUT_PLUGINS}"} | default
+    about = filled(f"{about}\n\n{ABOUT_PLUGINS}")
+    described: Any = {"prog": prog, "description": about, "registry": FLOWING} | default
     complaint, columns = io.StringIO(), os.environ.get("COLUMNS", "")
     try:
         if not {"-h", "--help"} & {*arguments}:

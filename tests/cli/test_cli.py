@@ -79,6 +79,28 @@ def test_every_command_has_help(name: str, capsys: Output) -> None:
     assert "usage: marl-mm " + name in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [  # an option of a function, of a dataclass, and a description
+        ("play", "the name of a collector; or the robot alone"),
+        ("collect random", "Default 10,000; when resuming as many as were asked for."),
+        ("verify", "Then each goal is run again; where time is short, as many as fit"),
+    ],
+)
+def test_helps_lines_are_those_of_the_terminal(
+    command: str, words: str, monkeypatch: pytest.MonkeyPatch, capsys: Output
+) -> None:
+    monkeypatch.setenv("COLUMNS", "240")  # wider than a line of the source
+    assert run(*command.split(), "--help") == 0
+    wide = capsys.readouterr().out
+    assert words in wide
+    monkeypatch.setenv("COLUMNS", "60")
+    assert run(*command.split(), "--help") == 0
+    narrow = capsys.readouterr().out.partition("\n\n")[2]  # without the usage
+    assert max(map(len, narrow.splitlines())) == 60
+    assert words not in narrow
+
+
 def test_a_help_tells_every_task_once(capsys: Output) -> None:
     """Those of a kind in three levels as KIND[-easy|-hard]-v0."""
     assert run("check", "--help") == 0
