@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from marl_mm.datasets.location import Location
 from marl_mm.received import printable_name
+from marl_mm.terminal import table_or_list
 
 if TYPE_CHECKING:  # a help takes neither data nor the simulator
     from marl_mm.datasets.dataset import Dataset
@@ -21,33 +22,18 @@ def show(values: Any, text: str = "", as_json: bool = True) -> None:
 def print_rows(
     rows: Sequence[Mapping[str, Any]], as_json: bool, title: str | None = None
 ) -> None:
-    """Print rows as JSON or, a column a key, as a table without empty columns.
+    """Print rows as JSON or, a column a key, as a table or list, ``table_or_list``.
 
-    Into a pipe, texts of the table are whole, for a search. Texts may come from
-    strangers: control characters and line breaks are spelled out.
+    Into a pipe, texts of the table are whole, for a search.
     """
     from rich.console import Console
-    from rich.table import Column, Table
-    from rich.text import Text
 
     if as_json:
         show(rows)
         return
-    names = [name for name in rows[0] if any(row[name] is not None for row in rows)]
-    about = None if title is None else Text(printable_name(title), "table.title")
-    table = Table(*(Column(name, overflow="fold") for name in names), title=about)
-    for row in rows:
-        table.add_row(*(Text(printable_name(_text(row[name]))) for name in names))
     console = Console()
-    (console if console.is_terminal else Console(width=200)).print(table)
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, Mapping):
-        value = [f"{name} {number}" for name, number in value.items()]
-    if isinstance(value, list):
-        return ", ".join(map(str, value))
-    return "-" if value is None else str(value)
+    console = console if console.is_terminal else Console(width=200)
+    console.print(table_or_list(rows, title, console.width))
 
 
 def print_evaluations(evaluations: Sequence["Evaluation"]) -> None:

@@ -16,7 +16,7 @@ import tyro
 from marl_mm.cli import ABOUT_PLUGINS
 from marl_mm.declared import refuse_taken
 from marl_mm.errors import UsageError, meant
-from marl_mm.help_texts import FLOWING, filled, joined
+from marl_mm.terminal import FLOWING, filled, joined
 
 Main = Callable[[Sequence[str]], None]
 """A command: a function of the words after its name."""
