@@ -5,6 +5,8 @@ A card is stored with its dataset as ``card.json``, ``card.md`` and ``card.png``
 
 import io
 import json
+import shutil
+import textwrap
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -156,10 +158,16 @@ def write_card(dataset: "Dataset", values: dict[str, Any], stem: Path) -> None:
 
 
 def card_text(values: dict[str, Any]) -> str:
-    """The card as lines of text."""
+    """The card as lines of text, as wide as the terminal; into a pipe, one a value."""
     rows = _rows(values)
-    width = max(len(name) for name, _ in rows)
-    return "\n".join(f"{name:<{width}}  {text}" for name, text in rows)
+    width = max(len(name) for name, _ in rows) + 2
+    lines = textwrap.TextWrapper(
+        shutil.get_terminal_size((100_000, 24)).columns,
+        subsequent_indent=" " * width,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return "\n".join(lines.fill(f"{name:<{width}}{text}") for name, text in rows)
 
 
 def card_markdown(values: dict[str, Any], figure: str = "card.png") -> str:
