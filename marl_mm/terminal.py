@@ -80,9 +80,10 @@ def _joined_later(field: StructFieldSpec) -> Callable[[], str | None]:
 def table_or_list(
     rows: Sequence[Mapping[str, Any]], title: str | None, width: int
 ) -> "Table | Text":
-    """Rows as a table without empty columns, or as a list where that is shorter.
+    """Rows as a table without empty columns, or as a list.
 
-    It is a list, too, where a table would break words. A row's first value heads it.
+    It is a list where a table would break words, or be twice as long. There a row's
+    first value heads it.
     Texts may come from strangers: control characters and line breaks are spelled out.
 
     Args:
@@ -111,7 +112,7 @@ def table_or_list(
         table.add_row(*map(Text, line))
     fits = sum(widths) + 3 * len(names) + 1 <= width
     height = len(Console(width=width).render_lines(table)) - _FRAME
-    return table if fits and height <= len(listed.split()) else listed
+    return table if fits and height <= 2 * len(listed.split()) else listed
 
 
 def _paragraph(names: Sequence[str], cells: Sequence[str], width: int) -> str:

@@ -31,4 +31,5 @@ def main(
     with progress_bars() as bar:
         made = board(folders, out=out, films=films, overwrite=overwrite, progress=bar)
     count = sum(map(len, made.sections))
-    print(f"{made.page}: {count} submissions, open it in a browser")
+    plural = "s" if count != 1 else ""
+    print(f"{made.page}: {count} submission{plural}, open it in a browser")
