@@ -3,7 +3,8 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from types import NoneType
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -20,6 +21,15 @@ MOST_GOALS = 25_000
 rows of about 550 bytes are a record of at most ``RECORD_BYTES``."""
 
 _GOALS = ("episodes", "eval_episodes", "curve_episodes", "goals")
+
+_WORDS = {
+    bool: "True or False",
+    int: "a whole number",
+    float: "a number",
+    str: "a text",
+    NoneType: "None",
+}
+"""Types of settings in words."""
 
 SEEDS_OF_RUNS = 2**31
 """Number of seeds of runs: two streams of each, which torch's generator of 32 bits
@@ -95,7 +105,10 @@ def with_values(
             if isinstance(value, str) and refusal is UsageError:
                 refuse_control_characters(f"{owner}: {field.name}", value)
             where = f"{owner}: {field.name} is {value!r:.80}"
-            check_kind(value, kind, where, refusal)
+            try:
+                check_kind(value, kind, where, refusal)
+            except refusal:
+                raise refusal(f"{where}, expected {_in_words(kind)}") from None
             kinds = {kind, *get_args(kind)}
             parts = value if isinstance(value, tuple) else (value,)
             odd = any(isinstance(part, bool) for part in parts)
@@ -103,6 +116,19 @@ def with_values(
                 raise refusal(f"{where}, expected a number")
             changes[field.name] = value
     return replace(record, **changes)  # type: ignore[type-var]
+
+
+def _in_words(kind: Any) -> str:
+    """The type of a setting in a user's words."""
+    if kind in _WORDS:
+        return _WORDS[kind]
+    parts = get_args(kind)
+    if get_origin(kind) is Literal:
+        return " or ".join(map(str, parts))
+    if get_origin(kind) is tuple:
+        words = ("..." if part is Ellipsis else _in_words(part) for part in parts)
+        return f"({', '.join(words)})"
+    return " or ".join(map(_in_words, parts)) or getattr(kind, "__name__", str(kind))
 
 
 def setting_names(record: Any) -> Iterator[str]:

@@ -399,7 +399,7 @@ ONE = Evaluation("pd", {}, "Reach-v0", {}, 0, [ROW])
         (lambda: marl_mm.train("mabc", "good-5k", update=5), "did you mean updates?"),
         (
             lambda: marl_mm.train("mabc", "good-5k", updates="5"),
-            "mabc: updates is '5': str is not an instance of int",
+            "mabc: updates is '5', expected a whole number",
         ),
         (lambda: marl_mm.train("mabc", "good-5k", seeds=()), "names no seed"),
         (lambda: marl_mm.collect("pd", alpha_rul="room"), "did you mean alpha_rule?"),
@@ -467,7 +467,15 @@ ONE = Evaluation("pd", {}, "Reach-v0", {}, 0, [ROW])
         (lambda: marl_mm.load_dataset(cast(Any, None)), "None is no dataset's name"),
         (
             lambda: marl_mm.collect("pd", steps="a"),
-            "collect: steps is 'a': str did not match",
+            "collect: steps is 'a', expected a whole number or None",
+        ),
+        (
+            lambda: marl_mm.collect("pd", alpha_rule="left"),
+            "alpha_rule is 'left', expected constant or direction or room",
+        ),
+        (
+            lambda: marl_mm.train("mabc", "good-5k", hidden="wide"),
+            "hidden is 'wide', expected (a whole number, ...)",
         ),
         (
             lambda: marl_mm.train("mabc", "good-5k", config=3),

@@ -101,7 +101,7 @@ def test_what_was_stopped_is_not_rebuilt(
             {"collector_config": {"kq": 1}},
             "has no setting 'kq', expected some of alpha",
         ),
-        ({"collector_config": {"kp": "1"}}, "kp is '1': str is neither float or int"),
+        ({"collector_config": {"kp": "1"}}, "kp is '1', expected a number"),
         ({"packages": None}, "made_of: packages: None is not a dict"),
         ({"packages": {"numpy": 2}}, "packages: value of key 'numpy' of dict is not"),
         ({"agent": "w"}, "made_of has 'agent', which is not rebuilt"),
