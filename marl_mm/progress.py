@@ -31,6 +31,9 @@ Bar = Callable[[str, int], Advance]
 _LINE = 60.0
 """Time between lines where there is no terminal to redraw [s]."""
 
+_WIDTH = 120
+"""Width of those lines, in which whole labels fit."""
+
 _LOST = 5.0
 """Longest wait for last messages [s]: a process that was killed may hold the queue."""
 
@@ -66,6 +69,9 @@ def progress_bars(vanish: bool = False) -> Iterator[Bar]:
     Args:
         vanish: Whether full bars disappear.
     """
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        console.width = _WIDTH
     bars = _Bars(
         _Elastic("{task.description:<16}"),
         BarColumn(bar_width=6),  # all of it and a note fit into 80 columns
@@ -74,7 +80,7 @@ def progress_bars(vanish: bool = False) -> Iterator[Bar]:
         TextColumn("left"),
         TimeRemainingColumn(),
         _Elastic("{task.fields[note]}"),
-        console=Console(stderr=True),
+        console=console,
         redirect_stdout=sys.stdout.isatty(),  # results may go to a file
         speed_estimate_period=600,  # an evaluation between may take a minute
     )
