@@ -1,5 +1,6 @@
 """Progress with ETA on stderr, so that stdout holds nothing but results."""
 
+import shutil
 import sys
 import threading
 import time
@@ -32,7 +33,7 @@ _LINE = 60.0
 """Time between lines where there is no terminal to redraw [s]."""
 
 _WIDTH = 120
-"""Width of those lines, in which whole labels fit."""
+"""Usual width of those lines, in which whole labels fit."""
 
 _LOST = 5.0
 """Longest wait for last messages [s]: a process that was killed may hold the queue."""
@@ -71,7 +72,7 @@ def progress_bars(vanish: bool = False) -> Iterator[Bar]:
     """
     console = Console(stderr=True)
     if not console.is_terminal:
-        console.width = _WIDTH
+        console.width = shutil.get_terminal_size((_WIDTH, 24)).columns  # or COLUMNS
     bars = _Bars(
         _Elastic("{task.description:<16}"),
         BarColumn(bar_width=6),  # all of it and a note fit into 80 columns
