@@ -17,7 +17,7 @@ from marl_mm.algorithms import pretrained
 from marl_mm.algorithms.actors import blank_actor
 from marl_mm.algorithms.checkpoint import FILE, check_types, read_checkpoint
 from marl_mm.algorithms.policy import LearnedPolicy, load_policy
-from marl_mm.archives import PICKLE_BYTES
+from marl_mm.archives import PICKLE_BYTES, check_saved
 from marl_mm.envs.registry import make_task
 from marl_mm.errors import CheckpointError, UsageError
 
@@ -79,6 +79,28 @@ def test_compressed_parts_are_refused(gift: Path) -> None:
     repack(gift, None, zipfile.ZIP_DEFLATED)
     with pytest.raises(CheckpointError, match="is compressed"):
         load_policy(gift)
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_two_parts_of_one_name_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "two.pt"
+    with zipfile.ZipFile(path, "w") as archive:
+        for content in (b"\x80\x02K\x01.", b"\x80\x02K\x02."):
+            archive.writestr("a/data.pkl", content)
+    with pytest.raises(ValueError, match="two parts of one name"):
+        check_saved(path)
+
+
+@pytest.mark.parametrize("name", ["a/data.pkl", "a/DATA.PKL", "Data.pkl"])
+def test_a_structure_is_looked_at_whatever_the_case_of_its_name(
+    name: str, tmp_path: Path
+) -> None:
+    """torch finds it in any."""
+    path = tmp_path / "structure.pt"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr(name, b"\x80\x04N.")
+    with pytest.raises(ValueError, match="a pickle of protocol 4"):
+        check_saved(path)
 
 
 def test_an_archive_behind_another_file_is_refused(gift: Path) -> None:

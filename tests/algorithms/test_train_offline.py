@@ -2,16 +2,19 @@
 
 import json
 import os
+import shutil
 import signal
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
 import pytest
 import torch
 
+import marl_mm
 from marl_mm.algorithms.checkpoint import FILE, read_checkpoint
 from marl_mm.algorithms.policy import load_policy
 from marl_mm.cli import main
@@ -20,7 +23,14 @@ from marl_mm.datasets.location import locate
 from marl_mm.datasets.provenance import Provenance
 from marl_mm.datasets.storage import write_dataset
 from marl_mm.episode import Episode
+from marl_mm.errors import OutputExistsError
+from marl_mm.runs import seeds as seeding
+from marl_mm.runs.checks import check_training
+from marl_mm.runs.folder import CONFIG
+from marl_mm.runs.run import Run
+from marl_mm.runs.training import Offline
 from tests.forks import Fork
+from tests.runs.tampering import edit
 
 WorkersOf = Callable[[int], list[psutil.Process]]
 MakeEpisode = Callable[..., Episode]
@@ -231,3 +241,61 @@ def test_studies_that_use_no_gpu_refuse_it(
 ) -> None:
     assert main(["ablate", study, "--plan", "--device", "cuda"]) == 2
     assert "--device is cuda, expected cpu" in capsys.readouterr().err
+
+
+FEW: dict[str, Any] = {
+    **{"updates": 20, "hidden": (8, 8), "batch_size": 16, "engine": "mujoco"},
+    **{"curve_every": 100, "curve_episodes": 1, "eval_episodes": 1, "max_steps": 3},
+}
+
+
+def trained(out: Path, **settings: Any) -> list[Run]:
+    return marl_mm.train("td3-bc", "good-5k", out=out, **FEW | settings)
+
+
+@pytest.mark.slow
+def test_seeds_at_several_updates_go_on_side_by_side(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for seed, updates in enumerate((20, 10)):
+        trained(tmp_path, seeds=(seed,), updates=updates)
+    monkeypatch.setattr(Offline, "side_by_side", True)
+    runs = trained(tmp_path, seeds=(0, 1), updates=30, resume=True)
+    assert [run.metrics[-1]["step"] for run in runs] == [30, 30]
+
+
+@pytest.mark.slow
+def test_a_run_that_another_process_made_meanwhile_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (other,) = trained(tmp_path / "other")
+
+    def beside_another(*given: Any) -> None:
+        check_training(*given)
+        shutil.copytree(other.folder, tmp_path / "out/0", dirs_exist_ok=True)
+
+    monkeypatch.setattr(seeding, "check_training", beside_another)
+    with pytest.raises(OutputExistsError):
+        trained(tmp_path / "out", updates=5)
+    for path in other.folder.iterdir():
+        assert (tmp_path / "out/0" / path.name).read_bytes() == path.read_bytes()
+
+
+@pytest.mark.slow
+def test_what_is_not_the_runs_stays_where_it_is_overwritten(tmp_path: Path) -> None:
+    """Such as an evaluation that ``marl-mm eval --out`` wrote there."""
+    (run,) = trained(tmp_path)
+    names = "eval_mine.json", "eval_best.json", "best.zip"
+    mine, *older = (run.folder / name for name in names)
+    for path in (mine, *older):
+        path.write_text("{}")
+    trained(tmp_path, updates=5, overwrite=True)
+    assert mine.exists() and not any(path.exists() for path in older)
+
+
+@pytest.mark.slow
+def test_a_run_goes_on_where_its_dataset_has_moved(tmp_path: Path) -> None:
+    (run,) = trained(tmp_path)
+    edit(run.folder / CONFIG, lambda v: v["dataset"].update(path="/elsewhere"))
+    (more,) = trained(tmp_path, updates=30, resume=True)
+    assert more.metrics[-1]["step"] == 30

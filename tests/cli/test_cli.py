@@ -1,5 +1,6 @@
 """The command line as a user meets it: one clear line and the right exit code."""
 
+import io
 import json
 import os
 import re
@@ -331,6 +332,13 @@ def test_what_was_typed_wrongly_or_stopped_is_told(
     assert listed.count("marl_mm/reach/begun-v0") == 1
     assert run("datasets", "export", "begun", "--out", str(tmp_path / "x.h5")) == 0
     assert "is of a collection that was stopped" in one_line(capsys)
+    assert run("datasets", "verify", "begun") == 0
+    assert "is of a collection that was stopped" in one_line(capsys)
+    path = dataset / "data/main_data.hdf5"
+    path.write_bytes(path.read_bytes()[:-100])
+    for names in (("begun", ID), (ID, "begun")):  # one of two is enough
+        assert run("datasets", "verify", *names) == 1
+        assert f"not as they should be: {ID}" in capsys.readouterr().err
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "stdin", None)  # a process whose input was closed
         assert run("datasets", "delete", "begun") == 2
@@ -338,6 +346,33 @@ def test_what_was_typed_wrongly_or_stopped_is_told(
     assert run("datasets", "delete", "begun", "--yes", "--json") == 0
     assert json.loads(capsys.readouterr().out)["deleted"] == str(location.folder)
     assert not location.working.exists()
+
+
+class Terminal(io.StringIO):
+    """What somebody types."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("answer", "gone"),
+    [
+        *(("y\n", True), ("YES \n", True)),
+        *(("\n", False), ("n\n", False), ("what?\n", False), ("", False)),
+    ],
+)
+def test_a_dataset_is_deleted_after_a_yes_alone(
+    answer: str,
+    gone: bool,
+    dataset: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Output,
+) -> None:
+    monkeypatch.setattr(sys, "stdin", Terminal(answer))
+    assert run("datasets", "delete", ID) == 0
+    assert f"delete {dataset}? [y/N]" in capsys.readouterr().err
+    assert dataset.exists() != gone
 
 
 @pytest.mark.slow
@@ -629,10 +664,11 @@ def test_a_reader_that_has_gone_ends_the_command_in_silence() -> None:
     """As `head` does; seeds that were not yet trained are no success."""
     reader, writer = os.pipe()
     os.close(reader)
-    words = [sys.executable, "-m", "marl_mm.cli", "tasks"]
-    child = subprocess.run(words, stdout=writer, stderr=subprocess.PIPE)
+    for word in ("tasks", "--version"):  # rich meets the first one
+        words = [sys.executable, "-m", "marl_mm.cli", word]
+        child = subprocess.run(words, stdout=writer, stderr=subprocess.PIPE)
+        assert child.returncode == 1 and child.stderr == b""
     os.close(writer)
-    assert child.returncode == 1 and child.stderr == b""
 
 
 def test_sigterm_ends_a_job_that_ignores_ctrl_c() -> None:

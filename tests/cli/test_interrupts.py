@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 
 import pytest
@@ -53,7 +54,10 @@ def test_an_interrupt_comes_while_another_error_is_handled() -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_second_interrupt_changes_nothing(number: signal.Signals) -> None:
+def test_a_second_interrupt_changes_nothing(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(interrupts, "_ECHO", 0.0)  # as if each came much later
     with pytest.raises(KeyboardInterrupt, match="the first"):
         try:
             raise KeyboardInterrupt("the first")
@@ -83,6 +87,19 @@ def test_what_is_ignored_stays_ignored() -> None:
     with deaf_to_interrupts():
         signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+def test_a_block_in_another_thread_changes_no_handler() -> None:
+    before, within = signal.getsignal(signal.SIGINT), []
+
+    def work() -> None:
+        with deaf_to_interrupts():
+            within.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert within == [before]
 
 
 def test_processes_started_in_the_block_do_not_hear_it() -> None:

@@ -1,11 +1,13 @@
 """Progress: numbers stay whole, whatever the line's width."""
 
 import re
+import time
+from multiprocessing import get_context
 from typing import Any
 
 import pytest
 
-from marl_mm.progress import progress_bars
+from marl_mm.progress import Advance, distant_bars, progress_bars, show_distant_bars
 
 
 @pytest.mark.parametrize("width", [70, 80, 200])
@@ -32,3 +34,41 @@ def test_full_bars_vanish_where_that_is_asked_for(
         half(1, "")
     shown = capsys.readouterr().err
     assert ("first" in shown) == (not vanish) and "second" in shown
+
+
+def test_of_bars_without_work_an_error_leaves_nothing(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(ValueError, match="too late"), progress_bars() as bar:
+        bar("first", 2)
+        raise ValueError("too late")
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("error", "ends"), [(BrokenPipeError(), False), (ValueError("odd"), True)]
+)
+def test_a_bar_that_fails_ends_distant_work_unless_nobody_reads_it(
+    error: Exception, ends: bool
+) -> None:
+    context = get_context("forkserver")
+    messages, stop = context.Queue(), context.Event()
+
+    def bar(label: str, total: int) -> Advance:
+        raise error
+
+    def work() -> None:
+        with show_distant_bars(messages, stop, bar):
+            advance: Any = distant_bars(messages, stop)("first", 2)
+            until = time.monotonic() + 30
+            while ends and time.monotonic() < until:  # Ctrl-C, as for the worker
+                time.sleep(0.01)
+                advance(0, "")
+            advance(2, "")
+
+    if ends:
+        with pytest.raises(ValueError, match="odd"):
+            work()
+    else:
+        work()
+    assert stop.is_set() == ends

@@ -213,6 +213,20 @@ def test_the_task_is_the_files(
 
 
 @pytest.mark.slow
+def test_the_engine_and_longer_episodes_of_a_folder_come_along(
+    datasets_home: Path, make_episode: MakeEpisode
+) -> None:
+    on_mujoco = {"simulation": {"engine": "mujoco"}, "max_steps": 40}
+    arrays = arrays_of([make_episode(0, steps=30), make_episode(1)], ID)
+    np.clip(arrays.actions, REACH.low, REACH.high, out=arrays.actions)
+    provenance = Provenance(task="Reach-v0", collector="pd", overrides=on_mujoco)
+    write_dataset(locate(ID), arrays, provenance)
+    assert run("datasets", "import", datasets_home / ID, "--out", "again") == 0
+    made = load_dataset("again").provenance
+    assert (made.engine, made.overrides["max_steps"]) == ("mujoco", 30)
+
+
+@pytest.mark.slow
 def test_another_package_of_our_name_is_not_imported(
     dataset: Path, tmp_path: Path
 ) -> None:

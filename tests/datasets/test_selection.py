@@ -1,5 +1,6 @@
 """Datasets of datasets: what is drawn, and that everybody can tell where it is from."""
 
+import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -162,6 +163,26 @@ def test_a_stopped_split_leaves_no_half_of_another(
     with pytest.raises(KeyboardInterrupt):
         marl_mm.split_dataset(one, share=0.3, seed=1, overwrite=True)
     assert first.location.folder.exists() and not rest.location.folder.exists()
+
+
+def test_no_dataset_is_replaced_by_what_is_made_of_it(
+    make: Callable[..., Dataset],
+) -> None:
+    one = make("one")
+    before, out = one.fingerprint, one.location.folder
+    with pytest.raises(UsageError, match="choose another"):
+        marl_mm.filter_dataset(one, out, outcome="reached", overwrite=True)
+    with pytest.raises(UsageError, match="choose another"):
+        marl_mm.mix_datasets([(make("two", 20), 5), (one, 5)], out, overwrite=True)
+    assert load_dataset("one").fingerprint == before
+
+
+def test_what_python_makes_has_its_card_beside_it(
+    make: Callable[..., Dataset],
+) -> None:
+    few = marl_mm.filter_dataset(make("one"), "few", outcome="reached")
+    kept = json.loads((few.location.folder / "card.json").read_text())
+    assert kept["episodes"] == len(few.arrays)
 
 
 def test_a_split_that_is_refused_deletes_nothing(make: Callable[..., Dataset]) -> None:

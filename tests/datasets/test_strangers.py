@@ -29,7 +29,14 @@ from marl_mm.datasets.storage import write_dataset
 from marl_mm.datasets.verify import verify
 from marl_mm.episode import Episode
 from marl_mm.errors import DatasetError
-from marl_mm.received import file_digest, parse_json
+from marl_mm.received import (
+    check_kind,
+    check_plain,
+    damage_named,
+    file_digest,
+    parse_json,
+    refuse_links_out,
+)
 
 Output = pytest.CaptureFixture[str]
 pytestmark = pytest.mark.usefixtures("drawn")
@@ -145,6 +152,9 @@ def test_links_that_leave_the_folder_are_refused(
     (gift / name).rename(tmp_path / "elsewhere")
     (gift / name).symlink_to(tmp_path / "elsewhere")
     refused(gift, "is a link out of its folder", capsys)
+    words = ["datasets", "import", str(gift), "--out", str(tmp_path / "imported")]
+    assert main(words) == 1
+    assert "is a link out of its folder" in capsys.readouterr().err
 
 
 def test_a_linked_dataset_is_read_and_only_the_link_deleted(
@@ -289,6 +299,26 @@ def test_implausible_episodes_are_refused_though_signed(
     assert main(words) == 1 and match in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "match"),
+    [
+        ("truncations", True, "1 steps that are both terminated and truncated"),
+        ("terminations", False, "1 episodes that neither reached the goal nor ran"),
+    ],
+)
+def test_ends_that_cannot_be_are_refused_though_signed(
+    gift: Path,
+    capsys: Output,
+    key: str,
+    value: bool,
+    match: str,
+) -> None:
+    with h5py.File(gift / "data" / FILE, "r+") as file:
+        file[f"episode_0/{key}"][-1] = value
+    sign(gift)
+    refused(gift, match, capsys)
+
+
 def unread_storage(group: Any, secret: Path) -> None:
     secret.write_bytes(bytes(80))
     group.create_dataset("unread", (10,), "f8", external=[(secret, 0, 80)])
@@ -347,7 +377,7 @@ def start_far_away(group: Any) -> None:
 @pytest.mark.parametrize(
     ("change", "match"),
     [
-        (lambda group: group.attrs.__setitem__("seed", -5), "1 seeds below 0"),
+        (lambda group: group.attrs.__setitem__("seed", -1), "1 seeds below 0"),
         (
             lambda group: group.attrs.__setitem__("seed", np.uint64(2**64 - 1)),
             f"{FILE}, episode_0: 'seed' is 18446744073709551615, expected an integer",
@@ -627,3 +657,36 @@ def test_records_are_read_to_sixty_levels() -> None:
     for depth in (61, 100_000):
         with pytest.raises(DatasetError, match=r"60 levels|is damaged"):
             parse_json("[" * depth + "0" + "]" * depth, "x", DatasetError)
+
+
+@pytest.mark.parametrize(
+    "value", [{"\x1b[2J": 1}, [{"a": ["\x1b"]}], ({"\x1b"},), [frozenset("\x1b")]]
+)
+def test_control_characters_are_found_in_names_and_sets_too(value: Any) -> None:
+    with pytest.raises(DatasetError, match="it holds control characters"):
+        check_plain(value, "it", DatasetError)
+
+
+@pytest.mark.parametrize(
+    ("value", "kind"),
+    [([1, 2, "3"], list[int]), ({"a": 1.0, "b": "2"}, dict[str, float])],
+)
+def test_all_items_are_of_their_type_and_not_the_first_alone(
+    value: Any, kind: Any
+) -> None:
+    with pytest.raises(DatasetError, match=r"it: .*(item 2|value of key 'b')"):
+        check_kind(value, kind, "it", DatasetError)
+
+
+def test_links_in_a_circle_lead_nowhere(tmp_path: Path) -> None:
+    (tmp_path / "a").symlink_to("b")
+    (tmp_path / "b").symlink_to("a")
+    with pytest.raises(DatasetError, match="is a link that leads nowhere"):
+        refuse_links_out(tmp_path, ["a"], DatasetError)
+
+
+@pytest.mark.parametrize("odd", [OverflowError, ZeroDivisionError, KeyError, TypeError])
+def test_errors_at_odd_values_are_damage(odd: type[Exception]) -> None:
+    with pytest.raises(DatasetError, match="it is damaged"):
+        with damage_named("it", DatasetError):
+            raise odd

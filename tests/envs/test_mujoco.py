@@ -22,7 +22,7 @@ from marl_mm.robot.description import RobotConfig
 from marl_mm.robot.model import RobotModel, RobotState
 from marl_mm.robot.names import ARM_JOINTS, GRASP_FRAME
 from marl_mm.sim.config import SimulationConfig
-from marl_mm.sim.mujoco.model import BLOCK, NO_SLIP
+from marl_mm.sim.mujoco.model import BLOCK, GROUND, NO_SLIP
 from marl_mm.sim.mujoco.world import MujocoWorld
 from marl_mm.sim.scene import Block, Scene
 from marl_mm.sim.world import open_world
@@ -406,15 +406,24 @@ def test_an_order_of_constraints_that_is_not_expected_is_told(
 
 
 def test_a_block_has_the_mass_and_inertia_of_its_edges() -> None:
-    """Of a cuboid: a twelfth of its mass times the squares of the other two edges."""
-    world = MujocoWorld(RobotConfig(), SimulationConfig(engine="mujoco"))
+    """Of a cuboid: a twelfth of its mass times the squares of the other two edges.
+
+    Another world with another block changes nothing.
+    """
+    world, other = (
+        MujocoWorld(RobotConfig(), SimulationConfig(engine="mujoco")) for _ in range(2)
+    )
     x, y, z = edges = 0.04, 0.06, 0.1
-    world.reset((), Scene(Block(edges, 2.0, 0.7), (0.7, 0.5, 0.5), (0.1, 0.1, 0.45)))
+    for one, mass, friction in ((world, 2.0, 0.7), (other, 1.0, 0.5)):
+        block = Block(edges, mass, friction)
+        one.reset((), Scene(block, (0.7, 0.5, 0.5), (0.1, 0.1, 0.45)))
     body = world.model.body(BLOCK)
     assert body.mass.item() == 2.0
     by_hand = np.array([y**2 + z**2, x**2 + z**2, x**2 + y**2]) * 2.0 / 12
     assert body.inertia == pytest.approx(by_hand)
     assert world.model.geom(BLOCK).size == pytest.approx(np.array(edges) / 2)
+    ground = world.model.pair(f"{GROUND}+{BLOCK}").id
+    assert world.model.pair_friction[ground, :2].tolist() == [0.7, 0.7]
 
 
 def test_levels_that_run_out_of_iterations_are_counted_each() -> None:

@@ -154,6 +154,11 @@ def linked(folder: Path) -> None:
     path.symlink_to(outside)
 
 
+def linked_seed(folder: Path) -> None:
+    outside = (folder / "0").rename(folder.parent / "outside")
+    (folder / "0").symlink_to(outside)
+
+
 def pickled(folder: Path) -> None:
     (folder / "0" / "extra.pkl").write_bytes(pickle.dumps({"a": 1}))
 
@@ -175,6 +180,18 @@ def hash_of_another(values: Any) -> None:
 
 def looser(values: Any) -> None:
     values["overrides"]["success_distance"] = 0.5
+
+
+def elsewhere(folder: Path) -> None:
+    """A goal that nobody has; hashes of nothing."""
+    in_each(EPISODES, lambda v: v.update(sha256=["0" * 64 for _ in v["sha256"]]))(
+        folder
+    )
+    row(1, goal=[9.0, 9.0, 9.0])(folder)
+
+
+def slippery(values: Any) -> None:
+    values["overrides"]["simulation"]["wheel_friction"] = 0.5
 
 
 def longer(values: Any) -> None:
@@ -200,7 +217,12 @@ TAMPERING: dict[str, tuple[Change, str]] = {
     "weights cut off": (truncated, "is damaged"),
     "a pickle for weights": (pickle_for_weights, "is damaged"),
     "a link for weights": (linked, "no links"),
+    "a link for a seed's folder": (linked_seed, "holds '0'.*no links"),
     "a file added": (pickled, "holds '0/extra.pkl'"),
+    "an empty folder added": (
+        lambda folder: (folder / "extra").mkdir(),
+        "holds 'extra'",
+    ),
     "a path out of the folder": (
         manifest(lambda v: v["files"].update({"../x": "0" * 64})),
         "'../x' is not the manifest's file",
@@ -212,6 +234,7 @@ TAMPERING: dict[str, tuple[Change, str]] = {
         in_each(EVALUATION, lambda v: v["episodes"].__setitem__(1, v["episodes"][0])),
         "row 1 is not of goal 1",
     ),
+    "another goal": (elsewhere, "goals 1, or goals, are others"),
     "an episode's hash copied": (
         lambda folder: edit(folder / "0" / EPISODES, hash_of_another),
         "episodes of goals 1 are others",
@@ -240,6 +263,7 @@ TAMPERING: dict[str, tuple[Change, str]] = {
         "goal 0 of se",
     ),
     "a looser task": (in_each(EVALUATION, looser), "replaces success_distance"),
+    "another simulation": (in_each(EVALUATION, slippery), "replaces wheel_friction"),
     "an engine that is none": (
         in_each(
             EVALUATION, lambda v: v.update(overrides={"simulation": {"engine": 1}})
@@ -254,6 +278,20 @@ TAMPERING: dict[str, tuple[Change, str]] = {
     "another task": (
         in_each(EVALUATION, lambda v: v.update(task="Gate-v0")),
         "same setting",
+    ),
+    "another engine of the runs": (
+        in_each(CONFIG, lambda v: v.update(engine="bullet")),
+        "same setting",
+    ),
+    "other steps of a seed": (
+        lambda folder: edit(
+            folder / "1" / EVALUATION, lambda v: v["overrides"].update(max_steps=24)
+        ),
+        "1: its rows are not of the same setting",
+    ),
+    "another layout": (
+        in_each(CONFIG, lambda v: v["layout"]["state"][0].__setitem__(3, 9.0)),
+        "another layout than the task",
     ),
     "a seed's hyper-parameter": (
         lambda folder: edit(folder / "0" / CONFIG, lambda v: v.update(batch_size=9)),
@@ -288,6 +326,14 @@ TAMPERING: dict[str, tuple[Change, str]] = {
         in_each(EVALUATION, lambda v: v.update(success_rate=1.0)),
         "has 'success_rate', which nobody checks",
     ),
+    "another engine's name": (
+        in_each(EVALUATION, lambda v: v.update(engine="bullet 1.0")),
+        "engine is 'bullet 1.0', expected",
+    ),
+    "settings of the policy": (
+        in_each(EVALUATION, lambda v: v.update(policy_config={"noise": 0.0})),
+        "policy_config is",
+    ),
     "another policy's name": (
         in_each(EVALUATION, lambda v: v.update(policy="best")),
         "policy is 'best', expected",
@@ -303,6 +349,14 @@ CLAIMS: dict[str, tuple[Change, str]] = {
     "a claim more": (
         manifest(lambda v: v["claims"].update(transfer=0.9)),
         "claims 'transfer', which is not scored",
+    ),
+    "a claim raised a little": (
+        manifest(lambda v: v["claims"].update(success=v["claims"]["success"] + 1e-3)),
+        "claims that success is",
+    ),
+    "another format": (
+        manifest(lambda v: v.update(format="marl_mm submission 2")),
+        "is no 'marl_mm submission 1' file",
     ),
     "an interval narrowed": (
         manifest(lambda v: v["claims"].update(success_interval=[0.9, 0.91])),

@@ -13,14 +13,16 @@ import pytest
 
 import marl_mm
 from marl_mm.cli import main
-from marl_mm.errors import UsageError
+from marl_mm.errors import OutputExistsError, SubmissionError, UsageError
 from marl_mm.files import write_json
 from marl_mm.runs import board as boards
-from marl_mm.runs.folder import EVALUATION
-from marl_mm.runs.submission import EPISODES, MANIFEST, seal
+from marl_mm.runs import submit as submitting
+from marl_mm.runs.folder import CONFIG, EVALUATION
+from marl_mm.runs.play import Film, play
+from marl_mm.runs.submission import EPISODES, MANIFEST, scored, seal
 from marl_mm.runs.submission_checks import read_submission
 from marl_mm.runs.verification import verification_file
-from tests.runs.tampering import seal_again
+from tests.runs.tampering import edit, manifest, seal_again
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
 pytestmark = pytest.mark.slow
@@ -72,8 +74,53 @@ def made(submissions: list[Path]) -> Any:
 
 def test_entries_of_other_goals_are_never_mixed(made: Any) -> None:
     names = [[e.submission.folder.name for e in section] for section in made.sections]
-    assert sorted(map(len, names)) == [1, 3]
-    assert ["others"] in names
+    assert [len(section) for section in names] == [3, 1]  # most entries first
+    assert names[1] == ["others"]
+
+
+@pytest.mark.parametrize("what", ["data", "engine", "goals", "steps"])
+def test_what_is_of_another_setting_stands_apart(
+    what: str,
+    submissions: list[Path],
+    tmp_path: Path,
+) -> None:
+    others, copy = submissions[2], tmp_path / "copy"
+    if what in ("goals", "steps"):
+        run = shutil.copytree(others.parent / "runs/agents/0", tmp_path / "run")
+        edit(run / CONFIG, lambda v: v.update(max_steps=20 if what == "goals" else 9))
+        marl_mm.submit(run, out=copy, episodes=2, seed=2 if what == "goals" else 1)
+    else:
+        shutil.copytree(others, copy)
+        data, engine = {"fingerprint": "0" * 16}, {"engine_version": "9.9"}
+        for seed in "012":
+            if what == "data":
+                edit(copy / seed / CONFIG, lambda v: v["dataset"].update(data))
+            else:
+                edit(copy / seed / EVALUATION, lambda v: v.update(engine))
+        version = {"mujoco-core": "9.9"} if what == "engine" else {}
+        manifest(lambda v: v["packages"].update(version))(copy)
+        seal_again(copy)
+    sections = marl_mm.board([others, copy], out=tmp_path / "page").sections
+    assert [len(section) for section in sections] == [1, 1]
+
+
+def test_the_page_shows_what_is_claimed(made: Any) -> None:
+    text = " ".join(made.page.read_text().split())
+    for entry in (entry for section in made.sections for entry in section):
+        claims = entry.submission.manifest["claims"]
+        rates = ", ".join(f"{100 * rate:.1f}" for rate in claims["success_seeds"])
+        assert f'<td class="number">{rates}</td>' in text
+        for name, scale, digits in (("success", 100, 1), ("return", 1, 2)):
+            mean, low, high = (
+                f"{scale * value:.{digits}f}"
+                for value in (claims[name], *claims[f"{name}_interval"])
+            )
+            assert f'{mean} <span class="quiet">[{low}, {high}]</span>' in text
+        if entry.verification:
+            success = f"{100 * entry.verification['success']:.1f} %"
+            assert f'title="scored again: equal to the bit; success {success}"' in text
+    assert "<dt>batch_size</dt><dd>64</dd>" in text and "<dt>max_steps" not in text
+    assert "film" not in text
 
 
 def test_no_cell_of_the_rows_is_a_formula(submissions: list[Path]) -> None:
@@ -119,15 +166,26 @@ def test_a_verdict_is_of_the_submission_that_was_scored(
     assert "not verified" in board.page.read_text()
 
 
-@pytest.mark.parametrize(("scored", "kind"), [(11, "open"), (12, "good")])
+def test_a_verdict_that_is_damaged_is_named(
+    submissions: list[Path],
+    tmp_path: Path,
+) -> None:
+    copy = shutil.copytree(submissions[2], tmp_path / "copy")
+    record = {"fingerprint": read_submission(copy).fingerprint, "verdict": 3}
+    write_json(verification_file(copy), record)
+    with pytest.raises(SubmissionError, match=r"verified\.json: verdict: int is not"):
+        marl_mm.board([copy], out=tmp_path / "page")
+
+
+@pytest.mark.parametrize(("count", "kind"), [(11, "open"), (12, "good")])
 def test_a_verdict_of_few_episodes_is_not_green(
-    scored: int, kind: str, submissions: list[Path], tmp_path: Path
+    count: int, kind: str, submissions: list[Path], tmp_path: Path
 ) -> None:
     copy = shutil.copytree(submissions[1], tmp_path / "agents")
     record = json.loads(verification_file(submissions[1]).read_text())
-    write_json(verification_file(copy), record | {"scored": scored})
+    write_json(verification_file(copy), record | {"scored": count})
     page = marl_mm.board([copy], out=tmp_path / "page").page.read_text()
-    assert re.search(rf'class="{kind}"[^>]*>verified, {scored} of 24', page)
+    assert re.search(rf'class="{kind}"[^>]*>verified, {count} of 24', page)
 
 
 def test_what_is_not_as_it_claims_is_last_and_in_no_group(
@@ -184,6 +242,31 @@ def test_verdicts_among_the_folders_are_left_out_and_these_are_kept(
     for folder, out in ((mine, mine / "page"), (here / "page/mine", here / "page")):
         with pytest.raises(UsageError, match=r"over or into|holds mine/.*, which is"):
             marl_mm.board(read_submission(folder), out=out, overwrite=True)
+
+
+@pytest.mark.parametrize("name", ["board", "submit"])
+def test_what_another_process_wrote_meanwhile_stays(
+    name: str,
+    submissions: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    module, inner = {"board": (boards, "_page"), "submit": (submitting, "seal")}[name]
+    work, mine = getattr(module, inner), tmp_path / "out/mine"
+
+    def beside_another(*given: Any) -> Any:
+        mine.parent.mkdir()
+        mine.touch()
+        return work(*given)
+
+    monkeypatch.setattr(module, inner, beside_another)
+    with pytest.raises(OutputExistsError):
+        if name == "board":
+            marl_mm.board(submissions[2], out=mine.parent)
+        else:
+            run = submissions[2].parent / "runs/agents/0"
+            marl_mm.submit(run, out=mine.parent, episodes=1)
+    assert [*tmp_path.rglob("*")] == [mine.parent, mine]
 
 
 # --- In a browser ------------------------------------------------------------
@@ -267,10 +350,20 @@ def test_films_stand_beside_the_page(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Each is of an episode that was scored."""
+    films: list[Film] = []
+
+    def kept(*given: Any, **settings: Any) -> Film:
+        films.append(play(*given, **settings))
+        return films[-1]
+
     monkeypatch.setattr(boards, "_FILM_FPS", 1)
+    monkeypatch.setattr(boards, "play", kept)
     out = tmp_path / "page"
-    words = ["board", str(submissions[2]), "--out", str(out), "--films"]
+    words = ["board", str(submissions[0]), "--out", str(out), "--films"]
     assert main(words) == 0
+    (run, *_) = read_submission(submissions[0]).runs
+    assert scored(films[0].episode).sha256 in {e.sha256 for e in run.episodes}
     complaints: list[str] = []
     page = opened(browser, out / "index.html", complaints)
     page.click("summary:text('film')")

@@ -31,16 +31,23 @@ from marl_mm.contracts.learners import some_episodes
 from marl_mm.envs.registry import make_task
 from marl_mm.envs.rollout import Rollouts
 from marl_mm.episode import Episode
-from marl_mm.errors import DivergedError, OtherConfigError, UsageError
+from marl_mm.errors import (
+    CheckpointError,
+    DivergedError,
+    OtherConfigError,
+    UsageError,
+)
 from marl_mm.eval.rows import read_rows
 from marl_mm.files import only_here
 from marl_mm.runs import learning
+from marl_mm.runs.folder import CONFIG
 from marl_mm.runs.run import Run
 from marl_mm.runs.starts import copy_start, start_hash
 from marl_mm.runs.submission import OF_A_SEED
 from marl_mm.runs.train import repeat
 from marl_mm.sim.world import check_engine
 from tests.algorithms.games import NoJudge
+from tests.runs.tampering import edit
 
 SMALL: dict[str, Any] = {
     **{"updates": 100, "hidden": (8, 8), "batch_size": 16, "engine": "mujoco"},
@@ -240,6 +247,23 @@ def test_what_a_run_cannot_start_from_is_refused_and_stays(
     other = marl_mm.collect("pd", dataset=tmp_path / "other", steps=30, engine="mujoco")
     refused("learnt from .*good-5k", dataset=other)
     assert before == {path: path.read_bytes() for path in before}
+
+
+def test_a_start_with_a_link_out_or_of_another_plug_in_is_refused(
+    offline: Run,
+    tmp_path: Path,
+) -> None:
+    start, new = tmp_path / "start", tmp_path / "new"
+    shutil.copytree(offline.folder, start)
+    (start / METRICS).rename(tmp_path / METRICS)
+    (start / METRICS).symlink_to(tmp_path / METRICS)
+    asked = online() | {"out": new, "start": start, "online_steps": 20}
+    with pytest.raises(CheckpointError, match="is a link out of its folder"):
+        marl_mm.train("matd3-bc", **asked)
+    edit(start / CONFIG, lambda v: v.update(plugins={"mine.py": "0" * 64}))
+    with pytest.raises(OtherConfigError, match=r"with another mine\.py"):
+        marl_mm.train("matd3-bc", **asked)
+    assert not new.exists()
 
 
 @pytest.mark.slow

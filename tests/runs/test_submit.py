@@ -3,7 +3,9 @@
 import json
 import re
 import shutil
+import time
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,26 +14,31 @@ import pytest
 
 import marl_mm
 from marl_mm.cli import main
+from marl_mm.envs.registry import TASKS
 from marl_mm.errors import (
     MarlMmError,
     OutputExistsError,
     SubmissionError,
     UsageError,
 )
+from marl_mm.eval.intervals import interval_of_mean, wider_interval
 from marl_mm.eval.metrics import METRICS, Metric
 from marl_mm.runs import submission_checks
 from marl_mm.runs import verify as verifying
-from marl_mm.runs.comparison import beyond_chance
-from marl_mm.runs.folder import EVALUATION
-from marl_mm.runs.submission import EPISODES, MANIFEST, Scored
+from marl_mm.runs.comparison import beyond_chance, differing
+from marl_mm.runs.folder import CONFIG, EVALUATION
+from marl_mm.runs.recipes import RECIPES
+from marl_mm.runs.submission import EPISODES, MANIFEST, Scored, scored
 from marl_mm.runs.submission_checks import read_submission
-from marl_mm.runs.verification import verification_file
+from marl_mm.runs.verification import stands, verification_file
+from tests.conftest import MakeEpisode
 from tests.runs.tampering import (
     CLAIMS,
     TAMPERING,
     UNSEALED,
     edit,
     in_each,
+    manifest,
     row,
     seal_again,
     weights,
@@ -81,6 +88,7 @@ def copy(honest: Path, tmp_path: Path) -> Path:
 
 def test_scoring_again_is_equal_to_the_bit(copy: Path) -> None:
     before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
+    verification_file(copy).write_text("[]")  # a damaged one is replaced
     result = marl_mm.verify(copy, seed=3)
     assert (result.verdict, result.differences) == ("equal to the bit", ())
     assert result.equal == result.scored == result.episodes == 2 * GOALS
@@ -105,7 +113,9 @@ def test_a_submitted_policy_has_its_own_name_and_is_not_written_into(
     assert marl_mm.load_policy(copy / "0").name == "mabc"
     monkeypatch.chdir(copy.parent)
     assert marl_mm.export(copy / "0")["file"] == "policy.ts"
-    assert marl_mm.verify(copy, minutes=1e-6).verdict == "equal to the bit"
+    monkeypatch.chdir(copy)
+    assert marl_mm.verify(".", minutes=1e-6).verdict == "equal to the bit"
+    assert verification_file(copy).exists()
 
 
 def test_a_folder_in_the_verdicts_place_is_refused_before_any_work(copy: Path) -> None:
@@ -128,6 +138,55 @@ def test_a_submission_follows_from_its_runs(honest: Path, runs: Path) -> None:
         each.row["return"] for each in made.runs[0].episodes[:2]
     ]
     assert made.manifest["dataset"].keys() == {"id", "fingerprint", "data_sha256"}
+
+
+def test_intervals_of_claims_count_goals_and_seeds(honest: Path) -> None:
+    made = read_submission(honest)
+    claims, rates = made.manifest["claims"], made.scores("success").mean(axis=1)
+    assert claims["success_interval"] == [*wider_interval(rates.tolist(), GOALS)]
+    assert claims["return_interval"] == [*interval_of_mean(made.scores("return"))]
+
+
+def test_a_hash_is_of_states_actions_and_rewards(make_episode: MakeEpisode) -> None:
+    episode = make_episode(0)
+    others = (
+        replace(episode, **{name: getattr(episode, name) + 1})
+        for name in ("states", "actions", "rewards")
+    )
+    assert len({scored(each).sha256 for each in (episode, *others)}) == 4
+
+
+def test_a_start_goes_by_its_name_and_data_by_a_hash_while_they_are_the_same(
+    runs: Path, tmp_path: Path
+) -> None:
+    run = shutil.copytree(runs / "short/0", tmp_path / "run")
+
+    def change(values: Any) -> None:
+        values |= {"start": str(tmp_path / "first"), "max_steps": 3}
+        values["dataset"]["fingerprint"] = "0" * 16
+
+    edit(run / CONFIG, change)
+    made = marl_mm.submit(run, out=tmp_path / "out", episodes=1)
+    assert made.runs[0].config.settings["start"] == "first"
+    assert made.manifest["dataset"].keys() == {"id", "fingerprint"}
+    assert made.task.max_steps == made.runs[0].episodes[0].row["steps"] == 3
+
+
+def test_minutes_are_minutes_and_the_seed_is_drawn(
+    honest: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[float, int]] = []
+
+    def stop(_: Any, end: float, seed: int, *others: Any) -> None:
+        asked.append((end - time.monotonic(), seed))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(verifying, "_scored_again", stop)
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            marl_mm.verify(honest, minutes=10)
+    assert all(590 < left <= 600 for left, _ in asked)
+    assert asked[0][1] != asked[1][1]
 
 
 def test_little_time_scores_a_part_that_a_seed_repeats(
@@ -167,7 +226,9 @@ def test_a_short_verification_replaces_no_longer_one(copy: Path) -> None:
     assert json.loads(verification_file(copy).read_text())["scored"] == 2 * GOALS
     row(0, success=not whole_row(copy, 0)["success"])(copy)
     seal_again(copy)
-    assert marl_mm.verify(copy).verdict == "not equal"
+    found = marl_mm.verify(copy)
+    assert found.verdict == "not equal"
+    assert found.claimed != found.success == whole.success == whole.claimed
     others = (marl_mm.verify(copy, minutes=1e-6, seed=seed) for seed in range(20))
     missed = next(each for each in others if each.verdict != "not equal")
     assert "kept on record: not equal, 12 scored before" in missed.notes
@@ -177,17 +238,50 @@ def test_a_short_verification_replaces_no_longer_one(copy: Path) -> None:
     assert marl_mm.verify(copy).verdict == "equal to the bit"
 
 
+def test_a_verdict_gives_way_to_one_that_knows_more(honest: Path) -> None:
+    whole = marl_mm.verify(honest)
+    part = replace(whole, scored=1)
+    false, partly = (replace(each, verdict="not equal") for each in (whole, part))
+    kept = (whole, part), (false, part), (partly, part)
+    replaced = (
+        *((part, part), (part, whole), (whole, whole), (false, whole)),
+        *((whole, partly), (whole, false), (partly, whole)),
+    )
+    assert all(stands(asdict(earlier), result) for earlier, result in kept)
+    assert not any(stands(asdict(earlier), result) for earlier, result in replaced)
+
+
 def whole_row(folder: Path, number: int) -> Any:
     return json.loads((folder / "0" / EVALUATION).read_text())["episodes"][number]
 
 
 def test_seeds_that_act_alike_are_named(copy: Path) -> None:
-    own = (copy / "0" / EPISODES).read_text()
-    first = json.loads(own)["first_action"]
-    edit(copy / "1" / EPISODES, lambda v: v.update(first_action=first))
+    """In all of their first actions; one of these may be the same."""
+    own, other = (
+        json.loads((copy / seed / EPISODES).read_text())["first_action"]
+        for seed in "01"
+    )
+    partly = [[*a[:1], *b[1:]] for a, b in zip(own, other, strict=True)]
+    for first, alike in ((partly, False), (own, True)):
+        edit(copy / "1" / EPISODES, partial(dict.update, first_action=first))
+        seal_again(copy)
+        notes = "; ".join(marl_mm.verify(copy, minutes=1e-6).notes)
+        assert ("seeds 0 and 1 begin alike for 6 of 6 goals" in notes) == alike
+
+
+def test_versions_machine_and_data_that_are_others_are_noted(copy: Path) -> None:
+    name = "quiet-zone-noisy"
+    recipe = {"recipe": name, "recipe_sha256": RECIPES.get(name).fingerprint}
+    in_each(CONFIG, lambda v: v["dataset"].update(recipe))(copy)
+    manifest(lambda v: v["packages"].update(numpy="1.0"))(copy)
+    manifest(lambda v: v["machine"].update(processor="Z80"))(copy)
     seal_again(copy)
-    notes = marl_mm.verify(copy).notes
-    assert any("seeds 0 and 1 begin alike for 6 of 6 goals" in note for note in notes)
+    result = marl_mm.verify(copy, minutes=1e-6)
+    assert result.verdict == "equal to the bit"
+    notes = "; ".join(result.notes)
+    assert f"submitted with numpy 1.0 (here {np.__version__})" in notes
+    assert "processor Z80 (here " in notes
+    assert "the dataset is not the one on record" in notes
 
 
 def test_a_value_that_is_the_tasks_own_makes_no_section(
@@ -205,6 +299,11 @@ def test_a_metric_of_ones_own_may_be_nan_and_unknown_elsewhere(
     METRICS.add("mine", Metric(about="Nothing.", value=lambda episode: float("nan")))
     made = marl_mm.submit(runs / "long/0", out=tmp_path / "out", episodes=2)
     assert marl_mm.verify(made).verdict == "equal to the bit"
+    before = marl_mm.submit(runs / "long/1", out=tmp_path / "before", episodes=1)
+    for path in before.folder.rglob(EVALUATION):  # from where there was none
+        edit(path, lambda v: [each.pop("mine") for each in v["episodes"]])
+    seal_again(before.folder)
+    assert marl_mm.verify(before).verdict == "equal to the bit"
     METRICS._things.pop("mine")
     result = marl_mm.verify(made)
     assert result.verdict == "equal to the bit"
@@ -240,6 +339,14 @@ def test_tampering_is_found_by_the_hashes_alone(name: str, copy: Path) -> None:
         marl_mm.board([copy], out=copy.parent / "board")
 
 
+def test_a_task_of_another_plug_in_is_refused(
+    copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(TASKS._origins, "Reach-v0", "tests.runs.tampering")
+    with pytest.raises(SubmissionError, match=r"with another tests\.runs\.tampering"):
+        read_submission(copy)
+
+
 def test_another_processors_last_bits_are_equal_within_intervals(copy: Path) -> None:
     """Such as products in another order: weights that differ by 1e-7."""
     for seed in "01":
@@ -257,6 +364,47 @@ def test_a_machine_that_repeats_one_seed_has_to_repeat_the_other(copy: Path) -> 
     result = marl_mm.verify(copy)
     assert result.verdict == "not equal" and result.equal == GOALS
     assert "6 of all 12 are equal to the bit on this machine" in result.differences[0]
+
+
+def test_a_tenth_of_equal_episodes_tells_the_machine(honest: Path) -> None:
+    made = read_submission(honest)
+
+    def found(equal: int) -> list[str]:
+        first, second = (
+            [(each, replace(each, sha256="")) for each in run.episodes]
+            for run in made.runs
+        )
+        first[:equal] = [(each, each) for each, _ in first[:equal]]
+        return [*differing(made, [first, second])]
+
+    assert found(1) == []
+    assert len(found(2)) == 2 and "2 of all 12 are equal to the bit" in found(2)[1]
+
+
+@pytest.mark.parametrize(
+    ("more", "flipped", "said"),
+    [
+        (np.full(200, 0.006), 0, "return: claimed 0.006, scored again 0.000"),
+        (np.full(200, 0.004), 0, ""),
+        (0.16 + np.resize([-1.0, 1.0], 200), 0, ""),  # 2.3 standard errors
+        (0.20 + np.resize([-1.0, 1.0], 200), 0, "return: claimed"),  # 2.8 of them
+        (np.zeros(200), 10, ""),
+        (np.zeros(200), 11, "success: 11 of 200 goals have another outcome"),
+    ],
+)
+def test_what_is_beyond_chance(more: np.ndarray, flipped: int, said: str) -> None:
+    def rows(returns: np.ndarray, parity: int) -> list[Scored]:
+        """As many succeed in one as in the other: the rate is the same."""
+        each: list[Any] = [
+            {"return": value, "success": i < flipped and i % 2 == parity}
+            for i, value in enumerate(returns)
+        ]
+        return [Scored(row, "", []) for row in each]
+
+    returns = 2 * np.resize([-1.0, -1.0, 1.0, 1.0], 200)
+    pairs = list(zip(rows(returns + more, 0), rows(returns, 1), strict=True))
+    found = "; ".join(beyond_chance(pairs))
+    assert found.startswith(said) if said else not found
 
 
 @pytest.mark.parametrize("reached", [199, 200])
@@ -290,10 +438,28 @@ def test_runs_of_several_settings_are_refused(runs: Path, tmp_path: Path) -> Non
     assert "no run given" in refused()
     assert "is no run" in refused("long")
     assert "`episodes` is 0" in refused("long/0", episodes=0)
+    assert "expected at most 2,000" in refused("long/0", episodes=2_001)
     unfinished = shutil.copytree(runs / "long/0", runs / "unfinished")
     (unfinished / EVALUATION).unlink()
     assert "not trained to its end" in refused("unfinished")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda v: v["dataset"].update(fingerprint="0" * 16), "dataset = "),
+        (lambda v: v.pop("learning_rate"), "learning_rate = "),
+        (lambda v: v.update(max_steps=3), "max_steps = "),
+    ],
+)
+def test_seeds_of_other_data_or_settings_are_refused(
+    change: Any, said: str, runs: Path, tmp_path: Path
+) -> None:
+    other = shutil.copytree(runs / "short/1", tmp_path / "other")
+    edit(other / CONFIG, change)
+    with pytest.raises(UsageError, match=said):
+        marl_mm.submit([runs / "short/0", other], out=tmp_path / "out", episodes=1)
 
 
 def test_nothing_is_overwritten_unasked_and_never_another_folder(
