@@ -105,3 +105,9 @@ class Scene:
         like(self.position_w, ORIGIN, "a block's position_w")
         if self.stand_size is not None:
             like(self.stand_size, ORIGIN, "stand_size")
+
+    @property
+    def stand_w(self) -> tuple[float, float, float]:
+        """Centre of the stand's top [m]; without a stand, the point on the ground."""
+        x, y, _ = self.position_w
+        return x, y, 0.0 if self.stand_size is None else self.stand_size[2]

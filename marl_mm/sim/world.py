@@ -44,6 +44,9 @@ class Touches(NamedTuple):
 class Handling(Protocol):
     """The gripper, and the block of a scene."""
 
+    scene: Scene
+    """Block and stand."""
+
     def close_gripper(self) -> None:
         """Close from now on, until something is there to squeeze."""
 
@@ -61,10 +64,6 @@ class Handling(Protocol):
 
     def opening(self) -> float:
         """Distance between the finger tips [m]."""
-
-    @property
-    def stand_w(self) -> tuple[float, float, float]:
-        """Centre of the stand's top [m]; without a stand, the point on the ground."""
 
     def block_w(self) -> tuple[np.ndarray, np.ndarray]:
         """The block's centre, shape (3,) [m], and quaternion x, y, z, w."""

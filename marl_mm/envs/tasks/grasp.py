@@ -53,7 +53,8 @@ the gripper's opening; both agents see whether the block is held."""
 def handled(attempt: Attempt, holds: bool) -> dict[str, float]:
     """The state's entries of hand, block and stand."""
     handling = attempt.drives[0].world.handling
-    seen = handling.opening(), holds, *handling.block_w()[0], *handling.stand_w
+    block_w, _ = handling.block_w()
+    seen = handling.opening(), holds, *block_w, *handling.scene.stand_w
     return dict(zip(names(OPENING, HELD, *BLOCK, *STAND), seen, strict=True))
 
 

@@ -36,7 +36,7 @@ class BulletHandling:
         visual: bool,
     ) -> None:
         self._client, self._robot, self._ground = client, robot, ground
-        self._config, self._visual, self._scene = config, visual, scene
+        self._config, self._visual, self.scene = config, visual, scene
         self._fingers = [links[name] for name in FINGER_LINKS]
         self._hand = links[HAND_LINK]
         self._arm = {links[name] for name in (*ARM_LINKS, HAND_LINK, *FINGER_LINKS)}
@@ -86,13 +86,6 @@ class BulletHandling:
             self._robot, self._fingers, physicsClientId=self._client
         )
         return float(states[0][0] + states[1][0])
-
-    @property
-    def stand_w(self) -> tuple[float, float, float]:
-        """Centre of the stand's top [m]; without a stand, the point on the ground."""
-        x, y, _ = self._scene.position_w
-        size = self._scene.stand_size
-        return x, y, 0.0 if size is None else size[2]
 
     def block_w(self) -> tuple[np.ndarray, np.ndarray]:
         """The block's centre, shape (3,) [m], and quaternion x, y, z, w."""

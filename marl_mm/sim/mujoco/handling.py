@@ -40,7 +40,7 @@ class MujocoHandling:
         config: SimulationConfig,
         scene: Scene,
     ) -> None:
-        self._model, self._data, self._config, self._scene = model, data, config, scene
+        self._model, self._data, self._config, self.scene = model, data, config, scene
         names = (model.geom(number).name for number in range(model.ngeom))
         self._names = [name.split(".")[0] for name in names]  # of links and things
         self._fingers = [int(model.joint(name).dofadr[0]) for name in FINGER_JOINTS]
@@ -135,13 +135,6 @@ class MujocoHandling:
     def opening(self) -> float:
         """See ``Handling``."""
         return float(self._data.qpos[self._places].sum())
-
-    @property
-    def stand_w(self) -> tuple[float, float, float]:
-        """See ``Handling``."""
-        x, y, _ = self._scene.position_w
-        size = self._scene.stand_size
-        return x, y, 0.0 if size is None else size[2]
 
     def block_w(self) -> tuple[np.ndarray, np.ndarray]:
         """See ``Handling``."""
