@@ -58,6 +58,12 @@ def benchmark_rows(name: str) -> list[Row]:
     return [row for row in rows if row["algorithm"] == name]
 
 
+def benchmark_mean(name: str) -> Row:
+    """An algorithm's row over all datasets of the benchmark."""
+    rows = read_rows(RESULTS / "studies/benchmark_overall.csv")
+    return next(row for row in rows if row["algorithm"] == name)
+
+
 def fine_tuning_rows(name: str) -> list[Row]:
     """Rows of an algorithm that goes on online from data, with their tasks."""
     tasks = {
