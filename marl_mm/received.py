@@ -6,6 +6,7 @@ for more memory than there is.
 
 import hashlib
 import json
+import os
 import stat
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -75,8 +76,8 @@ def refuse_links_out(folder: Path, names: Iterable[str], refusal: Refusal) -> No
     for name in names:
         path = folder / name
         try:
-            target = path.resolve()
-        except (OSError, RuntimeError) as error:  # links in a circle
+            target = path.resolve(strict=os.path.lexists(path))
+        except (OSError, RuntimeError) as error:  # RuntimeError: before Python 3.13
             raise refusal(f"{path} is a link that leads nowhere: {error}") from error
         if not target.is_relative_to(home):
             raise refusal(

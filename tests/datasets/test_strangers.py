@@ -678,8 +678,11 @@ def test_all_items_are_of_their_type_and_not_the_first_alone(
         check_kind(value, kind, "it", DatasetError)
 
 
-def test_links_in_a_circle_lead_nowhere(tmp_path: Path) -> None:
-    (tmp_path / "a").symlink_to("b")
+@pytest.mark.parametrize("there", ["a", "b", "gone", "../gone"])
+def test_links_in_a_circle_or_to_nothing_lead_nowhere(
+    tmp_path: Path, there: str
+) -> None:
+    (tmp_path / "a").symlink_to(there)
     (tmp_path / "b").symlink_to("a")
     with pytest.raises(DatasetError, match="is a link that leads nowhere"):
         refuse_links_out(tmp_path, ["a"], DatasetError)
