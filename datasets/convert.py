@@ -7,6 +7,7 @@ that end. The process that reads has limits, and hands over plain arrays.
 import json
 import os
 import resource
+import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -19,7 +20,7 @@ from marl_mm.datasets.hdf5 import read_hdf5
 from marl_mm.datasets.hdf5_files import reading_limits
 from marl_mm.errors import DatasetError
 from marl_mm.layout import Layout
-from marl_mm.processes import importing_this, limit_memory
+from marl_mm.processes import importing_this, limit_memory, limit_processor_time
 
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
@@ -62,20 +63,20 @@ def read_apart(
                 capture_output=True,
                 env={**os.environ, **importing_this(), **_ONE_THREAD},
                 pass_fds=(end,),
-                timeout=reading_limits(path.stat().st_size)[0],
                 text=True,
                 check=False,
             )
             with suppress(BlockingIOError):  # there is none
                 complaint = os.read(complaints, _LONGEST)
                 raise DatasetError(complaint.decode(errors="surrogateescape"))
-        except subprocess.TimeoutExpired as error:
-            raise DatasetError(
-                f"{path} is damaged: reading it did not end in {error.timeout:.0f} s"
-            ) from None
         finally:
             os.close(complaints)
             os.close(end)
+        if ended.returncode == -signal.SIGXCPU:
+            seconds, _ = reading_limits(path.stat().st_size)
+            raise DatasetError(
+                f"{path} is damaged: reading it takes over {seconds} s of the processor"
+            )
         if ended.returncode or not out.exists():
             why = f"it ended with {ended.returncode}"
             raise DatasetError(
@@ -104,7 +105,9 @@ def main() -> None:
     """Read what standard input asks for; errors go to a pipe that it names."""
     asked = json.load(sys.stdin)
     path, out = Path(asked["path"]), Path(asked["out"])
-    limit_memory(reading_limits(path.stat().st_size)[1])
+    seconds, memory = reading_limits(path.stat().st_size)
+    limit_memory(memory)
+    limit_processor_time(seconds)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     layout = Layout.from_json(asked["layout"])
     try:

@@ -33,10 +33,10 @@ _DEPTH = 20
 _SMALL = 4_096
 """Size from which on compression gains more than its records take [bytes]."""
 
-_PATIENCE = 30.0
-"""Longest time that reading a small file may take [s]."""
+_PATIENCE = 30
+"""Most processor time that reading a small file may take [s]."""
 
-_SLOWEST = 200_000.0
+_SLOWEST = 200_000
 """Least speed of reading a large file [bytes/s]: a tenth of the usual speed."""
 
 _OWN_MEMORY = 100_000_000
@@ -46,13 +46,13 @@ _OWN_MEMORY = 100_000_000
 # --- Reading -----------------------------------------------------------------
 
 
-def reading_limits(size: int) -> tuple[float, int]:
-    """Longest time [s] and most memory [bytes] that reading a file may take.
+def reading_limits(size: int) -> tuple[int, int]:
+    """Most processor time [s] and memory [bytes] that reading a file may take.
 
     Args:
         size: Size of the file [bytes].
     """
-    return _PATIENCE + size / _SLOWEST, _OWN_MEMORY + 4 * most_unpacked(size)
+    return _PATIENCE + size // _SLOWEST, _OWN_MEMORY + 4 * most_unpacked(size)
 
 
 @contextmanager

@@ -146,6 +146,18 @@ def limit_memory(more: int) -> None:
     """
     pages = int(Path("/proc/self/statm").read_text("utf-8").split()[0])
     most = pages * resource.getpagesize() + more
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    _limit(resource.RLIMIT_AS, most)
+
+
+def limit_processor_time(seconds: int) -> None:
+    """End this process with ``SIGXCPU`` once it has computed for so long.
+
+    A busy machine, or a slow disk, takes nothing from it, unlike from a time limit.
+    """
+    _limit(resource.RLIMIT_CPU, seconds)
+
+
+def _limit(kind: int, most: int) -> None:
+    _, hard = resource.getrlimit(kind)
     if hard == resource.RLIM_INFINITY or most < hard:
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        resource.setrlimit(kind, (most, hard))

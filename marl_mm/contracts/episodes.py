@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,11 @@ class ShortTask:
 
     overrides: Mapping[str, Any]
     """Fields of the task that were replaced."""
+
+    @cached_property
+    def episodes(self) -> list[Episode]:
+        """Its first random episodes, for the claims that only read them."""
+        return episodes(self)
 
 
 def short(name: str) -> ShortTask:

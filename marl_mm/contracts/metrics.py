@@ -6,7 +6,7 @@ from copy import deepcopy
 from dataclasses import dataclass
 
 from marl_mm.contracts.claims import Claim, demand
-from marl_mm.contracts.episodes import episodes, short
+from marl_mm.contracts.episodes import short
 from marl_mm.envs.registry import DEFAULT
 from marl_mm.episode import Episode
 from marl_mm.eval.metrics import METRICS, Metric
@@ -28,7 +28,7 @@ class Candidate:
 
 def candidate(name: str, task: str = DEFAULT) -> Candidate:
     """A registered metric, to be tested on random episodes of a task."""
-    return Candidate(name, METRICS.get(name), episodes(short(task)))
+    return Candidate(name, METRICS.get(name), short(task).episodes)
 
 
 def _numbers(candidate: Candidate) -> None:

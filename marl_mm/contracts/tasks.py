@@ -46,7 +46,7 @@ def _layout(short: ShortTask) -> None:
         expected = {*layout.state_names} - {*layout.desired}
         unknown = seen - expected
         demand(not unknown, f"observe tells {', '.join(sorted(unknown))}, not in it")
-    for state in np.concatenate([episode.states for episode in episodes(short)]):
+    for state in np.concatenate([episode.states for episode in short.episodes]):
         for entry, value in zip(layout.state, state.tolist(), strict=True):
             demand(
                 entry.low <= value <= entry.high, f"state entry {entry} is {value:g}"
@@ -73,7 +73,7 @@ def _same_episode(here: Episode, there: Episode) -> None:
 
 def _beside(short: ShortTask) -> None:
     """Two episodes at once, which take their steps in turn."""
-    alone = episodes(short, range(2))
+    alone = short.episodes[:2]
     with (
         closing(EpisodeCore(short.task)) as first,
         closing(EpisodeCore(short.task)) as second,
@@ -96,7 +96,7 @@ def _numbers(short: ShortTask) -> None:
     task = short.task
     unknown = set(task.needs) - {*task.info, *task.layout.state_names}
     demand(not unknown, f"needs {', '.join(unknown)}, which nothing tells")
-    for episode in episodes(short):
+    for episode in short.episodes:
         for name, values in episode.info.items():
             demand(np.isfinite(values).all(), f"info {name} is no finite number")
 
@@ -107,7 +107,7 @@ def _highest_return(short: ShortTask) -> None:
     bound = task.highest_return
     if bound is None:
         return
-    for episode in episodes(short):
+    for episode in short.episodes:
         achieved = episode.states[1:, task.layout.achieved]
         terms = arrays_of([episode], "contract").reward_terms(task.needs)
         returns = np.cumsum(episode.rewards[::-1])
@@ -119,7 +119,7 @@ def _highest_return(short: ShortTask) -> None:
 
 
 def _ends(short: ShortTask) -> None:
-    for episode in episodes(short):  # which checks the lengths
+    for episode in short.episodes:  # which checks the lengths
         ended = episode.terminated | episode.truncated
         demand(ended[-1] and not ended[:-1].any(), "an episode goes on after its end")
         both = (episode.terminated & episode.truncated).any()
@@ -128,7 +128,7 @@ def _ends(short: ShortTask) -> None:
 
 def _hindsight(short: ShortTask) -> None:
     task, layout = short.task, short.task.layout
-    listed = episodes(short)
+    listed = short.episodes
     arrays = arrays_of(listed, "contract")
     after = arrays.states[~arrays.is_first_state()]
     terms = arrays.reward_terms(task.needs)
@@ -171,7 +171,7 @@ def _come_to(short: ShortTask, episode: Episode) -> None:
 def _replay(short: ShortTask) -> None:
     with tempfile.TemporaryDirectory() as folder:
         location = locate(str(Path(folder, "contract-v0")))
-        arrays = arrays_of(episodes(short), location.id)
+        arrays = arrays_of(short.episodes, location.id)
         provenance = Provenance(
             task=short.name, overrides=short.overrides, collector="dice", seed=0
         )
@@ -215,7 +215,7 @@ def _expert(short: ShortTask) -> None:
     layout, script = short.task.layout, ScriptConfig()
     if type(short.task).expert is Task.expert:
         return
-    for state in np.concatenate([episode.states for episode in episodes(short)]):
+    for state in np.concatenate([episode.states for episode in short.episodes]):
         seen = dict(zip(layout.state_names, state.tolist(), strict=True))
         action = short.task.expert(seen, script)
         differ = set(action) ^ set(layout.action_names)

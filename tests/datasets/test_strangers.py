@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ import numpy as np
 import pytest
 
 from marl_mm.cli import main
-from marl_mm.datasets import cache
+from marl_mm.datasets import cache, convert
 from marl_mm.datasets.arrays import arrays_of, save_arrays
 from marl_mm.datasets.dataset import load_dataset
 from marl_mm.datasets.hdf5 import FILE
@@ -686,6 +687,20 @@ def test_links_in_a_circle_or_to_nothing_lead_nowhere(
     (tmp_path / "b").symlink_to("a")
     with pytest.raises(DatasetError, match="is a link that leads nowhere"):
         refuse_links_out(tmp_path, ["a"], DatasetError)
+
+
+def test_a_file_that_is_never_read_through_is_damaged(
+    gift: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spin = """
+        from marl_mm.datasets import convert
+        convert.read_hdf5 = lambda *_: all(iter(lambda: 1, 0))
+        convert.reading_limits = lambda size: (2, 1_000_000_000)
+        convert.main()
+    """
+    monkeypatch.setattr(convert, "_CODE", textwrap.dedent(spin))
+    with pytest.raises(DatasetError, match="takes over 30 s of the processor"):
+        load_dataset(str(gift)).arrays()
 
 
 @pytest.mark.parametrize("odd", [OverflowError, ZeroDivisionError, KeyError, TypeError])
