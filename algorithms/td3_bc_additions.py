@@ -14,6 +14,7 @@ from marl_mm.algorithms.replay import normalized_actions
 from marl_mm.algorithms.seeded import SeededCritics
 from marl_mm.algorithms.td3_bc_config import WEIGHTED, Td3BcConfig
 from marl_mm.datasets.arrays import EpisodeArrays
+from marl_mm.errors import UsageError
 
 LEAST_SPREAD = 0.1
 """Least standard deviation that an entry's imitation error is divided by, as a share of
@@ -34,6 +35,9 @@ class Imitation:
         arrays: The dataset's episodes.
         critics: Critics that say which actions are better than the actors'.
         device: Device of batches and networks.
+
+    Raises:
+        UsageError: If a weight is of an entry that the actions do not have.
     """
 
     def __init__(
@@ -46,6 +50,12 @@ class Imitation:
         self._imitate, self._critics = config.imitate, critics
         by_name = dict(zip(WEIGHTED, config.imitation_weights, strict=True))
         names = arrays.layout.action_names
+        idle = [n for n, w in by_name.items() if w != 1 and n not in names]
+        if idle:
+            raise UsageError(
+                f"imitation_weights has a weight for {', '.join(idle)}, expected 1: "
+                f"the dataset's actions are {', '.join(names)}"
+            )
         weights = torch.tensor([by_name.get(name, 1.0) for name in names])
         weights = weights / weights.mean()
         if config.imitation_scaled:

@@ -194,6 +194,7 @@ def _rows(values: dict[str, Any]) -> list[tuple[str, str]]:
     texts["success"] = ", ".join(
         f"{direction} {_percent(value['rate'])} of {value['episodes']}"
         for direction, value in values["success"].items()
+        if value["episodes"]
     )
     seen = values["coverage"]
     texts["coverage"] = (

@@ -382,6 +382,17 @@ def test_shares_beyond_one_are_refused() -> None:
         Td3BcConfig(imitation_weights=(1.0, 1.0, 1.0))
 
 
+def test_a_weight_of_no_action_is_refused(arrays: EpisodeArrays) -> None:
+    layout = arrays.layout
+    hand = replace(layout.team[0], sets=("left", *layout.team[0].sets[1:]))
+    action = (replace(layout.action[0], name="left"), *layout.action[1:])
+    layout = replace(layout, action=action, team=(hand, *layout.team[1:]))
+    arrays = replace(arrays, layout=layout)
+    config = Td3BcConfig(imitation_weights=(2.0, 1.0, 1.0, 1.0))
+    with pytest.raises(UsageError, match="a weight for delta_x, expected 1"):
+        Td3Bc(config, arrays, JUDGE, [0])
+
+
 def test_the_joint_actor_sees_everything(arrays: EpisodeArrays) -> None:
     config = Matd3BcConfig(**SMALL)
     assert Td3Bc(config, arrays, JUDGE, [0]).layouts == (REACH.joint,)
