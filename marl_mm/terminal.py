@@ -9,10 +9,13 @@ import shutil
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
+from tyro.conf import arg
 from tyro.constructors import (
     ConstructorRegistry,
+    PrimitiveConstructorSpec,
+    PrimitiveTypeInfo,
     StructConstructorSpec,
     StructFieldSpec,
     StructTypeInfo,
@@ -25,12 +28,15 @@ if TYPE_CHECKING:  # a help does without
     from rich.text import Text
 
 FLOWING = ConstructorRegistry()
-"""Rules by which tyro takes each paragraph of a field's docstring as one line."""
+"""Rules by which tyro takes each paragraph of a field's docstring as one line.
+
+None, the default of options whose help says what it means, is not shown.
+"""
 
 _FRAME = 5
 """Lines of a table beside its rows: title, heading and rules."""
 
-_asked: list[StructTypeInfo] = []
+_asked: list[Any] = []
 """Types that tyro's own rules are asked about."""
 
 
@@ -46,24 +52,54 @@ def filled(text: str) -> str:
     """
     columns = shutil.get_terminal_size().columns
     return "\n\n".join(
-        textwrap.fill(paragraph, columns, subsequent_indent="  ")
+        textwrap.fill(
+            paragraph, columns, subsequent_indent="  ", break_on_hyphens=False
+        )
         for paragraph in joined(text).split("\n\n")
     )
 
 
+def without_hint(kind: Any, default: Any) -> Any:
+    """An option's type, for a help without its default where that says nothing."""
+    if default is None or default == ():
+        return Annotated[kind, arg(help_behavior_hint="")]
+    return kind
+
+
 @FLOWING.struct_rule
 def _flowing(info: StructTypeInfo) -> StructConstructorSpec | None:
+    spec = _of_other_rules(ConstructorRegistry.get_struct_spec, info)
+    if not isinstance(spec, StructConstructorSpec):
+        return None
+    return replace(spec, fields=tuple(map(_flowing_field, spec.fields)))
+
+
+@FLOWING.primitive_rule
+def _without_none(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    # What may be left out is shown as what it is if it is given.
+    if type(None) not in get_args(info.type):
+        return None
+    spec = _of_other_rules(ConstructorRegistry.get_primitive_spec, info)
+    if not isinstance(spec, PrimitiveConstructorSpec):
+        return None
+    metavar = re.sub(r"^\{None\}\|(?:\{(.* .*)\}$)?", r"\1", spec.metavar)
+    return replace(spec, metavar=metavar.replace("{None,", "{"))
+
+
+def _of_other_rules(spec_of: Callable[[Any], Any], info: Any) -> Any:
+    """What rules but ours make of a type; None while they are asked."""
     if any(info is asked for asked in _asked):
         return None
     _asked.append(info)
     try:
-        spec = ConstructorRegistry.get_struct_spec(info)
+        return spec_of(info)
     finally:
         _asked.pop()
-    if not isinstance(spec, StructConstructorSpec):
-        return None
-    fields = (replace(each, helptext=_joined_later(each)) for each in spec.fields)
-    return replace(spec, fields=tuple(fields))
+
+
+def _flowing_field(field: StructFieldSpec) -> StructFieldSpec:
+    kind = without_hint(field.type, field.default)
+    return replace(field, type=kind, helptext=_joined_later(field))
 
 
 def _joined_later(field: StructFieldSpec) -> Callable[[], str | None]:

@@ -98,7 +98,7 @@ class BenchTrain(_Bench):
     """Seeds of "marl-mm train" of ten times the updates, timed beside one; 1 skips."""
 
     d3rlpy: Path | None = None
-    """Python of an environment with d3rlpy 2.8.1; None: without it."""
+    """Python of an environment with d3rlpy 2.8.1; default without it."""
 
     gpu: bool = False
     """Only 1, 5 and 16 seeds side by side on a GPU, and one on a core; 100: 3 min."""

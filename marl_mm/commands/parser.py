@@ -16,7 +16,7 @@ import tyro
 from marl_mm.cli import ABOUT_PLUGINS
 from marl_mm.declared import refuse_taken
 from marl_mm.errors import UsageError, meant
-from marl_mm.terminal import FLOWING, filled, joined
+from marl_mm.terminal import FLOWING, filled, joined, without_hint
 
 Main = Callable[[Sequence[str]], None]
 """A command: a function of the words after its name."""
@@ -60,7 +60,9 @@ def _to_call(function: Callable[..., None]) -> Callable[..., Callable[[], None]]
         for parameter in signature.parameters.values()
     ]
     call.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-    call.__annotations__ = function.__annotations__
+    call.__annotations__ = function.__annotations__ | {
+        each.name: without_hint(each.annotation, each.default) for each in parameters
+    }
     call.__doc__ = joined(inspect.getdoc(function) or "", 8)
     return call
 
@@ -179,9 +181,10 @@ def _in_a_line(box: str, arguments: Sequence[str]) -> str:
         begin = max((i for i, name in enumerate(names) if name == option), default=0)
         given = f"{' '.join(arguments[begin:])} --"[len(option) + 1 :].split(" --")[0]
         kind = re.search(rf"^.? +{option} (.+?)[ │|]*$", box, re.MULTILINE)
-        expected = kind[1].removeprefix("{None}|") if kind else ""
+        expected = kind[1] if kind else ""
         expected = re.sub(r"^\{([^{}]*)\}$", r"\1", expected)
         if choices := re.search(r"Expected one of \((.*)\)", text):
-            expected = "one of " + ", ".join(sorted(re.findall(r"'(.*?)'", choices[1])))
+            taken = {*re.findall(r"'(.*?)'", choices[1])} - {"None"}
+            expected = f"one of {', '.join(sorted(taken))}"
         return f"{option} is {given!r}, expected {expected}"
     return text

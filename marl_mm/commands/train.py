@@ -117,8 +117,9 @@ def main(arguments: Sequence[str]) -> None:
     name, options = parse_subcommand(
         commands,
         "marl-mm train",
-        f"Train a policy: from a dataset file ({', '.join(offline)}), or from its own "
-        "episodes. --config RUN/config.json, in place of an algorithm, repeats a run.",
+        "Train a policy from a dataset file, or from its own episodes "
+        f"({', '.join(online)}). --config RUN/config.json, in place of an algorithm, "
+        "repeats a run.",
         arguments,
     )
     _train(name, options)

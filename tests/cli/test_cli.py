@@ -80,6 +80,13 @@ def test_every_command_has_help(name: str, capsys: Output) -> None:
     assert "usage: marl-mm " + name in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("command", ["play", "train mabc", "collect varied"])
+def test_a_help_does_not_show_none(command: str, capsys: Output) -> None:
+    """What it means stands in an option's text."""
+    assert run(*command.split(), "--help") == 0
+    assert not re.findall(r".*None\b.*|.*default: \).*", capsys.readouterr().out)
+
+
 @pytest.mark.parametrize(
     ("command", "words"),
     [  # an option of a function, of a dataclass, and a description
@@ -160,7 +167,7 @@ def test_unknown_commands_are_named(capsys: Output) -> None:
         (["collect", "pd", "--steps", "1.5"], "--steps is '1.5', expected INT; see"),
         (
             ["collect", "pd", "--engine", "x"],
-            "is 'x', expected one of None, bullet, mujoco;",
+            "is 'x', expected one of bullet, mujoco;",
         ),
         (["collect", "pd", "5"], "unexpected 5; see marl-mm collect pd --help"),
         (["collect", "pd", "--task", "Bar-v0"], "pd does not set left_alpha"),
