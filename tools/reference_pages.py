@@ -259,7 +259,7 @@ def _algorithms_index() -> str:
     ]
     return (
         "# Algorithms\n\n**From good data start with MABC. If there are failures or "
-        "random steps among them, compare MAICQ, MATD3+BC and MA-IQL. If the episodes of a team "
+        "random steps among them, compare MAICQ and MATD3+BC. If the episodes of a team "
         "follow several conventions, take best-of-n students. Without data take DDPG + "
         "HER.**\n\n"
         + markdown_table(("algorithm", "loss of the actors", "learns", "source"), rows)
