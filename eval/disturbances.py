@@ -145,9 +145,9 @@ class Mixed:
 
     def act(self, state: np.ndarray) -> np.ndarray:
         """The policy's action, with the replaced agents' parts from the others."""
-        action = np.array(self._policy.act(state))
+        action = np.array(self._policy.act(state.copy()))
         for places, other in self._parts:
-            action[places] = np.asarray(other.act(state))[places]
+            action[places] = np.asarray(other.act(state.copy()))[places]
         return action
 
 

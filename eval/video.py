@@ -159,7 +159,7 @@ def film_both_ways(
     result = TwoWays([], [], [])
     for number, plan in enumerate(goal_set(config, 2, seed)):
         episode, frames = film_episode(
-            config, policy, plan, Camera(), fps, advance=advance
+            config, policy, plan, config.camera, fps, advance=advance
         )
         advance(config.max_steps - len(episode), "")
         result.episodes.append(episode)
@@ -209,10 +209,13 @@ def strips_both_ways(config: Task, policy: Policy, seed: int) -> Strips:
             episode = run_episode(core, policy, plan, lambda tick: None)
         steps = len(episode)
         wanted = _evenly(math.ceil(steps * config.ticks_per_step / RATE), 5)
-        _, frames = film_episode(config, policy, plan, Camera(), 1, wanted=wanted)
+        _, frames = film_episode(config, policy, plan, config.camera, 1, wanted=wanted)
         taken = dict(zip(sorted({*wanted}), frames, strict=True))
         length = config.seconds_per_step
-        pictures = [(f"step {int(n / length + 1e-9)}", taken[n]) for n in wanted]
+        numbers = [min(steps, int(n / length + 1e-9)) for n in wanted]
+        pictures = [
+            (f"step {i}", taken[n]) for i, n in zip(numbers, wanted, strict=True)
+        ]
         strips.append((f"{_way(episode, number)}: {steps} steps", pictures))
     return strips
 

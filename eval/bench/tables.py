@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from marl_mm.eval.tables import markdown_table
+from marl_mm.sim.config import ENGINES
 
 ABUSE = {
     "joint_position_rad": ("joint position", "{:+.4f} rad"),
@@ -182,18 +183,16 @@ def data_table(result: Mapping[str, Any]) -> str:
 
 def env_table(results: Mapping[str, Mapping[str, Any]]) -> str:
     """Environment steps per second of the engines, by task, as Markdown."""
-    lines = []
+    lines, compiled = [], ("mujoco", "mujoco, loop in Python")
     for task, result in results.items():
         for alpha in ("random alpha", "alpha 1"):
             speed = result[f"{alpha}: steps/s"]
-            times = result[f"{alpha}: times the steps/s of bullet"]
+            times = result.get(f"{alpha}: times the steps/s of bullet", {})
             lines.append(
                 (
                     f"`{task}`, {alpha}",
-                    f"{speed['bullet']:.0f}",
-                    f"{speed['mujoco']:.0f}",
-                    f"{times['mujoco']:.1f}",
-                    f"{times['mujoco, loop in Python']:.1f}",
+                    *(f"{speed[e]:.0f}" if e in speed else "-" for e in ENGINES),
+                    *(f"{times[e]:.1f}" if e in times else "-" for e in compiled),
                 )
             )
     head = ("task and alpha", "PyBullet, steps/s", "MuJoCo, steps/s", "of PyBullet's")
@@ -202,10 +201,12 @@ def env_table(results: Mapping[str, Mapping[str, Any]]) -> str:
 
 def tick_table(results: Mapping[str, Mapping[str, Any]]) -> str:
     """Where the time of a compiled tick goes, by task, as Markdown."""
-    ticks = [result["mujoco: us of a tick"] for result in results.values()]
-    lines = [(part, *(f"{tick[part]:.2f}" for tick in ticks)) for part in ticks[0]]
+    key = "mujoco: us of a tick"
+    ticks = {task: result[key] for task, result in results.items() if key in result}
+    parts: Mapping[str, float] = next(iter(ticks.values()), {})
+    lines = [(p, *(f"{tick[p]:.2f}" for tick in ticks.values())) for p in parts]
     return markdown_table(
-        ("part of a tick", *(f"`{task}` [us]" for task in results)), lines
+        ("part of a tick", *(f"`{task}` [us]" for task in ticks)), lines
     )
 
 
@@ -216,7 +217,8 @@ def vector_table(results: Mapping[str, Mapping[str, Any]]) -> str:
         settings = result["options"]
         count, workers = settings["vector"], settings["workers"]
         label = f"vector of {count}, {workers} workers: times the steps/s of one"
-        times = (f"{result[label][engine]:.2f}" for engine in ("bullet", "mujoco"))
+        speed = result[label]
+        times = (f"{speed[e]:.2f}" if e in speed else "-" for e in ENGINES)
         lines.append((f"`{task}`", str(count), str(workers), *times))
     head = ("task", "environments", "workers", "PyBullet, of one", "MuJoCo, of one")
     return markdown_table(head, lines)

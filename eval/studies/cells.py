@@ -17,7 +17,7 @@ from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import as_read, read_rows, write_csv
 from marl_mm.files import write_json
 from marl_mm.progress import Bar
-from marl_mm.received import read_json
+from marl_mm.received import check_kind, read_json
 from marl_mm.versions import versions
 from marl_mm.workers import Executor, open_pool
 
@@ -125,6 +125,22 @@ def record_of(path: Path) -> Path:
     return path.with_name(f"{path.name}.json")
 
 
+def recorded_cells(path: Path) -> list[dict[str, Any]]:
+    """Cells that rows are made of, by their path without its ending; none without.
+
+    Raises:
+        MarlMmError: If the record is damaged.
+    """
+    record = record_of(path)
+    if not record.exists():
+        return []
+    about = read_json(record, MarlMmError)
+    check_kind(about, dict[str, Any], str(record), MarlMmError)
+    cells: list[dict[str, Any]] = about.get("cells", [])
+    check_kind(cells, list[dict[str, Any]], f"{record}: cells", MarlMmError)
+    return cells
+
+
 def missing_groups(
     groups: Mapping[Path, Sequence[C]], overwrite: bool
 ) -> dict[Path, Sequence[C]]:
@@ -139,10 +155,8 @@ def missing_groups(
     """
     missing = {}
     for path, cells in groups.items():
-        record, wanted = record_of(path), [asdict(cast(Any, c)) for c in cells]
-        wanted = as_json({"cells": wanted})["cells"]
-        about = read_json(record, MarlMmError) if record.exists() else {}
-        made = about.get("cells", [])
+        wanted = [asdict(cast(Any, cell)) for cell in cells]
+        wanted, made = as_json({"cells": wanted})["cells"], recorded_cells(path)
         if all(cell in made for cell in wanted):
             continue
         lost = [cell for cell in made if cell not in wanted]
@@ -150,7 +164,7 @@ def missing_groups(
             like = min(wanted, key=lambda cell: len([*changes(lost[0], cell)]))
             words = ", ".join(changes(lost[0], like)) or "other settings"
             raise OtherConfigError(
-                f"{record} was made with {words:.300}",
+                f"{record_of(path)} was made with {words:.300}",
                 "name another folder with `out`, or replace it with `overwrite=True`",
             )
         missing[path] = cells

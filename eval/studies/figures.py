@@ -41,6 +41,8 @@ def curves_figure(
             rows = store.curves(cell, seeds)
             clock = _CLOCKS[_clock(rows)]
             times, values = on_a_grid(rows, curves.value)
+            if not len(values):  # each run diverged before its clock began
+                continue
             mean = curves.scale * values.mean(axis=0)
             std = curves.scale * values.std(axis=0, ddof=min(1, len(values) - 1))
             _with_spread(axis, times, mean, std, color, label, line)
@@ -67,7 +69,7 @@ def on_a_grid(rows: Sequence[Row], key: str) -> tuple[np.ndarray, np.ndarray]:
         np.interp(times, [row[clock] for row in curve], [row[key] for row in curve])
         for _, curve in sorted(grouped(rows, "seed").items())
     ]
-    return times, np.stack(values)
+    return times, np.array(values)
 
 
 _CLOCKS = {

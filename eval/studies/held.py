@@ -26,7 +26,7 @@ class FixedAlpha:
 
     def describe(self) -> dict[str, Any]:
         """The alpha, and the policy's own settings."""
-        return {"alpha": self._alpha, **self._policy.describe()}
+        return {**self._policy.describe(), "alpha": self._alpha}
 
     def begin(self, rng: np.random.Generator, layout: Layout) -> None:
         """Begin an episode of the policy."""

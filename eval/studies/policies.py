@@ -56,7 +56,7 @@ class ActionNoise:
 
     def describe(self) -> dict[str, Any]:
         """The noise, and the policy's own settings."""
-        return {"noise": self._noise, **self._policy.describe()}
+        return {**self._policy.describe(), "noise": self._noise}
 
     def begin(self, rng: np.random.Generator, layout: Layout) -> None:
         """Take the episode's stream of random numbers."""

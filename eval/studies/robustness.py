@@ -17,12 +17,12 @@ from typing import Any
 from marl_mm.algorithms.checkpoint import FILE
 from marl_mm.algorithms.chosen import CHOSEN, UPDATES
 from marl_mm.envs.registry import fewest_steps
-from marl_mm.errors import MarlMmError, UsageError
+from marl_mm.errors import UsageError
 from marl_mm.eval.disturbances import Mixed
 from marl_mm.eval.evaluate import Setup
 from marl_mm.eval.metrics import EvaluationRow, Row
 from marl_mm.eval.robustness import robustness
-from marl_mm.eval.studies.cells import missing_groups, record_of, run_cells
+from marl_mm.eval.studies.cells import missing_groups, recorded_cells, run_cells
 from marl_mm.eval.studies.options import StudyOptions
 from marl_mm.eval.studies.robustness_summary import (
     CLEAN,
@@ -39,7 +39,6 @@ from marl_mm.eval.studies.settings import setting_of
 from marl_mm.eval.studies.study import Study, cell_name
 from marl_mm.eval.suite import ROBUSTNESS, conditions
 from marl_mm.progress import Bar, silent_bar
-from marl_mm.received import read_json
 from marl_mm.runs.evaluate import task_overrides
 from marl_mm.runs.recipes import RECIPES
 from marl_mm.runs.run import Run
@@ -208,9 +207,8 @@ def _with_weights(
     Raises:
         UsageError: If there is neither run nor row.
     """
-    record = record_of(path)
-    made = read_json(record, MarlMmError).get("cells", []) if record.exists() else []
-    made = [cell for cell in made if "partners" in cell]  # which older ones lack
+    # Older ones lack partners.
+    made = [cell for cell in recorded_cells(path) if "partners" in cell]
     records = [record for cell in made for record in (cell["run"], *cell["partners"])]
     kept = {(each["setting"], each["seed"]): TrainedRun(**each) for each in records}
 

@@ -5,13 +5,11 @@ from dataclasses import asdict
 from typing import Any
 
 from marl_mm.config_diff import as_json
-from marl_mm.errors import MarlMmError
-from marl_mm.eval.studies.cells import record_of
+from marl_mm.eval.studies.cells import recorded_cells
 from marl_mm.eval.studies.cost import GoalTimes, hours_table
 from marl_mm.eval.studies.robustness import RobustnessOptions, cells_of, rows_path
 from marl_mm.eval.studies.study import cell_name
 from marl_mm.progress import Bar
-from marl_mm.received import read_json
 
 
 def plan_robustness(options: RobustnessOptions, bar: Bar) -> str:
@@ -30,8 +28,7 @@ def plan_robustness(options: RobustnessOptions, bar: Bar) -> str:
     advance = bar("measuring", len(names))
     for dataset, setting in names:
         cells = cells_of(options, dataset, setting)
-        path = record_of(rows_path(options, dataset, setting))
-        made = read_json(path, MarlMmError).get("cells", []) if path.exists() else []
+        made = recorded_cells(rows_path(options, dataset, setting))
         asked = as_json({"cells": list(map(asdict, cells))})["cells"]
         left = [] if list(map(_unweighed, made)) == asked else cells
         seconds = 0.0

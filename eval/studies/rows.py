@@ -77,8 +77,9 @@ class RowStore:
         if not record:
             return list(seeds)
         ways = {probe.name: probe.way for probe in probes}
-        for name in ways.keys() & record["probes"].keys():
-            _refuse_unlike(path, f"probes.{name}", record["probes"][name], ways[name])
+        known = record.get("probes", {})
+        for name in ways.keys() & known.keys():
+            _refuse_unlike(path, f"probes.{name}", known[name], ways[name])
         if "source" in record:  # which older ones lack
             _refuse_unlike(path, "source", record["source"], _declared(cell))
         recorded = dict(made_of) if "algorithm" in record else {}  # older ones lack it

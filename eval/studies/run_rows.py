@@ -11,6 +11,7 @@ from marl_mm.envs.registry import merged
 from marl_mm.errors import MarlMmError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.studies.settings import BEST, LAST, Probe
+from marl_mm.eval.studies.shown import COLUMNS
 from marl_mm.received import damage_named, read_json
 
 _MEASURED = {
@@ -18,16 +19,6 @@ _MEASURED = {
     "episode": ("steps", "return", "d_mm", "d_mp", "base_jerk_rms", "alpha"),
 }
 """Columns of evaluated goals, by the clock of the run: updates or episodes."""
-
-_SUCCESS = ("success/all", "success/forward", "success/backward", "return/all")
-_CURVE = {
-    "step": (*_SUCCESS, "q/policy", "q/slope"),
-    "episode": (
-        *("env_steps", "updates", *_SUCCESS, "alpha/forward", "alpha/backward"),
-        *("train/return", "train/success", "q/data", "q/policy", "action/saturation"),
-    ),
-}
-"""Columns of learning curves; nan where a run has none, such as of goals behind."""
 
 
 def is_probed(
@@ -77,7 +68,7 @@ def curve_of(run: Path, seed: int) -> Iterator[Row]:
     own = ("env_steps",) * (clock == "step" and "env_steps" in rows[-1])
     for row in rows:
         if "success/all" in row:
-            names = (*_CURVE[clock], *own)
+            names = (*COLUMNS[clock], *own)
             values = {k.replace("/", "_"): row.get(k, math.nan) for k in names}
             yield {"seed": seed, clock: row[clock], **values}
 

@@ -7,6 +7,19 @@ from marl_mm.errors import UsageError
 
 Panels = Literal["preset", "task", "dataset"]
 
+_SUCCESS = ("success/all", "success/forward", "success/backward", "return/all")
+COLUMNS = {
+    "step": (*_SUCCESS, "q/policy", "q/slope"),
+    "episode": (
+        *("env_steps", "updates", *_SUCCESS, "alpha/forward", "alpha/backward"),
+        *("train/return", "train/success", "q/data", "q/policy", "action/saturation"),
+    ),
+}
+"""Columns of learning curves, by the clock of the run: updates or episodes.
+
+They are nan where a run has none, such as of goals behind.
+"""
+
 
 @dataclass(frozen=True)
 class Reported:

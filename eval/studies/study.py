@@ -17,7 +17,7 @@ from marl_mm.eval.studies.settings import (
     check_name,
     name_of,
 )
-from marl_mm.eval.studies.shown import Curves, Reported
+from marl_mm.eval.studies.shown import COLUMNS, Curves, Reported
 from marl_mm.progress import Bar, silent_bar
 from marl_mm.runs.settings import as_path, check_seeds, with_settings
 from marl_mm.runs.sources import Data, Mix, Source
@@ -83,6 +83,8 @@ class Study:
                 raise UsageError(f"{probe!r:.60} is no Probe, such as LAST")
         if not isinstance(self.figure, bool | Curves):
             raise UsageError(f"figure is {self.figure!r:.40}, expected True or Curves")
+        if isinstance(self.figure, Curves):
+            self._check_drawn(self.figure.value)
         if like(self.seeds, 3, "seeds") < 1:
             raise UsageError(f"{self.about!r} has {self.seeds} seeds, expected >= 1")
         names = [cell_name(cell) for cell in self.cells]
@@ -98,6 +100,17 @@ class Study:
             )
         _check_once([s if by_setting else f"{d}, {s}" for d, s in names])
         _check_once([probe.name for probe in self.probes])
+
+    def _check_drawn(self, value: str) -> None:
+        """Raise a UsageError if a cell's learning curves have no such column."""
+        for source, _ in self.cells:
+            keys = COLUMNS["episode" if isinstance(source, Online) else "step"]
+            columns = [key.replace("/", "_") for key in keys]
+            if value not in columns:
+                raise UsageError(
+                    f"the figure's value is {value!r:.40}, expected one of "
+                    f"{', '.join(columns)}"
+                )
 
     def part(
         self,

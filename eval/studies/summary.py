@@ -85,9 +85,16 @@ def _by_probe(study: Study, cell_rows: CellRows) -> list[Row]:
     of_runs: Row = {"diverged": cell_rows.diverged}
     for key in ("q_policy", "q_slope"):
         of_runs |= _at_the_end(cell_rows.curves, key)
-    first, *others = study.probes
-    held = {p.alpha: cell_rows.probes[p.name] for p in others if p.alpha is not None}
-    worth = worth_of_alpha(cell_rows.probes[first.name], held) if held else {}
+    learnt = next((p for p in study.probes if p.alpha is None), study.probes[0])
+    like = {**learnt.way, "alpha": None}
+    held = {  # as it was evaluated, but for alpha
+        p.alpha: cell_rows.probes[p.name]
+        for p in study.probes
+        if p.alpha is not None and {**p.way, "alpha": None} == like
+    }
+    worth = {}
+    if learnt.alpha is None and held:
+        worth = worth_of_alpha(cell_rows.probes[learnt.name], held)
     return [
         {**_of_probe(cell_rows, name), **of_runs, **worth} for name in cell_rows.probes
     ]

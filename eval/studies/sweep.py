@@ -103,10 +103,11 @@ class Sweep:
         allowed: dict[str, Sequence[str]] = {"tasks": _TASKS, "forms": FORMS}
         for name, choices in allowed.items():
             given = getattr(self, name)
-            if not given or not {*given} <= {*choices}:
+            once = len({*given}) == len(given)
+            if not given or not once or not {*given} <= {*choices}:
                 raise UsageError(
                     f"`{name}` is {' '.join(given) or 'empty'}, expected some of "
-                    f"{', '.join(choices)}"
+                    f"{', '.join(choices)}, each once"
                 )
 
     @property
@@ -160,7 +161,9 @@ def run_sweep(
         with TemporaryDirectory() as drawn:
             return draw_sweep(sweep.out, Path(drawn))
     mark, files = ("config.json", '"options"'), ("*.csv", "*.csv.*", "*.png")
-    refuse_foreign(sweep.out, overwrite, mark, (*_OLDER, "config.json", *files))
+    begun = resume and hidden.exists()  # what is in OUT was to be replaced
+    own = *_OLDER, "config.json", *files
+    refuse_foreign(sweep.out, overwrite or begun, mark, own)
     if hidden.exists() and not (resume or overwrite):
         raise OutputExistsError(
             f"{sweep.out} was begun already: go on with `resume=True`, or start again "

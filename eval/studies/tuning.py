@@ -86,6 +86,9 @@ class TuningOptions(StudyOptions):
                 f"`precision` is {self.precision}, expected auto: tuning has that of "
                 "the presets"
             )
+        for name in (*self.algorithms, *self.data):
+            if (*self.algorithms, *self.data).count(name) > 1:
+                raise UsageError(f"{name} is named twice, expected each once")
         for name in self.algorithms:
             if name not in RANGES:
                 raise UsageError(
@@ -122,17 +125,16 @@ def make_tuning(options: TuningOptions, bar: Bar) -> list[Row]:
     """
     options.check_settings()
     cells = cells_of(options)
-    for name in dict.fromkeys(
-        cell.dataset for listed in cells.values() for cell in listed
-    ):
-        if not named_card(name)["ships"]:
-            build_dataset(name, workers=options.workers, progress=bar)
     rows_folder, runs = _rows_folder(options.results), options.runs_folder / "tuning"
     groups = missing_groups(
         {rows_folder / name: listed for name, listed in cells.items()},
         options.overwrite,
     )
     every = [cell for listed in groups.values() for cell in listed]
+    kept = kept_rows(every, runs)
+    for name in dict.fromkeys(cell.dataset for cell in every if cell not in kept):
+        if not named_card(name)["ships"]:
+            build_dataset(name, workers=options.workers, progress=bar)
     pool = options.workers, (bar, "tuning"), options.executor
     run_cells(run_cell, every, runs, *pool, groups)
     return draw_tuning(options.results, options.results)

@@ -117,11 +117,11 @@ class BenchTrain(_Bench):
 class BenchData(_Bench):
     """Count collected steps per second, and time loading; sizes on disk.
 
-    Beside the bare environment, welded blocks, and Minari's own reader and writer.
+    Beside the bare environment, and Minari's own reader and writer.
     """
 
     episodes: int = 8
-    """Episodes per turn and number of workers, and per kind of grasp."""
+    """Episodes per turn and number of workers."""
 
     workers: tuple[int, ...] = (1, 2)
     """Numbers of processes to compare."""

@@ -79,14 +79,18 @@ _INFORMED_SHARE = 0.6
 """Share of mutations that know the format, where there are some."""
 
 
+_ELSEWHERE = "/proc/version"
+"""File beside the mutated ones that links lead to; nobody can write to it."""
+
 _WITHOUT_CHECKSUM = (".json", ".jsonl", ".csv")
 """Suffixes of texts without a checksum, but for the metadata of datasets."""
 
 
 def _is_target(path: Path) -> bool:
-    """Whether a file is read: cards, pictures and events are not."""
+    """Whether a file is read, and not empty: cards, pictures and events are not."""
     readable = path.suffix in (*_INFORMED, ".onnx")
-    return path.is_file() and readable and not path.name.startswith("card.")
+    read = readable and not path.name.startswith("card.")
+    return read and path.is_file() and path.stat().st_size > 0
 
 
 def _sign(path: Path) -> None:
@@ -169,7 +173,7 @@ def _folder(path: Path, rng: Rng) -> str:
 
 def _link(path: Path, rng: Rng) -> str:
     path.unlink()
-    path.symlink_to("/etc/passwd")
+    path.symlink_to(_ELSEWHERE)
     return "a link to another file in its place"
 
 
@@ -274,7 +278,7 @@ def _soft_link(file: Any, name: str, rng: Rng) -> str:
 
 def _external_link(file: Any, name: str, rng: Rng) -> str:
     del file[name]
-    file[name] = h5py.ExternalLink("/etc/passwd", "/x")
+    file[name] = h5py.ExternalLink(_ELSEWHERE, "/x")
     return "a link to another file"
 
 
@@ -283,7 +287,7 @@ def _external_storage(file: Any, name: str, rng: Rng) -> str:
     shape = node.shape if isinstance(node, h5py.Dataset) else (3,)
     size = 8 * int(np.prod(shape))
     del file[name]
-    file.create_dataset(name, shape, "f8", external=[("/etc/passwd", 0, size)])
+    file.create_dataset(name, shape, "f8", external=[(_ELSEWHERE, 0, size)])
     return "stored in another file"
 
 
@@ -292,7 +296,7 @@ def _virtual(file: Any, name: str, rng: Rng) -> str:
     shape = node.shape if isinstance(node, h5py.Dataset) else (3,)
     del file[name]
     layout = h5py.VirtualLayout(shape, "f8")
-    layout[...] = h5py.VirtualSource("/etc/passwd", "x", shape)
+    layout[...] = h5py.VirtualSource(_ELSEWHERE, "x", shape)
     file.create_virtual_dataset(name, layout)
     return "virtual"
 
@@ -437,7 +441,7 @@ def _rows(path: Path, rng: Rng) -> str:
     openers: dict[str, Any] = {".xz": lzma.open, ".gz": gzip.open}
     opened = openers.get(path.suffix, open)
     with opened(path, "rt", newline="") as file:
-        lines = list(csv.reader(file))
+        lines = [line for line in csv.reader(file) if line] or [[""]]
     line, way = int(rng.integers(len(lines))), int(rng.integers(5))
     column = int(rng.integers(len(lines[line])))
     if way == 0:

@@ -93,8 +93,9 @@ class EpisodeCore:
         attempt = Attempt(self.task, self.drives)
         self.attempt = None  # where the task refuses, there is no episode to go on with
         self.task.begin(attempt, rng, given)
+        state = self._state(attempt)
         self.attempt = attempt
-        return self._state(attempt)
+        return state
 
     def step(self, action: np.ndarray, watch: Watch | None = None) -> Step:
         """Act for one step.

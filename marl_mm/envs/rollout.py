@@ -64,7 +64,7 @@ def run_episode(
     actions: list[np.ndarray] = []
     steps: list[Step] = []
     while not steps or not (steps[-1].terminated or steps[-1].truncated):
-        actions.append(core.bounded(policy.act(states[-1])).astype(np.float32))
+        actions.append(core.bounded(policy.act(states[-1].copy())).astype(np.float32))
         steps.append(core.step(actions[-1], watch))
         states.append(steps[-1].state)
     return Episode(

@@ -175,6 +175,15 @@ def test_commands_meet_mutations_with_a_line(
         assert commands(copy, scratch) == [], about
 
 
+def test_rows_with_an_empty_line_and_empty_files_can_be_mutated(tmp_path: Path) -> None:
+    for number in range(60):
+        folder = tmp_path / str(number)  # a link may lie in the others
+        folder.mkdir()
+        (folder / "rows.csv").write_text("a,b\n\n1,2\n")
+        (folder / "more.csv").write_text("")
+        assert "more" not in mutate(folder, np.random.default_rng(number)).about
+
+
 # --- Checkpoints -------------------------------------------------------------
 
 

@@ -161,6 +161,8 @@ def test_an_entry_that_is_no_number_is_named(seen: Any) -> None:
     core = EpisodeCore(Sees(seen=seen))
     with pytest.raises(LayoutError, match=r"Sees\.observe: base_yaw is .*, expected"):
         core.reset(np.random.default_rng(0))
+    with pytest.raises(UsageError, match="reset"):  # there is no episode to go on with
+        core.step(np.zeros(4))
     core.close()
 
 

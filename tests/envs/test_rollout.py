@@ -78,6 +78,22 @@ def test_what_is_kept_is_what_was_carried_out() -> None:
     assert content(episode) == content(again)
 
 
+class Writer(Loud):
+    """Centres the state in place, as many a policy of others does."""
+
+    def act(self, state: np.ndarray) -> np.ndarray:
+        state -= 5.0
+        return np.zeros(4)
+
+
+def test_a_policy_that_writes_into_its_state_changes_no_record() -> None:
+    task = make_task("Reach-v0", {"max_steps": 2, "simulation": {"engine": "mujoco"}})
+    with closing(EpisodeCore(task)) as core:
+        episode = run_episode(core, Writer(), EpisodePlan(0, 3))
+        again = run_episode(core, ReplayPolicy(episode), EpisodePlan(0, 3))
+    assert content(episode) == content(again)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("form", ["blend", "rhp"])
 def test_threads_and_processes_run_the_same_episodes(

@@ -34,6 +34,7 @@ from marl_mm.eval.bench.offline import (
 )
 from marl_mm.eval.bench.online import bench_online, bench_success
 from marl_mm.eval.bench.side_by_side import bench_gpu, bench_side_by_side
+from marl_mm.eval.bench.tables import env_table, tick_table, vector_table
 from marl_mm.eval.bench.td3_bc_reference import PlainTd3Bc
 from marl_mm.progress import Advance, silent_bar
 from marl_mm.sim.config import Engine
@@ -71,6 +72,8 @@ def test_engines_are_timed_in_turns() -> None:
     assert set(vectors) == set(engines) and min(vectors.values()) > 0
     alone = bench_env("Reach-v0", ["mujoco"], 1, 1, 0, 2, 1, silent_bar)
     assert not any("of bullet" in quantity for quantity in alone)
+    for table in (env_table, tick_table, vector_table):  # without PyBullet, too
+        assert "| - |" in table({"Reach-v0": alone}) or table is tick_table
 
 
 @pytest.mark.parametrize("words", [[], ["mujoco", "mujoco"]])

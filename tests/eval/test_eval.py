@@ -1,7 +1,6 @@
 """Evaluation: fixed goals, hand-worked summaries, results independent of workers."""
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ from marl_mm.envs.rollout import episode_seed
 from marl_mm.envs.tasks.reach import Reach
 from marl_mm.episode import Episode
 from marl_mm.errors import UsageError
-from marl_mm.eval import video
 from marl_mm.eval.evaluate import Evaluation, evaluate
 from marl_mm.eval.figures import alpha_over_time, learning_curve
 from marl_mm.eval.goals import goal_set
@@ -206,7 +204,7 @@ def test_a_film_has_the_frames_of_the_episode(tmp_path: Path, name: str) -> None
 @pytest.mark.bullet
 def test_strips_are_those_of_a_whole_film(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures and steps, where an episode has fewer frames than pictures, too."""
-    monkeypatch.setattr(video, "Camera", partial(Camera, 96, 64))
+    monkeypatch.setattr(Reach, "camera", Camera(96, 64, yaw=10.0))
     for seconds in (2, 4):
         task, policy = Reach(max_steps=seconds), PdPolicy(PdConfig())
         whole = film_both_ways(task, policy, 0, 1).strips

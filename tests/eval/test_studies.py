@@ -232,6 +232,14 @@ def test_what_is_committed_was_made_as_declared(
             "figure is 'return', expected True",
         ),
         (
+            lambda: Study("x", [("good-5k", OURS)], figure=Curves("sucess_all")),
+            "value is 'sucess_all', expected one of success_all",
+        ),
+        (
+            lambda: Study("x", [("good-5k", OURS)], figure=Curves("train_return")),
+            "value is 'train_return', expected one of success_all",
+        ),
+        (
             lambda: Study("x", [("good-5k", OURS)], seeds=(0, 1)),  # type: ignore[arg-type]
             "seeds is .0, 1., expected int",
         ),

@@ -23,8 +23,11 @@ from marl_mm.eval.studies.alpha import ALPHAS, LEARNT, _steps, summarize_worth
 from marl_mm.eval.studies.figures import on_a_grid
 from marl_mm.eval.studies.held import FixedAlpha
 from marl_mm.eval.studies.online import STUDIES
+from marl_mm.eval.studies.settings import LAST, Probe, Setting
+from marl_mm.eval.studies.study import Study
 from marl_mm.eval.studies.summary import (
     CellRows,
+    _by_probe,
     _of_probe,
     episodes_to,
     row_of_setting,
@@ -186,6 +189,36 @@ def test_the_learnt_alpha_is_compared_with_the_best_held_one() -> None:
     low, high = worth["over_held_interval"]
     assert low == pytest.approx(1 - 12.706 / 2, abs=1e-2)  # seeds: 1.5 and 0.5; t(1)
     assert high == pytest.approx(1 + 12.706 / 2, abs=1e-2)
+
+
+def test_only_evaluations_that_differ_by_alpha_are_compared() -> None:
+    """In whatever order a study has its probes."""
+    probes = (
+        Probe("half", "", alpha=0.5),
+        LAST,
+        Probe("zero", "", alpha=0.0),
+        Probe("near", "", alpha=0.0, overrides={"success_distance": 0.2}),
+    )
+    setting = Setting("mabc", "MABC", "mabc")
+    study = Study("x", [("good-5k", setting)], probes)
+    returns = {"half": -5.0, "last": 0.0, "zero": -3.0, "near": -1.0}
+    goals = {
+        name: [
+            {
+                "seed": seed,
+                "goal": goal,
+                "success": 1,
+                "direction": "",
+                "return": goal + offset,
+            }
+            for seed, goal in product((0, 1), (0, 1))
+        ]
+        for name, offset in returns.items()
+    }
+    curves: list[Row] = [{"seed": seed, "step": 1} for seed in (0, 1)]
+    rows = _by_probe(study, CellRows(study.cells[0], goals, curves, ""))
+    assert {row["best_held"] for row in rows} == {0.0}
+    assert {row["over_held"] for row in rows} == {3.0}
 
 
 def test_a_goal_of_equal_return_is_no_better_one() -> None:

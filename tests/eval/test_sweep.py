@@ -208,6 +208,13 @@ def test_the_command_resumes_to_the_same_bytes(
     assert main(resume) == 0  # nothing is left to do
     assert {path: path.stat().st_mtime_ns for path in cut.iterdir()} == before
     assert main([*resume, "--seed", "9"]) == 2  # another sweep is there
+    again = ["sweep-alpha", "--out", str(cut), *ARGUMENTS, "--seed", "9"]
+    with monkeypatch.context() as patch:
+        patch.setattr(sweep, "run_cell", interrupted)  # at once
+        assert main([*again, "--overwrite"]) == 130
+    assert {path: path.stat().st_mtime_ns for path in cut.iterdir()} == before
+    assert main([*again, "--resume"]) == 0
+    assert json.loads((cut / "config.json").read_text())["options"]["seed"] == 9
 
 
 @pytest.mark.slow

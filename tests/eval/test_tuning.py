@@ -142,9 +142,17 @@ def test_an_algorithm_that_is_tuned_already_is_not_run_again(
         return run_cell(cell)
 
     monkeypatch.setattr(tuning, "run_cell", run)
+    monkeypatch.setattr(tuning, "named_card", lambda name: {"ships": False})
+    monkeypatch.setattr(tuning, "build_dataset", lambda name, **_: built.append(name))
+    built: list[str] = []
+    assert (
+        main([*words, "--runs", str(tmp_path / "b"), "--algorithms", "bc", "--resume"])
+        == 0
+    )
+    assert ran == built == []  # nothing is missing
     more = ["--runs", str(tmp_path / "b"), "--algorithms", "bc", "mabc", "--resume"]
     assert main([*words, *more]) == 0
-    assert set(ran) == {"mabc"}
+    assert set(ran) == {"mabc"} and built == ["gate-expert"]
     assert main(["ablate", "tuning", "--check", "--out", str(tmp_path / "out")]) == 0
 
 
