@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from marl_mm.envs.registry import fewest_steps, make_task
+from marl_mm.errors import UsageError
 from marl_mm.eval.evaluate import check_task
 from marl_mm.eval.grouping import by_goal, grouped, mean_of
 from marl_mm.eval.intervals import paired_interval, success_interval
@@ -23,6 +24,7 @@ from marl_mm.eval.studies.options import PolicyOptions
 from marl_mm.eval.studies.policies import Contestant, PolicyCell, run_cell
 from marl_mm.eval.tables import markdown_table, rate_in_interval
 from marl_mm.progress import Bar
+from marl_mm.sim.config import Engine
 
 ABOUT = "Teams that lack something, beside their experts: what coordination is worth."
 """Title."""
@@ -52,6 +54,19 @@ class CoordinationOptions(PolicyOptions):
 
     tasks: tuple[str, ...] = tuple(f"{kind}-v0" for kind in KINDS)
     """Registered names of the tasks."""
+
+    engine: Engine | None = None
+    """Engine of the simulation, bullet or mujoco; default mujoco."""
+
+    def check_settings(self) -> None:
+        """Raise for options that make no sense.
+
+        Raises:
+            UsageError: Naming the option.
+        """
+        super().check_settings()
+        if self.seeds is not None:
+            raise UsageError("`seeds` are of trained runs: teams have none")
 
     @property
     def cells_folder(self) -> Path:

@@ -125,6 +125,12 @@ def refuse_device(device: Device, why: str) -> None:
         raise UsageError(f"`device` is {device}, expected cpu: {why}")
 
 
+def refuse_precision(precision: Precision, why: str) -> None:
+    """Raise a UsageError for a precision that a study has no use for."""
+    if precision != "auto":
+        raise UsageError(f"`precision` is {precision}, expected auto: {why}")
+
+
 @dataclass(frozen=True, kw_only=True)
 class PolicyOptions(StudyOptions):
     """Settings of studies that train nothing: they run policies in tasks."""
@@ -142,6 +148,7 @@ class PolicyOptions(StudyOptions):
             UsageError: Naming the option.
         """
         refuse_device(self.device, "nothing is trained")
+        refuse_precision(self.precision, "nothing is trained")
         super().check_settings()
         check_positive(goals=self.goals)
         if not self.tasks:

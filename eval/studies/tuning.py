@@ -24,7 +24,11 @@ from marl_mm.eval.studies.cells import (
     run_cells,
 )
 from marl_mm.eval.studies.cost import GoalTimes, hours_table
-from marl_mm.eval.studies.options import StudyOptions, refuse_device
+from marl_mm.eval.studies.options import (
+    StudyOptions,
+    refuse_device,
+    refuse_precision,
+)
 from marl_mm.eval.studies.tuning_cells import (
     TuningCell,
     cell_of,
@@ -81,10 +85,10 @@ class TuningOptions(StudyOptions):
         super().check_settings()
         check_positive(tried=self.tried, updates=self.updates, goals=self.goals)
         refuse_unknown(self.data)
-        if self.precision != "auto":
+        refuse_precision(self.precision, "tuning has that of the presets")
+        if self.engine not in (None, "mujoco"):
             raise UsageError(
-                f"`precision` is {self.precision}, expected auto: tuning has that of "
-                "the presets"
+                f"`engine` is {self.engine}, expected mujoco: the datasets' own"
             )
         for name in (*self.algorithms, *self.data):
             if (*self.algorithms, *self.data).count(name) > 1:

@@ -145,6 +145,24 @@ def test_a_plan_counts_teams(
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
+        ("coordination --seeds 0", "--seeds are of trained runs: teams have none"),
+        ("coordination --precision highest", "--precision is highest, expected auto"),
+        ("engines --precision highest", "--precision is highest, expected auto"),
+        ("tuning --engine bullet", "--engine is bullet, expected mujoco"),
+        ("tuning --data gate-expert gate-expert", "gate-expert is named twice"),
+    ],
+)
+@pytest.mark.bullet
+def test_options_that_would_change_nothing_are_refused(
+    words: str, complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["ablate", *words.split()]) == 2
+    assert complaint in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
         (
             ["coordination", "--tasks", "Gate-v0"],
             "Gate-v0.json was made with goals =",
