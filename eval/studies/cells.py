@@ -10,8 +10,9 @@ from types import MappingProxyType
 from typing import Any, Generic, Protocol, TypeVar, cast
 
 import marl_mm
+from marl_mm import plugins
 from marl_mm.config_diff import as_json, changes
-from marl_mm.envs.registry import config_dict, make_task
+from marl_mm.envs.registry import TASKS, config_dict, make_task
 from marl_mm.errors import MarlMmError, OtherConfigError, UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import as_read, read_rows, write_csv
@@ -192,7 +193,8 @@ def kept_rows(cells: Sequence[C], folder: Path) -> dict[C, list[Row]]:
 def _file(cell: Any, folder: Path) -> Path:
     """File named by the SHA-256 of all that rows depend on: settings, sources."""
     config = config_dict(make_task(cell.task, cell.overrides))
-    made_of = asdict(cell), config, _sources(), versions()
+    added = plugins.record(TASKS.origin(cell.task))
+    made_of = asdict(cell), config, _sources(), versions(), added
     return folder / f"{sha256(json.dumps(made_of).encode()).hexdigest()}.json"
 
 

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from marl_mm import plugins
 from marl_mm.algorithms.run_config import RunConfig
 from marl_mm.cli import main
 from marl_mm.errors import UsageError
 from marl_mm.eval.metrics import Row
 from marl_mm.eval.rows import read_rows
 from marl_mm.eval.studies import figures
+from marl_mm.eval.studies.cells import kept_rows, run_cells
 from marl_mm.eval.studies.engines import (
     TRANSFER,
     EnginesOptions,
@@ -29,8 +31,9 @@ from marl_mm.eval.studies.engines_summary import (
 )
 from marl_mm.eval.studies.offline import STUDIES
 from marl_mm.eval.studies.options import StudyOptions
-from marl_mm.eval.studies.policies import PolicyCell
+from marl_mm.eval.studies.policies import Contestant, PolicyCell, run_cell
 from marl_mm.eval.studies.study import cell_name
+from marl_mm.progress import silent_bar
 from marl_mm.sim.config import Engine
 
 RESULTS = Path(__file__).resolve().parents[2] / "eval" / "results" / "studies"
@@ -129,6 +132,16 @@ def test_agents_that_grasp_take_part_in_their_own_task(
     *_, agent = contestants("Grasp-v0", options)
     assert agent.name == f"mabc-scripted-20k-{engine}"
     assert len(contestants("GraspReach-v0", options)) == 21
+
+
+def test_kept_rows_are_of_the_plug_in_that_made_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cells = [PolicyCell("Reach-v0", "mujoco", Contestant("random", "random"), 1, 1)]
+    run_cells(run_cell, cells, tmp_path, 1, (silent_bar, "x"))
+    assert [*kept_rows(cells, tmp_path)] == cells
+    monkeypatch.setattr(plugins, "record", lambda *origins: {"mine.py": "another"})
+    assert not kept_rows(cells, tmp_path)
 
 
 def test_a_plan_counts_teams(
