@@ -1164,14 +1164,6 @@ class Placed(RandomPolicy):
         return super().act(state) * np.float32(1 / (1 + os.getpid() % 1_000))
 
 
-class Rude(RandomPolicy):
-    """It writes into the state that it is shown."""
-
-    def act(self, state: np.ndarray) -> np.ndarray:
-        state[3:5] = 0.0
-        return super().act(state)
-
-
 class Rooted(RandomPolicy):
     """It cannot go to another process."""
 
@@ -1267,7 +1259,6 @@ COLLECTORS_MISTAKEN: list[tuple[collectors.Candidate, Broken]] = [
     ),
     (gathered(Nameless), {SETTINGS: "its policy calls itself 'random'"}),
     (gathered(Placed), {PROCESSES: "in two processes: states differ at [1, 0]"}),
-    (gathered(Rude), {COPIES: "states differ: at [1, 3]"}),
     (gathered(Rooted), {PROCESSES: "Can't pickle local object"}),
     (gathered(Vague), {SETTINGS: "ndarray is not JSON serializable"}),
     (
